@@ -1,0 +1,1 @@
+"""Closed-form geometry of the sphere; the convention statement lives in :mod:`omnisyn_cli.geometry.sphere`."""

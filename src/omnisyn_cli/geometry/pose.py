@@ -1,0 +1,221 @@
+"""Rigid poses: where a panorama was taken and how it was held.
+
+A :class:`Pose` takes vectors of the camera's frame to the world: ``x_world = rotation · x_camera + position``.
+Frames stand in the names: ``a_from_b`` takes coordinates in b to coordinates in a, so ``a_from_c = a_from_b @ b_from_c``.
+Axes are those of :mod:`omnisyn_cli.geometry.sphere`; angles are radians, lengths metres, arrays float64.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+__all__ = [
+    "Pose",
+    "enu_from_geographic",
+    "interpolate_pose",
+    "nearest_rotation",
+    "quaternion_from_rotation",
+    "rotation_angle",
+    "rotation_from_heading",
+    "rotation_from_quaternion",
+    "rotation_from_rotation_vector",
+    "rotation_taking",
+    "rotation_vector_from_rotation",
+    "slerp",
+]
+
+SMALL_ANGLE = 1e-8
+"""Below this (radians) the series of sin(x)/x is exact in float64."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Camera-to-world transform.
+
+    Attributes:
+        rotation: ``(*batch, 3, 3)`` orthonormal, determinant +1.
+        position: ``(*batch, 3)`` optical centre in the world, metres.
+    """
+
+    rotation: Float[np.ndarray, "*batch 3 3"]
+    position: Float[np.ndarray, "*batch 3"]
+
+    @staticmethod
+    def identity() -> Pose:
+        """The pose of a camera at the origin that looks along −z."""
+        return Pose(np.eye(3), np.zeros(3))
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """``a_from_c = a_from_b @ b_from_c``."""
+        return Pose(self.rotation @ other.rotation, self.transform(other.position))
+
+    def inverse(self) -> Pose:
+        """``b_from_a`` of ``a_from_b``."""
+        transposed = np.swapaxes(self.rotation, -1, -2)
+        return Pose(transposed, -np.squeeze(transposed @ self.position[..., None], -1))
+
+    def transform(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+        """Points ``(*batch, 3)`` taken from the camera's frame to the world."""
+        return np.squeeze(self.rotation @ points[..., None], -1) + self.position
+
+    def almost_equals(self, other: Pose, *, metres: float = 1e-9, radians: float = 1e-9) -> bool:
+        """Whether both poses agree everywhere within the given tolerances."""
+        moved = np.linalg.norm(self.position - other.position, axis=-1)
+        turned = rotation_angle(np.swapaxes(self.rotation, -1, -2) @ other.rotation)
+        return bool(np.all(moved <= metres) and np.all(turned <= radians))
+
+
+def rotation_from_quaternion(quaternion: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation matrix of a quaternion ``[w, x, y, z]`` of any length but zero (it is normalised)."""
+    w, x, y, z = np.moveaxis(quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:
+    """Unit quaternion ``[w, x, y, z]`` with w >= 0 of a rotation matrix.
+
+    The four columns of the symmetric matrix ``4·q·qᵀ`` are all multiples of q; the longest one is used, so no
+    rotation angle is special.
+    """
+    m = rotation
+    m00, m11, m22 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    x, y, z = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    outer = np.stack(
+        [
+            np.stack([1 + m00 + m11 + m22, x, y, z], -1),
+            np.stack([x, 1 + m00 - m11 - m22, xy, xz], -1),
+            np.stack([y, xy, 1 - m00 + m11 - m22, yz], -1),
+            np.stack([z, xz, yz, 1 - m00 - m11 + m22], -1),
+        ],
+        axis=-2,
+    )
+    longest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(outer, longest[..., None, None], axis=-2)[..., 0, :]
+    quaternion = column / np.linalg.norm(column, axis=-1, keepdims=True)
+    return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+
+
+def rotation_from_rotation_vector(vector: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation by ``|vector|`` radians about ``vector`` (the exponential map)."""
+    angle = np.linalg.norm(vector, axis=-1, keepdims=True)
+    half = 0.5 * angle
+    is_small = angle < SMALL_ANGLE
+    sine_over_angle = np.where(is_small, 0.5, np.sin(half) / np.where(is_small, 1.0, angle))
+    return rotation_from_quaternion(np.concatenate([np.cos(half), vector * sine_over_angle], axis=-1))
+
+
+def rotation_vector_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """The rotation vector with an angle in [0, π] (the logarithm); at exactly π either axis is a right answer."""
+    quaternion = quaternion_from_rotation(rotation)
+    sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
+    is_small = sine < SMALL_ANGLE
+    return quaternion[..., 1:] * np.where(is_small, 2.0, angle / np.where(is_small, 1.0, sine))
+
+
+def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch"]:
+    """Angle of a rotation in radians, in [0, π]."""
+    return np.linalg.norm(rotation_vector_from_rotation(rotation), axis=-1)
+
+
+def slerp(
+    first: Float[np.ndarray, "*batch 3 3"], second: Float[np.ndarray, "*batch 3 3"], t: float
+) -> Float[np.ndarray, "*batch 3 3"]:
+    """The rotation a share ``t`` of the shortest way from ``first`` to ``second``; exact at 0 and 1."""
+    if t == 0:
+        return first
+    if t == 1:
+        return second
+    turn = rotation_vector_from_rotation(np.swapaxes(first, -1, -2) @ second)
+    return first @ rotation_from_rotation_vector(t * turn)
+
+
+def interpolate_pose(first: Pose, second: Pose, t: float) -> Pose:
+    """Straight line in position, shortest turn in rotation; exact at 0 and 1."""
+    position = (1.0 - t) * first.position + t * second.position
+    return Pose(slerp(first.rotation, second.rotation, t), position)
+
+
+def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0) -> Float[np.ndarray, "3 3"]:
+    """World-from-camera rotation of a compass heading of the image centre (all radians).
+
+    The world has x east, y up, −z north. ``heading`` is clockwise from north seen from above, ``pitch`` lifts the
+    image centre above the horizon, ``roll`` turns the camera clockwise about its own line of sight.
+
+    Source: GPano XMP ``PoseHeadingDegrees``, ``PosePitchDegrees``, ``PoseRollDegrees``.
+    """
+    turn = rotation_from_rotation_vector
+    about_up = turn(np.array([0.0, -heading, 0.0]))
+    about_right = turn(np.array([pitch, 0.0, 0.0]))
+    about_forward = turn(np.array([0.0, 0.0, -roll]))
+    rotation: np.ndarray = about_up @ about_right @ about_forward
+    return rotation
+
+
+def enu_from_geographic(
+    latitude: float, longitude: float, altitude: float, origin: tuple[float, float, float]
+) -> Float[np.ndarray, "3"]:
+    """East, north and up in metres of a WGS84 position seen from ``origin`` (latitude, longitude, altitude).
+
+    Latitudes and longitudes are degrees, altitudes metres. Goes through earth-centred coordinates, so that it holds at
+    the poles and across the date line.
+
+    Source: WGS84; ECEF to ENU as in the Navipedia article "Transformations between ECEF and ENU coordinates".
+    """
+    offset = _ecef(latitude, longitude, altitude) - _ecef(*origin)
+    phi, lam = math.radians(origin[0]), math.radians(origin[1])
+    sin_phi, cos_phi, sin_lam, cos_lam = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)
+    enu_from_ecef = np.array(
+        [
+            [-sin_lam, cos_lam, 0.0],
+            [-sin_phi * cos_lam, -sin_phi * sin_lam, cos_phi],
+            [cos_phi * cos_lam, cos_phi * sin_lam, sin_phi],
+        ]
+    )
+    enu: np.ndarray = enu_from_ecef @ offset
+    return enu
+
+
+def _ecef(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, "3"]:
+    semi_major, flattening = 6378137.0, 1.0 / 298.257223563
+    eccentricity_squared = flattening * (2.0 - flattening)
+    phi, lam = math.radians(latitude), math.radians(longitude)
+    normal = semi_major / math.sqrt(1.0 - eccentricity_squared * math.sin(phi) ** 2)
+    ring = (normal + altitude) * math.cos(phi)
+    return np.array(
+        [ring * math.cos(lam), ring * math.sin(lam), (normal * (1.0 - eccentricity_squared) + altitude) * math.sin(phi)]
+    )
+
+
+def nearest_rotation(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 3 3"]:
+    """The rotation closest to a matrix that is nearly one (orthogonal Procrustes)."""
+    u, _, vt = np.linalg.svd(matrix)
+    sign = np.linalg.det(u @ vt)
+    u[..., :, -1] *= sign[..., None]
+    rotation: np.ndarray = u @ vt
+    return rotation
+
+
+def rotation_taking(source: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that takes the unit vector ``source`` to the unit vector ``target``.
+
+    For opposite vectors the half turn about one fixed axis orthogonal to ``source`` is taken.
+    """
+    axis, cosine = np.cross(source, target), float(np.dot(source, target))
+    sine = float(np.linalg.norm(axis))
+    if sine < SMALL_ANGLE:
+        if cosine > 0:
+            return np.eye(3)
+        axis = np.cross(source, np.eye(3)[np.argmin(np.abs(source))])
+        return rotation_from_rotation_vector(axis / np.linalg.norm(axis) * math.pi)
+    return rotation_from_rotation_vector(axis / sine * math.atan2(sine, cosine))

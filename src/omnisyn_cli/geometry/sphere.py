@@ -1,0 +1,146 @@
+"""Equirectangular pixels, angles and directions: the one place that knows the convention.
+
+The convention, used everywhere in this package:
+
+* right-handed frame, **x right, y up, −z forward**; the centre of an image looks along −z;
+* pixel ``(row, col)`` has its centre at ``(row + ½, col + ½)``;
+* ``azimuth = (col + ½) / width · 2π − π``: 0 at the image centre, growing to the right;
+* ``polar_angle = (row + ½) / height · π``: 0 at the top (the zenith), π at the bottom;
+* ``direction = (sin p · sin a, cos p, −sin p · cos a)``;
+* column 0 and column width − 1 are neighbours (the seam); above row 0 the image goes on at column + width / 2.
+
+Pixel coordinates below are *indices*: 0.0 is the centre of the first pixel. Every closed formula takes numpy arrays or
+torch tensors with any leading axes and answers in kind.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+from jaxtyping import Float
+
+__all__ = [
+    "LINEARISED_CAP",
+    "angles_to_direction",
+    "angles_to_pixel",
+    "direction_tables",
+    "direction_to_angles",
+    "direction_to_pixel",
+    "linearised_arccos",
+    "normalize",
+    "pixel_directions",
+    "pixel_to_angles",
+    "pixel_to_direction",
+    "solid_angles",
+    "wrap_angle",
+]
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+LINEARISED_CAP = math.radians(10.0)
+"""Polar distance α within which :func:`linearised_arccos` is a straight line (paper, section 3.5.2)."""
+
+
+def pixel_to_angles(row: Array, col: Array, size: tuple[int, int]) -> tuple[Array, Array]:
+    """Azimuth and polar angle in radians of (fractional) pixel indices in an image of ``size = (height, width)``."""
+    height, width = size
+    azimuth = (col + 0.5) * (2.0 * math.pi / width) - math.pi
+    polar_angle = (row + 0.5) * (math.pi / height)
+    return azimuth, polar_angle
+
+
+def angles_to_pixel(azimuth: Array, polar_angle: Array, size: tuple[int, int]) -> tuple[Array, Array]:
+    """Fractional ``(row, col)`` indices of angles in radians; the column is not wrapped."""
+    height, width = size
+    row = polar_angle * (height / math.pi) - 0.5
+    col = (azimuth + math.pi) * (width / (2.0 * math.pi)) - 0.5
+    return row, col
+
+
+def angles_to_direction(azimuth: Array, polar_angle: Array) -> Array:
+    """Unit vectors ``(..., 3)`` of angles in radians."""
+    xp = array_namespace(azimuth, polar_angle)
+    sin_polar = xp.sin(polar_angle)
+    x, y, z = sin_polar * xp.sin(azimuth), xp.cos(polar_angle), -sin_polar * xp.cos(azimuth)
+    return xp.stack(xp.broadcast_arrays(x, y, z), axis=-1)
+
+
+def direction_to_angles(direction: Float[Array, "*batch 3"]) -> tuple[Array, Array]:
+    """Azimuth in (−π, π] and polar angle in [0, π], in radians, of vectors of any length.
+
+    The polar angle comes from ``atan2``: exact at the poles, where an arccos would lose half of its digits.
+    At a pole the azimuth is 0; of a zero vector both angles are those of ``atan2(0, 0)``.
+    """
+    xp = array_namespace(direction)
+    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+    return xp.atan2(x, -z), xp.atan2(xp.hypot(x, z), y)
+
+
+def pixel_to_direction(row: Array, col: Array, size: tuple[int, int]) -> Array:
+    """Unit vectors ``(..., 3)`` through (fractional) pixel indices."""
+    return angles_to_direction(*pixel_to_angles(row, col, size))
+
+
+def direction_to_pixel(direction: Float[Array, "*batch 3"], size: tuple[int, int]) -> tuple[Array, Array]:
+    """Fractional ``(row, col)`` indices that vectors of any length point at; ``-½ <= col <= width - ½``."""
+    return angles_to_pixel(*direction_to_angles(direction), size)
+
+
+def pixel_directions(height: int, width: int) -> Float[np.ndarray, "height width 3"]:
+    """Unit vector through every pixel centre, float64."""
+    row, col = np.arange(height, dtype=np.float64)[:, None], np.arange(width, dtype=np.float64)[None, :]
+    directions: np.ndarray = pixel_to_direction(row, col, (height, width))
+    return directions
+
+
+def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The separable parts of :func:`pixel_directions`: sin and cos of the polar angle per row, of the azimuth per column.
+
+    Kernels build ``(sin_polar·sin_azimuth, cos_polar, −sin_polar·cos_azimuth)`` from them.
+
+    Returns:
+        ``(sin_polar (height,), cos_polar (height,), sin_azimuth (width,), cos_azimuth (width,))``, float64.
+    """
+    azimuth, polar_angle = pixel_to_angles(np.arange(height), np.arange(width), (height, width))
+    return np.sin(polar_angle), np.cos(polar_angle), np.sin(azimuth), np.cos(azimuth)
+
+
+def solid_angles(height: int, width: int) -> Float[np.ndarray, "height width"]:
+    """Solid angle of every pixel in steradians, exact: the rows' bands sum to 4π."""
+    edges = np.cos(np.arange(height + 1) * (math.pi / height))
+    band = (edges[:-1] - edges[1:]) * (2.0 * math.pi / width)
+    return np.broadcast_to(band[:, None], (height, width)).copy()
+
+
+def normalize(vector: Float[Array, "*batch 3"]) -> Array:
+    """Vectors of length one. A zero vector stays zero, with a zero gradient."""
+    xp = array_namespace(vector)
+    squared = xp.sum(vector * vector, axis=-1, keepdims=True)
+    is_zero = squared == 0
+    return vector / xp.sqrt(xp.where(is_zero, xp.ones_like(squared), squared))
+
+
+def wrap_angle(angle: Array) -> Array:
+    """The same angle in [−π, π)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def linearised_arccos(cosine: Array, cap: float = LINEARISED_CAP) -> Array:
+    """Arccos whose slope stays bounded: within ``cap`` radians of 0 and π it goes on as a straight line.
+
+    ``arccos`` has an infinite slope at ±1, so a rendering loss sends infinite gradients through the poles. Beyond
+    ``cos(cap)`` the curve is replaced by the chord from there to the pole: continuous, exact at 0, ``cap`` and
+    ``π − cap``, with a finite slope of constant (negative) sign. Values outside [−1, 1] continue along the line.
+
+    Source: OmniSyn, section 3.5.2.
+    """
+    xp = array_namespace(cosine)
+    edge = math.cos(cap)
+    slope = cap / (1.0 - edge)
+    north, south = cosine > edge, cosine < -edge
+    inside = xp.where(north | south, xp.zeros_like(cosine), cosine)  # a safe value: no NaN flows back from the pole
+    middle = xp.acos(inside)
+    return xp.where(north, (1.0 - cosine) * slope, xp.where(south, math.pi - (1.0 + cosine) * slope, middle))

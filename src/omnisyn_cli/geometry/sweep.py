@@ -1,0 +1,131 @@
+"""Sphere sweep geometry: a frame fixed by the baseline, and what an angle of parallax says about inverse depth.
+
+Two panoramas are turned (in full 3-D) into a *canonical frame* that both share. In it the second camera lies at a fixed
+direction from the first, so moving a point from one to the other depends on ``inverse_depth · baseline`` alone:
+
+* :func:`epipole_frame`: the zenith (row 0) points along the baseline. Epipolar lines are meridians: a match lies in the
+  same column, further down in the second image.
+* :func:`forward_frame`: the image centre (−z) points along the baseline with poles kept as upright as possible: the
+  paper's frame (section 3.2), for all baselines instead of horizontal ones.
+
+Singular, and said here once: at the two epipoles parallax is zero whatever the depth.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+from jaxtyping import Float
+
+from omnisyn_cli.geometry.pose import Pose, rotation_taking
+
+__all__ = [
+    "epipole_frame",
+    "forward_frame",
+    "inverse_depth_from_parallax",
+    "parallax_from_inverse_depth",
+    "sweep_directions",
+]
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+UP = np.array([0.0, 1.0, 0.0])
+FORWARD = np.array([0.0, 0.0, -1.0])
+
+
+def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
+    """Both cameras turned so that +y points from the first to the second and both share one orientation.
+
+    Args:
+        first: world-from-camera pose of the first panorama.
+        second: world-from-camera pose of the second, at another position.
+
+    Returns:
+        ``(first, second, baseline)``: the turned poses (same positions) and the distance in metres. The image centre
+        looks as nearly straight down as the baseline lets it, so the ground lies at azimuth 0 and the sky at the seam;
+        with a vertical baseline it stays near the horizon.
+    """
+    along, baseline = _baseline(first, second)
+    rotation = _frame_with_zenith(along)
+    return Pose(rotation, first.position), Pose(rotation, second.position), baseline
+
+
+def forward_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
+    """Both cameras turned so that −z points from the first to the second; otherwise as :func:`epipole_frame`.
+
+    Source: OmniSyn, section 3.2 (there for horizontal baselines).
+    """
+    along, baseline = _baseline(first, second)
+    right = _orthogonal_to(along, hint=np.cross(along, UP))
+    rotation = np.stack([right, np.cross(right, along), -along], axis=-1)
+    return Pose(rotation, first.position), Pose(rotation, second.position), baseline
+
+
+def parallax_from_inverse_depth(polar_angle: Array, inverse_depth: Array, baseline: float = 1.0) -> Array:
+    """How far down its meridian a point moves from the first image to the second, radians in [0, π − polar_angle].
+
+    Args:
+        polar_angle: angle between the baseline and the direction in the first camera, radians.
+        inverse_depth: 1/metre, as seen from the first camera; 0 is infinitely far.
+        baseline: metres.
+    """
+    xp = array_namespace(polar_angle, inverse_depth)
+    shift = inverse_depth * baseline
+    return xp.atan2(shift * xp.sin(polar_angle), 1.0 - shift * xp.cos(polar_angle))
+
+
+def inverse_depth_from_parallax(polar_angle: Array, parallax: Array, baseline: float = 1.0) -> Array:
+    """Inverse depth (1/metre) in the first camera from a parallax in radians, by the law of sines.
+
+    ``ρ = sin δ / (baseline · sin(polar_angle + δ))``. Where the rays meet behind the cameras or nowhere
+    (``polar_angle + δ`` at 0 or π or beyond) the answer is 0 for no parallax and infinity otherwise.
+    """
+    xp = array_namespace(polar_angle, parallax)
+    far_side = xp.sin(polar_angle + parallax)
+    is_open = far_side > 1e-12
+    inverse_depth = xp.sin(parallax) / (baseline * xp.where(is_open, far_side, xp.ones_like(far_side)))
+    unmeasurable = xp.where(parallax > 0, xp.full_like(inverse_depth, math.inf), xp.zeros_like(inverse_depth))
+    return xp.where(is_open, inverse_depth, unmeasurable)
+
+
+def sweep_directions(
+    directions: Float[Array, "*batch 3"], inverse_depth: Array, second_from_first: Pose
+) -> Float[Array, "*batch 3"]:
+    """Where points on a sphere around the first camera are seen by the second, not normalised.
+
+    The homogeneous form ``R·d + ρ·t``: nothing divides, and ρ = 0 is the sphere at infinity.
+
+    Args:
+        directions: unit vectors of the first camera.
+        inverse_depth: 1/metre, broadcasts against ``directions[..., 0]``.
+        second_from_first: rigid transform.
+    """
+    xp = array_namespace(directions, inverse_depth)
+    rotation = xp.asarray(second_from_first.rotation, dtype=directions.dtype)
+    translation = xp.asarray(second_from_first.position, dtype=directions.dtype)
+    turned = directions @ rotation.T
+    return turned + inverse_depth[..., None] * translation
+
+
+def _baseline(first: Pose, second: Pose) -> tuple[np.ndarray, float]:
+    offset = second.position - first.position
+    baseline = float(np.linalg.norm(offset))
+    if baseline == 0.0:
+        raise ValueError("expected two different positions, got a baseline of 0 m; a turn in place has no sweep")
+    return offset / baseline, baseline
+
+
+def _frame_with_zenith(up: np.ndarray) -> np.ndarray:
+    right = _orthogonal_to(up, hint=np.cross(up, UP))
+    return np.stack([right, up, np.cross(right, up)], axis=-1)
+
+
+def _orthogonal_to(axis: np.ndarray, hint: np.ndarray) -> np.ndarray:
+    """A unit vector orthogonal to ``axis``: along ``hint`` unless that vanishes (a vertical baseline)."""
+    length = float(np.linalg.norm(hint))
+    if length > 1e-6:
+        return np.asarray(hint / length)
+    return np.asarray(rotation_taking(UP if axis[1] >= 0 else -UP, axis) @ np.array([1.0, 0.0, 0.0]))

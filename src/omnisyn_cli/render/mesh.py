@@ -1,0 +1,308 @@
+"""A mesh from an inverse-depth panorama, cut at depth discontinuities (paper, section 3.3).
+
+The vertices are the pixel centres, so the topology is the image's own grid and is never stored: a :class:`Mesh` is an
+inverse depth per vertex and one byte per quad. Quad ``(row, col)`` lies between the vertices ``(row, col)``,
+``(row, col + 1)``, ``(row + 1, col)`` and ``(row + 1, col + 1)``; columns wrap, so the seam is closed. Two fans of
+triangles, the caps, close the poles.
+
+Where neighbouring vertices belong to different surfaces their edge is *cut*. A quad with a cut edge is not thrown away:
+each corner keeps the quarter of the quad that belongs to its own pixel, at its own inverse depth. Seen from where it was
+taken the mesh therefore has no holes, and a silhouette lies half way between the pixels of its two sides.
+
+Faces are numbered ``8·quad + k``: a whole quad has k = 0, 1; a cut quad has two triangles for each of its four corners,
+k = 2·corner + {0, 1}. The caps follow: ``8·quads + width·cap + col``, the north (cap 0) first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer, UInt8
+
+from omnisyn_cli.geometry.sphere import pixel_directions
+
+__all__ = ["CUT_EDGES", "DIAGONAL", "FACES_PER_QUAD", "REMOVED", "Cut", "FaceCorners", "Mesh", "Triangles", "build_mesh"]
+
+TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
+CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
+"""Bits of a quad's byte: which of its edges are cut."""
+DIAGONAL = 16
+"""Set where the quad is split from bottom left to top right, clear from top left to bottom right."""
+REMOVED = 32
+"""Set where nothing of the quad is drawn (all of it is masked)."""
+FACES_PER_QUAD = 8
+
+TRUST_AT_CUTS = 0.05
+LEAST_TRUST = 0.01
+
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Cut:
+    """When two neighbouring vertices belong to different surfaces.
+
+    Attributes:
+        relative: largest step of inverse depth relative to the nearer vertex, in (0, 1]. None switches the test off.
+        metres: largest step of depth (the paper's criterion, there 2 m). None switches the test off.
+        planar: an edge is spared if its step is at most this many times one of the steps before and after it, as on a
+            surface seen at a grazing angle. 0 spares none.
+    """
+
+    relative: float | None = 0.05
+    metres: float | None = None
+    planar: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A panorama's surface as seen from its own centre.
+
+    Attributes:
+        inverse_depth: ``(height, width)`` float32, 1/metre, of the vertices.
+        quads: ``(height - 1, width)`` one byte of flags per quad.
+        caps: ``(2, width, 3)`` float32: inverse depth of (pole, left, right) of each cap triangle, north then south.
+        trust: ``(height - 1, width)`` float32 in (0, 1]: how much the colour seen on each quad is worth in a blend.
+    """
+
+    inverse_depth: Float[np.ndarray, "height width"]
+    quads: UInt8[np.ndarray, "height-1 width"]
+    caps: Float[np.ndarray, "2 width 3"]
+    trust: Float[np.ndarray, "height-1 width"]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in vertices."""
+        height, width = self.inverse_depth.shape
+        return height, width
+
+    @cached_property
+    def cut_quads(self) -> Integer[np.ndarray, "cuts"]:
+        """Flat indices of the drawn quads with at least one cut edge, ascending."""
+        return np.flatnonzero(((self.quads & CUT_EDGES) != 0) & ((self.quads & REMOVED) == 0))
+
+    def faces(self) -> Integer[np.ndarray, "faces"]:
+        """The numbers of all faces that are drawn, ascending."""
+        flat = self.quads.ravel()
+        per_quad = np.where(flat & REMOVED, 0, np.where(flat & CUT_EDGES, FACES_PER_QUAD, 2))
+        kept = np.arange(FACES_PER_QUAD) < per_quad[:, None]
+        caps = np.arange(self.caps.shape[0] * self.caps.shape[1])
+        return np.concatenate([np.flatnonzero(kept), FACES_PER_QUAD * flat.size + caps])
+
+    def triangles(self) -> Triangles:
+        """Every face as an explicit triangle in the frame of the panorama, for the reference renderer and for export."""
+        faces = self.faces()
+        corners = self.corners(faces)
+        height, width = self.size
+        directions = np.concatenate([pixel_directions(height, width).reshape(-1, 3), _POLES])
+        inverse_depth = np.concatenate([self.inverse_depth.reshape(-1).astype(np.float64), np.zeros(2)])
+        direction = np.einsum("fvk,fkx->fvx", corners.direction_weight, directions[corners.vertex])
+        rho = np.einsum("fvk,fk->fv", corners.inverse_depth_weight, inverse_depth[corners.vertex])
+        return Triangles(faces, direction, rho + corners.inverse_depth_offset)
+
+    def corners(self, faces: Integer[np.ndarray, "faces"]) -> FaceCorners:
+        """How the corners of faces follow from the vertices of the mesh; linear, so gradients can flow through it."""
+        quad_count = self.quads.size
+        is_cap = faces >= FACES_PER_QUAD * quad_count
+        quad = np.where(is_cap, 0, faces // FACES_PER_QUAD)
+        vertex = self._quad_vertices(quad)
+        code = self.quads.ravel()[quad]
+        kind = np.where(code & CUT_EDGES, code & CUT_EDGES, code & DIAGONAL)
+        direction_weight = _DIRECTION_WEIGHTS[kind, faces % FACES_PER_QUAD]
+        inverse_depth_weight = _INVERSE_DEPTH_WEIGHTS[kind, faces % FACES_PER_QUAD]
+        offset = np.zeros((len(faces), 3))
+        cap = faces[is_cap] - FACES_PER_QUAD * quad_count
+        vertex[is_cap] = self._cap_vertices(cap)
+        direction_weight[is_cap] = _CAP_WEIGHTS
+        inverse_depth_weight[is_cap] = 0.0
+        offset[is_cap] = self._cap_inverse_depth(cap)
+        return FaceCorners(vertex, direction_weight, inverse_depth_weight, offset)
+
+    def _quad_vertices(self, quad: np.ndarray) -> np.ndarray:
+        width = self.size[1]
+        row, col = quad // width, quad % width
+        right = (col + 1) % width
+        return np.stack([row * width + col, row * width + right, (row + 1) * width + col, (row + 1) * width + right], -1)
+
+    def _cap_vertices(self, cap: np.ndarray) -> np.ndarray:
+        height, width = self.size
+        south, col = cap // width, cap % width
+        ring = np.where(south == 1, (height - 1) * width, 0)
+        first, second = ring + col, ring + (col + 1) % width
+        left, right = np.where(south == 1, first, second), np.where(south == 1, second, first)
+        pole = height * width + south
+        return np.stack([pole, left, right, pole], -1)
+
+    def _cap_inverse_depth(self, cap: np.ndarray) -> np.ndarray:
+        south, col = cap // self.size[1], cap % self.size[1]
+        pole, first, second = np.moveaxis(self.caps[south, col].astype(np.float64), -1, 0)
+        return np.where(south[:, None] == 1, np.stack([pole, first, second], -1), np.stack([pole, second, first], -1))
+
+
+@dataclass(frozen=True)
+class FaceCorners:
+    """Corners of faces as weighted sums over four vertices of the mesh.
+
+    ``direction = Σ direction_weight · direction[vertex]`` (not normalised) and
+    ``inverse_depth = Σ inverse_depth_weight · inverse_depth[vertex] + inverse_depth_offset``. Vertices
+    ``height·width`` and ``height·width + 1`` are the poles.
+    """
+
+    vertex: Integer[np.ndarray, "faces 4"]
+    direction_weight: Float[np.ndarray, "faces 3 4"]
+    inverse_depth_weight: Float[np.ndarray, "faces 3 4"]
+    inverse_depth_offset: Float[np.ndarray, "faces 3"]
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """Explicit triangles: homogeneous points ``direction / inverse_depth``, clockwise seen from the centre."""
+
+    face: Integer[np.ndarray, "faces"]
+    direction: Float[np.ndarray, "faces 3 3"]
+    inverse_depth: Float[np.ndarray, "faces 3"]
+
+
+def build_mesh(
+    inverse_depth: Float[np.ndarray, "height width"],
+    cut: Cut | None = None,
+    mask: Bool[np.ndarray, "height width"] | None = None,
+    confidence: Float[np.ndarray, "height width"] | None = None,
+) -> Mesh:
+    """Mesh of an inverse-depth panorama.
+
+    Args:
+        inverse_depth: 1/metre, finite and not negative; 0 is infinitely far. At least 2×2 pixels.
+        cut: where surfaces are separated; by default at relative steps above 0.05.
+        mask: False where the panorama shows nothing usable; such vertices get no surface.
+        confidence: in [0, 1], of the inverse depths; by default 1.
+
+    Raises:
+        ValueError: on values that are negative or not finite, or an image smaller than 2×2.
+    """
+    rho = np.ascontiguousarray(inverse_depth, dtype=np.float32)
+    if rho.ndim != 2 or min(rho.shape) < 2:
+        raise ValueError(f"expected an inverse-depth image of at least 2×2 pixels, got shape {rho.shape}")
+    if not np.isfinite(rho).all() or (rho < 0).any():
+        raise ValueError("expected finite inverse depths >= 0, got negative or non-finite values; fill them first")
+    cut = cut or Cut()
+    beside, below = _cut_edges(rho, cut, axis=1), _cut_edges(rho, cut, axis=0)
+    if mask is not None:
+        beside |= mask != np.roll(mask, -1, axis=1)
+        below |= mask[:-1] != mask[1:]
+    quads = TOP * beside[:-1] + BOTTOM * beside[1:] + LEFT * below + RIGHT * np.roll(below, -1, axis=1)
+    right = np.roll(rho, -1, axis=1)
+    falling, rising = np.abs(rho[:-1] - right[1:]), np.abs(rho[1:] - right[:-1])
+    quads = quads + DIAGONAL * (rising < falling)
+    if mask is not None:
+        quads = quads + REMOVED * ~_any_corner(mask)
+    quads = quads.astype(np.uint8)
+    return Mesh(rho, quads, _caps(rho, beside), _trust(quads, confidence))
+
+
+def _trust(quads: np.ndarray, confidence: np.ndarray | None) -> np.ndarray:
+    """Least confidence of a quad's corners, never quite 0; little where it is cut, because there colours are mixed."""
+    trust = np.where(quads & CUT_EDGES, np.float32(TRUST_AT_CUTS), np.float32(1.0))
+    if confidence is None:
+        return trust
+    rows = np.minimum(confidence[:-1], confidence[1:])
+    least = np.minimum(rows, np.roll(rows, -1, axis=1)).astype(np.float32)
+    return trust * np.maximum(least, np.float32(LEAST_TRUST))
+
+
+def _any_corner(mask: np.ndarray) -> np.ndarray:
+    rows = mask[:-1] | mask[1:]
+    return np.asarray(rows | np.roll(rows, -1, axis=1))
+
+
+def _cut_edges(rho: np.ndarray, cut: Cut, axis: int) -> np.ndarray:
+    """Whether the edge from each vertex to the next along ``axis`` is cut; columns wrap, rows end."""
+    following = np.roll(rho, -1, axis=axis) if axis == 1 else rho[1:]
+    rho = rho if axis == 1 else rho[:-1]
+    step = following - rho
+    is_cut = np.zeros(step.shape, dtype=bool)
+    if cut.relative is not None:
+        is_cut |= np.abs(step) > cut.relative * np.maximum(np.maximum(rho, following), _TINY)
+    if cut.metres is not None:
+        is_cut |= np.abs(step) > cut.metres * rho * following
+    if cut.planar > 0:
+        is_cut &= ~_is_grazing(step, cut.planar, axis)
+    return is_cut
+
+
+def _is_grazing(step: np.ndarray, planar: float, axis: int) -> np.ndarray:
+    before, after = np.roll(step, 1, axis=axis), np.roll(step, -1, axis=axis)
+    if axis == 0:
+        before[0], after[-1] = 0.0, 0.0
+    same_way = np.maximum(before * np.sign(step), after * np.sign(step))
+    return np.asarray(np.abs(step) <= planar * same_way)
+
+
+def _caps(rho: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Cap triangles: a smooth fan where the ring is whole, a flat wedge of the farther side where it is cut."""
+    caps = np.empty((2, rho.shape[1], 3), np.float32)
+    for cap, row in enumerate((0, -1)):
+        first, second = rho[row], np.roll(rho[row], -1)
+        farther = np.minimum(first, second)
+        smooth = np.stack([np.full_like(first, np.median(first)), first, second], axis=-1)
+        caps[cap] = np.where(beside[row][:, None] | beside[row].any(), farther[:, None], smooth)
+    return caps
+
+
+_POLES = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+_CAP_WEIGHTS = np.eye(4)[:3]
+
+# Corners of a quad: 0 top left, 1 top right, 2 bottom left, 3 bottom right.
+_BESIDE = (1, 0, 3, 2)
+_ACROSS = (2, 3, 0, 1)
+_EDGE_BESIDE = (TOP, TOP, BOTTOM, BOTTOM)
+_EDGE_ACROSS = (LEFT, RIGHT, LEFT, RIGHT)
+
+
+def _component(corner: int, code: int) -> list[int]:
+    """The corners of a quad that hang together with ``corner`` through edges that are not cut."""
+    reached, frontier = {corner}, [corner]
+    while frontier:
+        at = frontier.pop()
+        for edge, to in ((_EDGE_BESIDE[at], _BESIDE[at]), (_EDGE_ACROSS[at], _ACROSS[at])):
+            if not code & edge and to not in reached:
+                reached.add(to)
+                frontier.append(to)
+    return sorted(reached)
+
+
+def _mean_of(corners: list[int]) -> np.ndarray:
+    return np.bincount(corners, minlength=4) / len(corners)
+
+
+def _quarter(corner: int, code: int) -> tuple[np.ndarray, np.ndarray]:
+    """Direction and inverse-depth weights of the four points of a corner's quarter, in the order of a quad."""
+    beside, across = _BESIDE[corner], _ACROSS[corner]
+    direction = {corner: [corner], beside: [corner, beside], across: [corner, across], 3 - corner: [0, 1, 2, 3]}
+    rho = {
+        corner: [corner],
+        beside: [corner] if code & _EDGE_BESIDE[corner] else [corner, beside],
+        across: [corner] if code & _EDGE_ACROSS[corner] else [corner, across],
+        3 - corner: _component(corner, code),
+    }
+    return np.stack([_mean_of(direction[k]) for k in range(4)]), np.stack([_mean_of(rho[k]) for k in range(4)])
+
+
+def _weight_tables() -> tuple[np.ndarray, np.ndarray]:
+    """Weights ``(kind, face in quad, corner of face, corner of quad)``; kinds 0 and 16 are the whole quads."""
+    direction, rho = np.zeros((17, FACES_PER_QUAD, 3, 4)), np.zeros((17, FACES_PER_QUAD, 3, 4))
+    falling, rising = np.array([(0, 3, 2), (0, 1, 3)]), np.array([(0, 1, 2), (1, 3, 2)])
+    for kind, faces in ((0, falling), (DIAGONAL, rising)):
+        direction[kind, :2] = rho[kind, :2] = np.eye(4)[faces]
+    for code in range(1, 16):
+        for corner in range(4):
+            faces = falling if corner in (0, 3) else rising
+            quarter_direction, quarter_rho = _quarter(corner, code)
+            direction[code, 2 * corner : 2 * corner + 2] = quarter_direction[faces]
+            rho[code, 2 * corner : 2 * corner + 2] = quarter_rho[faces]
+    return direction, rho
+
+
+_DIRECTION_WEIGHTS, _INVERSE_DEPTH_WEIGHTS = _weight_tables()

@@ -1,0 +1,127 @@
+"""Colour for fragments: the photograph looked up where each visible point was seen from.
+
+A target ray r that meets a surface at inverse depth ρ meets the point that the source sees in the direction
+``Rᵀ(r − ρ·t)``. Nothing else is needed, so the texture has its own resolution, independent of mesh and target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_tables
+from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.rasterize import Fragments
+from omnisyn_cli.render.shade_kernels import shade_rows
+from omnisyn_cli.render.threads import run_bands
+
+__all__ = ["Shader", "Texture", "make_texture", "shade"]
+
+BORDER = 2
+"""Pixels repeated around every level, across the seam and over the poles, so that kernels never wrap an index."""
+
+CHANNELS = 4
+
+SMALLEST_LEVEL = 8
+"""Rows of the smallest mip level."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A panorama's colours and alpha at full and reduced resolutions.
+
+    Attributes:
+        size: height and width of the full resolution.
+        texels: all levels one after the other, float32, each ``(height + 4, width + 4, 4)`` with a border of two
+            pixels; level k is half the size of level k − 1, averaged over 2×2 pixels.
+        layout: per level: offset in ``texels``, numbers per row, and (row, col) of an angle as scale and offset.
+    """
+
+    size: tuple[int, int]
+    texels: Float32[np.ndarray, "numbers"]
+    layout: Float[np.ndarray, "levels 6"]
+
+
+def make_texture(
+    image: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "height width"] | None = None
+) -> Texture:
+    """Mip levels of a panorama, down to 8 rows or an odd size; alpha is 1, or 0 where ``mask`` is False."""
+    height, width = image.shape[:2]
+    alpha = np.ones((height, width, 1), np.float32) if mask is None else mask[..., None].astype(np.float32)
+    level = np.concatenate([image.astype(np.float32), alpha], axis=-1)
+    levels, layout, offset = [], [], 0
+    while True:
+        padded = _with_border(level)
+        levels.append(padded.ravel())
+        layout.append((offset, padded.shape[1] * CHANNELS, *_angle_to_texel(level.shape[:2])))
+        offset += padded.size
+        if level.shape[0] % 2 or level.shape[1] % 4 or level.shape[0] <= SMALLEST_LEVEL:
+            return Texture((height, width), np.concatenate(levels), np.array(layout))
+        level = 0.25 * (level[0::2, 0::2] + level[1::2, 0::2] + level[0::2, 1::2] + level[1::2, 1::2])
+
+
+def _angle_to_texel(size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Row scale and offset, column scale and offset of polar angle and azimuth in a bordered level."""
+    row0, col0 = angles_to_pixel(0.0, 0.0, size)
+    row1, col1 = angles_to_pixel(1.0, 1.0, size)
+    return row1 - row0, row0 + BORDER, col1 - col0, col0 + BORDER
+
+
+def _with_border(image: np.ndarray) -> np.ndarray:
+    """Two more pixels on every side: beyond a pole the image goes on half a turn away."""
+    over = np.roll(image, image.shape[1] // 2, axis=1)
+    tall = np.concatenate([over[:BORDER][::-1], image, over[-BORDER:][::-1]], axis=0)
+    return np.ascontiguousarray(np.concatenate([tall[:, -BORDER:], tall, tall[:, :BORDER]], axis=1))
+
+
+class Shader:
+    """Tables for one target size, and the image it writes; reused from frame to frame."""
+
+    def __init__(self, size: tuple[int, int], threads: int | None = None, *, bicubic: bool = True) -> None:
+        self.size, self.threads, self.bicubic = size, threads, bicubic
+        self._tables = tuple(table.astype(np.float32) for table in direction_tables(*size))
+        self._image = np.empty((*size, CHANNELS), np.float32)
+
+    def __call__(
+        self, fragments: Fragments, mesh: Mesh, texture: Texture, target_from_source: Pose
+    ) -> Float32[np.ndarray, "height width 4"]:
+        """Colour and trust of every fragment; see :func:`shade`. The next call overwrites the result."""
+        rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
+        translation = np.ascontiguousarray(target_from_source.position, np.float32)
+        ratio = np.float32(texture.size[0] / self.size[0])
+
+        def band(begin: int, end: int) -> None:
+            shade_rows(
+                fragments.inverse_depth, fragments.face, mesh.trust, texture.texels, texture.layout, *self._tables,
+                rotation, translation, ratio, self.bicubic, self._image, begin, end,
+            )  # fmt: skip
+
+        run_bands(band, self.size[0], self.threads)
+        return self._image
+
+
+def shade(
+    fragments: Fragments,
+    mesh: Mesh,
+    texture: Texture,
+    target_from_source: Pose,
+    *,
+    bicubic: bool = True,
+    threads: int | None = None,
+) -> Float32[np.ndarray, "height width 4"]:
+    """Colour of every fragment and, as fourth channel, alpha times the trust in its face; all 0 where nothing is seen.
+
+    Args:
+        fragments: what the target sees of ``mesh``.
+        mesh: the surface.
+        texture: the photograph, in the frame of the mesh.
+        target_from_source: the transform that the fragments were made with.
+        bicubic: Catmull-Rom where the photograph is magnified, else bilinear. Where it is shrunk, two mip levels are
+            read bilinearly and mixed.
+        threads: at most this many.
+    """
+    height, width = fragments.face.shape
+    return Shader((height, width), threads, bicubic=bicubic)(fragments, mesh, texture, target_from_source)

@@ -1,0 +1,43 @@
+"""Kernels on bands of rows, each band in a thread of its own.
+
+The kernels release the GIL and write only their own rows, so the result does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+__all__ = ["available_threads", "bands", "run_bands"]
+
+BANDS_PER_THREAD = 4
+"""More bands than threads, because some rows are more work than others."""
+
+
+def available_threads() -> int:
+    """The number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def bands(rows: int, count: int) -> list[tuple[int, int]]:
+    """``count`` (or fewer) contiguous ranges that cover ``range(rows)``."""
+    edges = [rows * k // count for k in range(count + 1)]
+    return [(begin, end) for begin, end in zip(edges, edges[1:], strict=False) if end > begin]
+
+
+def run_bands(kernel: Callable[[int, int], None], rows: int, threads: int | None = None) -> None:
+    """Call ``kernel(row_begin, row_end)`` for bands that cover ``rows``; on one thread that is a single plain call."""
+    threads = threads or available_threads()
+    if threads == 1:
+        kernel(0, rows)
+        return
+    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in bands(rows, threads * BANDS_PER_THREAD)]
+    for future in pending:
+        future.result()
+
+
+@lru_cache(maxsize=4)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="omnisyn")
