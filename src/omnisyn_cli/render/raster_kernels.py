@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from omnisyn_cli.render.jit import fast_kernel, inlined, inlined_contracting, kernel
+from omnisyn_cli.jit import fast_kernel, inlined, inlined_contracting, kernel
 
 from omnisyn_cli.render.mesh import BOTTOM, CUT_EDGES, DIAGONAL, FACES_PER_QUAD, LEFT, REMOVED, RIGHT, TOP
 from omnisyn_cli.render.trigonometry import atan2_fast

@@ -30,7 +30,7 @@ from omnisyn_cli.render.raster_kernels import (
     rasterize_quads,
     transform_vertices,
 )
-from omnisyn_cli.render.threads import run_bands
+from omnisyn_cli.threads import run_bands
 
 __all__ = ["NOTHING", "Fragments", "Rasterizer", "rasterize"]
 

@@ -16,7 +16,7 @@ from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_tables
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
-from omnisyn_cli.render.threads import run_bands
+from omnisyn_cli.threads import run_bands
 
 __all__ = ["Shader", "Texture", "make_texture", "shade"]
 
@@ -101,6 +101,18 @@ class Shader:
 
         run_bands(band, self.size[0], self.threads)
         return self._image
+
+
+    def infinitely_far(self, texture: Texture, target_from_source: Pose) -> Float32[np.ndarray, "height width 4"]:
+        """The texture as a sphere of infinite radius: only the rotation matters. The next call overwrites the result."""
+        whole = Mesh(
+            inverse_depth=np.zeros((2, 2), np.float32),
+            quads=np.zeros((1, 2), np.uint8),
+            caps=np.zeros((2, 2, 3), np.float32),
+            trust=np.ones((1, 2), np.float32),
+        )
+        sky = Fragments(np.zeros(self.size, np.float32), np.zeros(self.size, np.int32))
+        return self(sky, whole, texture, target_from_source)
 
 
 def shade(

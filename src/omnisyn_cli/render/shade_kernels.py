@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.render.jit import fast_kernel, inlined
+from omnisyn_cli.jit import fast_kernel, inlined
 from omnisyn_cli.render.mesh import FACES_PER_QUAD
 from omnisyn_cli.render.trigonometry import atan2_fast
 

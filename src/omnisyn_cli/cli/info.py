@@ -1,0 +1,79 @@
+"""``omnisyn info``: what the program sees in a file, before anything is done with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+__all__ = ["info"]
+
+
+@click.command()
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of text.")
+@click.pass_context
+def info(context: click.Context, files: tuple[Path, ...], as_json: bool) -> None:
+    """Show what the program sees in panoramas, depth files, pose files and videos.
+
+    A file that cannot be used does not stop the others; the exit code is 3 in the end if there was any.
+    """
+    import json
+
+    descriptions = [_description(path) for path in files]
+    if as_json:
+        click.echo(json.dumps(descriptions, indent=2, ensure_ascii=False))
+    else:
+        for description in descriptions:
+            _show(description)
+    if not all(description["ok"] for description in descriptions):
+        context.exit(3)
+
+
+def _description(path: Path) -> dict[str, Any]:
+    from omnisyn_cli.errors import OmnisynError
+    from omnisyn_cli.io.describe import describe_file
+
+    try:
+        description = describe_file(path)
+    except OmnisynError as error:
+        return {"file": str(path), "ok": False, "error": str(error)}
+    return {"file": str(path), "ok": description.get("usable", True), **description}
+
+
+def _show(description: dict[str, Any]) -> None:
+    if "error" in description:
+        click.echo(f"error: {description['error']}", err=True)
+        return
+    click.echo(f"{description['file']}: {description['kind']}")
+    for key, value in description.items():
+        if key not in ("file", "ok", "kind"):
+            for line in _lines(key, value):
+                click.echo(f"  {line}")
+
+
+def _lines(key: str, value: Any) -> Iterator[str]:
+    """One line for a value, one for each of a list of tables."""
+    label = key.replace("_", " ")
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        yield f"{label}:"
+        for row in value:
+            yield f"  {_text(row)}"
+    else:
+        yield f"{label}: {_text(value)}"
+
+
+def _text(value: Any) -> str:
+    if value is None or value == [] or value == {}:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return ", ".join(_text(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key.replace('_', ' ')} {_text(item)}" for key, item in value.items() if item is not None)
+    return str(value)

@@ -1,0 +1,151 @@
+"""``omnisyn interpolate``: the 360° video between posed panoramas."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from omnisyn_cli.interpolation import InterpolationJob, InterpolationPlan, Summary
+
+__all__ = ["interpolate"]
+
+FilePath = click.Path(path_type=Path)
+
+
+class Size(click.ParamType[tuple[int, int]]):
+    """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Two positive numbers, twice as wide as high."""
+        if isinstance(value, tuple):
+            return value
+        width, _, height = str(value).lower().partition("x")
+        if not (width.isdigit() and height.isdigit()) or int(width) == 0 or int(width) != 2 * int(height):
+            self.fail(f"expected WIDTHxHEIGHT, twice as wide as high, such as 2048x1024, got {value!r}", param, ctx)
+        return int(height), int(width)
+
+
+@click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath)
+@click.option("--poses", required=True, type=FilePath, help="JSON file that says where each panorama was taken.")
+@click.option(
+    "-o", "--output", required=True, type=FilePath,
+    help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
+)  # fmt: skip
+@click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
+@click.option("--duration", type=click.FloatRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
+@click.option("--fps", type=click.FloatRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second.")
+@click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
+@click.option(
+    "--depth", type=click.Choice(["auto", "matching", "file"]), default="auto", show_default=True,
+    help="Where depth comes from: matching of the two pictures, or files named in the poses. auto takes the files "
+    "where every panorama has one.",
+)  # fmt: skip
+@click.option(
+    "--renderer", type=click.Choice(["mesh", "points", "two-pass"]), default="mesh", show_default=True,
+    help="mesh is exact; points and the paper's two-pass method are there to compare.",
+)  # fmt: skip
+@click.option("--cut", type=click.FloatRange(0, 1, min_open=True), default=0.05, show_default=True, help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.")
+@click.option("--cut-metres", type=click.FloatRange(0, min_open=True), help="Cut at steps of depth instead, as the paper does (there 2).")
+@click.option(
+    "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
+    help="Constant speed, or a gentle start and stop.",
+)  # fmt: skip
+@click.option(
+    "--heading", type=click.Choice(["panoramas", "first", "fixed", "travel"]), default="panoramas", show_default=True,
+    help="Where the image centre looks: turning from panorama to panorama, as in the first one, along the world's −z, "
+    "or along the way.",
+)  # fmt: skip
+@click.option("--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]), help="[default: h264, or png for a folder]")
+@click.option("--crf", type=float, help="Constant quality of the encoder, lower is better.  [default: 18 for h264]")
+@click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
+@click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
+@click.option("--save-frames", metavar="FOLDER", type=FilePath, help="Keep the frames as PNG besides the video.")
+@click.option("--device", type=click.Choice(["auto", "cpu"]), default="auto", show_default=True, help="Where to compute.")
+@click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
+@click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+@click.option("--dry-run", is_flag=True, help="Check everything, print the plan, do nothing.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
+@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def interpolate(
+    as_json: bool, dry_run: bool, verbose: bool, quiet: bool, device: str, cut: float, cut_metres: float | None,
+    encoder_preset: str | None, **options: Any,
+) -> None:  # fmt: skip
+    """Make the 360° video between panoramas A and B, and on through C and further ones.
+
+    \b
+    omnisyn interpolate a.jpg b.jpg --poses poses.json -o walk.mp4
+    omnisyn interpolate a.jpg b.jpg c.jpg --poses poses.json -o walk.mp4 --ease smooth --size 4096x2048
+    omnisyn interpolate a.jpg b.jpg --poses poses.json -o frames/ --frames 12
+
+    The first and the last frame are the panoramas themselves.
+    """
+    del device  # matching and rendering run on the CPU; "auto" and "cpu" are the same for them
+    from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
+    from omnisyn_cli.render.mesh import Cut
+
+    rule = Cut(relative=cut) if cut_metres is None else Cut(relative=None, metres=cut_metres)
+    plan = plan_interpolation(InterpolationJob(cut=rule, preset=encoder_preset, **options))
+    if not quiet:
+        for note in plan.notes:
+            click.echo(f"note: {note}", err=True)
+    if dry_run:
+        _print_plan(plan, as_json)
+        return
+    with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_frame:
+        summary = run_interpolation(plan, on_frame)
+    _print_summary(summary, as_json=as_json, verbose=verbose, quiet=quiet)
+
+
+def _print_plan(plan: InterpolationPlan, as_json: bool) -> None:
+    _print_values(plan.describe(), as_json)
+
+
+def _print_values(values: dict[str, Any], as_json: bool) -> None:
+    import json
+
+    if as_json:
+        click.echo(json.dumps(values, indent=2, ensure_ascii=False))
+        return
+    for key, value in values.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        if shown != "":
+            click.echo(f"{key.replace('_', ' '):>18}: {shown}")
+
+
+def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: bool) -> None:
+    if as_json:
+        _print_values(summary.describe(), as_json)
+        return
+    if quiet:
+        return
+    if verbose:
+        for stage, seconds in summary.seconds.items():
+            click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
+    height, width = summary.plan.size
+    click.echo(f"{summary.plan.job.output}: {len(summary.plan.path)} frames of {width}x{height} in {summary.seconds['total']:.1f} s")
+
+
+@contextmanager
+def _progress(plan: InterpolationPlan, *, is_shown: bool) -> Iterator[Callable[[int], None] | None]:
+    """A progress bar with the time left on stderr; nothing where stderr is no terminal."""
+    if not is_shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("frames", total=len(plan.path))
+        yield lambda done: progress.update(task, completed=done)

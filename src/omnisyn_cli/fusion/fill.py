@@ -1,0 +1,51 @@
+"""Filling holes by a pyramid: weighted means go down (pull), colours come back up where there was nothing (push).
+
+A hole opens behind a near object, so what it hides continues from its far side: far pixels carry more weight.
+
+Source: Gortler et al., The Lumigraph, 1996, section 3.3.3.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.fusion.kernels import pull, push
+from omnisyn_cli.threads import run_bands
+
+__all__ = ["HoleFiller"]
+
+
+class HoleFiller:
+    """A pyramid for one image size, reused from frame to frame."""
+
+    def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
+        self.threads = threads
+        sizes = [size]
+        while max(sizes[-1]) > 1:
+            sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
+        self._colours = [np.zeros((*level, 3), np.float32) for level in sizes[1:]]
+        self._weights = [np.zeros(level, np.float32) for level in sizes[1:]]
+
+    def __call__(
+        self, image: Float32[np.ndarray, "height width 3"], weight: Float32[np.ndarray, "height width"]
+    ) -> None:
+        """Fill, in place, the pixels of ``image`` whose ``weight`` is 0; the others are not touched.
+
+        Args:
+            image: RGB; wraps at the seam.
+            weight: >= 0; how much a pixel counts for the holes around it. Without any weight the image becomes black.
+        """
+        if weight.min() > 0.0:
+            return
+        colours, weights = [image, *self._colours], [weight, *self._weights]
+        colours[-1][:] = 0.0
+        for level in range(len(colours) - 1):
+            fine, coarse = (colours[level], weights[level]), (colours[level + 1], weights[level + 1])
+            run_bands(lambda begin, end, f=fine, c=coarse: pull(*f, *c, begin, end), coarse[1].shape[0], self._use(coarse[1]))
+        for level in range(len(colours) - 2, -1, -1):
+            fine, above = (colours[level], weights[level]), colours[level + 1]
+            run_bands(lambda begin, end, f=fine, a=above: push(a, *f, begin, end), fine[1].shape[0], self._use(fine[1]))
+
+    def _use(self, level: np.ndarray) -> int | None:
+        return self.threads if level.size > 1 << 16 else 1

@@ -1,0 +1,102 @@
+"""The loops of fusion, in numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from omnisyn_cli.jit import fast_kernel, inlined
+
+__all__ = ["blend_rows", "pull", "push", "quantize_rows"]
+
+FAR_PREFERENCE = 0.01
+"""1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
+
+
+@inlined(fastmath=True)
+def _nearness(rho, x, y, z, t):
+    """(Distance from the target / distance from the source) of what is seen, cubed."""
+    dx, dy, dz = x - rho * t[0], y - rho * t[1], z - rho * t[2]
+    squared = dx * dx + dy * dy + dz * dz + np.float32(1e-8)
+    return np.float32(1.0) / (squared * math.sqrt(squared))
+
+
+@fast_kernel()
+def blend_rows(
+    first, first_rho, first_offset, second, second_rho, second_offset, t, disagreement, hidden,
+    sin_p, cos_p, sin_a, cos_a, image, weight, begin, end,
+):  # fmt: skip
+    """Weighted mean of two renderings; ``weight`` is 0 in holes, elsewhere large where the surface is far."""
+    width = image.shape[1]
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for row in range(begin, end):
+        sp, y = sin_p[row], cos_p[row]
+        for col in range(width):
+            x, z = sp * sin_a[col], -sp * cos_a[col]
+            rho_a, rho_b = first_rho[row, col], second_rho[row, col]
+            near_a, near_b = max(rho_a, zero), max(rho_b, zero)
+            a = (one - t) * first[row, col, 3] * _nearness(near_a, x, y, z, first_offset)
+            b = t * second[row, col, 3] * _nearness(near_b, x, y, z, second_offset)
+            if a > zero and b > zero:
+                gap = (near_a - near_b) / (max(near_a, near_b) * disagreement + np.float32(1e-9))
+                rest = max(math.exp(-gap * gap), hidden)
+                a, b = (a * rest, b) if gap < zero else (a, b * rest)
+            total = a + b
+            if total > zero:
+                share_a, share_b = a / total, b / total
+                for k in range(3):
+                    image[row, col, k] = max(zero, share_a * first[row, col, k] + share_b * second[row, col, k])
+                far = np.float32(FAR_PREFERENCE) / (share_a * near_a + share_b * near_b + np.float32(FAR_PREFERENCE))
+                weight[row, col] = far * far
+            else:
+                weight[row, col] = zero
+
+
+@fast_kernel()
+def pull(colour, weight, coarse_colour, coarse_weight, begin, end):
+    """Weighted means over 2×2 pixels, for coarse rows ``begin`` to ``end``; an odd last row or column stands alone."""
+    height, width = weight.shape
+    for row in range(begin, end):
+        for col in range(coarse_weight.shape[1]):
+            r = g = b = total = np.float32(0.0)
+            for i in range(2 * row, min(2 * row + 2, height)):
+                for j in range(2 * col, min(2 * col + 2, width)):
+                    w = weight[i, j]
+                    r += w * colour[i, j, 0]
+                    g += w * colour[i, j, 1]
+                    b += w * colour[i, j, 2]
+                    total += w
+            coarse_weight[row, col] = total
+            if total > 0.0:
+                coarse_colour[row, col, 0] = r / total
+                coarse_colour[row, col, 1] = g / total
+                coarse_colour[row, col, 2] = b / total
+
+
+@fast_kernel()
+def push(coarse_colour, colour, weight, begin, end):
+    """Holes of rows ``begin`` to ``end`` get the coarse colours, bilinearly, across the seam; rows end at the poles."""
+    width = weight.shape[1]
+    coarse_height, coarse_width = coarse_colour.shape[:2]
+    for row in range(begin, end):
+        for col in range(width):
+            if weight[row, col] > 0.0:
+                continue
+            i, j = row // 2, col // 2
+            i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
+            j2 = (j - 1 if col % 2 == 0 else j + 1) % coarse_width
+            for k in range(3):
+                near, far = coarse_colour[i, j, k], coarse_colour[i2, j2, k]
+                sides = coarse_colour[i, j2, k] + coarse_colour[i2, j, k]
+                colour[row, col, k] = np.float32(0.5625) * near + np.float32(0.1875) * sides + np.float32(0.0625) * far
+
+
+@fast_kernel()
+def quantize_rows(image, levels, out, begin, end):
+    """Numbers in [0, 1] as integers in [0, levels], rounded."""
+    for row in range(begin, end):
+        for col in range(image.shape[1]):
+            for k in range(3):
+                value = min(max(image[row, col, k], np.float32(0.0)), np.float32(1.0))
+                out[row, col, k] = np.int64(value * levels + np.float32(0.5))

@@ -1,0 +1,34 @@
+"""Files in and out: panoramas, masks, depth, poses, videos. The only package that touches files."""
+
+from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, read_header
+from omnisyn_cli.io.depth import read_depth, read_inverse_depth, write_depth
+from omnisyn_cli.io.encode import write_image
+from omnisyn_cli.io.images import Panorama, read_mask, read_panorama
+from omnisyn_cli.io.paths import check_output
+from omnisyn_cli.io.poses import PosedPanorama, PoseFile, read_poses, write_poses
+from omnisyn_cli.io.spherical import SphericalMetadata, inject_spherical, read_spherical
+from omnisyn_cli.io.video import FrameSink, check_video, open_video
+
+__all__ = [
+    "MAX_PIXELS",
+    "FrameSink",
+    "ImageHeader",
+    "Panorama",
+    "PoseFile",
+    "PosedPanorama",
+    "SphericalMetadata",
+    "check_output",
+    "check_video",
+    "inject_spherical",
+    "open_video",
+    "read_depth",
+    "read_header",
+    "read_inverse_depth",
+    "read_mask",
+    "read_panorama",
+    "read_poses",
+    "read_spherical",
+    "write_depth",
+    "write_image",
+    "write_poses",
+]

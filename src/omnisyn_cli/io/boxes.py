@@ -1,0 +1,218 @@
+"""The boxes an MP4 or MOV file is made of: found in the file, opened down to the sample entries, put together again.
+
+Only as much as tagging a video needs. Media data are never loaded; sizes are checked before anything is believed.
+
+Source: ISO/IEC 14496-12 (ISO base media file format), sections 4.2, 8.5.2 (``stsd``) and 8.7.5 (``stco``, ``co64``).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+from omnisyn_cli.errors import InputError
+
+__all__ = ["Box", "FileBox", "child", "children_of", "parse_movie", "serialize", "shift_offsets", "top_level_boxes"]
+
+LARGEST_MOVIE_BOX = 256 << 20
+"""Bytes of ``moov`` that are read into memory; hours of video need a few of these megabytes."""
+
+MOST_BOXES = 100_000
+"""Boxes side by side; a file with more is not a video that anybody made."""
+
+CONTAINERS = {b"moov": b"trak", b"trak": b"mdia", b"mdia": b"minf", b"minf": b"stbl", b"stbl": b"stsd"}
+"""Which child of which box is opened, so that depth is bounded whatever the file says."""
+
+SAMPLE_DESCRIPTION_HEAD = 8
+"""``stsd``: version, flags and entry count before its entries."""
+
+VISUAL_SAMPLE_ENTRY_HEAD = 78
+"""Fixed fields of a video sample entry before its boxes."""
+
+
+@dataclass(frozen=True)
+class FileBox:
+    """A box on the top level of a file: ``start`` to ``end`` in bytes, content from ``content``."""
+
+    kind: bytes
+    start: int
+    content: int
+    end: int
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box in memory.
+
+    Attributes:
+        kind: four characters.
+        head: content before the children; all of it in a box without any.
+        children: boxes inside, None where this box was not opened.
+        tail: bytes after the last child (QuickTime ends some lists with four zeros).
+    """
+
+    kind: bytes
+    head: bytes
+    children: tuple[Box, ...] | None = None
+    tail: bytes = b""
+
+
+def top_level_boxes(path: Path) -> tuple[FileBox, ...]:
+    """The boxes of a file in order; only their headers are read.
+
+    Raises:
+        InputError: missing, not of this family, truncated, or with impossible sizes.
+    """
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            boxes = tuple(_scan(path, file, size))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: expected a readable video file, got '{error}'; check name and permissions"
+        ) from error
+    if not boxes or boxes[0].kind not in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
+        raise broken(path, "no MP4 box at its beginning")
+    return boxes
+
+
+def broken(path: Path, what: str) -> InputError:
+    """The error for a file whose boxes do not hold together."""
+    return InputError(f"{path}: expected a complete MP4 or MOV file, got {what}; encode it anew")
+
+
+def parse_movie(path: Path, boxes: tuple[FileBox, ...]) -> Box:
+    """The ``moov`` box of a file, opened down to the boxes inside the video sample entries.
+
+    Raises:
+        InputError: there is none or more than one, it is too large, fragmented, truncated or malformed.
+    """
+    movies = [box for box in boxes if box.kind == b"moov"]
+    if len(movies) != 1:
+        raise broken(path, f"{len(movies)} moov boxes where there must be one")
+    content, end = movies[0].content, movies[0].end
+    if end - content > LARGEST_MOVIE_BOX:
+        raise broken(path, f"a moov box of {end - content:,} bytes, more than {LARGEST_MOVIE_BOX:,}")
+    with path.open("rb") as file:
+        file.seek(content)
+        data = file.read(end - content)
+    movie = _opened(path, Box(b"moov", data))
+    if any(box.kind in (b"moof", b"sidx") for box in boxes) or child(movie, b"mvex"):
+        raise InputError(f"{path}: expected an unfragmented MP4, got movie fragments; remux it with `ffmpeg -c copy`")
+    return movie
+
+
+def child(box: Box, kind: bytes) -> Box | None:
+    """The first child of this kind, or None."""
+    return next((inner for inner in box.children or () if inner.kind == kind), None)
+
+
+def children_of(path: Path, data: bytes, head: int = 0) -> Box:
+    """``data`` as an anonymous box with children after ``head`` bytes, none of them opened.
+
+    Raises:
+        InputError: the sizes inside do not add up.
+    """
+    if len(data) < head:
+        raise broken(path, "a box too short for its fields")
+    children: list[Box] = []
+    position = head
+    while len(data) - position >= 8:
+        if len(children) >= MOST_BOXES:
+            raise broken(path, f"more than {MOST_BOXES} boxes in one")
+        size, kind = struct.unpack_from(">I4s", data, position)
+        start = 8
+        if size == 1 and len(data) - position >= 16:
+            (size,) = struct.unpack_from(">Q", data, position + 8)
+            start = 16
+        if size == 0 and not any(data[position:]):
+            break
+        if size < start or size > len(data) - position:
+            raise broken(path, f"a box {kind!r} of impossible size {size}")
+        children.append(Box(kind, data[position + start : position + size]))
+        position += size
+    return Box(b"", data[:head], tuple(children), data[position:])
+
+
+def serialize(box: Box) -> bytes:
+    """The bytes of a box with its header; a 64-bit size where it is needed."""
+    content = b"".join((box.head, *map(serialize, box.children or ()), box.tail))
+    if len(content) + 8 < 1 << 32:
+        return struct.pack(">I4s", len(content) + 8, box.kind) + content
+    return struct.pack(">I4sQ", 1, box.kind, len(content) + 16) + content
+
+
+def shift_offsets(path: Path, movie: Box, moved: Callable[[int], int], *, wide: bool) -> Box:
+    """The movie box with every chunk offset mapped by ``moved``; ``wide`` writes 64-bit tables throughout.
+
+    Raises:
+        InputError: a table is truncated.
+    """
+
+    def visit(box: Box) -> Box:
+        if box.kind in (b"stco", b"co64") and box.children is None:
+            return _moved_table(path, box, moved, wide=wide)
+        if box.children is None:
+            return box
+        return replace(box, children=tuple(map(visit, box.children)))
+
+    return visit(movie)
+
+
+def _moved_table(path: Path, box: Box, moved: Callable[[int], int], *, wide: bool) -> Box:
+    letter, width = ("I", 4) if box.kind == b"stco" else ("Q", 8)
+    count = int.from_bytes(box.head[4:8], "big")
+    if len(box.head) < 8 + count * width:
+        raise broken(path, "a truncated table of chunk offsets")
+    offsets = [moved(offset) for offset in struct.unpack_from(f">{count}{letter}", box.head, 8)]
+    kind, letter = (b"co64", "Q") if wide else (box.kind, letter)
+    return Box(kind, box.head[:8] + struct.pack(f">{count}{letter}", *offsets))
+
+
+def _scan(path: Path, file: BinaryIO, file_size: int) -> Iterator[FileBox]:
+    position = 0
+    for _ in range(MOST_BOXES):
+        if position == file_size:
+            return
+        file.seek(position)
+        header = file.read(16)
+        if len(header) < 8:
+            raise broken(path, f"{file_size - position} stray bytes at its end")
+        size, kind = struct.unpack_from(">I4s", header)
+        content = position + 8
+        if size == 1 and len(header) == 16:
+            (size,) = struct.unpack_from(">Q", header, 8)
+            content = position + 16
+        end = file_size if size == 0 else position + size
+        if end < content or end > file_size:
+            raise broken(path, f"a box {kind!r} that ends at byte {end} of {file_size}")
+        yield FileBox(kind, position, content, end)
+        position = end
+    raise broken(path, f"more than {MOST_BOXES} boxes")
+
+
+def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
+    """A box with the children that lead to the sample entries opened too; only video sample entries are."""
+    if box.kind == b"stsd":
+        return _opened_sample_entries(path, box) if is_video else box
+    opened = children_of(path, box.head)
+    if box.kind == b"mdia":
+        handler = child(opened, b"hdlr")
+        is_video = handler is not None and handler.head[8:12] == b"vide"
+    inner = CONTAINERS[box.kind]
+    children = tuple(
+        _opened(path, each, is_video=is_video) if each.kind == inner else each for each in opened.children or ()
+    )
+    return replace(opened, kind=box.kind, children=children)
+
+
+def _opened_sample_entries(path: Path, box: Box) -> Box:
+    listed = children_of(path, box.head, SAMPLE_DESCRIPTION_HEAD)
+    entries = tuple(
+        replace(children_of(path, entry.head, VISUAL_SAMPLE_ENTRY_HEAD), kind=entry.kind)
+        for entry in listed.children or ()
+    )
+    return replace(listed, kind=box.kind, children=entries)

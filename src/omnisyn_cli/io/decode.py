@@ -1,0 +1,198 @@
+"""Image files as they are: header and pixels, every sign of damage turned into an error.
+
+OpenImageIO decodes. What it does not say, because its libraries do not tell it, is checked here: a PNG that lost only
+its end marker, and a JPEG whose missing part has been painted grey.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO
+from jaxtyping import Shaped
+
+from omnisyn_cli.errors import ImageError
+
+__all__ = ["MAX_PIXELS", "ImageHeader", "decode_image", "read_header"]
+
+MAX_PIXELS = 2 * 16384 * 8192
+"""Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
+
+HARMLESS = ("extraneous bytes before marker",)
+"""What decoders say about files that are complete nevertheless."""
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image file says about itself before any pixel is decoded.
+
+    Attributes:
+        path: the file.
+        format: OpenImageIO's name of the format, e.g. ``jpeg``.
+        height, width: pixels stored, before orientation is applied.
+        top, left: position of the stored pixels in the full picture (OpenEXR's data window), else 0.
+        full_height, full_width: size of the full picture (OpenEXR's display window), else ``height, width``.
+        channels: names, e.g. ``("R", "G", "B", "A")``.
+        dtype: of the stored samples, e.g. ``uint8``.
+        alpha_channel: index into ``channels``, or −1.
+        is_alpha_associated: whether colours are stored multiplied by alpha.
+        orientation: EXIF orientation, 1 to 8.
+        attributes: all other metadata by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``.
+    """
+
+    path: Path
+    format: str
+    height: int
+    width: int
+    top: int
+    left: int
+    full_height: int
+    full_width: int
+    channels: tuple[str, ...]
+    dtype: str
+    alpha_channel: int
+    is_alpha_associated: bool
+    orientation: int
+    attributes: Mapping[str, Any]
+
+    def number(self, name: str) -> float | None:
+        """A finite numeric attribute, or None where it is missing or not a number."""
+        try:
+            value = float(self.attributes[name])
+        except (KeyError, TypeError, ValueError):
+            return None
+        return value if math.isfinite(value) else None
+
+
+def read_header(path: Path | str) -> ImageHeader:
+    """Header of an image file; no pixels are decoded (but for WebP, whose reader knows no other way).
+
+    Raises:
+        ImageError: missing, empty, or not an image.
+    """
+    source = Path(path)
+    reader = _open(source)
+    try:
+        return _header(source, reader)
+    finally:
+        reader.close()
+
+
+def decode_image(
+    path: Path | str, *, max_pixels: int = MAX_PIXELS
+) -> tuple[ImageHeader, Shaped[np.ndarray, "height width channels"]]:
+    """Header and samples ``(height, width, channels)`` in the file's own type, neither turned nor premultiplied.
+
+    Raises:
+        ImageError: missing, empty, not an image, larger than ``max_pixels``, truncated or damaged.
+    """
+    source = Path(path)
+    reader = _open(source)
+    try:
+        header = _header(source, reader)
+        check_pixel_count(source, header.full_height, header.full_width, max_pixels)
+        check_pixel_count(source, header.height, header.width, max_pixels)
+        pixels = reader.read_image(0, 0, 0, len(header.channels), reader.spec().format)
+        complaint = _complaint(reader.geterror())
+    finally:
+        reader.close()
+    if pixels is None or complaint:
+        raise damaged(source, complaint or "no pixels")
+    if header.format == "png":
+        _check_png_is_complete(source)
+    return header, pixels
+
+
+def damaged(path: Path, complaint: str) -> ImageError:
+    """The error for a file that begins as an image and does not hold together."""
+    return ImageError(
+        f"{path}: expected a complete image, got '{complaint}'; the file is damaged, copy or export it anew"
+    )
+
+
+def check_pixel_count(path: Path, height: int, width: int, max_pixels: int) -> None:
+    """Refuse sizes that are empty or beyond ``max_pixels``."""
+    if height < 1 or width < 1:
+        raise ImageError(f"{path}: expected at least one pixel, got {width}×{height}; export the image anew")
+    if height * width > max_pixels:
+        raise ImageError(
+            f"{path}: expected at most {max_pixels:,} pixels, got {width}×{height} = {height * width:,}; "
+            "scale the image down first"
+        )
+
+
+def _open(path: Path) -> Any:
+    check_is_file(path)
+    config = OpenImageIO.ImageSpec()
+    config["oiio:UnassociatedAlpha"] = 1
+    reader = OpenImageIO.ImageInput.open(str(path), config)
+    complaint = _complaint(OpenImageIO.geterror())
+    if reader is None:
+        raise ImageError(
+            f"{path}: expected an image (JPEG, PNG, TIFF, EXR, WebP), got '{complaint or 'unknown format'}'; "
+            "check that this is the file you meant"
+        )
+    return reader
+
+
+def check_is_file(path: Path) -> None:
+    """Refuse names that lead to nothing, to a folder, to an empty file or to one that must not be read."""
+    try:
+        if not path.is_file():
+            found = "a folder" if path.is_dir() else "no such file"
+            raise ImageError(f"{path}: expected a file, got {found}; check the name")
+        if path.stat().st_size == 0:
+            raise ImageError(f"{path}: expected an image, got an empty file; copy or export it anew")
+        with path.open("rb"):
+            pass
+    except (OSError, ValueError) as problem:
+        raise ImageError(f"{path}: expected a readable file, got '{problem}'; check name and permissions") from problem
+
+
+def _header(path: Path, reader: Any) -> ImageHeader:
+    spec = reader.spec()
+    # Only OpenEXR means its data window: TIFF and PNG positions are printing hints.
+    has_window = reader.format_name() == "openexr"
+    return ImageHeader(
+        path=path,
+        format=reader.format_name(),
+        height=spec.height,
+        width=spec.width,
+        top=spec.y - spec.full_y if has_window else 0,
+        left=spec.x - spec.full_x if has_window else 0,
+        full_height=spec.full_height if has_window else spec.height,
+        full_width=spec.full_width if has_window else spec.width,
+        channels=tuple(spec.channelnames),
+        dtype=str(spec.format),
+        alpha_channel=spec.alpha_channel,
+        is_alpha_associated=spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0,
+        orientation=spec.get_int_attribute("Orientation", 1),
+        attributes={attribute.name: attribute.value for attribute in spec.extra_attribs},
+    )
+
+
+def _complaint(message: str) -> str:
+    """The decoder's words on one line, without those that mean no harm."""
+    lines = [line.strip() for line in message.splitlines()]
+    return "; ".join(line for line in lines if line and not any(harmless in line for harmless in HARMLESS))
+
+
+def _check_png_is_complete(path: Path) -> None:
+    """Walk the chunks to the end marker, which libpng does not wait for.
+
+    Source: PNG specification, section 5.3, chunk layout.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8:
+            end = file.tell() + int.from_bytes(head[:4], "big") + 4
+            if head[4:] == b"IEND" and end <= size:
+                return
+            file.seek(end)
+    raise damaged(path, "PNG without its end marker")

@@ -1,0 +1,197 @@
+"""What the program sees in a file: panorama, depth, pose file or video, as plain values that JSON can hold."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omnisyn_cli.errors import ImageError, InputError
+from omnisyn_cli.io.decode import ImageHeader, check_is_file, read_header
+from omnisyn_cli.io.depth import is_depth_header, read_depth
+from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.images import read_panorama
+from omnisyn_cli.io.poses import read_poses
+from omnisyn_cli.io.spherical import read_spherical
+
+__all__ = ["describe_file"]
+
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+
+BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
+
+PROBE_SECONDS = 60
+
+VIDEO_STREAM = re.compile(
+    r"Stream #\S+ Video: (?P<codec>\w+).*?, (?P<pixel_format>[a-z]\w+)(?:\((?P<colour>[^)]*)\))?"
+    r".*?, (?P<width>\d+)x(?P<height>\d+)(?:.*?, (?P<fps>[\d.]+k?) fps)?"
+)
+
+DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
+
+
+def describe_file(path: Path | str) -> dict[str, Any]:
+    """Describe a file by its kind, which is told by its ending (and, for images, by its channels).
+
+    Returns:
+        ``kind`` (``panorama``, ``depth``, ``poses`` or ``video``) and what belongs to it.
+
+    Raises:
+        InputError: missing, damaged, or a video without a video stream.
+        PoseError: a pose file that cannot be used.
+    """
+    source = Path(path)
+    suffix = source.suffix.lower()
+    if suffix == ".json":
+        return _describe_poses(source)
+    if suffix in VIDEO_SUFFIXES:
+        return _describe_video(source)
+    header = read_header(source)
+    return _describe_depth(source) if is_depth_header(header) else _describe_panorama(header)
+
+
+def _describe_panorama(header: ImageHeader) -> dict[str, Any]:
+    description: dict[str, Any] = {
+        "kind": "panorama",
+        "format": header.format,
+        "width": header.width,
+        "height": header.height,
+        "samples": header.dtype,
+        "channels": list(header.channels),
+        "has_alpha": header.alpha_channel >= 0,
+        "orientation": header.orientation,
+        "gpano": _tags(header, "GPano:"),
+        "gps": geographic_place(header),
+    }
+    try:
+        panorama = read_panorama(header.path)
+    except ImageError as error:
+        return {**description, "usable": False, "problem": str(error)}
+    seen = 1.0 if panorama.mask is None else float(panorama.mask.mean())
+    height, width = panorama.image.shape[:2]
+    return {**description, "usable": True, "sphere_width": width, "sphere_height": height, "usable_share": seen}
+
+
+def _tags(header: ImageHeader, prefix: str) -> dict[str, Any]:
+    return {
+        name.removeprefix(prefix): value if isinstance(value, int | float) else str(value)
+        for name, value in header.attributes.items()
+        if name.startswith(prefix)
+    }
+
+
+def geographic_place(header: ImageHeader) -> dict[str, float] | None:
+    """Latitude and longitude in degrees, altitude in metres where it is known; None without EXIF GPS tags.
+
+    Source: Exif 2.32, section 4.6.6.
+    """
+    latitude = _degrees(header, "GPS:Latitude", "S")
+    longitude = _degrees(header, "GPS:Longitude", "W")
+    if latitude is None or longitude is None:
+        return None
+    place = {"latitude": latitude, "longitude": longitude}
+    altitude = header.number("GPS:Altitude")
+    if altitude is not None:
+        is_below_sea = header.number("GPS:AltitudeRef") == 1
+        place["altitude"] = -altitude if is_below_sea else altitude
+    return place
+
+
+def _degrees(header: ImageHeader, name: str, negative: str) -> float | None:
+    parts = header.attributes.get(name)
+    if not isinstance(parts, Sequence) or isinstance(parts, str) or len(parts) != 3:
+        return None
+    degrees = float(parts[0]) + float(parts[1]) / 60 + float(parts[2]) / 3600
+    return -degrees if str(header.attributes.get(f"{name}Ref", "")).upper().startswith(negative) else degrees
+
+
+def _describe_depth(path: Path) -> dict[str, Any]:
+    depth = read_depth(path)
+    finite = depth[np.isfinite(depth)]
+    height, width = depth.shape
+    return {
+        "kind": "depth",
+        "width": width,
+        "height": height,
+        "nearest_metres": float(finite.min()) if finite.size else None,
+        "median_metres": float(np.median(finite)) if finite.size else None,
+        "farthest_metres": float(finite.max()) if finite.size else None,
+        "infinite_share": 1.0 - finite.size / depth.size,
+    }
+
+
+def _describe_poses(path: Path) -> dict[str, Any]:
+    file = read_poses(path)
+    positions = np.array([panorama.pose.position for panorama in file.panoramas.values()])
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
+    names = list(file.panoramas)
+    return {
+        "kind": "poses",
+        "panoramas": [
+            {
+                "name": name,
+                "position": panorama.pose.position.tolist(),
+                "image_exists": (path.parent / name).is_file(),
+                "depth_exists": None if panorama.depth is None else panorama.depth.is_file(),
+                "mask_exists": None if panorama.mask is None else panorama.mask.is_file(),
+            }
+            for name, panorama in file.panoramas.items()
+        ],
+        "steps_metres": steps.tolist(),
+        "equal_positions": [f"{names[i]} and {names[i + 1]}" for i in np.flatnonzero(steps == 0).tolist()],
+    }
+
+
+def _describe_video(path: Path) -> dict[str, Any]:
+    check_is_file(path)
+    report = _ffmpeg_report(path)
+    stream = VIDEO_STREAM.search(report)
+    if stream is None:
+        words = report.strip().splitlines()[-1:] or ["nothing"]
+        raise InputError(f"{path}: expected a video, got '{words[0]}' from ffmpeg; check that the file is complete")
+    fps = stream["fps"]
+    return {
+        "kind": "video",
+        "codec": stream["codec"],
+        "pixel_format": stream["pixel_format"],
+        "width": int(stream["width"]),
+        "height": int(stream["height"]),
+        "fps": float(fps.replace("k", "e3")) if fps else None,
+        "duration_seconds": _duration(report),
+        "colour": [part.strip() for part in (stream["colour"] or "").split(",") if part.strip()],
+        "spherical": _describe_spherical(path),
+    }
+
+
+def _describe_spherical(path: Path) -> dict[str, Any] | None:
+    if path.suffix.lower() not in BOXED_SUFFIXES:
+        return None
+    metadata = read_spherical(path)
+    return {
+        "version_1": metadata.has_version_1,
+        "version_2": metadata.has_version_2,
+        "projection": metadata.projection,
+        "stereo_mode": metadata.stereo_mode,
+        "software": metadata.software,
+    }
+
+
+def _ffmpeg_report(path: Path) -> str:
+    """What ``ffmpeg -i`` says; only this one file is opened, whatever playlists it may hold."""
+    command = [ffmpeg_program(), "-hide_banner", "-nostdin", "-protocol_whitelist", "file", "-i"]
+    try:
+        finished = subprocess.run(  # noqa: S603 - a list, no shell; the file name is prefixed
+            [*command, f"file:{path.absolute()}"], capture_output=True, timeout=PROBE_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{path}: expected ffmpeg to describe it, got no answer; encode the file anew") from error
+    return finished.stderr.decode("utf-8", "replace").replace("At least one output file must be specified", "")
+
+
+def _duration(report: str) -> float | None:
+    found = DURATION.search(report)
+    return None if found is None else int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3])

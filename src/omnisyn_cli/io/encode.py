@@ -1,0 +1,133 @@
+"""Images written to files: whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+from jaxtyping import Shaped
+
+from omnisyn_cli.errors import OutputPathError, WriteError
+from omnisyn_cli.io.paths import check_output, replaced_when_complete
+
+__all__ = ["IMAGE_SUFFIXES", "write_channels", "write_image"]
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
+
+JPEG_QUALITY = 95
+
+PNG_LEVEL = 1
+"""Ten times faster than zlib's default level, for files a few percent larger."""
+
+PEAKS = {"uint8": 255.0, "uint16": 65535.0}
+
+OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
+
+UNRELATED = "Exif data"
+"""OpenImageIO's TIFF writer always regrets some EXIF directory that nobody asked for."""
+
+
+def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *channels"]) -> None:
+    """Write ``(height, width, 3)`` RGB or ``(height, width)`` grey; the name's ending chooses the format.
+
+    Samples are uint8, uint16 or floating point in [0, 1]. PNG holds uint8 and uint16 exactly (floats are rounded to
+    8 bits), JPEG 8 bits at quality 95, TIFF any of the three exactly, EXR float32. An existing file is replaced.
+
+    Raises:
+        OutputPathError: unknown ending, or no folder to write into.
+        WriteError: the disk is full, or the folder went away.
+        ValueError: another shape or type, or samples that are not finite.
+    """
+    target = Path(path)
+    suffix = image_suffix(target)
+    check_output(target, overwrite=True)
+    samples = _samples_for(suffix, _checked(image))
+    with replaced_when_complete(target) as temporary:
+        if suffix in (".jpg", ".jpeg"):
+            _write_jpeg(temporary, samples)
+        else:
+            write_channels(temporary, samples, ("R", "G", "B") if samples.ndim == 3 else ("Y",), target)
+
+
+def image_suffix(path: Path) -> str:
+    """The lower-case ending of a name, if images can be written with it.
+
+    Raises:
+        OutputPathError: they cannot.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in IMAGE_SUFFIXES:
+        raise OutputPathError(
+            f"{path}: expected a name ending in {', '.join(IMAGE_SUFFIXES)}, got '{path.suffix}'; change the name"
+        )
+    return suffix
+
+
+def write_channels(temporary: Path, samples: np.ndarray, channels: tuple[str, ...], target: Path) -> None:
+    """Write samples as they are, with these channel names, by OpenImageIO; errors speak of ``target``.
+
+    Raises:
+        WriteError: anything the writer complains about.
+    """
+    height, width = samples.shape[:2]
+    spec = OpenImageIO.ImageSpec(width, height, len(channels), OIIO_TYPES[str(samples.dtype)])
+    spec.channelnames = channels
+    spec["png:compressionLevel"] = PNG_LEVEL
+    writer = OpenImageIO.ImageOutput.create(str(temporary))
+    if writer is None:
+        raise _write_error(target, OpenImageIO.geterror())
+    contiguous = np.ascontiguousarray(samples.reshape(height, width, len(channels)))
+    is_written = writer.open(str(temporary), spec) and writer.write_image(contiguous)
+    is_closed = writer.close()
+    complaint = _complaint(writer.geterror())
+    if not is_written or not is_closed or complaint:
+        raise _write_error(target, complaint)
+
+
+def _write_error(target: Path, complaint: str) -> WriteError:
+    reason = complaint or "no reason given"
+    return WriteError(f"{target}: expected to write it, got '{reason}'; check free space and permissions")
+
+
+def _complaint(message: str) -> str:
+    lines = [line.strip() for line in message.splitlines() if line.strip() and UNRELATED not in line]
+    return lines[0] if lines else ""
+
+
+def _write_jpeg(temporary: Path, samples: np.ndarray) -> None:
+    # OpenImageIO's JPEG writer ends the whole process when the disk is full (libjpeg's default), so the file is made in
+    # memory by OpenCV's.
+    import cv2
+
+    in_bgr_order = samples[..., ::-1] if samples.ndim == 3 else samples
+    is_encoded, data = cv2.imencode(
+        ".jpg", np.ascontiguousarray(in_bgr_order), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    )
+    if not is_encoded:
+        raise ValueError(f"expected an image that fits JPEG's 65535 pixels, got {samples.shape}")
+    temporary.write_bytes(data.tobytes())
+
+
+def _checked(image: np.ndarray) -> np.ndarray:
+    is_picture = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+    if not is_picture or image.size == 0:
+        raise ValueError(f"expected (height, width, 3) or (height, width) samples, got shape {image.shape}")
+    if str(image.dtype) in PEAKS:
+        return image
+    if image.dtype.kind != "f":
+        raise ValueError(f"expected uint8, uint16 or floating-point samples, got {image.dtype}")
+    if not np.isfinite(image).all():
+        raise ValueError("expected finite samples, got NaN or infinity")
+    return image.astype(np.float32)
+
+
+def _samples_for(suffix: str, image: np.ndarray) -> np.ndarray:
+    """Samples in the type that this kind of file holds."""
+    name = str(image.dtype)
+    if suffix in (".tif", ".tiff") or (suffix == ".png" and name in PEAKS):
+        return image
+    unit = image if name == "float32" else np.divide(image, np.float32(PEAKS[name]), dtype=np.float32)
+    if suffix == ".exr":
+        return unit
+    return image if name == "uint8" else np.rint(np.clip(unit, 0, 1) * 255).astype(np.uint8)

@@ -1,0 +1,149 @@
+"""ffmpeg as a process of ours: frames go in, its last words come out, nothing stays behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+import numpy as np
+from jaxtyping import Shaped
+
+from omnisyn_cli.errors import EncodingError, WriteError
+
+__all__ = ["EncoderProcess"]
+
+LAST_LINES = 12
+
+SECONDS_TO_DIE = 10
+
+FULL_DISK = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
+
+CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
+
+
+class EncoderProcess:
+    """A running encoder that takes raw frames.
+
+    As a context manager it is finished on a regular exit and killed on any exception, KeyboardInterrupt included.
+
+    Args:
+        command: reads raw frames from standard input.
+        target: what error messages call the output.
+        shape: of a frame, ``(height, width, 3)``.
+        dtype: of a frame, ``uint8`` or ``uint16``.
+    """
+
+    def __init__(self, command: list[str], target: Path, shape: tuple[int, int, int], dtype: str) -> None:
+        self.frame_count = 0
+        self._target = target
+        self._shape = shape
+        self._dtype = np.dtype(dtype).newbyteorder("<")
+        self._words: deque[str] = deque(maxlen=LAST_LINES)
+        self._process = self._started(command)
+        # A session of its own keeps Ctrl-C from reaching ffmpeg before us. stderr is drained all the time: a full pipe
+        # would stop ffmpeg for ever.
+        self._listener = threading.Thread(target=self._listen, daemon=True, name="ffmpeg-stderr")
+        self._listener.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            self._kill()
+
+    def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
+        """Encode one more frame.
+
+        Raises:
+            ValueError: another shape or type than announced.
+            EncodingError: ffmpeg has stopped.
+            WriteError: it stopped because the disk is full.
+        """
+        if frame.shape != self._shape or frame.dtype != self._dtype:
+            raise ValueError(f"expected a frame {self._shape} {self._dtype}, got {frame.shape} {frame.dtype}")
+        try:
+            self._stdin.write(np.ascontiguousarray(frame, self._dtype).data)
+        except OSError:
+            raise self._failure() from None
+        self.frame_count += 1
+
+    @property
+    def _stdin(self) -> IO[bytes]:
+        if self._process.stdin is None:
+            raise EncodingError(f"{self._target}: expected ffmpeg to listen, got no pipe; this is a bug, report it")
+        return self._process.stdin
+
+    def _started(self, command: list[str]) -> subprocess.Popen[bytes]:
+        try:
+            return subprocess.Popen(  # noqa: S603 - a list, no shell; every file name is prefixed
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                env={**os.environ, "SVT_LOG": "1", "AV_LOG_FORCE_NOCOLOR": "1"},
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise EncodingError(
+                f"{self._target}: expected to start ffmpeg, got '{error}'; check {command[0]}"
+            ) from error
+
+    def _listen(self) -> None:
+        if self._process.stderr is not None:
+            for line in self._process.stderr:
+                text = line.decode("utf-8", "replace").strip()
+                if text and not text.startswith(CHATTER):
+                    self._words.append(text)
+
+    def _finish(self) -> None:
+        """Close the input and wait until ffmpeg has written everything."""
+        if self.frame_count == 0:
+            raise EncodingError(
+                f"{self._target}: expected at least one frame to encode, got none; check the trajectory"
+            )
+        try:
+            self._stdin.close()
+        except OSError:
+            raise self._failure() from None
+        if self._process.wait() != 0:
+            raise self._failure()
+
+    def _failure(self) -> EncodingError | WriteError:
+        """What ffmpeg died of, in its own words."""
+        try:
+            code: int | str = self._process.wait(SECONDS_TO_DIE)
+        except subprocess.TimeoutExpired:
+            code = "no exit"
+        self._listener.join(SECONDS_TO_DIE)
+        words = " | ".join(self._words) or "no word"
+        if any(sign in words for sign in FULL_DISK):
+            return WriteError(f"{self._target}: expected room for the video, got '{words}'; free some space")
+        return EncodingError(
+            f"{self._target}: expected ffmpeg to encode {self.frame_count} frames, got exit code {code}: '{words}'; "
+            "change the setting it names or choose another codec"
+        )
+
+    def _kill(self) -> None:
+        """Leave no process, thread or pipe behind; harmless after a regular end."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._listener.join(SECONDS_TO_DIE)
+        for pipe in (self._process.stdin, self._process.stderr):
+            try:
+                if pipe is not None:
+                    pipe.close()
+            except OSError:
+                # Closing flushes; to a dead process that fails and does not matter.
+                continue

@@ -1,0 +1,241 @@
+"""What can be encoded and with which arguments; ffmpeg is told to convert to BT.709 and to say so."""
+
+from __future__ import annotations
+
+import functools
+import re
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import ffmpeg
+import imageio_ffmpeg
+
+from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
+
+__all__ = ["CODECS", "EncoderSettings", "VideoCodec", "check_settings", "encoder_command", "ffmpeg_program"]
+
+X26X_PRESETS = (
+    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
+)  # fmt: skip
+
+PRORES_PROFILES = ("proxy", "lt", "standard", "hq")
+
+
+@dataclass(frozen=True)
+class VideoCodec:
+    """One way to encode.
+
+    Attributes:
+        encoders: ffmpeg's encoders for it, the best first.
+        suffixes: endings of the files that hold it.
+        presets: from fast to slow (ProRes: from small to large).
+        preset: the default.
+        crf: the default constant quality, None where there is none; lower is better.
+        largest_crf: the end of its scale.
+        pixel_formats: ffmpeg's pixel format by the type of the frames.
+        tag: the sample entry's name where ffmpeg's own choice is not played everywhere.
+    """
+
+    encoders: tuple[str, ...]
+    suffixes: tuple[str, ...]
+    presets: tuple[str, ...]
+    preset: str
+    crf: int | None
+    largest_crf: int
+    pixel_formats: Mapping[str, str]
+    tag: str | None = None
+
+
+CODECS: Mapping[str, VideoCodec] = {
+    "h264": VideoCodec(("libx264",), (".mp4", ".mov", ".m4v"), X26X_PRESETS, "medium", 18, 51, {"uint8": "yuv420p"}),
+    "h265": VideoCodec(
+        ("libx265",),
+        (".mp4", ".mov", ".m4v"),
+        X26X_PRESETS,
+        "medium",
+        20,
+        51,
+        {"uint8": "yuv420p", "uint16": "yuv420p10le"},
+        tag="hvc1",
+    ),
+    "av1": VideoCodec(
+        ("libsvtav1", "libaom-av1"),
+        (".mp4",),
+        tuple(str(speed) for speed in range(13, -1, -1)),
+        "8",
+        28,
+        63,
+        {"uint8": "yuv420p", "uint16": "yuv420p10le"},
+    ),
+    "prores": VideoCodec(
+        ("prores_ks",), (".mov",), PRORES_PROFILES, "hq", None, 0, {"uint8": "yuv422p10le", "uint16": "yuv422p10le"}
+    ),
+}
+
+RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
+
+SLOWEST_AOM_SPEED = 8
+"""libaom's speeds end here; SVT-AV1's go on to 13."""
+
+
+@dataclass(frozen=True)
+class EncoderSettings:
+    """How a video is encoded.
+
+    Attributes:
+        size: ``(height, width)`` in pixels, both even.
+        fps: frames per second, in (0, 1000].
+        codec: a key of :data:`CODECS`.
+        crf: constant quality, lower is better; None takes the codec's default.
+        preset: speed against size (ProRes: profile); None takes the codec's default.
+        threads: for the encoder; 0 takes all.
+        dtype: of the frames, ``uint8`` or (10-bit H.265, AV1 and ProRes) ``uint16``.
+    """
+
+    size: tuple[int, int]
+    fps: float | Fraction
+    codec: str = "h264"
+    crf: float | None = None
+    preset: str | None = None
+    threads: int = 0
+    dtype: str = "uint8"
+
+
+def check_settings(path: Path, settings: EncoderSettings) -> None:
+    """Refuse what no encoder would take, before any work.
+
+    Raises:
+        OutputPathError: the name's ending does not go with the codec.
+        InputError: odd or empty size, a frame rate, quality, preset or sample type out of range, unknown codec.
+    """
+    if settings.codec not in CODECS:
+        raise InputError(f"expected a codec among {', '.join(CODECS)}, got '{settings.codec}'; choose one of them")
+    codec = CODECS[settings.codec]
+    if path.suffix.lower() not in codec.suffixes:
+        raise OutputPathError(
+            f"{path}: expected a name ending in {' or '.join(codec.suffixes)} for {settings.codec}, got "
+            f"'{path.suffix}'; change the name or the codec"
+        )
+    check_frame_size(settings.size)
+    check_frame_rate(settings.fps)
+    _check_choices(settings, codec)
+
+
+def check_frame_size(size: tuple[int, int]) -> None:
+    """Refuse sizes that 4:2:0 video cannot have."""
+    height, width = size
+    if height < 2 or width < 2 or height % 2 or width % 2:
+        raise InputError(f"expected an even width and height for video, got {width}×{height}; choose an even size")
+
+
+def check_frame_rate(fps: float | Fraction) -> None:
+    """Refuse rates that no player follows."""
+    if not 0 < fps <= 1000:
+        raise InputError(f"expected a frame rate above 0 and up to 1000 per second, got {fps}; choose another")
+
+
+def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
+    """The command that reads raw frames from its standard input and writes ``path``.
+
+    RGB is converted to limited-range BT.709 with exact rounding, and tagged as that: left alone, ffmpeg converts to
+    untagged BT.601, which a BT.709 player shows up to 28/255 wrong.
+
+    Raises:
+        EncodingError: this ffmpeg has no encoder for the codec.
+    """
+    codec = CODECS[settings.codec]
+    encoder = _available_encoder(settings.codec)
+    pixel_format = codec.pixel_formats[settings.dtype]
+    height, width = settings.size
+    rate = str(Fraction(settings.fps).limit_denominator(1001))
+    frames = ffmpeg.input(
+        "pipe:0", format="rawvideo", pix_fmt=RAW_FORMATS[settings.dtype], s=f"{width}x{height}", framerate=rate
+    )
+    converted = (
+        frames.filter("scale", out_color_matrix="bt709", out_range="tv", flags="bicubic+accurate_rnd+full_chroma_int")
+        .filter("format", pixel_format)
+        .filter("setparams", colorspace="bt709", color_primaries="bt709", color_trc="bt709", range="tv")
+    )
+    options = {"c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
+    if codec.tag:
+        options["tag:v"] = codec.tag
+    output = ffmpeg.output(converted, f"file:{path.absolute()}", an=None, **options)
+    quiet = output.global_args("-hide_banner", "-nostats", "-loglevel", "error")
+    command: list[str] = ffmpeg.compile(quiet, cmd=ffmpeg_program(), overwrite_output=True)
+    return command
+
+
+@functools.cache
+def ffmpeg_program() -> str:
+    """Path of the ffmpeg program that comes with imageio-ffmpeg (or that ``IMAGEIO_FFMPEG_EXE`` names).
+
+    Raises:
+        EncodingError: there is none for this platform.
+    """
+    try:
+        return str(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError as error:
+        raise EncodingError(
+            f"expected an ffmpeg program, got '{error}'; install ffmpeg and set IMAGEIO_FFMPEG_EXE to its path"
+        ) from error
+
+
+@functools.cache
+def _encoder_names(program: str) -> frozenset[str]:
+    listing = subprocess.run(  # noqa: S603 - the program is imageio-ffmpeg's own
+        [program, "-hide_banner", "-encoders"], capture_output=True, text=True, errors="replace", check=False
+    )
+    return frozenset(re.findall(r"^ [VAS][A-Z.]{5} (\S+)", listing.stdout, re.MULTILINE))
+
+
+def _available_encoder(codec: str) -> str:
+    names = _encoder_names(ffmpeg_program())
+    for encoder in CODECS[codec].encoders:
+        if encoder in names:
+            return encoder
+    raise EncodingError(
+        f"expected an ffmpeg with {' or '.join(CODECS[codec].encoders)}, got {ffmpeg_program()} without; "
+        "choose another codec or set IMAGEIO_FFMPEG_EXE to a fuller ffmpeg"
+    )
+
+
+def _check_choices(settings: EncoderSettings, codec: VideoCodec) -> None:
+    if settings.preset is not None and settings.preset not in codec.presets:
+        raise InputError(
+            f"expected a preset for {settings.codec} among {', '.join(codec.presets)}, got '{settings.preset}'; "
+            "choose one of them"
+        )
+    if settings.crf is not None and codec.crf is None:
+        raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
+    if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
+        raise InputError(
+            f"expected a quality from 0 (best) to {codec.largest_crf} for {settings.codec}, got {settings.crf}; "
+            "choose one in between"
+        )
+    if settings.dtype not in codec.pixel_formats:
+        raise InputError(
+            f"expected {' or '.join(codec.pixel_formats)} frames for {settings.codec}, got {settings.dtype}; "
+            "convert the frames or choose another codec"
+        )
+
+
+def _quality_options(encoder: str, settings: EncoderSettings, codec: VideoCodec) -> dict[str, Any]:
+    """Arguments for quality, speed, threads and silence, each encoder in its own dialect."""
+    preset, crf = settings.preset or codec.preset, codec.crf if settings.crf is None else settings.crf
+    threads = settings.threads
+    if encoder == "prores_ks":
+        return {"profile:v": preset, "vendor": "apl0"}
+    if encoder == "libsvtav1":
+        # SVT-AV1 takes whole numbers only.
+        options: dict[str, Any] = {"preset": preset, "crf": round(crf or 0)}
+        return {**options, "svtav1-params": f"lp={threads}"} if threads else options
+    if encoder == "libaom-av1":
+        return {"cpu-used": min(int(preset), SLOWEST_AOM_SPEED), "crf": round(crf or 0), "row-mt": 1}
+    if encoder == "libx265":
+        pools = f":pools={threads}" if threads else ""
+        return {"preset": preset, "crf": crf, "x265-params": f"log-level=error{pools}"}
+    return {"preset": preset, "crf": crf}

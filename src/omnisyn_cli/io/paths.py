@@ -1,0 +1,77 @@
+"""Where files go: checks before any work begins, and writing that is seen whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from omnisyn_cli.errors import OutputPathError, WriteError
+
+__all__ = ["check_output", "replaced_when_complete", "temporary_name"]
+
+
+def check_output(path: Path | str, overwrite: bool = False) -> None:
+    """Refuse a file that could not be written, before any work is done for it.
+
+    Raises:
+        OutputPathError: it exists and ``overwrite`` is off, it is a folder, or its folder is missing or read-only.
+    """
+    target = Path(path)
+    check_folder(target.parent)
+    if target.is_dir():
+        raise OutputPathError(f"{target}: expected a file name, got a folder; add a file name to it")
+    if not overwrite and (target.exists() or target.is_symlink()):
+        raise OutputPathError(
+            f"{target}: expected a new file, got one that exists; choose another name or allow overwriting"
+        )
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that new files cannot be put into.
+
+    Raises:
+        OutputPathError: it is missing, not a folder, or not writable.
+    """
+    if not folder.exists():
+        raise OutputPathError(f"{folder}: expected an existing folder to write into, got none; create it first")
+    if not folder.is_dir():
+        raise OutputPathError(f"{folder}: expected a folder to write into, got a file; choose another output path")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputPathError(
+            f"{folder}: expected a writable folder, got a read-only one; choose another or change its permissions"
+        )
+
+
+def temporary_name(folder: Path, suffix: str = "") -> Path:
+    """A new hidden name inside ``folder``; nothing is created."""
+    return folder / f".omnisyn-{secrets.token_hex(8)}{suffix}"
+
+
+@contextmanager
+def replaced_when_complete(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside ``path``; rename it to ``path`` at the end, remove it after any failure.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
+    temporary = temporary_name(path.parent, path.suffix)
+    try:
+        with write_errors(path):
+            yield temporary
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def write_errors(path: Path) -> Iterator[None]:
+    """Turn the system's errors into :class:`WriteError` about ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(
+            f"{path}: expected to write it, got '{error.strerror or error}'; check free space and permissions"
+        ) from error

@@ -1,0 +1,149 @@
+"""The shape of ``poses.json`` as pydantic models, and what pydantic finds said in one line."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+__all__ = [
+    "GEOGRAPHIC_KEYS",
+    "RIGID_KEYS",
+    "GeographicEntry",
+    "PoseDocument",
+    "RigidEntry",
+    "explain",
+    "path_problem",
+]
+
+LONGEST_SHOWN = 60
+
+EARTH = 1e8
+"""Metres; coordinates beyond are a mistake in units."""
+
+Metres = Annotated[float, Field(ge=-EARTH, le=EARTH)]
+
+Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
+
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+
+
+def path_problem(name: str) -> str | None:
+    """What keeps a name from being a file inside the pose file's folder, or None."""
+    if not name or name in (".", ".."):
+        return "empty"
+    if re.search(r"[\0-\x1f\\]", name):
+        return "with a backslash or control character"
+    if PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive:
+        return "absolute"
+    return "leading out of the folder" if ".." in PurePosixPath(name).parts else None
+
+
+def _inside_folder(name: str) -> str:
+    if problem := path_problem(name):
+        raise ValueError(f"a file name relative to the pose file and inside its folder (this is {problem})")
+    return name
+
+
+def _square(matrix: list[list[float]]) -> list[list[float]]:
+    lengths = {len(row) for row in matrix}
+    if lengths != {len(matrix)} or len(matrix) not in (3, 4):
+        raise ValueError("a 3×3 or 4×4 matrix as a list of rows")
+    return matrix
+
+
+def _first_version(version: Any) -> int:
+    if type(version) is not int or version != 1:
+        raise ValueError("1, the only version there is")
+    return version
+
+
+File = Annotated[str, AfterValidator(_inside_folder)]
+
+Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class PoseDocument(_Model):
+    """The whole file; entries are checked one by one, by the kind their keys announce."""
+
+    version: Annotated[Any, AfterValidator(_first_version)]
+    panoramas: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
+
+
+class RigidEntry(_Model):
+    """A pose in metres."""
+
+    position: Vector | None = None
+    rotation: Quaternion | None = None
+    matrix: Matrix | None = None
+    depth: File | None = None
+    mask: File | None = None
+
+
+class GeographicEntry(_Model):
+    """A place on earth; degrees, metres, and the compass heading of the image centre."""
+
+    latitude: Annotated[float, Field(ge=-90, le=90)]
+    longitude: Annotated[float, Field(ge=-180, le=180)]
+    altitude: Annotated[float, Field(ge=-1e6, le=1e6)]
+    heading: Annotated[float, Field(ge=-360, le=360)]
+    pitch: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    roll: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    depth: File | None = None
+    mask: File | None = None
+
+
+FILE_KEYS = frozenset({"depth", "mask"})
+
+RIGID_KEYS = frozenset(RigidEntry.model_fields) - FILE_KEYS
+
+GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - FILE_KEYS
+
+
+def explain(error: ValidationError, model: type[BaseModel], where: tuple[str, ...]) -> str:
+    """One line for the first thing that is wrong: place, expected, got, next step; and how many more there are."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    place = _place((*where, *(str(part) if isinstance(part, str) else part for part in first["loc"])))
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"{place}: {_sentence(first, model)}{more}"
+
+
+def _place(parts: tuple[str | int, ...]) -> str:
+    """A JSON path such as ``panoramas.'a.jpg'.position[1]``."""
+    text = ""
+    for part in parts:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            name = part if part.isidentifier() else f"'{part}'"
+            text += f".{name}" if text else name
+    return text or "top level"
+
+
+def _sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+    key = problem["loc"][-1] if problem["loc"] else ""
+    match problem["type"]:
+        case "extra_forbidden":
+            near = difflib.get_close_matches(str(key), model.model_fields, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "remove it"
+            return f"expected one of the keys {', '.join(model.model_fields)}, got '{key}'; {hint}"
+        case "missing":
+            return f"expected the key '{key}', got none; add it"
+        case "value_error":
+            return f"expected {problem['ctx']['error']}, got {_shown(problem['input'])}; correct it"
+    wanted = re.sub(r"^Input should (be|have) |^(List|Dictionary) should ", "", problem["msg"])
+    return f"expected {wanted}, got {_shown(problem['input'])}; correct it"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"

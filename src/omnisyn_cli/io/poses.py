@@ -1,0 +1,320 @@
+"""``poses.json``: where each panorama was taken and how it was held, checked and explained to whoever wrote it.
+
+Version 1. Per panorama ``position`` with ``rotation`` ``[w, x, y, z]`` or ``matrix`` (3×3, or 4×4 that holds the
+position too; camera-to-world), or ``latitude, longitude, altitude, heading`` with ``pitch, roll``; optionally ``depth``
+and ``mask``, file names relative to the pose file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Never, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import (
+    Pose,
+    enu_from_geographic,
+    nearest_rotation,
+    quaternion_from_rotation,
+    rotation_from_heading,
+    rotation_from_quaternion,
+)
+from omnisyn_cli.io.paths import check_output, replaced_when_complete
+from omnisyn_cli.io.pose_models import (
+    GEOGRAPHIC_KEYS,
+    RIGID_KEYS,
+    GeographicEntry,
+    PoseDocument,
+    RigidEntry,
+    explain,
+    path_problem,
+)
+
+__all__ = ["PoseFile", "PosedPanorama", "read_poses", "write_poses"]
+
+Model = TypeVar("Model", bound=BaseModel)
+
+VERSION = 1
+
+LARGEST_FILE = 64 << 20
+"""Bytes; a hundred thousand panoramas need less."""
+
+UNIT_TOLERANCE = 1e-3
+"""How far from unit length a quaternion, and from orthonormal a matrix, may be written."""
+
+POSITION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class PosedPanorama:
+    """One panorama's entry.
+
+    Attributes:
+        pose: camera-to-world, metres.
+        depth: its depth file, or None.
+        mask: its mask file, or None.
+    """
+
+    pose: Pose
+    depth: Path | None = None
+    mask: Path | None = None
+
+
+@dataclass(frozen=True)
+class PoseFile:
+    """What a pose file says.
+
+    Attributes:
+        path: the file.
+        panoramas: entries by image file name, in the order of the file.
+    """
+
+    path: Path
+    panoramas: Mapping[str, PosedPanorama]
+
+    def of(self, image_path: Path | str) -> PosedPanorama:
+        """The entry of an image, found by its file name.
+
+        Raises:
+            PoseError: there is none; the message names those there are.
+        """
+        name = Path(image_path).name
+        if name in self.panoramas:
+            return self.panoramas[name]
+        near = difflib.get_close_matches(name, self.panoramas, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else "add an entry for it"
+        raise PoseError(f"{self.path}: expected an entry for '{name}', got {_listed(self.panoramas)}; {hint}")
+
+
+def read_poses(path: Path | str) -> PoseFile:
+    """Read and check a pose file.
+
+    Geographic entries become metres east, up and −north of the first one, which is the origin. Neither images nor
+    depth and mask files are looked for.
+
+    Raises:
+        PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
+    """
+    source = Path(path)
+    document = _validated(source, PoseDocument, _parsed(source), ())
+    entries = {name: _entry(source, name, value) for name, value in document.panoramas.items()}
+    _check_one_world(source, entries)
+    origin = next((_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
+    panoramas = {name: _posed(source, name, entry, origin) for name, entry in entries.items()}
+    return PoseFile(source, MappingProxyType(panoramas))
+
+
+def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama]) -> None:
+    """Write a pose file, rotations as quaternions; an existing file is replaced.
+
+    Args:
+        path: where to.
+        panoramas: entries by image file name; depth and mask files must lie in the folder of ``path``.
+
+    Raises:
+        PoseError: a name, pose or file that could not be read back.
+        OutputPathError: no folder to write into.
+        WriteError: the disk is full, or the folder went away.
+    """
+    target = Path(path)
+    check_output(target, overwrite=True)
+    entries = {name: _written(target, name, panorama) for name, panorama in panoramas.items()}
+    document = _validated(target, PoseDocument, {"version": VERSION, "panoramas": entries}, ())
+    for name, value in document.panoramas.items():
+        _posed(target, name, _entry(target, name, value), None)
+    lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
+    with replaced_when_complete(target) as temporary:
+        temporary.write_text(f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n', encoding="utf-8")
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _listed(names: Mapping[str, Any], most: int = 8) -> str:
+    shown = ", ".join(f"'{name}'" for name in list(names)[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _parsed(path: Path) -> Any:
+    """The JSON of a file, with everything refused that JSON readers disagree on."""
+
+    def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        seen: dict[str, Any] = {}
+        for key, value in pairs:
+            if key in seen:
+                raise PoseError(f"{path}: expected every key once, got '{key}' twice in one object; remove one of them")
+            seen[key] = value
+        return seen
+
+    def refuse_constant(constant: str) -> Never:
+        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
+
+    text = _text(path)
+    try:
+        return json.loads(text, object_pairs_hook=without_duplicates, parse_constant=refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise PoseError(f"{path}: expected at most {LARGEST_FILE:,} bytes, got {size:,}; split the file")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise PoseError(f"{path}: expected a pose file, got '{error.strerror}'; check the name") from error
+    except ValueError as error:
+        raise PoseError(f"{path}: expected UTF-8 text, got '{error}'; save the file as UTF-8") from error
+
+
+def _validated(path: Path, model: type[Model], value: Any, where: tuple[str, ...]) -> Model:
+    try:
+        return model.model_validate(value)
+    except ValidationError as error:
+        raise PoseError(f"{path}: {explain(error, model, where)}") from error
+
+
+def _entry(path: Path, name: str, value: Any) -> RigidEntry | GeographicEntry:
+    """One entry, of the kind that its keys announce."""
+    where = ("panoramas", name)
+    if (problem := path_problem(name)) or Path(name).name != name:
+        raise PoseError(
+            f"{path}: panoramas: expected the file name of an image, got '{name}' ({problem or 'with a folder'}); "
+            "write the name alone"
+        )
+    keys = set(value) if isinstance(value, dict) else set()
+    rigid, geographic = sorted(keys & RIGID_KEYS), sorted(keys & GEOGRAPHIC_KEYS)
+    if rigid and geographic:
+        raise PoseError(
+            f"{path}: panoramas.'{name}': expected either a position or a geographic place, got {', '.join(rigid)} "
+            f"mixed with {', '.join(geographic)}; keep one kind"
+        )
+    if geographic:
+        return _validated(path, GeographicEntry, value, where)
+    return _validated(path, RigidEntry, value, where)
+
+
+def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEntry]) -> None:
+    kinds: dict[bool, str] = {}
+    for name, entry in entries.items():
+        kinds.setdefault(isinstance(entry, GeographicEntry), name)
+    if len(kinds) > 1:
+        raise PoseError(
+            f"{path}: expected all panoramas in one world, got '{kinds[True]}' with latitude and longitude mixed with "
+            f"'{kinds[False]}' with a position; write all in the same way"
+        )
+
+
+def _origin(entry: GeographicEntry) -> tuple[float, float, float]:
+    return entry.latitude, entry.longitude, entry.altitude
+
+
+def _posed(
+    path: Path, name: str, entry: RigidEntry | GeographicEntry, origin: tuple[float, float, float] | None
+) -> PosedPanorama:
+    where = f"{path}: panoramas.'{name}'"
+    if isinstance(entry, RigidEntry):
+        pose = _rigid_pose(where, entry)
+    else:
+        pose = _geographic_pose(entry, origin or _origin(entry))
+    return PosedPanorama(pose, _beside(path, entry.depth), _beside(path, entry.mask))
+
+
+def _beside(path: Path, name: str | None) -> Path | None:
+    return None if name is None else path.parent / name
+
+
+def _geographic_pose(entry: GeographicEntry, origin: tuple[float, float, float]) -> Pose:
+    """Pose in the world with x east, y up, −z north at ``origin``.
+
+    Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
+    """
+    east, north, up = enu_from_geographic(entry.latitude, entry.longitude, entry.altitude, origin)
+    angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
+    return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
+
+
+def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
+    if (entry.rotation is None) == (entry.matrix is None):
+        found = "both" if entry.rotation else "neither"
+        raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
+    if entry.matrix is not None:
+        return _matrix_pose(where, np.array(entry.matrix), entry.position)
+    quaternion = np.array(entry.rotation)
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise PoseError(
+            f"{where}.rotation: expected a unit quaternion [w, x, y, z], got length {length:.6g}; "
+            "divide it by its length"
+        )
+    return Pose(rotation_from_quaternion(quaternion), _position(where, entry.position))
+
+
+def _position(where: str, position: list[float] | None) -> np.ndarray:
+    if position is None:
+        raise PoseError(f"{where}: expected the key 'position', got none; add it as [x, y, z] in metres")
+    return np.array(position, float)
+
+
+def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -> Pose:
+    """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
+    if len(matrix) == 4:
+        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
+            raise PoseError(
+                f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; "
+                "write it row by row, not transposed"
+            )
+        translation = matrix[:3, 3]
+        if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
+            raise PoseError(
+                f"{where}: expected position to agree with the 4×4 matrix, got {position} and "
+                f"{translation.tolist()}; remove position"
+            )
+        position = translation.tolist()
+    return Pose(_rotation(where, matrix[:3, :3]), _position(where, position))
+
+
+def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
+    deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    if not deviation <= UNIT_TOLERANCE:
+        raise PoseError(
+            f"{where}.matrix: expected a rigid rotation (RᵀR = 1 within {UNIT_TOLERANCE:g}), got a deviation of "
+            f"{deviation:.3g}; remove scale and shear"
+        )
+    if np.linalg.det(matrix) < 0:
+        raise PoseError(
+            f"{where}.matrix: expected a rotation (determinant +1), got a mirror image (−1); the axes are x right, "
+            "y up, −z forward: flip two axes, not one"
+        )
+    return np.asarray(nearest_rotation(matrix), float)
+
+
+def _written(path: Path, name: str, panorama: PosedPanorama) -> dict[str, Any]:
+    rotation = _rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
+    quaternion = quaternion_from_rotation(rotation)
+    entry: dict[str, Any] = {"position": panorama.pose.position.tolist(), "rotation": quaternion.tolist()}
+    for key, file in (("depth", panorama.depth), ("mask", panorama.mask)):
+        if file is not None:
+            entry[key] = _relative(path, name, key, file)
+    return entry
+
+
+def _relative(path: Path, name: str, key: str, file: Path) -> str:
+    try:
+        return file.absolute().relative_to(path.parent.absolute()).as_posix()
+    except ValueError as error:
+        raise PoseError(
+            f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
+            "move it there"
+        ) from error

@@ -1,0 +1,140 @@
+"""Numbered images in a folder as a place for frames."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Shaped
+
+from omnisyn_cli.errors import EncodingError, OutputPathError
+from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
+from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
+
+__all__ = ["ImageSequence", "image_sequence", "is_sequence", "open_sequence"]
+
+DEFAULT_NUMBER = "%06d"
+
+NUMBER = re.compile(r"%0?(\d{0,2})d")
+
+
+@dataclass(frozen=True)
+class ImageSequence:
+    """File names ``folder/before000001after``: numbers from 0 on, padded to ``digits``."""
+
+    folder: Path
+    before: str
+    digits: int
+    after: str
+
+    def name(self, index: int) -> str:
+        """File name of frame ``index``."""
+        return f"{self.before}{index:0{self.digits}d}{self.after}"
+
+    def existing(self) -> list[Path]:
+        """Files in the folder that have names of this sequence."""
+        numbered = re.compile(re.escape(self.before) + r"\d+" + re.escape(self.after))
+        if not self.folder.is_dir():
+            return []
+        return [file for file in self.folder.iterdir() if numbered.fullmatch(file.name)]
+
+
+class SequenceWriter:
+    """Writes one image after another into a folder."""
+
+    def __init__(self, folder: Path, sequence: ImageSequence, size: tuple[int, int]) -> None:
+        self.frame_count = 0
+        self._size = size
+        self._folder = folder
+        self._sequence = sequence
+
+    def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
+        """Write one more frame, of any type that :func:`omnisyn_cli.io.write_image` takes.
+
+        Raises:
+            ValueError: another size than announced.
+            WriteError: the disk is full, or the folder went away.
+        """
+        if frame.shape != (*self._size, 3):
+            raise ValueError(f"expected a frame {(*self._size, 3)}, got {frame.shape}")
+        write_image(self._folder / self._sequence.name(self.frame_count), frame)
+        self.frame_count += 1
+
+
+def is_sequence(path: Path) -> bool:
+    """Whether a path means numbered images: a folder, a name without ending, or an image name with ``%06d``."""
+    has_number = NUMBER.search(path.name) is not None and path.suffix.lower() in IMAGE_SUFFIXES
+    return has_number or path.suffix == "" or path.is_dir()
+
+
+def image_sequence(path: Path, suffix: str = ".png") -> ImageSequence:
+    """The file names that a folder or a pattern such as ``frames/view_%04d.jpg`` stands for.
+
+    Raises:
+        OutputPathError: more than one number, a number in the folder's name, or an unknown kind of image.
+    """
+    if path.is_dir() or path.suffix == "":
+        path = path / f"{DEFAULT_NUMBER}{suffix}"
+    image_suffix(path)
+    numbers = list(NUMBER.finditer(path.name))
+    if len(numbers) != 1:
+        raise OutputPathError(
+            f"{path}: expected one frame number such as %06d in the name, got {len(numbers)}; change the pattern"
+        )
+    number = numbers[0]
+    return ImageSequence(path.parent, path.name[: number.start()], int(number.group(1) or 1), path.name[number.end() :])
+
+
+def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
+    """Refuse a sequence that could not be written, before any work.
+
+    Raises:
+        OutputPathError: frames of it exist and ``overwrite`` is off, or there is no writable folder to put it in.
+    """
+    folder = sequence.folder
+    check_folder(folder if folder.exists() else folder.parent)
+    if not overwrite and (existing := sequence.existing()):
+        raise OutputPathError(
+            f"{folder}: expected a folder without such frames, got {len(existing)} (e.g. {min(existing).name}); "
+            "choose another folder or allow overwriting"
+        )
+
+
+@contextmanager
+def open_sequence(
+    sequence: ImageSequence, size: tuple[int, int], *, overwrite: bool = False
+) -> Iterator[SequenceWriter]:
+    """A place for frames that appears in its folder when it is complete; former frames of it are removed then.
+
+    Raises:
+        OutputPathError: see :func:`check_sequence`.
+        EncodingError: no frame was written.
+        WriteError: the disk is full, or the folder went away.
+    """
+    check_sequence(sequence, overwrite)
+    folder = sequence.folder
+    temporary = temporary_name(folder if folder.is_dir() else folder.parent)
+    try:
+        with write_errors(folder):
+            temporary.mkdir()
+        writer = SequenceWriter(temporary, sequence, size)
+        yield writer
+        if writer.frame_count == 0:
+            raise EncodingError(f"{folder}: expected at least one frame to write, got none; check the trajectory")
+        with write_errors(folder):
+            _publish(temporary, sequence)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _publish(temporary: Path, sequence: ImageSequence) -> None:
+    sequence.folder.mkdir(exist_ok=True)
+    for stale in sequence.existing():
+        stale.unlink()
+    for frame in sorted(temporary.iterdir()):
+        frame.replace(sequence.folder / frame.name)

@@ -1,0 +1,255 @@
+"""Tell players that a video is a 360° panorama, in both ways that are in use, and read back what a file says.
+
+Version 1 is a ``uuid`` box with RDF XML in the track; version 2 is the boxes ``st3d`` and ``sv3d`` in the video sample
+entry. ffmpeg can read but not write either.
+
+Source: Google, "Spherical Video RFC" (version 1) and "Spherical Video V2 RFC",
+https://github.com/google/spatial-media/tree/master/docs.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from omnisyn_cli.errors import InputError, WriteError
+from omnisyn_cli.io.boxes import (
+    Box,
+    FileBox,
+    broken,
+    child,
+    children_of,
+    parse_movie,
+    serialize,
+    shift_offsets,
+    top_level_boxes,
+)
+from omnisyn_cli.io.paths import replaced_when_complete
+
+__all__ = ["SphericalMetadata", "inject_spherical", "read_spherical"]
+
+SPHERICAL_UUID = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
+
+SOFTWARE = "OmniSyn"
+
+SPHERICAL_XML = (
+    '<?xml version="1.0"?>'
+    '<rdf:SphericalVideo xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"'
+    ' xmlns:GSpherical="http://ns.google.com/videos/1.0/spherical/">'
+    "<GSpherical:Spherical>true</GSpherical:Spherical>"
+    "<GSpherical:Stitched>true</GSpherical:Stitched>"
+    f"<GSpherical:StitchingSoftware>{SOFTWARE}</GSpherical:StitchingSoftware>"
+    "<GSpherical:ProjectionType>equirectangular</GSpherical:ProjectionType>"
+    "</rdf:SphericalVideo>"
+)
+
+STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}
+
+PROJECTIONS = {b"equi": "equirectangular", b"cbmp": "cubemap", b"mshp": "mesh"}
+
+COPY_BYTES = 4 << 20
+
+
+@dataclass(frozen=True)
+class SphericalMetadata:
+    """What a video says about its projection.
+
+    Attributes:
+        has_version_1: whether the first video track carries the RDF XML.
+        has_version_2: whether its sample entry carries ``sv3d``.
+        projection: ``equirectangular``, ``cubemap``, ``mesh``; None where nothing is said.
+        stereo_mode: ``mono``, ``top-bottom``, ``left-right``; None where nothing is said.
+        yaw, pitch, roll: initial orientation of version 2, degrees.
+        software: who wrote the metadata.
+    """
+
+    has_version_1: bool = False
+    has_version_2: bool = False
+    projection: str | None = None
+    stereo_mode: str | None = None
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    software: str | None = None
+
+
+def inject_spherical(source: Path | str, target: Path | str) -> None:
+    """Copy an MP4 or MOV file with its video tracks tagged as equirectangular mono panoramas, both versions.
+
+    ``moov`` is put before the media data, so that players can start before the whole file has come. Tags that are there
+    already are replaced. Media data are streamed, never loaded. An existing target is replaced.
+
+    Raises:
+        InputError: the source is missing, truncated, fragmented, has no video or is no MP4 or MOV file.
+        WriteError: the disk is full, or the folder went away.
+    """
+    origin, destination = Path(source), Path(target)
+    boxes = _movie_first(top_level_boxes(origin))
+    movie = _tagged_movie(origin, parse_movie(origin, boxes))
+    # A table of offsets has the same size wherever it points, so the new movie's size is known before its content.
+    wide = _is_wide(boxes, movie)
+    new_size = len(serialize(shift_offsets(origin, movie, lambda offset: offset, wide=wide)))
+    moved = _offset_map(origin, boxes, new_size)
+    movie_bytes = serialize(shift_offsets(origin, movie, moved, wide=wide))
+    with replaced_when_complete(destination) as temporary:
+        _copy_boxes(origin, temporary, boxes, movie_bytes)
+
+
+def read_spherical(path: Path | str) -> SphericalMetadata:
+    """What the first video track of an MP4 or MOV file says about its projection.
+
+    Raises:
+        InputError: missing, truncated, fragmented, without video, or no MP4 or MOV file.
+    """
+    source = Path(path)
+    track = next(_video_tracks(source, parse_movie(source, top_level_boxes(source))))
+    return _version_2(source, track, _version_1(track, SphericalMetadata()))
+
+
+def video_sample_entries(track: Box) -> tuple[Box, ...]:
+    """The opened sample entries of a track; none for a track that is not video."""
+    box: Box | None = track
+    for kind in (b"mdia", b"minf", b"stbl", b"stsd"):
+        box = child(box, kind) if box else None
+    return tuple(entry for entry in (box.children if box else None) or () if entry.children is not None)
+
+
+def _video_tracks(path: Path, movie: Box) -> Iterator[Box]:
+    tracks = [box for box in movie.children or () if box.kind == b"trak" and video_sample_entries(box)]
+    if not tracks:
+        raise InputError(f"{path}: expected a file with a video track, got none; check that this is the file you meant")
+    return iter(tracks)
+
+
+def _tagged_movie(path: Path, movie: Box) -> Box:
+    tracks = tuple(_video_tracks(path, movie))
+    tagged = tuple(_tagged_track(box) if box in tracks else box for box in movie.children or ())
+    return replace(movie, children=tagged)
+
+
+def _tagged_track(track: Box) -> Box:
+    """A track with both tags, former ones replaced."""
+    others = tuple(box for box in track.children or () if not _is_version_1(box))
+    version_1 = Box(b"uuid", SPHERICAL_UUID + SPHERICAL_XML.encode())
+    return _tagged_entries(replace(track, children=(*others, version_1)))
+
+
+def _tagged_entries(box: Box) -> Box:
+    if box.kind == b"stsd":
+        return replace(box, children=tuple(map(_tagged_entry, box.children or ())))
+    if box.children is None:
+        return box
+    return replace(box, children=tuple(map(_tagged_entries, box.children)))
+
+
+def _tagged_entry(entry: Box) -> Box:
+    others = tuple(box for box in entry.children or () if box.kind not in (b"st3d", b"sv3d"))
+    return replace(entry, children=(*others, _stereo_box(), _projection_box()))
+
+
+def _stereo_box() -> Box:
+    return Box(b"st3d", bytes(4) + b"\0")
+
+
+def _projection_box() -> Box:
+    header = Box(b"svhd", bytes(4) + SOFTWARE.encode() + b"\0")
+    orientation = Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))
+    whole_sphere = Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))
+    return Box(b"sv3d", b"", (header, Box(b"proj", b"", (orientation, whole_sphere))))
+
+
+def _movie_first(boxes: tuple[FileBox, ...]) -> tuple[FileBox, ...]:
+    """``ftyp``, then ``moov``, then everything else in its order."""
+    ranks = {b"ftyp": 0, b"moov": 1}
+    return tuple(sorted(boxes, key=lambda box: ranks.get(box.kind, 2)))
+
+
+def _is_wide(boxes: tuple[FileBox, ...], movie: Box) -> bool:
+    """Whether offsets may need 64 bits; a table at most doubles."""
+    return sum(box.end - box.start for box in boxes) + 2 * len(serialize(movie)) >= 1 << 32
+
+
+def _offset_map(path: Path, boxes: tuple[FileBox, ...], movie_size: int) -> Callable[[int], int]:
+    """The place in the new file of a byte in the old one; ``boxes`` are in their new order."""
+    shifts, position = [], 0
+    for box in boxes:
+        shifts.append((box.start, box.end, position - box.start))
+        position += movie_size if box.kind == b"moov" else box.end - box.start
+    shifts.sort()
+    starts = [start for start, _, _ in shifts]
+
+    def moved(offset: int) -> int:
+        _, end, shift = shifts[max(bisect_right(starts, offset) - 1, 0)]
+        if offset > end:
+            raise broken(path, f"media data at byte {offset}, outside of it")
+        return offset + shift
+
+    return moved
+
+
+def _copy_boxes(source: Path, target: Path, boxes: tuple[FileBox, ...], movie: bytes) -> None:
+    with source.open("rb") as reader, target.open("xb") as writer:
+        for box in boxes:
+            if box.kind == b"moov":
+                writer.write(movie)
+                continue
+            reader.seek(box.start)
+            remaining = box.end - box.start
+            while remaining:
+                block = reader.read(min(remaining, COPY_BYTES))
+                if not block:
+                    raise WriteError(
+                        f"{source}: expected {remaining} more bytes, got none; it changed while it was read"
+                    )
+                writer.write(block)
+                remaining -= len(block)
+
+
+def _is_version_1(box: Box) -> bool:
+    return box.kind == b"uuid" and box.head[:16] == SPHERICAL_UUID
+
+
+def _version_1(track: Box, known: SphericalMetadata) -> SphericalMetadata:
+    xml = next((box.head[16:] for box in track.children or () if _is_version_1(box)), None)
+    if xml is None:
+        return known
+    text = xml.decode("utf-8", "replace")
+    return replace(
+        known,
+        has_version_1=_xml_value(text, "Spherical") == "true",
+        projection=_xml_value(text, "ProjectionType"),
+        stereo_mode=_xml_value(text, "StereoMode") or "mono",
+        software=_xml_value(text, "StitchingSoftware"),
+    )
+
+
+def _xml_value(text: str, name: str) -> str | None:
+    """Content of one flat element; nothing is expanded, so nothing in it can be hostile."""
+    found = re.search(rf"<GSpherical:{name}>([^<]*)</GSpherical:{name}>", text)
+    return found.group(1).strip() if found else None
+
+
+def _version_2(path: Path, track: Box, known: SphericalMetadata) -> SphericalMetadata:
+    entry = video_sample_entries(track)[0]
+    stereo, spherical = child(entry, b"st3d"), child(entry, b"sv3d")
+    if spherical is None:
+        return known
+    inside = children_of(path, spherical.head)
+    projection = children_of(path, (child(inside, b"proj") or Box(b"proj", b"")).head)
+    header, pose = child(inside, b"svhd"), child(projection, b"prhd")
+    angles = struct.unpack_from(">iii", pose.head, 4) if pose and len(pose.head) >= 16 else (0, 0, 0)
+    kinds = [PROJECTIONS[box.kind] for box in projection.children or () if box.kind in PROJECTIONS]
+    return replace(
+        known,
+        has_version_2=True,
+        projection=kinds[0] if kinds else known.projection,
+        stereo_mode=STEREO_MODES.get(stereo.head[4], "unknown") if stereo and len(stereo.head) > 4 else "mono",
+        yaw=angles[0] / 65536,
+        pitch=angles[1] / 65536,
+        roll=angles[2] / 65536,
+        software=header.head[4:].rstrip(b"\0").decode("utf-8", "replace") if header else known.software,
+    )

@@ -1,0 +1,1 @@
+"""The learned parts, in torch: building blocks, the depth network and its export to ONNX."""

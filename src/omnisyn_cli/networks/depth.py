@@ -1,0 +1,471 @@
+"""Stereo depth from two panoramas in the epipole frame: coarse by sphere sweep, then refined twice by looking again.
+
+Both panoramas come in the frame of :func:`omnisyn_cli.geometry.sweep.epipole_frame`: row 0 points at the other camera,
+so matches lie in the same column and the network needs no pose. What it predicts is the *root*, the square root of
+``inverse_depth · baseline``: dimensionless, even steps of it are nearly even steps of parallax.
+
+1. Features of both images; every row of a meridian of the first against every row of the same meridian of the second:
+   one small matrix product. A constant matrix turns pairs of rows into spheres (:func:`resampling_matrix`).
+2. Aggregation over the sphere together with features of the first image alone (the monocular skip): a distribution
+   over spheres, whose mean is the coarse root.
+3. At twice and four times the resolution: look the same product up around the estimate, choose among nearby roots.
+4. Convex upsampling to the image's own size, guided by the image: edges stay sharp.
+
+Classical similarity (normalised patches) goes the same way as learned features; it makes learning several times faster.
+
+Source: OmniSyn, sections 3.1 to 3.4, for the sphere sweep, CoordConv and the monocular skip; RAFT for lookup and
+upsampling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_to_angles
+from omnisyn_cli.geometry.sweep import parallax_from_inverse_depth
+from omnisyn_cli.networks.layers import (
+    LEAK,
+    ResidualBlock,
+    WrappedConv,
+    convex_upsample,
+    coordinate_channels,
+    initialise,
+    normalised_patches,
+    unit_groups,
+    upsample_nearest,
+    wrap_columns,
+)
+
+__all__ = [
+    "VARIANTS",
+    "DepthConfig",
+    "DepthNetwork",
+    "DepthPrediction",
+    "level_roots",
+    "lookup",
+    "meridian_products",
+    "resampling_matrix",
+    "sphere_volume",
+]
+
+CLASSICAL_SCALES = 2
+"""Normalised patches are compared at this many image scales in the coarse volume."""
+
+CLASSICAL_PATCH = 8
+"""Side of those patches, in pixels of the scaled image."""
+
+REFINED_PATCH = 6
+"""Side of the patches compared in a refinement; they are two pixels of the scaled image apart."""
+
+
+@dataclass(frozen=True)
+class DepthConfig:
+    """What makes one depth network differ from another.
+
+    Attributes:
+        name: of the variant.
+        size: ``(height, width)`` it is trained and exported at; multiples of eight times ``coarse_stride``.
+        widths: encoder channels at strides 2, 4, 8, …; one more entry than needed for ``coarse_stride`` deepens context.
+        coarse_stride: pixels of the image per cell of the sphere volume: 4 or 8.
+        levels: spheres of the volume.
+        greatest_root: root of the nearest sphere.
+        match_channels: features compared, in ``match_groups`` groups.
+        match_groups: similarity channels that are learned.
+        hidden: channels of the aggregation.
+        volume_filters: channels of 3-D filters over the volume before spheres become channels; 0 leaves them out.
+        refined_widths: channels of each refinement, coarse to fine.
+        reach: candidates on either side of the estimate in a refinement.
+    """
+
+    name: str
+    size: tuple[int, int]
+    widths: tuple[int, ...]
+    coarse_stride: int
+    levels: int
+    greatest_root: float
+    match_channels: int
+    match_groups: int
+    hidden: int
+    volume_filters: int
+    refined_widths: tuple[int, ...]
+    reach: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> DepthConfig:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        return DepthConfig(**{key: tuple(v) if isinstance(v, list) else v for key, v in values.items()})
+
+
+VARIANTS = {
+    "fast": DepthConfig(
+        name="fast",
+        size=(256, 512),
+        widths=(24, 48, 64, 96, 96),
+        coarse_stride=8,
+        levels=48,
+        greatest_root=2.0,
+        match_channels=32,
+        match_groups=4,
+        hidden=96,
+        volume_filters=0,
+        refined_widths=(48, 24),
+        reach=4,
+    ),
+    "accurate": DepthConfig(
+        name="accurate",
+        size=(512, 1024),
+        widths=(24, 48, 80, 128, 128),
+        coarse_stride=8,
+        levels=80,
+        greatest_root=2.0,
+        match_channels=64,
+        match_groups=8,
+        hidden=128,
+        volume_filters=16,
+        refined_widths=(64, 32),
+        reach=6,
+    ),
+}
+"""The networks by name."""
+
+
+@dataclass(frozen=True)
+class DepthPrediction:
+    """What the network says about the first panorama.
+
+    Attributes:
+        roots: estimates from coarse to fine, each ``(batch, 1, height, width)``, twice as fine as the one before; the
+            last has the size of the image. Slightly negative values mean "infinitely far".
+        confidence_logit: ``(batch, 1, height, width)``; its sigmoid is the probability that the depth is within 10 %.
+    """
+
+    roots: tuple[Tensor, ...]
+    confidence_logit: Tensor
+
+    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
+        """Inverse depth × baseline: bounded, never negative, exactly 0 where nothing is there."""
+        return self.roots[-1].clamp(min=0.0).square()
+
+    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
+        """Probability that the depth is within 10 % of the truth."""
+        return self.confidence_logit.sigmoid()
+
+
+def level_roots(config: DepthConfig) -> Float[np.ndarray, "levels"]:
+    """Roots of the spheres of the volume: even steps, the first one below zero so that a mean can reach zero."""
+    step = config.greatest_root / (config.levels - 2)
+    roots: np.ndarray = np.linspace(-step, config.greatest_root, config.levels)
+    return roots
+
+
+def resampling_matrix(
+    roots: Float[np.ndarray, "levels"], rows_first: int, rows_second: int
+) -> Float[np.ndarray, "levels rows_first rows_second"]:
+    """Weights of the second image's rows for each sphere and each row of the first, float32; every row sums to 1.
+
+    Linear interpolation at the row where a point of the sphere is seen by the second camera, in the epipole frame.
+    """
+    row = np.arange(rows_first, dtype=np.float64)[None, :]
+    seen = np.asarray(_row_in_second(row, np.maximum(roots, 0.0)[:, None], rows_first, rows_second))
+    seen = np.clip(seen, 0.0, rows_second - 1.0)[..., None]
+    distance = np.abs(seen - np.arange(rows_second))
+    return np.maximum(1.0 - distance, 0.0).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def _resampling_tensor(config: DepthConfig, rows_first: int, rows_second: int) -> Tensor:
+    return torch.from_numpy(resampling_matrix(level_roots(config), rows_first, rows_second))
+
+
+def _row_in_second(row: Any, root: Any, rows_first: int, rows_second: int) -> Any:
+    """Row index (fractional) in the second image of points at ``root`` in a row of the first."""
+    _, polar_angle = pixel_to_angles(row, row, (rows_first, 2 * rows_first))
+    seen_angle = polar_angle + parallax_from_inverse_depth(polar_angle, root * root)
+    return angles_to_pixel(seen_angle, seen_angle, (rows_second, 2 * rows_second))[0]
+
+
+def meridian_products(
+    first: Float[Tensor, "batch groups channels rows_first width"],
+    second: Float[Tensor, "batch groups channels rows_second width"],
+) -> Float[Tensor, "batch groups width rows_first rows_second"]:
+    """Scalar products of all features of each meridian of the first image with all of the same of the second."""
+    return torch.matmul(first.permute(0, 1, 4, 3, 2), second.permute(0, 1, 4, 2, 3))
+
+
+def sphere_volume(
+    products: Float[Tensor, "batch groups width rows_first rows_second"],
+    matrix: Float[Tensor, "levels rows_first rows_second"],
+) -> Float[Tensor, "batch groups levels rows_first width"]:
+    """Pairs of rows resampled to spheres."""
+    batch, groups, width, rows_first, rows_second = products.shape
+    by_row = products.permute(3, 4, 0, 1, 2).reshape(rows_first, rows_second, batch * groups * width)
+    volume = torch.matmul(matrix.transpose(0, 1), by_row)  # (rows_first, levels, batch·groups·width)
+    return volume.view(rows_first, -1, batch, groups, width).permute(2, 3, 1, 0, 4)
+
+
+def lookup(
+    products: Float[Tensor, "batch groups width rows_first rows_second"],
+    roots: Float[Tensor, "batch candidates rows_first width"],
+) -> Float[Tensor, "batch groups candidates rows_first width"]:
+    """The products at the rows where points at the candidate roots are seen, linearly interpolated.
+
+    No gradient reaches the roots. Rows beyond a pole read the last row.
+    """
+    rows_first, rows_second = products.shape[-2:]
+    with torch.no_grad():
+        row = torch.arange(rows_first, dtype=roots.dtype, device=roots.device).view(1, 1, -1, 1)
+        seen = _row_in_second(row, roots.clamp(min=0.0), rows_first, rows_second)
+        seen = seen.clamp(0.0, rows_second - 1.0).permute(0, 3, 2, 1).unsqueeze(1)  # batch, 1, width, rows, candidates
+        seen = seen.expand(-1, products.shape[1], -1, -1, -1)
+        lower = seen.floor()
+        share = seen - lower
+        index = lower.long()
+    above = products.gather(-1, index)
+    below = products.gather(-1, (index + 1).clamp(max=rows_second - 1))
+    return torch.lerp(above, below, share).permute(0, 1, 4, 3, 2)
+
+
+class DepthNetwork(nn.Module):
+    """Two panoramas in, the root of the first one's ``inverse depth × baseline`` out; see the module's docstring."""
+
+    def __init__(self, config: DepthConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = Encoder(config)
+        self.coarse = CoarseMatcher(config)
+        strides = [config.coarse_stride >> (i + 1) for i in range(len(config.refined_widths))]
+        self.refinements = nn.ModuleList(
+            Refinement(config, index, stride) for index, stride in enumerate(strides)
+        )
+        initialise(self)
+        self.coarse.start_flat()
+        for stage in self.refinements:
+            stage.start_flat()  # type: ignore[operator]
+
+    def forward(
+        self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
+    ) -> DepthPrediction:
+        """Estimate the first panorama's depth.
+
+        Args:
+            first: colours in [0, 1], in the epipole frame, row 0 looking at the second camera.
+            second: the same for the other camera, in the same frame.
+
+        Raises:
+            ValueError: the size is not 1:2 or not a multiple of eight times the coarse stride.
+        """
+        height, width = first.shape[-2:]
+        multiple = 8 * self.config.coarse_stride
+        if height % multiple or width != 2 * height:
+            raise ValueError(f"expected images 1:2 with multiples of {multiple} rows, got {height}×{width}")
+        both = self.encoder(torch.cat([first, second]))
+        of_first, of_second = zip(*(features.chunk(2) for features in both), strict=True)
+        root, hidden = self.coarse(first, second, of_first, of_second)
+        roots = [root]
+        confidence: Tensor = root
+        for stage in self.refinements:
+            root, hidden, confidence = stage(first, second, of_first, of_second, root, hidden)
+            roots.append(root)
+        return DepthPrediction(tuple(roots), confidence)
+
+
+class Encoder(nn.Module):
+    """Features of one panorama: at strides 2, 4, …, up to half the coarse stride, then with columns halved once more."""
+
+    def __init__(self, config: DepthConfig) -> None:
+        super().__init__()
+        count = config.coarse_stride.bit_length() - 2  # strides 2 … coarse_stride / 2
+        widths = config.widths
+        self.stem = ResidualBlock(3 * 4 + 2, widths[0])
+        self.down = nn.ModuleList(ResidualBlock(widths[i], widths[i + 1], (2, 2)) for i in range(count - 1))
+        self.narrow = ResidualBlock(widths[count - 1], widths[count], (1, 2))
+
+    def forward(self, image: Float[Tensor, "batch 3 height width"]) -> list[Tensor]:
+        """``[stride 2, stride 4, …, narrow]``; ``narrow`` has twice as many rows as the sphere volume."""
+        x = F.pixel_unshuffle(image - 0.5, 2)
+        features = [self.stem(torch.cat([x, coordinate_channels(x)], dim=1))]
+        for block in self.down:
+            features.append(block(features[-1]))
+        return [*features, self.narrow(features[-1])]
+
+
+class CoarseMatcher(nn.Module):
+    """The sphere volume and its aggregation with features of the first panorama: a distribution over spheres."""
+
+    def __init__(self, config: DepthConfig) -> None:
+        super().__init__()
+        self.config = config
+        count = config.coarse_stride.bit_length() - 2
+        width, hidden = config.widths[count], config.hidden
+        self.rows = ResidualBlock(width, width, (2, 1))
+        self.match_first = nn.Conv2d(width, config.match_channels, 1)
+        self.match_second = nn.Conv2d(width, config.match_channels, 1)
+        similarities = config.match_groups + CLASSICAL_SCALES
+        self.filters = VolumeFilters(similarities, config.volume_filters) if config.volume_filters else nn.Identity()
+        self.spheres = nn.Conv2d(config.levels * (config.volume_filters or similarities), hidden, 1)
+        deeper = config.widths[count + 1 :]
+        self.context_down = nn.ModuleList(
+            ResidualBlock(a, b, (2, 2)) for a, b in zip((width, *deeper[:-1]), deeper, strict=True)
+        )
+        self.context_up = nn.ModuleList(nn.Conv2d(channels, hidden, 1) for channels in (width, *deeper))
+        self.enter = ResidualBlock(hidden + 2, hidden)
+        self.down = nn.ModuleList(ResidualBlock(hidden, hidden, (2, 2)) for _ in range(3))
+        self.up = nn.ModuleList(ResidualBlock(hidden, hidden) for _ in range(3))
+        self.logits = nn.Conv2d(hidden, config.levels, 1)
+        self.upsample = nn.Conv2d(hidden, 36, 1)
+
+    def start_flat(self) -> None:
+        """Begin with an even distribution over the spheres and even upsampling."""
+        for layer in (self.logits, self.upsample):
+            nn.init.normal_(layer.weight, std=0.02)
+
+    def forward(
+        self, first: Tensor, second: Tensor, of_first: tuple[Tensor, ...], of_second: tuple[Tensor, ...]
+    ) -> tuple[Tensor, Tensor]:
+        """The root at half the coarse stride, and the hidden state at the coarse stride."""
+        narrow = self.rows(of_first[-1])
+        volume = self.volume(first, second, narrow, of_second[-1])
+        x = F.leaky_relu(self.spheres(volume) + self.context(narrow), LEAK)
+        x = self.aggregate(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
+        roots = torch.from_numpy(level_roots(self.config)).to(x).view(1, -1, 1, 1)
+        root = (self.logits(x).softmax(dim=1) * roots).sum(dim=1, keepdim=True)
+        return convex_upsample(root, self.upsample(x)), x
+
+    def volume(self, first: Tensor, second: Tensor, narrow: Tensor, of_second: Tensor) -> Tensor:
+        """Similarity of the first image to each sphere, ``(batch, levels·kinds, height, width)``."""
+        groups = self.config.match_groups
+        learned = meridian_products(
+            unit_groups(self.match_first(narrow), groups), unit_groups(self.match_second(of_second), groups)
+        )
+        classical = classical_products(first, second, self.config.coarse_stride)
+        products = torch.cat([learned, classical], dim=1)
+        matrix = _resampling_tensor(self.config, products.shape[-2], products.shape[-1]).to(products)
+        return torch.flatten(self.filters(sphere_volume(products, matrix)), 1, 2)
+
+    def context(self, narrow: Tensor) -> Tensor:
+        """What the first panorama alone says, with all of the sphere in view (the monocular skip)."""
+        features = [narrow]
+        for block in self.context_down:
+            features.append(block(features[-1]))
+        x: Tensor = self.context_up[-1](features[-1])
+        for project, skip in zip(reversed(self.context_up[:-1]), reversed(features[:-1]), strict=True):
+            x = F.leaky_relu(upsample_nearest(x) + project(skip), LEAK)
+        return x
+
+    def aggregate(self, x: Tensor) -> Tensor:
+        """A small UNet at the resolution of the volume."""
+        skips = []
+        for block in self.down:
+            skips.append(x)
+            x = block(x)
+        for block, skip in zip(self.up, reversed(skips), strict=True):
+            x = block(upsample_nearest(x) + skip)
+        return x
+
+
+class VolumeFilters(nn.Module):
+    """Residual 3-D filters over spheres, rows and columns; the columns wrap."""
+
+    def __init__(self, inputs: int, channels: int) -> None:
+        super().__init__()
+        self.enter = nn.Conv3d(inputs, channels, 1)
+        self.layers = nn.ModuleList(nn.Conv3d(channels, channels, 3, padding=(1, 1, 0)) for _ in range(4))
+
+    def forward(self, volume: Float[Tensor, "batch kinds levels height width"]) -> Tensor:
+        """``(batch, channels, levels, height, width)``."""
+        x = self.enter(volume)
+        for i in range(0, len(self.layers), 2):
+            inner = F.leaky_relu(self.layers[i](wrap_columns(x, 1, 1)), LEAK)
+            x = F.leaky_relu(self.layers[i + 1](wrap_columns(inner, 1, 1)) + x, LEAK)
+        return x
+
+
+@torch.no_grad()
+def classical_products(first: Tensor, second: Tensor, coarse_stride: int) -> Tensor:
+    """Products of normalised patches at two scales, rows and columns as in the sphere volume."""
+    products = []
+    for scale in range(CLASSICAL_SCALES):
+        shrink = coarse_stride // 4 << scale
+        stride = coarse_stride // shrink
+        small_first, small_second = (F.avg_pool2d(image, shrink) if shrink > 1 else image for image in (first, second))
+        patches = normalised_patches(small_first, CLASSICAL_PATCH, (stride, stride)).unsqueeze(1)
+        others = normalised_patches(small_second, CLASSICAL_PATCH, (stride // 2, stride)).unsqueeze(1)
+        products.append(meridian_products(patches, others))
+    return torch.cat(products, dim=1)
+
+
+class Refinement(nn.Module):
+    """Looks at similarities around an estimate, at the estimate's own resolution, and chooses among nearby roots."""
+
+    def __init__(self, config: DepthConfig, index: int, stride: int) -> None:
+        super().__init__()
+        self.index, self.stride, self.reach = index, stride, config.reach
+        self.step = config.greatest_root / (config.levels - 2) * 0.7 / 2**index
+        self.features = stride.bit_length() - 2  # stride 2 is the encoder's first entry
+        channels, width = config.widths[self.features], config.refined_widths[index]
+        before = config.refined_widths[index - 1] if index else config.hidden
+        self.match_first = nn.Conv2d(channels, width, 1)
+        self.match_second = nn.Conv2d(channels, width, 1)
+        candidates = 2 * self.reach + 1
+        self.from_hidden = nn.Conv2d(before, width, 1)
+        self.from_features = nn.Conv2d(channels, width, 1)
+        self.from_similarity = nn.Conv2d(2 * candidates + 1, width, 1)
+        self.enter = ResidualBlock(width + 2, width)
+        self.mix = ResidualBlock(width, width)
+        self.choice = WrappedConv(width, candidates)
+        self.upsample = WrappedConv(width, 36)
+        self.confidence = WrappedConv(width, 1)
+
+    def start_flat(self) -> None:
+        """Begin by leaving the estimate as it is."""
+        for layer in (self.choice, self.upsample, self.confidence):
+            nn.init.normal_(layer.weight, std=0.01)
+
+    def forward(
+        self,
+        first: Tensor,
+        second: Tensor,
+        of_first: tuple[Tensor, ...],
+        of_second: tuple[Tensor, ...],
+        root: Float[Tensor, "batch 1 height width"],
+        hidden: Float[Tensor, "batch before height//2 width//2"],
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """``(root at twice the resolution, hidden state, confidence logit at twice the resolution)``."""
+        own, other = of_first[self.features], of_second[self.features]
+        offsets = self.step * torch.arange(-self.reach, self.reach + 1, dtype=root.dtype, device=root.device)
+        offsets = offsets.view(1, -1, 1, 1)
+        candidates = root.detach() + offsets
+        learned = lookup(self.products(own, other), candidates).squeeze(1)
+        classical = lookup(self.classical(first, second), candidates).squeeze(1)
+        x = self.from_similarity(torch.cat([learned, classical, root.detach()], dim=1)) + self.from_features(own)
+        x = F.leaky_relu(x + upsample_nearest(self.from_hidden(hidden)), LEAK)
+        x = self.mix(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
+        refined = root + (self.choice(x).softmax(dim=1) * offsets).sum(dim=1, keepdim=True)
+        both = torch.cat([refined, self.confidence(x)], dim=1)
+        fine_root, fine_confidence = convex_upsample(both, self.upsample(x)).chunk(2, dim=1)
+        return fine_root, x, fine_confidence
+
+    def products(self, own: Tensor, other: Tensor) -> Tensor:
+        """Learned similarities of all rows of each meridian."""
+        return meridian_products(unit_groups(self.match_first(own), 1), unit_groups(self.match_second(other), 1))
+
+    @torch.no_grad()
+    def classical(self, first: Tensor, second: Tensor) -> Tensor:
+        """Classical similarity of all rows of each meridian."""
+        shrink = self.stride // 2
+        if shrink > 1:
+            first, second = F.avg_pool2d(first, shrink), F.avg_pool2d(second, shrink)
+        own, other = (normalised_patches(image, REFINED_PATCH, (2, 2)).unsqueeze(1) for image in (first, second))
+        return meridian_products(own, other)

@@ -1,0 +1,45 @@
+"""Procedural streets and rooms with exact depth, for training and tests.
+
+``generate_scene`` makes a :class:`Scene`, ``sample_path`` cameras in it, ``render_panorama`` and ``render_views`` their pictures.
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from omnisyn_cli.scenes.panorama import distances, render_panorama, render_views
+from omnisyn_cli.scenes.paths import clearance, sample_path
+from omnisyn_cli.scenes.room import room
+from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
+from omnisyn_cli.scenes.street import street
+
+__all__ = [
+    "GENERATORS",
+    "Lighting",
+    "Scene",
+    "SceneBuilder",
+    "Shape",
+    "clearance",
+    "distances",
+    "generate_scene",
+    "render_panorama",
+    "render_views",
+    "sample_path",
+]
+
+GENERATORS: Mapping[str, Callable[[int], Scene]] = MappingProxyType({"street": street, "room": room})
+"""Generators by the name of what they make."""
+
+
+def generate_scene(kind: str, seed: int) -> Scene:
+    """Generate a scene; equal arguments give equal scenes.
+
+    Args:
+        kind: a key of :data:`GENERATORS`.
+        seed: any non-negative number.
+
+    Raises:
+        ValueError: there is no such kind, or the seed is negative.
+    """
+    if kind not in GENERATORS or seed < 0:
+        raise ValueError(f"expected a kind of {', '.join(GENERATORS)} and a seed of at least 0, got {kind!r} and {seed}")
+    return GENERATORS[kind](seed)

@@ -1,0 +1,141 @@
+"""Which shapes can matter where: tiles of the picture for eye rays, cells of a grid across the light for shadow rays.
+
+Both answers are conservative: a shape may be listed in vain but is never missed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from omnisyn_cli.scenes.jit import kernel
+
+
+__all__ = ["light_grid", "list_tile", "tile_planes"]
+
+GRID = 96
+"""Cells of the light grid along each axis."""
+
+
+@kernel
+def _reach(shape, axes, k, x, y, z):  # type: ignore[no-untyped-def]
+    """How far a shape extends from its centre along (x, y, z); rows of ``axes`` are its scaled axes."""
+    a = abs(axes[k, 0, 0] * x + axes[k, 0, 1] * y + axes[k, 0, 2] * z)
+    b = abs(axes[k, 1, 0] * x + axes[k, 1, 1] * y + axes[k, 1, 2] * z)
+    c = abs(axes[k, 2, 0] * x + axes[k, 2, 1] * y + axes[k, 2, 2] * z)
+    if shape == 0:
+        return a + b + c
+    if shape == 1:
+        return math.sqrt(a * a + b * b + c * c)
+    return b + math.sqrt(a * a + c * c)
+
+
+@kernel
+def tile_planes(sin_polar, cos_polar, horizon, up, rows, columns, planes):  # type: ignore[no-untyped-def]
+    """Fill ``planes`` (4, 3) with inward normals of half spaces through the eye that hold all rays of a tile.
+
+    Sides are meridians, which are planes. The parallels above and below are cones: where the cone bulges out of the tile the plane
+    touches it, elsewhere the plane passes through the corners. A tile half around the sphere or more gets no planes (zeros).
+
+    Args:
+        sin_polar, cos_polar: of each row of samples.
+        horizon: unit vector on the horizon of each column of samples.
+        up: unit vector to the top of the picture.
+        rows, columns: first and last row and column of the tile.
+        planes: output.
+    """
+    planes[:] = 0.0
+    first, last = horizon[columns[0]], horizon[columns[1]]
+    middle = first + last
+    length = math.sqrt(middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
+    if length < 0.5 or columns[1] - columns[0] > 0.4 * len(horizon):
+        return
+    middle = middle / length
+    cos_half = 0.5 * length
+    planes[0] = np.cross(up, first)
+    planes[1] = np.cross(up, last)
+    for side in range(2):
+        inside = planes[side, 0] * middle[0] + planes[side, 1] * middle[1] + planes[side, 2] * middle[2]
+        if inside < 0.0:
+            planes[side] = -planes[side]
+    cosine, sine = cos_polar[rows[0]], sin_polar[rows[0]]
+    planes[2] = cosine * middle - sine * (cos_half if cosine > 0.0 else 1.0) * up
+    cosine, sine = cos_polar[rows[1]], sin_polar[rows[1]]
+    planes[3] = sine * (1.0 if cosine > 0.0 else cos_half) * up - cosine * middle
+
+
+@kernel
+def list_tile(bounds, candidates, candidate_count, planes, listed):  # type: ignore[no-untyped-def]
+    """Write the shapes that may show in a tile to ``listed``, in the order of the candidates, and return their number.
+
+    Args:
+        bounds: :class:`omnisyn_cli.scenes.world.Bounds` of n shapes.
+        candidates, candidate_count: shapes to choose from, nearest first.
+        planes: of :func:`tile_planes`.
+        listed: (n,) output.
+    """
+    count = 0
+    shape, offset, axes = bounds.shape, bounds.offset, bounds.axes
+    for i in range(candidate_count):
+        k = candidates[i]
+        seen = True
+        for p in range(4):
+            x, y, z = planes[p, 0], planes[p, 1], planes[p, 2]
+            height = offset[k, 0] * x + offset[k, 1] * y + offset[k, 2] * z
+            if height < -1e-7 and height < -_reach(shape[k], axes, k, x, y, z) - 1e-7:
+                seen = False
+                break
+        if seen:
+            listed[count] = k
+            count += 1
+    return count
+
+
+@kernel
+def _fill_grid(low: np.ndarray, high: np.ndarray, casters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    start = np.zeros(GRID * GRID + 1, dtype=np.int64)
+    for k in casters:
+        for i in range(low[k, 0], high[k, 0] + 1):
+            start[i * GRID + low[k, 1] + 1 : i * GRID + high[k, 1] + 2] += 1
+    start = np.cumsum(start)
+    items = np.empty(start[-1], dtype=np.int64)
+    filled = start[:-1].copy()
+    for k in casters:
+        for i in range(low[k, 0], high[k, 0] + 1):
+            for j in range(low[k, 1], high[k, 1] + 1):
+                items[filled[i * GRID + j]] = k
+                filled[i * GRID + j] += 1
+    return start, items
+
+
+def light_grid(
+    centre: Float64[np.ndarray, "n 3"],
+    axes: Float64[np.ndarray, "n 3 3"],
+    casters: Int64[np.ndarray, "k"],
+    across: Float64[np.ndarray, "2 3"],
+    margin: float,
+) -> tuple[Int64[np.ndarray, "c1"], Int64[np.ndarray, "i"], Float64[np.ndarray, "2 2"]]:
+    """List for each cell of a grid across the light the shapes whose shadows pass through it.
+
+    Args:
+        centre: of each shape, metres.
+        axes: scaled axes as rows.
+        casters: shapes that cast shadows.
+        across: two unit vectors orthogonal to the light.
+        margin: by which shadows are wider than their shapes, metres.
+
+    Returns:
+        ``(start, items, frame)``: the shapes of cell ``c = i·GRID + j`` are ``items[start[c]:start[c + 1]]``; ``frame`` holds for each
+        axis of the grid its origin in metres and the number of cells per metre.
+    """
+    if len(casters) == 0:
+        return np.zeros(GRID * GRID + 1, np.int64), np.zeros(0, np.int64), np.array([[0.0, 1.0], [0.0, 1.0]])
+    middle = centre @ across.T
+    reach = np.abs(axes @ across.T).sum(axis=1) + margin
+    low, high = middle - reach, middle + reach
+    origin, end = low[casters].min(axis=0), high[casters].max(axis=0)
+    scale = (GRID - 1e-6) / (end - origin)
+    cells = [np.clip((edge - origin) * scale, 0, GRID - 1).astype(np.int64) for edge in (low, high)]
+    start, items = _fill_grid(cells[0], cells[1], casters)
+    return start, items, np.stack([origin, scale], axis=1)

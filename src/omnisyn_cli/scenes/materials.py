@@ -1,0 +1,115 @@
+"""Materials: a pattern of up to three colours, and how it takes the light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float64
+
+__all__ = ["Column", "Material", "Pattern", "pack_materials"]
+
+Colour = tuple[float, float, float]
+
+
+class Pattern(IntEnum):
+    """What :mod:`omnisyn_cli.scenes.textures` draws; ``first``, ``second``, ``third`` are the material's colours."""
+
+    PLAIN = 0  # first; stains of second by ``detail``
+    BRICK = 1  # staggered cells of first and second, mortar third
+    TILES = 2  # cells of first and second by chance, joints third
+    CHECKER = 3  # first and second in turn
+    PLANKS = 4  # long cells with grain
+    FACADE = 5  # wall first, glass second, trim third
+    STRIPES = 6  # diagonal first and second
+    COLLAGE = 7  # random rectangles of all three
+    ROAD = 8  # asphalt first, markings second and third
+    GRASS = 9  # first and second, dry patches third
+    WALLPAPER = 10  # repeated motif
+    LEAVES = 11  # clumps, with holes
+    BARS = 12  # vertical bars and rails, open between
+    PANELS = 13  # ceiling grid: panel first, joints second, lit panels third
+    RIBS = 14  # corrugated sheet
+    CARTON = 15  # cardboard with tape and a label
+    PICTURE = 16  # framed picture
+    BOOKS = 17  # spines of all three colours
+    RUG = 18  # borders and motif
+    WINDOW = 19  # one window or door: frame third, glass second
+    MESH = 20  # open lattice
+
+
+class Column(IntEnum):
+    """Columns of a packed material."""
+
+    PATTERN = 0
+    FIRST = 1
+    SECOND = 4
+    THIRD = 7
+    CELL_U = 10
+    CELL_V = 11
+    LINE = 12
+    GRAIN = 13
+    GRAIN_SIZE = 14
+    DETAIL = 15
+    GLOSS = 16
+    GLOW = 17
+    SEED = 18
+    OPEN = 19
+    COUNT = 20
+
+
+@dataclass(frozen=True)
+class Material:
+    """A surface.
+
+    Attributes:
+        pattern: what is drawn.
+        first, second, third: its colours, sRGB in [0, 1].
+        cell: size of the pattern's cell, metres.
+        line: width of joints, bars or frames, metres.
+        grain: strength of the noise that lies over everything.
+        grain_size: wavelength of its coarsest octave, metres.
+        detail: a number in [0, 1] with a meaning of each pattern's own.
+        gloss: 0 (matt) to 1 (mirror-like at grazing angles).
+        glow: light of its own, in units of the colours.
+        seed: of the noise and of the cells.
+    """
+
+    pattern: Pattern = Pattern.PLAIN
+    first: Colour = (0.5, 0.5, 0.5)
+    second: Colour = (0.4, 0.4, 0.4)
+    third: Colour = (0.3, 0.3, 0.3)
+    cell: tuple[float, float] = (1.0, 1.0)
+    line: float = 0.02
+    grain: float = 0.15
+    grain_size: float = 0.7
+    detail: float = 0.5
+    gloss: float = 0.0
+    glow: float = 0.0
+    seed: int = 1
+
+
+_OPEN = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
+
+
+def pack_materials(materials: Sequence[Material]) -> Float64[np.ndarray, "m p"]:
+    """Return one row per material, with linear colours, laid out as :class:`Column` says."""
+    rows = [
+        (
+            m.pattern,
+            *(c * c for colour in (m.first, m.second, m.third) for c in colour),
+            *m.cell,
+            m.line,
+            m.grain,
+            m.grain_size,
+            m.detail,
+            m.gloss,
+            m.glow,
+            m.seed,
+            m.pattern in _OPEN,
+        )
+        for m in materials
+    ]
+    return np.array(rows, dtype=np.float64).reshape(-1, int(Column.COUNT))

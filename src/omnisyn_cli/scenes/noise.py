@@ -1,0 +1,83 @@
+"""Band-limited building blocks of the procedural textures, evaluated at one point at a time.
+
+Everything here knows the footprint, the width in metres (or cells) that one sample covers, and fades to its own mean when the
+footprint outgrows the detail: far textures become plain instead of noisy.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float32
+from omnisyn_cli.scenes.jit import kernel
+
+__all__ = ["cell_hash", "fractal_noise", "lattice", "pulse", "smooth_noise", "smooth_noise_3d"]
+
+
+_PERIOD = 128  # lattice points before the noise repeats, a power of two
+_MASK = _PERIOD - 1
+
+
+def lattice() -> Float32[np.ndarray, "128 128"]:
+    """Return the random values, uniform in [0, 1), that all noise interpolates: a table costs less than hashing."""
+    return np.random.default_rng(20220809).random((_PERIOD, _PERIOD), dtype=np.float32)
+
+
+@kernel
+def cell_hash(i: int, j: int, seed: int) -> float:
+    """Return a number uniform in [0, 1) for an integer cell."""
+    h = (i * 73856093) ^ (j * 19349663) ^ (seed * 83492791)
+    h = (h * 2654435761) & 0xFFFFFFFF
+    h = ((h ^ (h >> 15)) * 2246822519) & 0xFFFFFFFF
+    h ^= h >> 13
+    return (h & 0xFFFF) / 65536.0
+
+
+@kernel
+def smooth_noise(table: np.ndarray, x: float, y: float, seed: int) -> float:
+    """Interpolate the lattice smoothly at (x, y), in lattice units; mean 0.5."""
+    column, row = math.floor(x), math.floor(y)
+    a, b = x - column, y - row
+    a, b = a * a * (3.0 - 2.0 * a), b * b * (3.0 - 2.0 * b)
+    i, j = int(column) + seed * 29, int(row) + seed * 57
+    i0, i1, j0, j1 = i & _MASK, (i + 1) & _MASK, j & _MASK, (j + 1) & _MASK
+    near = table[j0, i0] + (table[j0, i1] - table[j0, i0]) * a
+    far = table[j1, i0] + (table[j1, i1] - table[j1, i0]) * a
+    return near + (far - near) * b
+
+
+@kernel
+def smooth_noise_3d(table: np.ndarray, x: float, y: float, z: float, seed: int) -> float:
+    """Interpolate between slices of :func:`smooth_noise`; mean 0.5."""
+    layer = math.floor(z)
+    c = z - layer
+    c = c * c * (3.0 - 2.0 * c)
+    k = seed + 7 * int(layer)
+    low = smooth_noise(table, x, y, k)
+    return low + (smooth_noise(table, x, y, k + 7) - low) * c
+
+
+@kernel
+def fractal_noise(table: np.ndarray, x: float, y: float, seed: int, footprint: float, octaves: int) -> float:
+    """Add octaves of noise; an octave fades out as its wavelength falls under four footprints. Range about ±1, mean 0.
+
+    ``x``, ``y`` and ``footprint`` are in units of the coarsest wavelength.
+    """
+    total, amplitude, frequency = 0.0, 1.0, 1.0
+    for octave in range(octaves):
+        visible = min(1.0, 2.0 - 4.0 * footprint * frequency)
+        if visible <= 0.0:
+            break
+        total += amplitude * visible * (smooth_noise(table, x * frequency, y * frequency, seed + octave) - 0.5)
+        amplitude *= 0.62
+        frequency *= 2.13
+    return total
+
+
+@kernel
+def pulse(x: float, width: float, footprint: float) -> float:
+    """Return the share of ``[x - footprint/2, x + footprint/2]`` covered by the intervals ``[k, k + width)``, k integer."""
+    reach = max(footprint, 1e-4)
+    low, high = x - 0.5 * reach, x + 0.5 * reach
+    low_cell, high_cell = math.floor(low), math.floor(high)
+    covered = (high_cell - low_cell) * width + min(high - high_cell, width) - min(low - low_cell, width)
+    return covered / reach

@@ -1,0 +1,123 @@
+"""Scenes to panoramas: one call per set of positions that share a rotation."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
+from omnisyn_cli.scenes.raycast import cast_rays
+from omnisyn_cli.scenes.render import render_tiles
+from omnisyn_cli.scenes.scene import Scene
+from omnisyn_cli.scenes.world import pack, seen_from
+
+__all__ = ["distances", "render_panorama", "render_views"]
+
+_TILES = (16, 4)  # pixels; chosen by timing
+
+
+def render_panorama(
+    scene: Scene,
+    pose: Pose,
+    size: tuple[int, int],
+    *,
+    supersample: int = 2,
+    shadows: bool = True,
+    threads: int | None = None,
+) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
+    """Render one panorama.
+
+    Args:
+        scene: what to render.
+        pose: world from camera.
+        size: ``(height, width)`` in pixels.
+        supersample: colour samples per pixel along each axis.
+        shadows: whether the sun casts shadows.
+        threads: how many to use; None = one per core. The result does not depend on it.
+
+    Returns:
+        ``(image, depth)``: RGB in [0, 1] and Euclidean metres along the ray of the pixel's centre, inf where there is only sky.
+    """
+    images, depths = render_views(
+        scene, pose.rotation, pose.position[None], size, supersample=supersample, shadows=shadows, threads=threads
+    )
+    return images[0], depths[0]
+
+
+def render_views(
+    scene: Scene,
+    rotation: Float[np.ndarray, "3 3"],
+    positions: Float[np.ndarray, "views 3"],
+    size: tuple[int, int],
+    *,
+    supersample: int = 2,
+    shadows: bool = True,
+    threads: int | None = None,
+) -> tuple[Float32[np.ndarray, "views height width 3"], Float32[np.ndarray, "views height width"]]:
+    """Render panoramas from several positions in one rotated frame, e.g. the one whose poles are the epipoles.
+
+    Args:
+        scene: what to render.
+        rotation: world from camera, shared by all views.
+        positions: optical centres in the world, metres.
+        size, supersample, shadows, threads: as in :func:`render_panorama`.
+
+    Returns:
+        ``(images, depths)``.
+    """
+    height, width = size
+    if height < 1 or width < 1 or supersample < 1:
+        raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
+    tables = _ray_tables(np.asarray(rotation, dtype=np.float64), size, supersample)
+    packed = pack(scene)
+    images = np.empty((len(positions), height, width, 3), dtype=np.float32)
+    depths = np.empty((len(positions), height, width), dtype=np.float32)
+    bands = -(-height // _TILES[0])
+    workers = min(bands, threads or os.cpu_count() or 1)
+    for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
+        world, bounds = seen_from(packed, scene, position)
+        fixed = (world, bounds, tables, supersample, _TILES)
+        if workers == 1:
+            render_tiles(*fixed, (0, bands), shadows, image, depth)
+            continue
+        with ThreadPoolExecutor(workers) as pool:
+            done = [pool.submit(render_tiles, *fixed, (band, band + 1), shadows, image, depth) for band in range(bands)]
+            for band in done:
+                band.result()
+    return images, depths
+
+
+def distances(
+    scene: Scene, position: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
+) -> tuple[Float64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
+    """Cast single rays: metres (inf = sky) along unit vectors, and what is hit: shape number, -1 the ground, -2 the sky."""
+    world, _ = seen_from(pack(scene), scene, np.asarray(position, dtype=np.float64))
+    distance, hit = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
+    cast_rays(world, np.ascontiguousarray(directions, dtype=np.float64), distance, hit)
+    return distance, hit
+
+
+@lru_cache(maxsize=8)
+def _unrotated_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    sin_polar, cos_polar, sin_azimuth, cos_azimuth = direction_tables(height, width)
+    horizon = angles_to_direction(np.arctan2(sin_azimuth, cos_azimuth), np.full(width, 0.5 * np.pi))
+    return sin_polar, cos_polar, horizon
+
+
+def _ray_tables(rotation: Float64[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> tuple[np.ndarray, ...]:
+    height, width = size
+    up = rotation @ angles_to_direction(np.array(0.0), np.array(0.0))
+    centres = _unrotated_tables(height, width)
+    samples = _unrotated_tables(height * supersample, width * supersample)
+    return (
+        *centres[:2],
+        np.ascontiguousarray(centres[2] @ rotation.T),
+        *samples[:2],
+        np.ascontiguousarray(samples[2] @ rotation.T),
+        up,
+    )

@@ -1,0 +1,103 @@
+"""Where cameras go: straight lines through free space."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float64
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.scenes.scene import Scene, Walkway
+
+__all__ = ["clearance", "sample_path"]
+
+_ATTEMPTS = 400
+_CHECKED_POINTS = 9  # along the line, besides the frames
+
+
+def clearance(scene: Scene, positions: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p"]:
+    """Lower bound in metres of the distance from each position to the nearest surface; negative inside or under the ground.
+
+    Every shape counts as its oriented box.
+    """
+    local = np.einsum("nji,pnj->pni", scene.rotation, positions[:, None, :] - scene.centre)
+    beyond = np.abs(local) - scene.half
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+    distance = outside + np.minimum(beyond.max(axis=-1), 0.0)
+    above = positions @ scene.ground[:3] - scene.ground[3]
+    return np.minimum(distance.min(axis=1, initial=np.inf), above)
+
+
+def sample_path(
+    scene: Scene,
+    seed: int,
+    frames: int,
+    *,
+    baseline: float | None = None,
+    vertical: float = 0.05,
+    tilt: float = 0.0,
+) -> list[Pose]:
+    """Draw a straight path of cameras that keep clear of everything.
+
+    Args:
+        scene: where.
+        seed: equal seeds give equal paths.
+        frames: number of poses, evenly spaced; at least 1.
+        baseline: metres from the first to the last; None = what is usual in the scene.
+        vertical: share of paths that go straight up.
+        tilt: standard deviation in radians of each frame's pitch and roll; above 0 every frame also gets its own heading.
+
+    Returns:
+        Poses, the first and last being the ends. The heading is random.
+
+    Raises:
+        ValueError: there is no room for such a path.
+    """
+    if frames < 1:
+        raise ValueError(f"expected at least 1 frame, got {frames}")
+    rng = np.random.default_rng([11, seed])
+    heading = rng.uniform(-math.pi, math.pi)
+    for attempt in range(_ATTEMPTS):
+        walkway = scene.walkways[rng.integers(len(scene.walkways))]
+        keep = walkway.clearance * max(0.3, 1.0 - attempt / _ATTEMPTS)
+        length = baseline if baseline is not None else rng.uniform(*walkway.baselines)
+        if baseline is None and attempt > _ATTEMPTS // 2:
+            length = walkway.baselines[0]
+        start, end = _line(rng, scene, walkway, length, upright=rng.random() < vertical, strict=attempt < _ATTEMPTS // 2)
+        shares = np.linspace(0.0, 1.0, frames)[:, None]
+        checked = np.concatenate([shares, np.linspace(0.0, 1.0, _CHECKED_POINTS)[:, None]])
+        if clearance(scene, start + checked * (end - start)).min() > keep:
+            return [Pose(_attitude(rng, heading, tilt), position) for position in start + shares * (end - start)]
+    raise ValueError(f"expected room for a path of {frames} frames, found none in {_ATTEMPTS} attempts: try a shorter baseline")
+
+
+def _line(
+    rng: np.random.Generator, scene: Scene, walkway: Walkway, length: float, *, upright: bool, strict: bool
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """Both ends of a candidate; heights count from the ground."""
+    low, high = np.array(walkway.low), np.array(walkway.high)
+    start = rng.uniform(low, high)
+    if upright:
+        start[1] = low[1] * 0.8
+        step = np.array([0.0, min(length, 2.5), 0.0])
+    else:
+        bearing = rng.uniform(-math.pi, math.pi)
+        ahead = np.array([walkway.heading[0], 0.0, walkway.heading[1]])
+        if ahead.any() and (strict or rng.random() < 0.7):
+            sign = 1.0 if rng.random() < 0.5 else -1.0
+            bearing = math.atan2(sign * ahead[0], sign * ahead[2]) + rng.normal(0.0, 0.15)
+        climb = rng.normal(0.0, 0.02) if rng.random() < 0.5 else 0.0
+        step = length * np.array([math.sin(bearing), climb, math.cos(bearing)])
+    end = start + step
+    for point in (start, end):
+        point[1] += (scene.ground[3] - scene.ground[[0, 2]] @ point[[0, 2]]) / scene.ground[1]
+    if not upright:
+        end = start + (end - start) * (length / float(np.linalg.norm(end - start)))
+    return start, end
+
+
+def _attitude(rng: np.random.Generator, heading: float, tilt: float) -> Float64[np.ndarray, "3 3"]:
+    if tilt <= 0.0:
+        return rotation_from_heading(heading)
+    return rotation_from_heading(rng.uniform(-math.pi, math.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))

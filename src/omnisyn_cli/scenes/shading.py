@@ -1,0 +1,153 @@
+"""The colour of what a ray hits: material, sun with shadow, sky, lamps, gloss, haze."""
+
+import math
+
+from omnisyn_cli.scenes.jit import kernel
+from omnisyn_cli.scenes.materials import Column
+from omnisyn_cli.scenes.noise import fractal_noise
+from omnisyn_cli.scenes.raycast import is_shadowed, normal_at, place_on
+from omnisyn_cli.scenes.textures import pattern_at
+from omnisyn_cli.scenes.world import GROUND, SKY, Kind, Packed, Scalar
+
+__all__ = ["shade", "tone"]
+
+GLOSS, GLOW, FIRST, SECOND, THIRD = (
+    int(c) for c in (Column.GLOSS, Column.GLOW, Column.FIRST, Column.SECOND, Column.THIRD)
+)
+EYE, HALF, TINT = int(Packed.EYE), int(Packed.HALF), int(Packed.TINT)
+SHAPE, SIDES, CAPS, VARIATION = int(Kind.SHAPE), int(Kind.SIDES), int(Kind.CAPS), int(Kind.VARIATION)
+SUN, ABOVE, BELOW, ZENITH = int(Scalar.SUN), int(Scalar.SKY), int(Scalar.BOUNCE), int(Scalar.ZENITH)
+HORIZON, CLOUD, COVER, CLOUD_SCALE = int(Scalar.HORIZON), int(Scalar.CLOUD), int(Scalar.CLOUD_COVER), int(Scalar.CLOUD_SCALE)
+CLOUD_SEED, HAZE, SUNS, PLANE = int(Scalar.CLOUD_SEED), int(Scalar.HAZE), int(Scalar.SUNS), int(Scalar.GROUND)
+WORLD_EYE, GROUND_MATERIAL = int(Scalar.EYE), int(Scalar.GROUND_MATERIAL)
+OFF_SURFACE = 1e-3  # metres between a surface and the start of its shadow ray
+
+
+@kernel
+def _sky(s, table, x, y, z, pixel):  # type: ignore[no-untyped-def]
+    """Colour of the sky in a direction."""
+    up = max(y, 0.0)
+    near = 1.0 / (up + 0.12)
+    scale, cover = s[CLOUD_SCALE], s[COVER]
+    # neighbouring rays meet the layer of clouds the farther apart the nearer they are to the horizon
+    footprint = pixel * near * near * scale
+    noise = fractal_noise(table, x * near * scale + 31.7, z * near * scale + 11.3, int(s[CLOUD_SEED]), footprint, 5)
+    cloud = min(1.0, max(0.0, 0.5 + 2.6 * (noise + 1.1 * (cover - 0.5)))) * min(1.0, 0.25 + 6.0 * up)
+    shadow = 1.0 - 0.35 * min(1.0, max(0.0, noise * 1.6))
+    toward = max(0.0, x * s[SUNS] + y * s[SUNS + 1] + z * s[SUNS + 2])
+    glow = toward**4
+    halo = 0.25 * glow * (1.0 - 0.5 * cover)
+    glow = glow**8
+    halo += 0.9 * glow * (1.0 - 0.8 * cover) + 6.0 * glow**8 * (1.0 - cloud)
+    height = math.sqrt(up)
+    r = s[HORIZON] + (s[ZENITH] - s[HORIZON]) * height
+    g = s[HORIZON + 1] + (s[ZENITH + 1] - s[HORIZON + 1]) * height
+    b = s[HORIZON + 2] + (s[ZENITH + 2] - s[HORIZON + 2]) * height
+    r += (s[CLOUD] * shadow - r) * cloud + halo * s[SUN] * 0.3
+    g += (s[CLOUD + 1] * shadow - g) * cloud + halo * s[SUN + 1] * 0.3
+    b += (s[CLOUD + 2] * shadow - b) * cloud + halo * s[SUN + 2] * 0.3
+    return r, g, b
+
+
+@kernel
+def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-untyped-def]
+    """Light that falls on a point, and how much of the sun it sees; ``sun`` is the place of its direction in the scalars."""
+    s = world.scalars
+    above = 0.5 + 0.5 * ny
+    r = s[ABOVE] * above + s[BELOW] * (1.0 - above)
+    g = s[ABOVE + 1] * above + s[BELOW + 1] * (1.0 - above)
+    b = s[ABOVE + 2] * above + s[BELOW + 2] * (1.0 - above)
+    x, y, z = s[sun], s[sun + 1], s[sun + 2]
+    facing = nx * x + ny * y + nz * z
+    sunlit = 0.0
+    if facing > 0.0 and s[SUN] > 0.0:
+        off = OFF_SURFACE
+        if not shadows or not is_shadowed(world, px + off * nx, py + off * ny, pz + off * nz, x, y, z):
+            sunlit = 1.0
+            r += s[SUN] * facing
+            g += s[SUN + 1] * facing
+            b += s[SUN + 2] * facing
+    lamps = world.lamps
+    for i in range(len(lamps)):
+        x, y, z = lamps[i, 0] - px, lamps[i, 1] - py, lamps[i, 2] - pz
+        squared = x * x + y * y + z * z
+        facing = (nx * x + ny * y + nz * z) / math.sqrt(squared + 1e-6)
+        power = max(0.0, 0.15 + 0.85 * facing) / (0.6 + squared)
+        r += lamps[i, 3] * power
+        g += lamps[i, 4] * power
+        b += lamps[i, 5] * power
+    return r, g, b, sunlit
+
+
+@kernel
+def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
+    """Linear colour of what the ray (x, y, z) hits.
+
+    Args:
+        world: the scene.
+        hit: number of the shape, or GROUND or SKY.
+        t: its distance, metres.
+        x, y, z: unit vector.
+        pixel: angle between neighbouring samples, radians.
+        sample: number of the sample in its pixel: chooses the point on the sun.
+        shadows: whether to cast shadow rays.
+    """
+    s, shapes, kinds = world.scalars, world.shapes, world.kinds
+    if hit == SKY:
+        return _sky(s, world.noise, x, y, z, pixel)
+    sun = SUNS + 3 * (sample & 3)
+    px, py, pz = s[WORLD_EYE] + t * x, s[WORLD_EYE + 1] + t * y, s[WORLD_EYE + 2] + t * z
+    crease, tr, tg, tb = 1.0, 1.0, 1.0, 1.0
+    if hit == GROUND:
+        nx, ny, nz = s[PLANE], s[PLANE + 1], s[PLANE + 2]
+        u, v, hu, hv, qx, qy, qz, variation = px, pz, 1e3, 1e3, px, py, pz, 0
+        row = int(s[GROUND_MATERIAL])
+    else:
+        shape = kinds[hit, SHAPE]
+        qx = shapes[hit, EYE] + t * (shapes[hit, 0] * x + shapes[hit, 1] * y + shapes[hit, 2] * z)
+        qy = shapes[hit, EYE + 1] + t * (shapes[hit, 3] * x + shapes[hit, 4] * y + shapes[hit, 5] * z)
+        qz = shapes[hit, EYE + 2] + t * (shapes[hit, 6] * x + shapes[hit, 7] * y + shapes[hit, 8] * z)
+        u, v, hu, hv, axis = place_on(shapes, hit, shape, qx, qy, qz)
+        nx, ny, nz = normal_at(shapes, hit, shape, axis, qx, qy, qz)
+        qx, qy, qz, variation = qx * shapes[hit, HALF], qy * shapes[hit, HALF + 1], qz * shapes[hit, HALF + 2], kinds[hit, VARIATION]
+        tr, tg, tb = shapes[hit, TINT], shapes[hit, TINT + 1], shapes[hit, TINT + 2]
+        row = kinds[hit, CAPS if axis == 1 else SIDES]
+        if axis != 1:  # dirt and missing light where things meet the floor
+            crease = 1.0 - 0.3 / (1.0 + v * v * 60.0)
+    material = world.materials[row]
+    facing = -(nx * x + ny * y + nz * z)
+    if facing < 0.0:
+        nx, ny, nz, facing = -nx, -ny, -nz, -facing
+    footprint = t * pixel / math.sqrt(max(facing, 0.01))
+    second, third, lightness, gloss, glow = pattern_at(
+        material, world.noise, u, v, hu, hv, qx, qy, qz, footprint, variation
+    )
+    lightness = max(lightness, 0.02)
+    first, second, third = (1.0 - second) * (1.0 - third) * lightness, second * (1.0 - third) * lightness, third * lightness
+    ar = (material[FIRST] * first + material[SECOND] * second + material[THIRD] * third) * tr
+    ag = (material[FIRST + 1] * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
+    ab = (material[FIRST + 2] * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb
+    r, g, b, sunlit = _incident(world, px, py, pz, nx, ny, nz, sun, shadows)
+    glow *= material[GLOW]
+    r, g, b = ar * (r * crease + glow), ag * (g * crease + glow), ab * (b * crease + glow)
+    gloss *= material[GLOSS]
+    if gloss > 0.0:
+        rx, ry, rz = x + 2.0 * facing * nx, y + 2.0 * facing * ny, z + 2.0 * facing * nz
+        weight = gloss * (0.08 + 0.7 * (1.0 - facing) ** 3)
+        above = min(1.0, max(0.0, 0.5 + 2.0 * ry))
+        shine = max(0.0, rx * s[sun] + ry * s[sun + 1] + rz * s[sun + 2]) ** 64 * 0.6 * gloss * sunlit
+        r += weight * (s[BELOW] + (s[ABOVE] * 1.3 - s[BELOW]) * above - r) + shine * s[SUN]
+        g += weight * (s[BELOW + 1] + (s[ABOVE + 1] * 1.3 - s[BELOW + 1]) * above - g) + shine * s[SUN + 1]
+        b += weight * (s[BELOW + 2] + (s[ABOVE + 2] * 1.3 - s[BELOW + 2]) * above - b) + shine * s[SUN + 2]
+    if s[HAZE] > 0.0:
+        haze = 1.0 - math.exp(-s[HAZE] * t)
+        r += (s[HORIZON] - r) * haze
+        g += (s[HORIZON + 1] - g) * haze
+        b += (s[HORIZON + 2] - b) * haze
+    return r, g, b
+
+
+@kernel
+def tone(value, exposure):  # type: ignore[no-untyped-def]
+    """Compress light to [0, 1) as film does: highlights roll off."""
+    return 1.0 - math.exp(-exposure * max(value, 0.0))

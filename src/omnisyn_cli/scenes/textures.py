@@ -1,0 +1,368 @@
+"""The patterns: what a material looks like at one point of a face.
+
+A pattern answers with five numbers: how much of the material's second and third colour lies over the first, a factor on the
+brightness, a factor on the gloss and one on the glow. It is told the place on the face in metres (``u`` across, 0 in the middle;
+``v`` up, 0 at the bottom), the half sizes of the face, and the footprint of the sample in metres; detail smaller than the footprint
+fades to its mean.
+"""
+
+import math
+
+import numpy as np
+
+from omnisyn_cli.scenes.materials import Column
+from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
+from omnisyn_cli.scenes.jit import kernel
+
+__all__ = ["is_hole", "pattern_at"]
+
+CELL_U, CELL_V, LINE, DETAIL = int(Column.CELL_U), int(Column.CELL_V), int(Column.LINE), int(Column.DETAIL)
+GRAIN, GRAIN_SIZE, SEED, OPEN = int(Column.GRAIN), int(Column.GRAIN_SIZE), int(Column.SEED), int(Column.OPEN)
+
+
+@kernel
+def _visible(size: float, footprint: float) -> float:
+    """How much of the variation between cells of a size survives a footprint."""
+    return min(1.0, max(0.0, 1.7 - 1.6 * footprint / size))
+
+
+@kernel
+def _step(x: float, footprint: float) -> float:
+    """Share of the footprint around x that is above zero."""
+    return min(1.0, max(0.0, 0.5 + x / max(footprint, 1e-4)))
+
+
+@kernel
+def _inside(u: float, v: float, u0: float, v0: float, u1: float, v1: float, footprint: float) -> float:
+    """Share of the footprint within a rectangle."""
+    across = _step(u - u0, footprint) * _step(u1 - u, footprint)
+    return across * _step(v - v0, footprint) * _step(v1 - v, footprint)
+
+
+@kernel
+def _brick(m, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    row = math.floor(v / cv)
+    shifted = u / cu + 0.5 * (row & 1)
+    column = math.floor(shifted)
+    mortar = 1.0 - (1.0 - pulse(shifted, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
+    visible = _visible(min(cu, cv), fp)
+    chance = cell_hash(int(column), int(row), int(m[SEED]))
+    other = m[DETAIL] + (chance - m[DETAIL]) * visible
+    lightness = 1.0 + 0.28 * visible * (cell_hash(int(column), int(row), int(m[SEED]) + 1) - 0.5)
+    return other, mortar, lightness, 1.0 - mortar, 1.0
+
+
+@kernel
+def _tiles(m, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    column, row = math.floor(u / cu), math.floor(v / cv)
+    joint = 1.0 - (1.0 - pulse(u / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
+    visible = _visible(min(cu, cv), fp)
+    chance = cell_hash(int(column), int(row), int(m[SEED]))
+    other = m[DETAIL] + ((1.0 if chance < m[DETAIL] else 0.0) - m[DETAIL]) * visible
+    lightness = 1.0 + 0.14 * visible * (cell_hash(int(column), int(row), int(m[SEED]) + 1) - 0.5)
+    return other, joint, lightness, 1.0 - joint, 1.0
+
+
+@kernel
+def _checker(m, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv = m[CELL_U], m[CELL_V]
+    a = pulse(0.5 * u / cu, 0.5, 0.5 * fp / cu)
+    b = pulse(0.5 * v / cv, 0.5, 0.5 * fp / cv)
+    joint = 1.0 - (1.0 - pulse(u / cu, m[LINE] / cu, fp / cu)) * (1.0 - pulse(v / cv, m[LINE] / cv, fp / cv))
+    return a + b - 2.0 * a * b, joint * 0.6, 1.0, 1.0, 1.0
+
+
+@kernel
+def _planks(m, table, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
+    row = math.floor(v / cv)
+    shifted = u / cu + cell_hash(int(row), 3, seed)
+    column = math.floor(shifted)
+    joint = 1.0 - (1.0 - pulse(v / cv, line / cv, fp / cv)) * (1.0 - pulse(shifted, line / cu, fp / cu))
+    visible = _visible(cv, fp)
+    grain = fractal_noise(table, u * 1.5 + 17.0 * row, v * 22.0, seed + int(column), fp * 12.0, 3)
+    other = 0.5 + visible * (cell_hash(int(column), int(row), seed) - 0.5) + 0.9 * grain
+    return min(1.0, max(0.0, other)), joint * 0.8, 1.0 + 0.5 * grain, 1.0, 1.0
+
+
+@kernel
+def _facade(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
+    cu, cv, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
+    columns = math.floor(2.0 * hu / cu)
+    column, row = math.floor(u / cu + 0.5 * columns), math.floor(v / cv)
+    x, y = u / cu + 0.5 * columns - column, v - row * cv
+    shop = row == 0 and m[DETAIL] > 0.4
+    ledge = pulse(v / cv, 0.12 / cv, fp / cv) * (0.7 if row > 0 else 0.0)
+    if column < 0 or column >= columns or (row + 1) * cv > 2.0 * hv + 0.1:
+        return 0.0, ledge, 1.0, 0.0, 1.0
+    pick = cell_hash(int(column), int(row), seed)
+    wide = 0.25 + 0.23 * cell_hash(seed, 5, 1)
+    low, high = 0.1 + 0.25 * cell_hash(seed, 6, 1), 0.78 + 0.12 * cell_hash(seed, 7, 1)
+    if shop:
+        wide, low, high = 0.44, (0.02 if pick < 0.3 else 0.14), 0.8
+    u0, u1, v0, v1 = (0.5 - wide) * cu, (0.5 + wide) * cu, low * cv, high * cv
+    x *= cu
+    frame = _inside(x, y, u0, v0, u1, v1, fp)
+    glass = _inside(x, y, u0 + line, v0 + line, u1 - line, v1 - line, fp)
+    middle = 0.5 * cu
+    bar = _inside(x, y, middle - 0.5 * line, v0, middle + 0.5 * line, v1, fp)
+    if cell_hash(seed, 8, 1) < 0.5:
+        bar = max(bar, _inside(x, y, u0, v1 - 0.4, u1, v1 - 0.4 + line, fp))
+    sill = _inside(x, y, u0 - 0.08, v0 - 0.1, u1 + 0.08, v0, fp)
+    glass *= 1.0 - bar
+    curtain = pick > 0.55 and y > v1 - (v1 - v0) * (pick - 0.5) * 2.2
+    behind = cell_hash(int(column), int(row), seed + 1)
+    lightness = 0.45 + 1.1 * behind if not curtain else 2.2 + behind
+    shaded = 1.0 - 0.45 * glass * _step(y - (v1 - line - 0.18), 0.25)
+    fade = _visible(0.5 * cu, fp)
+    lightness = 1.0 + glass * (1.0 + (lightness - 1.0) * fade - 1.0)
+    trim = max((frame - glass) * 0.95, max(sill, ledge * (1.0 - frame)))
+    return glass, trim, lightness * shaded, glass, 1.0
+
+
+@kernel
+def _stripes(m, u, v, fp):  # type: ignore[no-untyped-def]
+    slope = 2.0 * m[DETAIL] - 1.0
+    return pulse((u + slope * v) / m[CELL_U], 0.5, fp * 1.2 / m[CELL_U]), 0.0, 1.0, 1.0, 1.0
+
+
+@kernel
+def _collage(m, u, v, fp, variation):  # type: ignore[no-untyped-def]
+    other, third, lightness, seed = 0.0, 0.0, 1.0, int(m[SEED]) + variation
+    scale = 1.0
+    for level in range(4):
+        cu, cv = m[CELL_U] * scale, m[CELL_V] * scale
+        x, y = u / cu + 0.37 * level, v / cv + 0.61 * level
+        column, row = math.floor(x), math.floor(y)
+        chance = cell_hash(int(column), int(row), seed + level)
+        if chance < 0.35 + 0.4 * m[DETAIL] and fp < 0.8 * min(cu, cv):
+            a, b = cell_hash(int(column), int(row), seed + 31), cell_hash(int(row), int(column), seed + 47)
+            x, y = x - column, y - row
+            cover = _inside(x * cu, y * cv, 0.4 * a * cu, 0.4 * b * cv, (0.6 + 0.4 * b) * cu, (0.55 + 0.4 * a) * cv, fp)
+            cover *= _visible(min(cu, cv), 2.0 * fp)
+            other += (b - other) * cover
+            third += ((a if chance < 0.2 else 0.0) - third) * cover
+            lightness += (0.55 + 0.8 * cell_hash(int(column), int(row), seed + 61) - lightness) * cover
+        scale *= 0.47
+    return other, third, lightness, 1.0, 1.0
+
+
+@kernel
+def _road(m, table, u, v, fp):  # type: ignore[no-untyped-def]
+    half, period, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
+    across = abs(u)
+    patch = fractal_noise(table, u * 0.22, v * 0.07, seed, fp * 0.22, 3)
+    worn = 1.0 + 0.55 * fractal_noise(table, u * 5.0, v * 5.0, seed + 9, fp * 5.0, 3)
+    speck = fractal_noise(table, u * 21.0, v * 21.0, seed + 5, fp * 21.0, 2)
+    track = 0.06 * math.cos(across * 4.2)
+    crack = abs(smooth_noise(table, u * 0.45 + 0.3 * patch, v * 0.3, seed + 3) - 0.5)
+    crack = (1.0 - _step(crack - 0.006, 0.008 + fp)) * 0.35 * _visible(0.05, fp)
+    edge = _inside(across, 0.0, half - 0.35 - line, -1.0, half - 0.35, 1.0, fp) * (0.8 if m[DETAIL] > 0.3 else 0.0)
+    dash = _step(0.5 * line - across, fp) * pulse(v / period, 0.42, fp / period)
+    if m[DETAIL] > 0.75:
+        dash = _inside(across, 0.0, 0.07, -1.0, 0.07 + line, 1.0, fp)
+    if half > 6.0:  # two lanes each way
+        dash = max(dash, _inside(across, 0.0, 0.5 * half, -1.0, 0.5 * half + line, 1.0, fp) * pulse(v / period, 0.42, fp / period))
+    paint = max(dash, edge) * min(1.0, max(0.0, worn * 1.1))
+    on_paint = 1.0 - paint
+    lightness = 1.0 + on_paint * (0.35 * patch + 0.55 * speck + 0.2 * (worn - 1.0) + track - crack)
+    return (paint, 0.0, lightness, 1.0, 1.0) if m[DETAIL] <= 0.75 or across > 1.0 else (0.0, paint, lightness, 1.0, 1.0)
+
+
+@kernel
+def _grass(m, table, u, v, fp):  # type: ignore[no-untyped-def]
+    seed = int(m[SEED])
+    large = fractal_noise(table, u * 0.3, v * 0.3, seed, fp * 0.3, 4)
+    blades = fractal_noise(table, u * 9.0, v * 9.0, seed + 4, fp * 9.0, 4)
+    dry = min(1.0, max(0.0, 0.25 + 1.1 * large + 0.4 * (m[DETAIL] - 0.5)))
+    return min(1.0, max(0.0, 0.5 + blades)), dry * 0.6, 1.0 + 0.7 * blades, 1.0, 1.0
+
+
+@kernel
+def _wallpaper(m, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv, seed = m[CELL_U], m[CELL_V], int(m[SEED])
+    row = math.floor(v / cv)
+    x, y = u / cu + 0.5 * (row & 1), v / cv
+    x, y = abs(x - math.floor(x) - 0.5), abs(y - row - 0.5)
+    kind = cell_hash(seed, 1, 1)
+    blur = fp / min(cu, cv) + 0.02
+    if kind < 0.35:
+        motif = _step(0.3 - math.sqrt(x * x + y * y), blur)
+    elif kind < 0.7:
+        motif = _step(0.36 - (x + y), blur)
+    else:
+        motif = _step(abs(x - 0.25) - 0.13, blur) * 0.7
+    dot = _step(0.1 - math.sqrt(x * x + y * y), blur)
+    visible = _visible(min(cu, cv), fp)
+    return 0.35 + (motif - 0.35) * visible, dot * visible * 0.8, 1.0, 1.0, 1.0
+
+
+@kernel
+def _panels(m, u, v, fp):  # type: ignore[no-untyped-def]
+    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    column, row = math.floor(u / cu), math.floor(v / cv)
+    joint = 1.0 - (1.0 - pulse(u / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
+    lit = (int(column) % 4 == 1 and int(row) % 3 == 1) and cell_hash(int(column), int(row), int(m[SEED])) < m[DETAIL]
+    x, y = u - column * cu, v - row * cv
+    lamp = _inside(x, y, 0.06, 0.06, cu - 0.06, cv - 0.06, fp) if lit else 0.0
+    return joint * (1.0 - lamp), lamp, 1.0, 1.0 - joint, lamp
+
+
+@kernel
+def _ribs(m, u, v, fp):  # type: ignore[no-untyped-def]
+    wave = math.cos(u / m[CELL_U] * 2.0 * math.pi) * _visible(m[CELL_U], 1.6 * fp)
+    seam = pulse(v / m[CELL_V], m[LINE] / m[CELL_V], fp / m[CELL_V])
+    return 0.5 + 0.5 * wave, seam * 0.7, 1.0 + 0.16 * wave, 1.0, 1.0
+
+
+@kernel
+def _carton(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
+    seed = int(m[SEED]) + variation
+    a, b = cell_hash(variation, 1, seed), cell_hash(variation, 2, seed)
+    tape = _step(0.03 - abs(u), fp) * 0.55 * (1.0 if v > 0.0 else 0.6)
+    width, height = 0.05 + 0.25 * hu * (0.5 + a), 0.04 + 0.3 * hv * (0.5 + b)
+    u0, v0 = -0.85 * hu + a * (1.5 * hu - width), 0.2 * hv + b * (1.5 * hv - height)
+    label = _inside(u, v, u0, v0, u0 + width, v0 + height, fp)
+    text = pulse(v / 0.035, 0.45, fp / 0.035) * _inside(u, v, u0 + 0.02, v0 + 0.02, u0 + width - 0.03, v0 + height - 0.02, fp)
+    text *= _step(cell_hash(int(math.floor(u / 0.02)), int(math.floor(v / 0.035)), seed) - 0.3, 0.2)
+    edge = 1.0 - 0.18 * (1.0 - _inside(u, v, -hu + 0.012, 0.012, hu - 0.012, 2.0 * hv - 0.012, fp + 0.01))
+    return tape * (1.0 - label), label, edge * (1.0 - 0.75 * text * label), 1.0, 1.0
+
+
+@kernel
+def _picture(m, table, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
+    line, seed = m[LINE], int(m[SEED]) + variation
+    frame = 1.0 - _inside(u, v, -hu + line, line, hu - line, 2.0 * hv - line, fp)
+    mount = 1.0 - _inside(u, v, -hu + 2.4 * line, 2.4 * line, hu - 2.4 * line, 2.0 * hv - 2.4 * line, fp)
+    x, y = u / hu, v / hv
+    ridge = 0.9 + 0.9 * fractal_noise(table, 1.3 * x, 0.0, seed, fp / hu, 4)
+    paint = fractal_noise(table, 2.0 * x, 2.5 * y, seed + 8, 2.0 * fp / hu, 4)
+    land = _step(ridge - y, 0.05 + fp / hv)
+    other = min(1.0, max(0.0, land + 0.6 * paint))
+    lightness = 0.75 + 0.5 * y * (1.0 - land) + 0.9 * paint
+    if cell_hash(seed, 4, 4) < 0.45:
+        other, _, lightness, _, _ = _collage(m, u, v, fp, variation)
+    if mount > 0.0:
+        lightness += (1.5 - lightness) * mount
+        other *= 1.0 - mount
+    return other, frame, lightness + (1.0 - lightness) * frame, 1.0, 1.0
+
+
+@kernel
+def _books(m, u, v, hv, fp, variation):  # type: ignore[no-untyped-def]
+    seed = int(m[SEED]) + variation
+    cell = math.floor(u / m[CELL_U])
+    shift = cell_hash(int(cell), 9, seed) * 0.5
+    inner = math.floor(u / m[CELL_U] + shift)
+    a, b = cell_hash(int(inner), 1, seed), cell_hash(int(inner), 2, seed)
+    top = 2.0 * hv * (0.68 + 0.3 * a)
+    gap = 1.0 - _step(top - v, fp)
+    side = pulse(u / m[CELL_U] + shift, 0.1, fp / m[CELL_U])
+    title = _inside(0.0, v, -1.0, 0.55 * top, 1.0, (0.62 + 0.2 * b) * top, fp) * (1.0 if a < 0.6 else 0.0)
+    visible = _visible(m[CELL_U], fp)
+    third = 0.3 + visible * ((1.0 if b > 0.7 else 0.0) - 0.3)
+    lightness = 1.0 + visible * (0.45 + 1.1 * cell_hash(int(inner), 3, seed) - 1.0) + 0.5 * title * visible
+    lightness *= (1.0 - 0.85 * gap) * (1.0 - 0.5 * side)
+    return 0.5 + visible * (b - 0.5), third * (1.0 - gap), lightness, 1.0 - gap, 1.0
+
+
+@kernel
+def _rug(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
+    margin = min(hu - abs(u), hv - abs(v - hv))
+    outer = _step(0.06 - margin, fp)
+    band = _step(margin - 0.14, fp) * _step(0.24 - margin, fp)
+    other, dot, _, _, _ = _wallpaper(m, u, v, fp)
+    inner = _step(margin - 0.24, fp)
+    return max(band, other * inner), max(outer, dot * inner), 1.0, 1.0, 1.0
+
+
+@kernel
+def _window(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
+    line, cu, cv = m[LINE], m[CELL_U], m[CELL_V]
+    glass = _inside(u, v, -hu + line, line, hu - line, 2.0 * hv - line, fp)
+    bars = 1.0 - (1.0 - pulse(u / cu + 0.5 * line / cu, line / cu, fp / cu)) * (1.0 - pulse(v / cv, line / cv, fp / cv))
+    glass *= 1.0 - bars
+    drawn = cell_hash(variation, 5, int(m[SEED]))
+    lightness = 0.7 + 0.6 * v / (2.0 * hv) + (0.6 if drawn > 0.6 else 0.0)
+    return glass, 1.0 - glass, 1.0 + glass * (lightness - 1.0), glass, 1.0
+
+
+@kernel
+def pattern_at(m, table, u, v, hu, hv, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
+    """Return the shares of the second and third colour and the factors on brightness, gloss and glow.
+
+    Args:
+        m: packed material.
+        table: of :func:`omnisyn_cli.scenes.noise.lattice`.
+        u, v: place on the face, metres; ``v`` grows upwards from 0.
+        hu, hv: half sizes of the face, metres.
+        x, y, z: place in the shape's own frame, metres.
+        fp: footprint, metres.
+        variation: number of the shape.
+    """
+    pattern = int(m[0])
+    result = (0.0, 0.0, 1.0, 1.0, 1.0)
+    if pattern == 1:
+        result = _brick(m, u, v, fp)
+    elif pattern == 2:
+        result = _tiles(m, u, v, fp)
+    elif pattern == 3:
+        result = _checker(m, u, v, fp)
+    elif pattern == 4:
+        result = _planks(m, table, u, v, fp)
+    elif pattern == 5:
+        result = _facade(m, u, v, hu, hv, fp)
+    elif pattern == 6:
+        result = _stripes(m, u, v, fp)
+    elif pattern == 7:
+        result = _collage(m, u, v, fp, variation)
+    elif pattern == 8:
+        result = _road(m, table, u, v, fp)
+    elif pattern == 9:
+        result = _grass(m, table, u, v, fp)
+    elif pattern == 10:
+        result = _wallpaper(m, u, v, fp)
+    elif pattern == 11:
+        clump = smooth_noise_3d(table, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
+        leaf = (smooth_noise_3d(table, x * 6.0, y * 6.0, z * 6.0, variation + 3) - 0.5) * _visible(0.12, fp)
+        result = (min(1.0, max(0.0, 0.5 + clump + leaf)), 0.0, 1.0 + 0.7 * clump + 0.9 * leaf, 1.0, 1.0)
+    elif pattern == 13:
+        result = _panels(m, u, v, fp)
+    elif pattern == 14:
+        result = _ribs(m, u, v, fp)
+    elif pattern == 15:
+        result = _carton(m, u, v, hu, hv, fp, variation)
+    elif pattern == 16:
+        result = _picture(m, table, u, v, hu, hv, fp, variation)
+    elif pattern == 17:
+        result = _books(m, u, v, hv, fp, variation)
+    elif pattern == 18:
+        result = _rug(m, u, v, hu, hv, fp)
+    elif pattern == 19:
+        result = _window(m, u, v, hu, hv, fp, variation)
+    if m[GRAIN] <= 0.0 or pattern == 8 or pattern == 9 or pattern == 11:
+        return result
+    size = m[GRAIN_SIZE]
+    noise = fractal_noise(table, (u + variation) / size, v / size, int(m[SEED]) + variation, fp / size, 4)
+    second, third, lightness, gloss, glow = result
+    if pattern == 0:  # stains
+        second = min(1.0, max(0.0, (noise + m[DETAIL] - 0.5) * 1.6))
+    return second, third, lightness * (1.0 + m[GRAIN] * 2.0 * noise), gloss, glow
+
+
+@kernel
+def is_hole(m, table, u, v, hv, x, y, z, variation):  # type: ignore[no-untyped-def]
+    """Tell whether a ray passes through the surface here: between leaves, bars or wires. Arguments as ``pattern_at``."""
+    pattern = int(m[0])
+    if pattern == 11:
+        size = m[CELL_U]
+        return smooth_noise_3d(table, x / size, y / size, z / size, int(m[SEED]) + variation) > 1.0 - 0.62 * m[DETAIL]
+    cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
+    if pattern == 12:
+        fence = u / cu
+        rail = v < line or v > 2.0 * hv - line or abs(v - 0.18 * hv) < 0.5 * line
+        return not rail and abs(fence - math.floor(fence) - 0.5) * cu > 0.5 * line
+    a, b = u / cu, v / cv
+    return abs(a - math.floor(a) - 0.5) * cu > 0.5 * line and abs(b - math.floor(b) - 0.5) * cv > 0.5 * line

@@ -1,0 +1,118 @@
+"""The large planes of a scene: façades, floors, ceilings.
+
+Seen from a panorama a plane is a *linear* function of the direction, ``inverse_depth = normal · direction``; fitting one is
+a 3×3 system.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+__all__ = ["find_planes"]
+
+BLOCKS = (12, 32, 64)
+"""Side lengths of the square windows, in pixels, that propose one plane each."""
+
+CHUNK = 6000
+ALMOST_LEVEL = 0.15
+
+
+def find_planes(
+    directions: Float[np.ndarray, "points 3"],
+    inverse_depth: Float[np.ndarray, " points"],
+    tolerance: Float[np.ndarray, " points"],
+    weight: Float[np.ndarray, " points"],
+    pixel: tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points"]],
+    up: Float[np.ndarray, "3"],
+    *,
+    count: int,
+    share: float,
+) -> Float[np.ndarray, "planes 3"]:
+    """Normals (inverse depth along them is their length) of at most ``count`` planes, best supported first.
+
+    Args:
+        directions: unit vectors.
+        inverse_depth: any unit; the normals have the same.
+        tolerance: how far off an inlier may be, per point, same unit.
+        weight: solid angle of each point.
+        pixel: row and column of each point, for windows of neighbours.
+        up: unit vector; level planes are proposed by one point, upright ones by two.
+        count: most planes to look for.
+        share: a plane has to explain this share of the total weight.
+
+    Source: greedy multi-model RANSAC; fixed seed, so equal inputs give equal planes.
+    """
+    if len(directions) < 100:
+        return np.zeros((0, 3))
+    rng = np.random.default_rng(0)
+    proposals = np.concatenate(
+        [
+            *(_windows(directions, inverse_depth, tolerance, pixel, block) for block in BLOCKS),
+            _level(directions, inverse_depth, up, rng),
+            _upright(directions, inverse_depth, up, rng),
+        ]
+    )
+    chosen = rng.choice(len(directions), min(CHUNK, len(directions)), replace=False)
+    d, rho, tol, w = directions[chosen], inverse_depth[chosen], tolerance[chosen], weight[chosen].astype(np.float32)
+    inliers = (np.abs(proposals @ d.T - rho) < tol).astype(np.float32)
+    total, planes = float(w.sum()), []
+    for _ in range(count):
+        support = inliers @ w
+        best = int(support.argmax())
+        if support[best] < share * total:
+            break
+        normal = _polish(proposals[best], d, rho, tol, w > 0)
+        planes.append(normal)
+        w[(np.abs(d @ normal - rho) < 1.5 * tol) | (inliers[best] > 0)] = 0.0
+    return np.array(planes).reshape(-1, 3)
+
+
+def _windows(d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, np.ndarray], block: int) -> np.ndarray:
+    """One robust fit per square window of pixels."""
+    row, col = pixel[0] // block, pixel[1] // block
+    _, group = np.unique(row * (col.max() + 1) + col, return_inverse=True)
+    size = int(group.max()) + 1
+    base = 1.0 / tol**2
+    w, normal = base, np.zeros((size, 3))
+    for _ in range(3):
+        normal = _solve(d, rho, w, group, size)
+        w = base / (1.0 + ((np.einsum("ij,ij->i", normal[group], d) - rho) / tol) ** 2)
+    return normal[np.bincount(group, minlength=size) > 12]
+
+
+def _solve(d: np.ndarray, rho: np.ndarray, w: np.ndarray, group: np.ndarray, size: int) -> np.ndarray:
+    matrix, vector = np.empty((size, 3, 3)), np.empty((size, 3))
+    for i in range(3):
+        vector[:, i] = np.bincount(group, w * d[:, i] * rho, size)
+        for j in range(3):
+            matrix[:, i, j] = np.bincount(group, w * d[:, i] * d[:, j], size)
+    ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
+    return np.asarray(np.linalg.solve(matrix + ridge[:, None, None] * np.eye(3), vector[..., None])[..., 0])
+
+
+def _level(d: np.ndarray, rho: np.ndarray, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    height = d @ up
+    steep = np.flatnonzero(np.abs(height) > ALMOST_LEVEL)
+    if len(steep) == 0:
+        return np.zeros((0, 3))
+    sample = rng.choice(steep, min(400, len(steep)), replace=False)
+    return np.asarray((rho[sample] / height[sample])[:, None] * up)
+
+
+def _upright(d: np.ndarray, rho: np.ndarray, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    east = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    east /= np.linalg.norm(east)
+    across = np.stack([east, np.cross(up, east)])
+    pair = rng.integers(len(d), size=(800, 2))
+    matrix = d[pair] @ across.T
+    pair, matrix = pair[np.abs(np.linalg.det(matrix)) > 0.05], matrix[np.abs(np.linalg.det(matrix)) > 0.05]
+    return np.asarray(np.linalg.solve(matrix, rho[pair][..., None])[..., 0] @ across)
+
+
+def _polish(normal: np.ndarray, d: np.ndarray, rho: np.ndarray, tol: np.ndarray, free: np.ndarray) -> np.ndarray:
+    for _ in range(3):
+        residual = (d @ normal - rho) / tol
+        w = free * (np.abs(residual) < 2) / (tol**2 * (1.0 + residual**2))
+        normal = _solve(d, rho, w, np.zeros(len(d), np.int64), 1)[0]
+    return normal

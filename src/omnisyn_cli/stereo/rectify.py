@@ -1,0 +1,101 @@
+"""Both panoramas of a pair turned until epipolar lines are meridians, and estimates turned back.
+
+Everything between is dimensionless: distances count in baselines, so inverse depth is ``ρ · baseline``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.types import View
+
+__all__ = ["RectifiedPair", "rectify", "resize_area"]
+
+UP = np.array([0.0, 1.0, 0.0])
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+"""Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """Two images of one orientation; the second camera lies at the zenith (+y) of the first.
+
+    Attributes:
+        first, second: ``(height, width, 3)`` float32 RGB in [0, 1].
+        first_usable, second_usable: ``(height, width)``; False where a mask forbids it.
+        world_from_frame: ``(3, 3)`` orientation of both.
+        baseline: metres.
+    """
+
+    first: Float[np.ndarray, "height width 3"]
+    second: Float[np.ndarray, "height width 3"]
+    first_usable: Bool[np.ndarray, "height width"]
+    second_usable: Bool[np.ndarray, "height width"]
+    world_from_frame: Float[np.ndarray, "3 3"]
+    baseline: float
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """``(height, width)`` of the images."""
+        return self.first.shape[0], self.first.shape[1]
+
+    @property
+    def up(self) -> Float[np.ndarray, "3"]:
+        """The world's up in the frame of the pair."""
+        return np.asarray(self.world_from_frame.T @ UP)
+
+    def reversed(self) -> RectifiedPair:
+        """The same pair seen from the second panorama."""
+        images = [flip(x) for x in (self.second, self.first, self.second_usable, self.first_usable)]
+        return RectifiedPair(*images, self.world_from_frame @ HALF_TURN, self.baseline)
+
+    def half(self) -> RectifiedPair:
+        """The pair at half the size."""
+        size = (self.size[0] // 2, self.size[1] // 2)
+        usable = [resize_area(x.astype(np.float32), size) > 0.99 for x in (self.first_usable, self.second_usable)]
+        images = [resize_area(x, size) for x in (self.first, self.second)]
+        return RectifiedPair(*images, *usable, self.world_from_frame, self.baseline)
+
+    def to_camera(self, values: np.ndarray, pose: Pose, size: tuple[int, int]) -> np.ndarray:
+        """An image of the first panorama in this frame, as the camera held it (nearest pixel: edges stay edges)."""
+        directions = pixel_directions(*size) @ (self.world_from_frame.T @ pose.rotation).T
+        return np.asarray(sample_nearest(values, directions))
+
+
+def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
+    """The pair at ``size = (height, width)``; raises ValueError for equal positions."""
+    frame, _, baseline = epipole_frame(first.pose, second.pose)
+    images = [_turn(resize_area(v.image, size), v.pose, frame, size) for v in (first, second)]
+    usable = [_turn_mask(v, frame, size) for v in (first, second)]
+    return RectifiedPair(images[0], images[1], usable[0], usable[1], frame.rotation, baseline)
+
+
+def flip(values: np.ndarray) -> np.ndarray:
+    """An image upside down: what :meth:`RectifiedPair.reversed` does to a map."""
+    return np.ascontiguousarray(values[::-1, ::-1])
+
+
+def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Averages over the source pixels when shrinking, bilinear when growing; seam and poles need no care."""
+    if image.shape[:2] == size:
+        return np.asarray(image, np.float32)
+    return np.asarray(cv2.resize(image.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA))
+
+
+def _turn(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:
+    directions = pixel_directions(*size) @ (pose.rotation.T @ frame.rotation).T
+    return np.asarray(sample_bilinear(image, directions), np.float32)
+
+
+def _turn_mask(view: View, frame: Pose, size: tuple[int, int]) -> np.ndarray:
+    if view.mask is None:
+        return np.ones(size, bool)
+    return _turn(resize_area(view.mask.astype(np.float32), size), view.pose, frame, size) > 0.99

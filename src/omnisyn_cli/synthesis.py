@@ -1,0 +1,175 @@
+"""The paper on one page: depth → mesh → render both → fuse, for every position between two panoramas.
+
+``DepthEstimator`` finds inverse depth for both views of a pair, each becomes a surface (:mod:`omnisyn_cli.render`), both are
+seen from every waypoint and a ``Fuser`` makes one picture of the two (:mod:`omnisyn_cli.fusion`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.render.renderer import Renderer, make_renderer
+from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
+
+__all__ = ["Frame", "Segment", "Stopwatch", "SynthesisOptions", "prepare_segment", "synthesize"]
+
+
+@dataclass(frozen=True)
+class SynthesisOptions:
+    """How frames are made.
+
+    Attributes:
+        size: height and width of the frames.
+        renderer: ``mesh``, ``points`` or ``two-pass``.
+        cut: where meshes are cut.
+        threads: at most this many; None is one per core.
+    """
+
+    size: tuple[int, int]
+    renderer: str = "mesh"
+    cut: Cut = field(default_factory=Cut)
+    threads: int | None = None
+
+
+class Stopwatch:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time what happens inside."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - begin
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Two neighbouring views with their depth, ready to be rendered; ``index`` is that of the first."""
+
+    index: int
+    views: tuple[View, View]
+    depths: tuple[DepthEstimate, DepthEstimate]
+    renderers: tuple[Renderer, Renderer]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of the video.
+
+    Attributes:
+        image: ``(height, width, 3)`` RGB, >= 0; a buffer that the next frame overwrites.
+        waypoint: where it was taken.
+        panorama: index of the panorama that is shown unchanged, if it is shown unchanged and unturned, else None.
+    """
+
+    image: Float32[np.ndarray, "height width 3"]
+    waypoint: Waypoint
+    panorama: int | None
+
+
+def prepare_segment(
+    index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch
+) -> Segment:
+    """Depth and surfaces of a pair."""
+    with clock("depth"):
+        depths = estimator(first, second)
+    with clock("mesh"):
+        renderers = [
+            make_renderer(
+                options.renderer, view.image, view.mask, depth.inverse_depth, depth.confidence,
+                options.size, options.cut, options.threads,
+            )
+            for view, depth in zip((first, second), depths, strict=True)
+        ]  # fmt: skip
+    return Segment(index, (first, second), depths, (renderers[0], renderers[1]))
+
+
+def synthesize(
+    views: Sequence[View],
+    path: Sequence[Waypoint],
+    estimator: DepthEstimator,
+    options: SynthesisOptions,
+    fuser: Fuser | None = None,
+    clock: Stopwatch | None = None,
+) -> Iterator[Frame | Segment]:
+    """All frames of a path, in order; each segment is yielded once before its first frame.
+
+    Args:
+        views: the panoramas of the chain, in order.
+        path: waypoints with ascending segments, see :func:`omnisyn_cli.trajectory.plan_path`.
+        estimator: finds the depth of each pair.
+        options: size and method.
+        fuser: joins the two renderings; geometric by default.
+        clock: collects seconds by stage.
+    """
+    clock = clock or Stopwatch()
+    fuser = fuser or GeometricFuser(options.size, threads=options.threads)
+    segment: Segment | None = None
+    current = -1
+    for waypoint in path:
+        panorama = _panorama_at(views, waypoint)
+        if panorama is not None and _is_complete(views[panorama]):
+            yield _photograph(views[panorama], waypoint, panorama, options, clock)
+            continue
+        if segment is None or waypoint.segment != current:
+            current = waypoint.segment
+            segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
+            yield segment
+        yield Frame(_fused(segment, waypoint, fuser, clock), waypoint, None)
+
+
+def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:
+    """The panorama whose place this is."""
+    if waypoint.t not in (0.0, 1.0):
+        return None
+    return waypoint.segment + int(waypoint.t)
+
+
+def _is_complete(view: View) -> bool:
+    return view.mask is None or bool(view.mask.all())
+
+
+def _photograph(view: View, waypoint: Waypoint, index: int, options: SynthesisOptions, clock: Stopwatch) -> Frame:
+    """The panorama itself; resampled only where size or orientation differ."""
+    is_turned = not np.array_equal(view.pose.rotation, waypoint.pose.rotation)
+    if not is_turned and view.image.shape[:2] == options.size:
+        return Frame(view.image, waypoint, index)
+    with clock("render"):
+        turn = Pose(waypoint.pose.rotation.T @ view.pose.rotation, np.zeros(3))
+        image = turned_panorama(view.image, turn, options.size, options.threads)
+    return Frame(image, waypoint, None)
+
+
+def turned_panorama(
+    image: np.ndarray, target_from_source: Pose, size: tuple[int, int], threads: int | None = None
+) -> Float32[np.ndarray, "height width 3"]:
+    """A panorama seen from its own centre in another orientation and size; no surface is needed for that."""
+    return np.ascontiguousarray(Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3])
+
+
+def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, clock: Stopwatch) -> Float32[np.ndarray, "h w 3"]:
+    world_to_target = waypoint.pose.inverse()
+    renderings = []
+    with clock("render"):
+        for view, renderer in zip(segment.views, segment.renderers, strict=True):
+            target_from_source = world_to_target @ view.pose
+            renderings.append(Rendering(*renderer(target_from_source), target_from_source))
+    with clock("fuse"):
+        return fuser(renderings[0], renderings[1], waypoint.t)

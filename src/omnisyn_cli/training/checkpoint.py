@@ -1,0 +1,39 @@
+"""One file with everything to go on training, written so that a kill at any moment leaves a whole one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from omnisyn_cli.errors import InputError
+
+__all__ = ["load_checkpoint", "save_checkpoint"]
+
+
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write beside ``path``, then rename over it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(path.suffix + ".partial")
+    with partial.open("wb") as file:
+        torch.save(state, file)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """The state, on the CPU. Only tensors and plain values are accepted: a checkpoint cannot run code.
+
+    Raises:
+        InputError: no such file, or no checkpoint.
+    """
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise InputError(f"expected a checkpoint at {path}, found no file; give the path `train` wrote to") from None
+    except Exception as error:
+        raise InputError(f"expected a checkpoint in {path}, got a file torch cannot read: {error}") from error
+    return state

@@ -1,0 +1,133 @@
+"""What the depth network is told about its answers, and the figures it is judged by.
+
+Targets are roots (the square root of inverse depth × baseline, see :mod:`omnisyn_cli.networks.depth`); every mean over
+pixels is weighted by the sine of the polar angle, that is, by solid angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from omnisyn_cli.geometry.sphere import pixel_to_angles
+from omnisyn_cli.networks.depth import DepthPrediction
+
+__all__ = ["DepthScores", "depth_loss", "depth_scores", "polar_weights"]
+
+STAGE_WEIGHT = 0.5
+"""Weight of the coarse estimates together (the paper's 0.5 × low head)."""
+
+RELATIVE_FLOOR = 0.1
+"""Errors count more where the root is small: the weight is 1 + ¼ / (floor + root)."""
+
+GRADIENT_WEIGHT = 0.5
+CONFIDENCE_WEIGHT = 0.05
+
+RIGHT_WITHIN = 1.1
+"""A depth is called right, in the confidence, when it is within this factor of the truth."""
+
+FARTHEST = 1e-3
+"""Inverse depth × baseline below this is called infinitely far when confidence is judged."""
+
+SCORED_DEPTH = (1.0, 50.0)
+"""Metres between which depth is scored (the paper's range)."""
+
+
+def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
+    """Sine of the polar angle of every row, divided by its mean."""
+    height, width = like.shape[-2:]
+    row = torch.arange(height, dtype=like.dtype, device=like.device)
+    sine = torch.sin(pixel_to_angles(row, row, (height, width))[1])
+    return (sine / sine.mean())[:, None]
+
+
+def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
+    """Sum of all terms, a scalar: L1 of every stage, L1 of the final gradients, log-loss of the confidence.
+
+    Coarse estimates are compared with the target's own pixels (a mean across an edge would be on neither side).
+
+    Source: OmniSyn, section 3.6, in the root instead of inverse depth itself.
+    """
+    *coarse, final = prediction.roots
+    loss = _root_error(final, target).mean() + GRADIENT_WEIGHT * _gradient_error(final, target)
+    for root in coarse:
+        stride = target.shape[-1] // root.shape[-1]
+        thinned = target[..., stride // 2 :: stride, stride // 2 :: stride]
+        loss = loss + STAGE_WEIGHT / len(coarse) * _root_error(root, thinned).mean()
+    right = _is_right(prediction.inverse_depth(), target.square())
+    confidence = F.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
+    return loss + CONFIDENCE_WEIGHT * (confidence * polar_weights(target)).mean()
+
+
+def _root_error(root: Tensor, target: Tensor) -> Tensor:
+    """Weighted L1; an estimate below zero is right where the target is zero."""
+    error = torch.where(target > 0, (root - target).abs(), root.clamp(min=0.0))
+    return error * (1.0 + 0.25 / (RELATIVE_FLOOR + target)) * polar_weights(target)
+
+
+def _gradient_error(root: Tensor, target: Tensor) -> Tensor:
+    """L1 of the difference to the right (over the seam) and downward neighbour, with edges of the target forgiven.
+
+    Where the target jumps by more than a tenth the position of the edge is left to the plain L1.
+    """
+    weights = polar_weights(target)
+    total = torch.zeros((), dtype=root.dtype, device=root.device)
+    for dimension in (-1, -2):
+        step = root.roll(-1, dimension) - root
+        true_step = target.roll(-1, dimension) - target
+        error = (step - true_step).abs() * (true_step.abs() < 0.1) * weights
+        total = total + (error if dimension == -1 else error[..., :-1, :]).mean()
+    return total
+
+
+def _is_right(inverse_depth: Tensor, target: Tensor) -> Tensor:
+    with torch.no_grad():
+        larger = torch.maximum(inverse_depth, target).clamp(min=FARTHEST)
+        smaller = torch.minimum(inverse_depth, target).clamp(min=FARTHEST)
+        return (larger < RIGHT_WITHIN * smaller).to(inverse_depth.dtype)
+
+
+@dataclass(frozen=True)
+class DepthScores:
+    """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m.
+
+    Attributes:
+        imae: mean absolute error of inverse depth, 1/m.
+        delta_5: share of pixels whose depth is within a factor of 1.05.
+        delta_10: the same for 1.10.
+        delta_25: the same for 1.25.
+        confidence_error: mean of |confidence − (within a factor of 1.1)|.
+        sky_zero: share of the pixels at infinity that are predicted below 1e-3 (times baseline); NaN without sky.
+    """
+
+    imae: float
+    delta_5: float
+    delta_10: float
+    delta_25: float
+    confidence_error: float
+    sky_zero: float
+
+
+@torch.no_grad()
+def depth_scores(
+    prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, "batch"]
+) -> DepthScores:
+    """Compare an estimate with true roots; ``baseline`` in metres."""
+    scale = baseline.view(-1, 1, 1, 1)
+    estimate, truth = prediction.inverse_depth() / scale, target.square() / scale
+    scored = (truth < 1.0 / SCORED_DEPTH[0]) & (truth > 1.0 / SCORED_DEPTH[1])
+    ratio = torch.maximum(estimate / truth, truth / estimate.clamp(min=1e-6))[scored]
+    right = _is_right(prediction.inverse_depth(), target.square())
+    sky = target == 0
+    return DepthScores(
+        imae=float((estimate - truth).abs()[scored].mean()),
+        delta_5=float((ratio < 1.05).float().mean()),
+        delta_10=float((ratio < 1.10).float().mean()),
+        delta_25=float((ratio < 1.25).float().mean()),
+        confidence_error=float((prediction.confidence() - right).abs().mean()),
+        sky_zero=float((prediction.inverse_depth()[sky] < FARTHEST).float().mean()),
+    )

@@ -1,0 +1,106 @@
+"""Filling a pool: procedural scenes rendered straight into the epipole frame, by worker processes.
+
+What differs between two photographs beyond colour is made here: how far apart they were taken, and small errors of the
+poses (each view is turned by a fraction of a degree that nobody is told).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
+from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.scenes import generate_scene, render_views, sample_path
+from omnisyn_cli.training.data import PoolScene, save_scene
+
+__all__ = ["PoolConfig", "fill_pool", "render_pool_scene"]
+
+STOPS = 9
+"""Positions along a path that views are chosen from; the ends are always taken."""
+
+
+@dataclass(frozen=True)
+class PoolConfig:
+    """How a pool is rendered.
+
+    Attributes:
+        size: ``(height, width)`` of every view.
+        views: per scene; n views make n·(n−1) training pairs.
+        kinds: of scenes, in turn by seed.
+        turned: share of scenes whose views have pose errors.
+        turned_by: standard deviation of those, radians.
+        supersample: colour samples per pixel along each axis.
+    """
+
+    size: tuple[int, int] = (256, 512)
+    views: int = 3
+    kinds: tuple[str, ...] = ("room", "street")
+    turned: float = 0.3
+    turned_by: float = 0.0015
+    supersample: int = 2
+
+
+def render_pool_scene(seed: int, config: PoolConfig) -> PoolScene:
+    """The scene of a seed, seen from a few positions along a line; equal seeds give equal scenes.
+
+    Raises:
+        ValueError: the scene has no room for a path.
+    """
+    rng = np.random.default_rng([7, seed])
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    path = sample_path(scene, seed, STOPS)
+    between = np.sort(rng.choice(np.arange(1, STOPS - 1), config.views - 2, replace=False))
+    chosen = [path[0], *(path[i] for i in between), path[-1]]
+    frame = epipole_frame(path[0], path[-1])[0].rotation
+    spread = config.turned_by if rng.random() < config.turned else 0.0
+    images, depths = [], []
+    for pose in chosen:
+        turned = rotation_from_rotation_vector(spread * rng.standard_normal(3)) @ frame
+        image, depth = render_views(
+            scene, turned, pose.position[None], config.size, supersample=config.supersample, threads=1
+        )
+        images.append((image[0] * 255.0 + 0.5).astype(np.uint8))
+        depths.append(depth[0])
+    along = [float(np.linalg.norm(pose.position - chosen[0].position)) for pose in chosen]
+    return PoolScene(np.stack(images), 1.0 / np.stack(depths), np.array(along, dtype=np.float32))
+
+
+def fill_pool(folder: Path, seeds: range, config: PoolConfig, *, workers: int = 1) -> Iterator[Path]:
+    """Render the scenes that are not there yet, in worker processes that give way to everything else.
+
+    Yields each file as it is finished, in any order. Seeds whose scene has no room for a path are skipped.
+    """
+    missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_give_way) as executor:
+        futures = [executor.submit(_render_to_file, folder, seed, config) for seed in missing]
+        for future in as_completed(futures):
+            path = future.result()
+            if path is not None:
+                yield path
+
+
+def scene_path(folder: Path, seed: int) -> Path:
+    """Where the scene of a seed lies in a pool."""
+    return folder / f"{seed:08d}.npz"
+
+
+def _give_way() -> None:
+    if hasattr(os, "nice"):
+        os.nice(19)
+
+
+def _render_to_file(folder: Path, seed: int, config: PoolConfig) -> Path | None:
+    try:
+        scene = render_pool_scene(seed, config)
+    except ValueError:
+        return None
+    path = scene_path(folder, seed)
+    save_scene(path, scene)
+    return path

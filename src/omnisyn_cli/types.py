@@ -1,0 +1,88 @@
+"""The values that travel between the layers: frozen dataclasses with shaped fields."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.pose import Pose
+
+__all__ = ["DepthEstimate", "DepthEstimator", "Fuser", "KnownDepth", "Rendering", "View"]
+
+
+@dataclass(frozen=True)
+class DepthEstimate:
+    """What is known about the distances around one panorama, in its own equirectangular frame.
+
+    Attributes:
+        inverse_depth: ``(height, width)`` 1/metre, finite and >= 0; 0 is infinitely far.
+        confidence: ``(height, width)`` in [0, 1]; 0 where the value is a guess.
+    """
+
+    inverse_depth: Float[np.ndarray, "height width"]
+    confidence: Float[np.ndarray, "height width"]
+
+
+@dataclass(frozen=True)
+class View:
+    """A posed panorama.
+
+    Attributes:
+        image: ``(height, width, 3)`` RGB in [0, 1], equirectangular.
+        pose: world-from-camera.
+        mask: ``(height, width)``, True where the image may be used; ``None`` means everywhere.
+        known_depth: depth that came with the panorama, at a resolution of its own; ``None`` if there is none.
+    """
+
+    image: Float[np.ndarray, "height width 3"]
+    pose: Pose
+    mask: Bool[np.ndarray, "height width"] | None = None
+    known_depth: DepthEstimate | None = None
+
+
+class DepthEstimator(Protocol):
+    """Anything that finds the depth of both panoramas of a pair."""
+
+    def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        """Estimates for ``first`` and for ``second``, each in its own frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One view's surface as a target sees it.
+
+    Attributes:
+        inverse_depth: ``(height, width)`` 1/metre from the target; negative where nothing is seen.
+        colour: ``(height, width, 4)`` RGB and, last, how much it is worth in a blend: in [0, 1], 0 where nothing is seen.
+        target_from_source: the transform it was rendered with.
+    """
+
+    inverse_depth: Float32[np.ndarray, "height width"]
+    colour: Float32[np.ndarray, "height width 4"]
+    target_from_source: Pose
+
+
+class KnownDepth:
+    """The depth that came with the panoramas; implements :class:`DepthEstimator`."""
+
+    def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        """``known_depth`` of both.
+
+        Raises:
+            ValueError: a view has none.
+        """
+        if first.known_depth is None or second.known_depth is None:
+            raise ValueError("expected views with known depth, got one without; choose another depth method")
+        return first.known_depth, second.known_depth
+
+
+class Fuser(Protocol):
+    """Anything that makes one picture of the renderings of two views."""
+
+    def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
+        """The picture at a share ``t`` of the way from the first to the second; the next call may overwrite it."""
+        ...

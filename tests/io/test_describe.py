@@ -1,0 +1,87 @@
+"""``describe_file`` and ``omnisyn info`` tell what is in a file, and go on after one that cannot be used."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from io_samples import smooth_image, write_with
+
+from omnisyn_cli.cli.info import info
+from omnisyn_cli.io import open_video, write_depth
+from omnisyn_cli.io.describe import describe_file
+
+GPS = {
+    "GPS:Latitude": ("float[3]", (48.0, 30.0, 36.0)),
+    "GPS:LatitudeRef": "S",
+    "GPS:Longitude": ("float[3]", (11.0, 0.0, 0.0)),
+    "GPS:LongitudeRef": "E",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_with(tmp_path / "a.jpg", smooth_image(), **GPS, **{"GPano:PoseHeadingDegrees": 12.0})
+    depth = np.full((4, 8), 2.0, np.float32)
+    depth[0] = np.inf
+    write_depth(tmp_path / "a_depth.exr", depth)
+    entry = {"rotation": [1, 0, 0, 0]}
+    poses = {
+        "a.jpg": {**entry, "position": [0, 0, 0], "depth": "a_depth.exr"},
+        "b.jpg": {**entry, "position": [0, 3, 4]},
+    }
+    (tmp_path / "poses.json").write_text(json.dumps({"version": 1, "panoramas": poses}))
+    with open_video(tmp_path / "v.mp4", size=(32, 64), fps=10, preset="ultrafast") as sink:
+        for _ in range(5):
+            sink.write(smooth_image())
+    return tmp_path
+
+
+def test_a_panorama_is_described(folder: Path) -> None:
+    seen = describe_file(folder / "a.jpg")
+    assert (seen["kind"], seen["width"], seen["height"], seen["usable"]) == ("panorama", 64, 32, True)
+    assert seen["gps"] == {"latitude": pytest.approx(-48.51), "longitude": 11.0}
+    assert seen["gpano"] == {"PoseHeadingDegrees": 12.0}
+
+
+def test_depth_is_described(folder: Path) -> None:
+    seen = describe_file(folder / "a_depth.exr")
+    assert (seen["kind"], seen["nearest_metres"], seen["infinite_share"]) == ("depth", 2.0, 0.25)
+
+
+def test_poses_are_described(folder: Path) -> None:
+    seen = describe_file(folder / "poses.json")
+    assert seen["steps_metres"] == [5.0]
+    assert [(row["image_exists"], row["depth_exists"]) for row in seen["panoramas"]] == [(True, True), (False, None)]
+
+
+def test_a_video_is_described(folder: Path) -> None:
+    seen = describe_file(folder / "v.mp4")
+    assert (seen["codec"], seen["width"], seen["height"], seen["fps"]) == ("h264", 64, 32, 10.0)
+    assert seen["duration_seconds"] == pytest.approx(0.5)
+    assert seen["colour"][:2] == ["tv", "bt709"]
+    assert seen["spherical"]["version_1"]
+    assert seen["spherical"]["version_2"]
+
+
+def test_info_goes_on_after_errors_and_ends_with_exit_code_3(folder: Path) -> None:
+    (folder / "text.mp4").write_text("no video")
+    write_with(folder / "tall.png", smooth_image(64, 32))
+    names = ["none.png", "text.mp4", "tall.png", "a.jpg", "poses.json", "v.mp4", "a_depth.exr"]
+    result = CliRunner().invoke(info, [str(folder / name) for name in names])
+    assert result.exit_code == 3
+    assert "no such file" in result.stderr
+    assert "text.mp4: expected a video" in result.stderr
+    assert "usable: no" in result.stdout
+    assert "steps metres: 5" in result.stdout
+
+
+def test_info_writes_json_that_json_can_read(folder: Path) -> None:
+    names = ["a.jpg", "poses.json", "v.mp4", "a_depth.exr"]
+    result = CliRunner().invoke(info, ["--json", *(str(folder / name) for name in names)])
+    assert result.exit_code == 0
+    assert [seen["kind"] for seen in json.loads(result.stdout)] == ["panorama", "poses", "video", "depth"]
+    broken = CliRunner().invoke(info, ["--json", str(folder / "none")])
+    assert broken.exit_code == 3
+    assert json.loads(broken.stdout)[0]["ok"] is False

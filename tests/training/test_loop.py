@@ -1,0 +1,113 @@
+import json
+
+import pytest
+import torch
+from training_samples import TINY, make_pool
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
+from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
+
+
+@pytest.fixture
+def config(tmp_path):
+    pool = str(make_pool(tmp_path / "pool"))
+    return TrainConfig(
+        pool, pool, size=(64, 128), batch=1, warmup_steps=2, validate_every=4, save_every=2, validation_pairs=2
+    )
+
+
+def equal(one, other):
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(equal, one, other))
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
+
+
+def test_a_stopped_run_goes_on_bit_for_bit(tmp_path, config):
+    train(TINY, config, tmp_path / "whole", steps=5)
+    train(TINY, config, tmp_path / "stopped", steps=2)
+    train(TINY, config, tmp_path / "stopped", steps=5)
+    whole, stopped = (load_checkpoint(tmp_path / name / "checkpoint.pt") for name in ("whole", "stopped"))
+    assert whole["step"] == 5
+    assert equal(whole, stopped)
+
+
+def test_the_log_holds_one_object_per_validation(tmp_path, config):
+    rows = []
+    train(TINY, config, tmp_path / "run", steps=8, report=rows.append)
+    logged = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in logged] == [4, 8]
+    assert len(rows) == 2
+    assert 0 <= logged[0]["delta_25"] <= 1
+
+
+def test_time_ends_a_run_after_a_whole_step(tmp_path, config):
+    assert train(TINY, config, tmp_path / "run", minutes=0.0).step == 1
+    assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")["step"] == 1
+
+
+def test_a_cool_down_takes_the_rate_to_zero_and_ends(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=3)
+    cooling = TrainConfig(**{**vars(config), "cooldown_steps": 3})
+    trainer = train(TINY, cooling, tmp_path / "run", steps=5)
+    assert 0 < trainer.rate() < config.rate
+    trainer = train(TINY, cooling, tmp_path / "run")
+    assert trainer.is_finished()
+    assert trainer.step == 6
+    assert trainer.rate() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_rate_rises_during_the_warm_up(config):
+    trainer = Trainer(TINY, config)
+    rates = []
+    for trainer.step in range(4):
+        rates.append(trainer.rate())
+    assert rates == [config.rate / 2, config.rate, config.rate, config.rate]
+
+
+def test_the_average_follows_the_weights(tmp_path, config):
+    trainer = train(TINY, config, tmp_path / "run", steps=3)
+    network, state = load_network(tmp_path / "run" / "checkpoint.pt")
+    assert state["step"] == 3
+    for name, value in network.state_dict().items():
+        assert torch.equal(value, trainer.average[name])
+    name = "encoder.stem.first.weight"
+    assert not torch.equal(trainer.average[name], trainer.network.state_dict()[name])
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(InputError, match="found no file"):
+        load_network(tmp_path / "missing.pt")
+    (tmp_path / "text.pt").write_text("no checkpoint")
+    with pytest.raises(InputError, match="cannot read"):
+        load_network(tmp_path / "text.pt")
+    save_checkpoint(tmp_path / "other.pt", {"kind": "fusion"})
+    with pytest.raises(InputError, match="fusion"):
+        load_network(tmp_path / "other.pt")
+
+
+def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, {"step": 1})
+
+    def killed(state, file):
+        file.write(b"half a")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", killed)
+    with pytest.raises(KeyboardInterrupt):
+        save_checkpoint(path, {"step": 2})
+    assert load_checkpoint(path) == {"step": 1}
+
+
+@pytest.mark.slow
+def test_one_pair_can_be_learned_by_heart(tmp_path):
+    pool = str(make_pool(tmp_path / "pool", scenes=1, along=(0.0, 1.0)))
+    config = TrainConfig(pool, pool, size=(64, 128), batch=2, rate=3e-3, ema=0.9, validate_every=100, validation_pairs=2)
+    rows = []
+    train(TINY, config, tmp_path / "run", steps=300, report=rows.append)
+    assert rows[-1]["delta_10"] > 0.9
+    assert isinstance(load_network(tmp_path / "run" / "checkpoint.pt")[0], DepthNetwork)

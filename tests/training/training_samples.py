@@ -1,0 +1,48 @@
+"""A scene in closed form: inside a ball with colours on its wall, seen from a line through it, and a small network."""
+
+import math
+
+import numpy as np
+
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.networks.depth import DepthConfig
+from omnisyn_cli.training.data import PoolScene, save_scene
+
+TINY = DepthConfig(
+    name="tiny",
+    size=(64, 128),
+    widths=(8, 12, 16, 16),
+    coarse_stride=8,
+    levels=16,
+    greatest_root=2.0,
+    match_channels=8,
+    match_groups=2,
+    hidden=16,
+    volume_filters=0,
+    refined_widths=(12, 8),
+    reach=2,
+)
+
+
+def ball_scene(seed=0, size=(64, 128), along=(0.0, 0.4, 1.0), radius=2.0):
+    """Views from the zenith axis, off centre; the wall's colours are waves in space."""
+    rng = np.random.default_rng(seed)
+    centre = np.array([*rng.uniform(-0.5, 0.5, 3)]) + np.array([0.0, 0.5, 0.0])
+    waves, phases = rng.normal(0.0, 2.5, (3, 4, 3)), rng.uniform(0, 2 * math.pi, (3, 4))
+    directions = pixel_directions(*size)
+    images, inverse_depths = [], []
+    for height in along:
+        offset = np.array([0.0, height, 0.0]) - centre
+        slope = directions @ offset
+        depth = -slope + np.sqrt(slope**2 - offset @ offset + radius**2)
+        points = offset + depth[..., None] * directions
+        colours = 0.5 + 0.12 * np.sin(np.einsum("hwi,cki->hwck", points, waves) + phases).sum(axis=-1)
+        images.append((colours.clip(0, 1) * 255 + 0.5).astype(np.uint8))
+        inverse_depths.append(1.0 / depth)
+    return PoolScene(np.stack(images), np.stack(inverse_depths), np.array(along, dtype=np.float32))
+
+
+def make_pool(folder, scenes=2, **options):
+    for seed in range(scenes):
+        save_scene(folder / f"{seed:08d}.npz", ball_scene(seed, **options))
+    return folder
