@@ -1,7 +1,7 @@
 """The paper on one page: depth → mesh → render both → fuse, for every position between two panoramas.
 
-``DepthEstimator`` finds inverse depth for both views of a pair, each becomes a surface (:mod:`omnisyn_cli.render`), both are
-seen from every waypoint and a ``Fuser`` makes one picture of the two (:mod:`omnisyn_cli.fusion`).
+``DepthEstimator`` finds inverse depth for both views of a pair, each becomes a surface (:mod:`omnisyn_cli.render`), both
+are seen from every waypoint and a ``Fuser`` makes one picture of the two (:mod:`omnisyn_cli.fusion`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
 from omnisyn_cli.render.shade import Shader, make_texture
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.trajectory import STILL, Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
-__all__ = ["Frame", "Segment", "Stopwatch", "SynthesisOptions", "prepare_segment", "synthesize"]
+__all__ = ["Frame", "Segment", "Stopwatch", "SynthesisOptions", "prepare_segment", "synthesize", "turned_panorama"]
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,10 @@ class Frame:
 def prepare_segment(
     index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch
 ) -> Segment:
-    """Depth and surfaces of a pair."""
+    """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for."""
     with clock("depth"):
-        depths = estimator(first, second)
+        is_moving = np.linalg.norm(second.pose.position - first.pose.position) > STILL
+        depths = estimator(first, second) if is_moving else (_infinitely_far(first), _infinitely_far(second))
     with clock("mesh"):
         renderers = [
             make_renderer(
@@ -99,6 +100,11 @@ def prepare_segment(
             for view, depth in zip((first, second), depths, strict=True)
         ]  # fmt: skip
     return Segment(index, (first, second), depths, (renderers[0], renderers[1]))
+
+
+def _infinitely_far(view: View) -> DepthEstimate:
+    size = view.image.shape[:2]
+    return DepthEstimate(np.zeros(size, np.float32), np.ones(size, np.float32))
 
 
 def synthesize(
@@ -129,7 +135,7 @@ def synthesize(
             yield _photograph(views[panorama], waypoint, panorama, options, clock)
             continue
         if segment is None or waypoint.segment != current:
-            current = waypoint.segment
+            current, segment = waypoint.segment, None  # the former segment's memory is free before the next one's is used
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
             yield segment
         yield Frame(_fused(segment, waypoint, fuser, clock), waypoint, None)
@@ -164,7 +170,7 @@ def turned_panorama(
     return np.ascontiguousarray(Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3])
 
 
-def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, clock: Stopwatch) -> Float32[np.ndarray, "h w 3"]:
+def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, clock: Stopwatch) -> Float32[np.ndarray, "height width 3"]:
     world_to_target = waypoint.pose.inverse()
     renderings = []
     with clock("render"):

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from itertools import pairwise
 
 __all__ = ["available_threads", "bands", "run_bands"]
 
@@ -24,7 +25,7 @@ def available_threads() -> int:
 def bands(rows: int, count: int) -> list[tuple[int, int]]:
     """``count`` (or fewer) contiguous ranges that cover ``range(rows)``."""
     edges = [rows * k // count for k in range(count + 1)]
-    return [(begin, end) for begin, end in zip(edges, edges[1:], strict=False) if end > begin]
+    return [(begin, end) for begin, end in pairwise(edges) if end > begin]
 
 
 def run_bands(kernel: Callable[[int, int], None], rows: int, threads: int | None = None) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking, slerp
 
-__all__ = ["EASES", "HEADINGS", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
+__all__ = ["EASES", "HEADINGS", "STILL", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
 
 Ease = Literal["linear", "smooth"]
 Heading = Literal["panoramas", "first", "fixed", "travel"]
@@ -72,11 +73,11 @@ def plan_path(
     return [_waypoint(poses, where, heading) for where in _places(_segment_lengths(poses), frames, ease)]
 
 
-def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, "segments"]:
-    return np.array([np.linalg.norm(b.position - a.position) for a, b in zip(poses, poses[1:], strict=False)])
+def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:
+    return np.array([np.linalg.norm(b.position - a.position) for a, b in pairwise(poses)])
 
 
-def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, "frames"]:
+def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, " frames"]:
     """For every frame segment + t, with one frame on every panorama.
 
     Segments of no length (a turn in place) take the mean time of the others.
@@ -95,14 +96,11 @@ def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, "
 
 def _frames_at_knots(way: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """The frame nearest to each panorama; every panorama gets one of its own, in order, the ends the ends."""
-    last = len(way) - 1
+    order, last = np.arange(len(knots)), len(way) - 1
     nearest = np.abs(way[None, :] - knots[:, None]).argmin(axis=1)
     nearest[0], nearest[-1] = 0, last
-    for k in range(1, len(nearest)):
-        nearest[k] = max(nearest[k], nearest[k - 1] + 1)
-    for k in range(len(nearest) - 1, 0, -1):
-        nearest[k - 1] = min(nearest[k - 1], nearest[k] - 1)
-    return nearest
+    later = np.maximum.accumulate(nearest - order) + order
+    return np.minimum(later, last - order[::-1])
 
 
 def _waypoint(poses: Sequence[Pose], where: float, heading: Heading) -> Waypoint:
@@ -113,8 +111,8 @@ def _waypoint(poses: Sequence[Pose], where: float, heading: Heading) -> Waypoint
     return Waypoint(segment, t, Pose(_rotation(poses, segment, t, heading), position))
 
 
-def _between(first: Pose, second: Pose, t: float) -> Float[np.ndarray, "3"]:
-    return (1.0 - t) * first.position + t * second.position
+def _between(first: Pose, second: Pose, t: float) -> np.ndarray:
+    return np.asarray((1.0 - t) * first.position + t * second.position)
 
 
 def _rotation(poses: Sequence[Pose], segment: int, t: float, heading: Heading) -> Float[np.ndarray, "3 3"]:
@@ -140,7 +138,7 @@ def _travel_rotation(poses: Sequence[Pose], segment: int, t: float) -> Float[np.
 
 
 def _level_direction(poses: Sequence[Pose], segment: int) -> Float[np.ndarray, "3 3"]:
-    """Rotation whose −z looks along a segment, level; a segment without a horizontal way borrows the nearest that has one."""
+    """Rotation whose −z looks along a segment, level; one without a horizontal way borrows from the nearest that has."""
     count = len(poses) - 1
     wanted = min(max(segment, 0), count - 1)
     for candidate in sorted(range(count), key=lambda k: (abs(k - wanted), k)):

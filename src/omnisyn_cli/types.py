@@ -57,7 +57,8 @@ class Rendering:
 
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre from the target; negative where nothing is seen.
-        colour: ``(height, width, 4)`` RGB and, last, how much it is worth in a blend: in [0, 1], 0 where nothing is seen.
+        colour: ``(height, width, 4)`` RGB and, last, how much it is worth in a blend: in [0, 1], 0 where nothing is
+            seen.
         target_from_source: the transform it was rendered with.
     """
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
+from torch.nn import functional
 
 from omnisyn_cli.networks.layers import (
     ResidualBlock,
@@ -68,8 +68,8 @@ def test_convex_upsampling_stays_within_the_neighbourhood_and_keeps_constants():
     fine = convex_upsample(x, torch.randn(2, 36, 4, 8))
     assert fine.shape == (2, 2, 8, 16)
     repeated = torch.cat([x[:, :, :1], x, x[:, :, -1:]], dim=2)
-    highest = F.max_pool2d(wrap_columns(repeated, 1, 1), 3, 1)
-    lowest = -F.max_pool2d(-wrap_columns(repeated, 1, 1), 3, 1)
+    highest = functional.max_pool2d(wrap_columns(repeated, 1, 1), 3, 1)
+    lowest = -functional.max_pool2d(-wrap_columns(repeated, 1, 1), 3, 1)
     for i in range(2):
         for j in range(2):
             assert torch.all(fine[:, :, i::2, j::2] <= highest + 1e-6)

@@ -106,7 +106,9 @@ def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_one_pair_can_be_learned_by_heart(tmp_path):
     pool = str(make_pool(tmp_path / "pool", scenes=1, along=(0.0, 1.0)))
-    config = TrainConfig(pool, pool, size=(64, 128), batch=2, rate=3e-3, ema=0.9, validate_every=100, validation_pairs=2)
+    config = TrainConfig(
+        pool, pool, size=(64, 128), batch=2, rate=3e-3, ema=0.9, validate_every=100, validation_pairs=2
+    )
     rows = []
     train(TINY, config, tmp_path / "run", steps=300, report=rows.append)
     assert rows[-1]["delta_10"] > 0.9

@@ -7,6 +7,8 @@ Source: Gortler et al., The Lumigraph, 1996, section 3.3.3.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float32
 
@@ -14,6 +16,9 @@ from omnisyn_cli.fusion.kernels import pull, push
 from omnisyn_cli.threads import run_bands
 
 __all__ = ["HoleFiller"]
+
+SMALL_LEVEL = 1 << 16
+"""Pixels."""
 
 
 class HoleFiller:
@@ -41,11 +46,11 @@ class HoleFiller:
         colours, weights = [image, *self._colours], [weight, *self._weights]
         colours[-1][:] = 0.0
         for level in range(len(colours) - 1):
-            fine, coarse = (colours[level], weights[level]), (colours[level + 1], weights[level + 1])
-            run_bands(lambda begin, end, f=fine, c=coarse: pull(*f, *c, begin, end), coarse[1].shape[0], self._use(coarse[1]))
+            self._run(pull, weights[level + 1], colours[level], weights[level], colours[level + 1], weights[level + 1])
         for level in range(len(colours) - 2, -1, -1):
-            fine, above = (colours[level], weights[level]), colours[level + 1]
-            run_bands(lambda begin, end, f=fine, a=above: push(a, *f, begin, end), fine[1].shape[0], self._use(fine[1]))
+            self._run(push, weights[level], colours[level + 1], colours[level], weights[level])
 
-    def _use(self, level: np.ndarray) -> int | None:
-        return self.threads if level.size > 1 << 16 else 1
+    def _run(self, kernel: Callable[..., None], written: np.ndarray, *arrays: np.ndarray) -> None:
+        """A kernel over the rows of the level it writes; small levels are not worth a second thread."""
+        threads = self.threads if written.size > SMALL_LEVEL else 1
+        run_bands(lambda begin, end: kernel(*arrays, begin, end), len(written), threads)

@@ -2,7 +2,8 @@
 
 A view counts for a pixel in proportion to
 
-* the share of the way, so that both ends are the photographs themselves;
+* the share of the way, so that both ends are the photographs themselves (what only one of the two shows is taken from
+  that one, at the ends as well);
 * the trust in its colour (masks, confidence of its depth, cut edges);
 * how near it was taken to what is seen, cubed: its picture of that place is the sharper one and its parallax is small;
 * agreement: where the two inverse depths differ, the nearer surface hides the farther one.
@@ -45,9 +46,7 @@ class BlendOptions:
 class GeometricFuser:
     """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads."""
 
-    def __init__(
-        self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None
-    ) -> None:
+    def __init__(self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None) -> None:
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
         self._tables = tuple(table.astype(np.float32) for table in direction_tables(*size))
         self._image, self._weight = np.empty((*size, 3), np.float32), np.empty(size, np.float32)

@@ -13,6 +13,9 @@ __all__ = ["blend_rows", "pull", "push", "quantize_rows"]
 FAR_PREFERENCE = 0.01
 """1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
 
+UNSEEN = np.float32(1e-4)
+"""A colour worth less than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
+
 
 @inlined(fastmath=True)
 def _nearness(rho, x, y, z, t):
@@ -36,9 +39,12 @@ def blend_rows(
             x, z = sp * sin_a[col], -sp * cos_a[col]
             rho_a, rho_b = first_rho[row, col], second_rho[row, col]
             near_a, near_b = max(rho_a, zero), max(rho_b, zero)
-            a = (one - t) * first[row, col, 3] * _nearness(near_a, x, y, z, first_offset)
-            b = t * second[row, col, 3] * _nearness(near_b, x, y, z, second_offset)
+            a = first[row, col, 3] * _nearness(near_a, x, y, z, first_offset)
+            b = second[row, col, 3] * _nearness(near_b, x, y, z, second_offset)
+            a = a if first[row, col, 3] > UNSEEN else zero
+            b = b if second[row, col, 3] > UNSEEN else zero
             if a > zero and b > zero:
+                a, b = (one - t) * a, t * b
                 gap = (near_a - near_b) / (max(near_a, near_b) * disagreement + np.float32(1e-9))
                 rest = max(math.exp(-gap * gap), hidden)
                 a, b = (a * rest, b) if gap < zero else (a, b * rest)

@@ -1,7 +1,7 @@
 """Rigid poses: where a panorama was taken and how it was held.
 
 A :class:`Pose` takes vectors of the camera's frame to the world: ``x_world = rotation · x_camera + position``.
-Frames stand in the names: ``a_from_b`` takes coordinates in b to coordinates in a, so ``a_from_c = a_from_b @ b_from_c``.
+Frames stand in the names: ``a_from_b`` takes coordinates in b to coordinates in a; ``a_from_c = a_from_b @ b_from_c``.
 Axes are those of :mod:`omnisyn_cli.geometry.sphere`; angles are radians, lengths metres, arrays float64.
 """
 
@@ -60,7 +60,8 @@ class Pose:
 
     def transform(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
         """Points ``(*batch, 3)`` taken from the camera's frame to the world."""
-        return np.squeeze(self.rotation @ points[..., None], -1) + self.position
+        moved: np.ndarray = np.squeeze(self.rotation @ points[..., None], -1) + self.position
+        return moved
 
     def almost_equals(self, other: Pose, *, metres: float = 1e-9, radians: float = 1e-9) -> bool:
         """Whether both poses agree everywhere within the given tolerances."""
@@ -101,7 +102,7 @@ def quaternion_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float
     )
     longest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     column = np.take_along_axis(outer, longest[..., None, None], axis=-2)[..., 0, :]
-    quaternion = column / np.linalg.norm(column, axis=-1, keepdims=True)
+    quaternion: np.ndarray = column / np.linalg.norm(column, axis=-1, keepdims=True)
     return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
@@ -120,12 +121,13 @@ def rotation_vector_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> 
     sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
     is_small = sine < SMALL_ANGLE
-    return quaternion[..., 1:] * np.where(is_small, 2.0, angle / np.where(is_small, 1.0, sine))
+    vector: np.ndarray = quaternion[..., 1:] * np.where(is_small, 2.0, angle / np.where(is_small, 1.0, sine))
+    return vector
 
 
 def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch"]:
     """Angle of a rotation in radians, in [0, π]."""
-    return np.linalg.norm(rotation_vector_from_rotation(rotation), axis=-1)
+    return np.asarray(np.linalg.norm(rotation_vector_from_rotation(rotation), axis=-1))
 
 
 def slerp(
@@ -137,7 +139,8 @@ def slerp(
     if t == 1:
         return second
     turn = rotation_vector_from_rotation(np.swapaxes(first, -1, -2) @ second)
-    return first @ rotation_from_rotation_vector(t * turn)
+    rotation: np.ndarray = first @ rotation_from_rotation_vector(t * turn)
+    return rotation
 
 
 def interpolate_pose(first: Pose, second: Pose, t: float) -> Pose:
@@ -164,7 +167,7 @@ def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0)
 
 def enu_from_geographic(
     latitude: float, longitude: float, altitude: float, origin: tuple[float, float, float]
-) -> Float[np.ndarray, "3"]:
+) -> Float[np.ndarray, " 3"]:
     """East, north and up in metres of a WGS84 position seen from ``origin`` (latitude, longitude, altitude).
 
     Latitudes and longitudes are degrees, altitudes metres. Goes through earth-centred coordinates, so that it holds at
@@ -186,7 +189,7 @@ def enu_from_geographic(
     return enu
 
 
-def _ecef(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, "3"]:
+def _ecef(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, " 3"]:
     semi_major, flattening = 6378137.0, 1.0 / 298.257223563
     eccentricity_squared = flattening * (2.0 - flattening)
     phi, lam = math.radians(latitude), math.radians(longitude)
@@ -206,7 +209,7 @@ def nearest_rotation(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarra
     return rotation
 
 
-def rotation_taking(source: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def rotation_taking(source: Float[np.ndarray, " 3"], target: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """The smallest rotation that takes the unit vector ``source`` to the unit vector ``target``.
 
     For opposite vectors the half turn about one fixed axis orthogonal to ``source`` is taken.

@@ -32,6 +32,7 @@ __all__ = [
     "linearised_arccos",
     "normalize",
     "pixel_directions",
+    "pixel_scale",
     "pixel_to_angles",
     "pixel_to_direction",
     "solid_angles",
@@ -58,6 +59,16 @@ def angles_to_pixel(azimuth: Array, polar_angle: Array, size: tuple[int, int]) -
     row = polar_angle * (height / math.pi) - 0.5
     col = (azimuth + math.pi) * (width / (2.0 * math.pi)) - 0.5
     return row, col
+
+
+def pixel_scale(size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """:func:`angles_to_pixel` as numbers for kernels: row scale, row offset, column scale, column offset.
+
+    ``row = polar_angle · row_scale + row_offset``, ``col = azimuth · col_scale + col_offset``.
+    """
+    row_at_zero, col_at_zero = angles_to_pixel(0.0, 0.0, size)
+    row_at_one, col_at_one = angles_to_pixel(1.0, 1.0, size)
+    return row_at_one - row_at_zero, row_at_zero, col_at_one - col_at_zero, col_at_zero
 
 
 def angles_to_direction(azimuth: Array, polar_angle: Array) -> Array:
@@ -97,7 +108,7 @@ def pixel_directions(height: int, width: int) -> Float[np.ndarray, "height width
 
 
 def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The separable parts of :func:`pixel_directions`: sin and cos of the polar angle per row, of the azimuth per column.
+    """The separable parts of :func:`pixel_directions`: sin and cos of polar angle per row, of azimuth per column.
 
     Kernels build ``(sin_polar·sin_azimuth, cos_polar, −sin_polar·cos_azimuth)`` from them.
 

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_to_angles
 from omnisyn_cli.geometry.sweep import parallax_from_inverse_depth
@@ -73,7 +73,7 @@ class DepthConfig:
     Attributes:
         name: of the variant.
         size: ``(height, width)`` it is trained and exported at; multiples of eight times ``coarse_stride``.
-        widths: encoder channels at strides 2, 4, 8, …; one more entry than needed for ``coarse_stride`` deepens context.
+        widths: encoder channels at strides 2, 4, 8, …; those beyond ``coarse_stride`` are for context.
         coarse_stride: pixels of the image per cell of the sphere volume: 4 or 8.
         levels: spheres of the volume.
         greatest_root: root of the nearest sphere.
@@ -105,7 +105,8 @@ class DepthConfig:
     @staticmethod
     def from_dict(values: dict[str, Any]) -> DepthConfig:
         """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        return DepthConfig(**{key: tuple(v) if isinstance(v, list) else v for key, v in values.items()})
+        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        return DepthConfig(**plain)
 
 
 VARIANTS = {
@@ -163,7 +164,7 @@ class DepthPrediction:
         return self.confidence_logit.sigmoid()
 
 
-def level_roots(config: DepthConfig) -> Float[np.ndarray, "levels"]:
+def level_roots(config: DepthConfig) -> Float[np.ndarray, " levels"]:
     """Roots of the spheres of the volume: even steps, the first one below zero so that a mean can reach zero."""
     step = config.greatest_root / (config.levels - 2)
     roots: np.ndarray = np.linspace(-step, config.greatest_root, config.levels)
@@ -171,7 +172,7 @@ def level_roots(config: DepthConfig) -> Float[np.ndarray, "levels"]:
 
 
 def resampling_matrix(
-    roots: Float[np.ndarray, "levels"], rows_first: int, rows_second: int
+    roots: Float[np.ndarray, " levels"], rows_first: int, rows_second: int
 ) -> Float[np.ndarray, "levels rows_first rows_second"]:
     """Weights of the second image's rows for each sphere and each row of the first, float32; every row sums to 1.
 
@@ -246,9 +247,7 @@ class DepthNetwork(nn.Module):
         self.encoder = Encoder(config)
         self.coarse = CoarseMatcher(config)
         strides = [config.coarse_stride >> (i + 1) for i in range(len(config.refined_widths))]
-        self.refinements = nn.ModuleList(
-            Refinement(config, index, stride) for index, stride in enumerate(strides)
-        )
+        self.refinements = nn.ModuleList(Refinement(config, index, stride) for index, stride in enumerate(strides))
         initialise(self)
         self.coarse.start_flat()
         for stage in self.refinements:
@@ -282,7 +281,7 @@ class DepthNetwork(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Features of one panorama: at strides 2, 4, …, up to half the coarse stride, then with columns halved once more."""
+    """Features of one panorama at strides 2, 4, …, half the coarse stride; the last with columns halved once more."""
 
     def __init__(self, config: DepthConfig) -> None:
         super().__init__()
@@ -294,7 +293,7 @@ class Encoder(nn.Module):
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> list[Tensor]:
         """``[stride 2, stride 4, …, narrow]``; ``narrow`` has twice as many rows as the sphere volume."""
-        x = F.pixel_unshuffle(image - 0.5, 2)
+        x = functional.pixel_unshuffle(image - 0.5, 2)
         features = [self.stem(torch.cat([x, coordinate_channels(x)], dim=1))]
         for block in self.down:
             features.append(block(features[-1]))
@@ -337,7 +336,7 @@ class CoarseMatcher(nn.Module):
         """The root at half the coarse stride, and the hidden state at the coarse stride."""
         narrow = self.rows(of_first[-1])
         volume = self.volume(first, second, narrow, of_second[-1])
-        x = F.leaky_relu(self.spheres(volume) + self.context(narrow), LEAK)
+        x = functional.leaky_relu(self.spheres(volume) + self.context(narrow), LEAK)
         x = self.aggregate(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
         roots = torch.from_numpy(level_roots(self.config)).to(x).view(1, -1, 1, 1)
         root = (self.logits(x).softmax(dim=1) * roots).sum(dim=1, keepdim=True)
@@ -361,7 +360,7 @@ class CoarseMatcher(nn.Module):
             features.append(block(features[-1]))
         x: Tensor = self.context_up[-1](features[-1])
         for project, skip in zip(reversed(self.context_up[:-1]), reversed(features[:-1]), strict=True):
-            x = F.leaky_relu(upsample_nearest(x) + project(skip), LEAK)
+            x = functional.leaky_relu(upsample_nearest(x) + project(skip), LEAK)
         return x
 
     def aggregate(self, x: Tensor) -> Tensor:
@@ -387,8 +386,8 @@ class VolumeFilters(nn.Module):
         """``(batch, channels, levels, height, width)``."""
         x = self.enter(volume)
         for i in range(0, len(self.layers), 2):
-            inner = F.leaky_relu(self.layers[i](wrap_columns(x, 1, 1)), LEAK)
-            x = F.leaky_relu(self.layers[i + 1](wrap_columns(inner, 1, 1)) + x, LEAK)
+            inner = functional.leaky_relu(self.layers[i](wrap_columns(x, 1, 1)), LEAK)
+            x = functional.leaky_relu(self.layers[i + 1](wrap_columns(inner, 1, 1)) + x, LEAK)
         return x
 
 
@@ -399,7 +398,9 @@ def classical_products(first: Tensor, second: Tensor, coarse_stride: int) -> Ten
     for scale in range(CLASSICAL_SCALES):
         shrink = coarse_stride // 4 << scale
         stride = coarse_stride // shrink
-        small_first, small_second = (F.avg_pool2d(image, shrink) if shrink > 1 else image for image in (first, second))
+        small_first, small_second = (
+            functional.avg_pool2d(image, shrink) if shrink > 1 else image for image in (first, second)
+        )
         patches = normalised_patches(small_first, CLASSICAL_PATCH, (stride, stride)).unsqueeze(1)
         others = normalised_patches(small_second, CLASSICAL_PATCH, (stride // 2, stride)).unsqueeze(1)
         products.append(meridian_products(patches, others))
@@ -450,7 +451,7 @@ class Refinement(nn.Module):
         learned = lookup(self.products(own, other), candidates).squeeze(1)
         classical = lookup(self.classical(first, second), candidates).squeeze(1)
         x = self.from_similarity(torch.cat([learned, classical, root.detach()], dim=1)) + self.from_features(own)
-        x = F.leaky_relu(x + upsample_nearest(self.from_hidden(hidden)), LEAK)
+        x = functional.leaky_relu(x + upsample_nearest(self.from_hidden(hidden)), LEAK)
         x = self.mix(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
         refined = root + (self.choice(x).softmax(dim=1) * offsets).sum(dim=1, keepdim=True)
         both = torch.cat([refined, self.confidence(x)], dim=1)
@@ -466,6 +467,6 @@ class Refinement(nn.Module):
         """Classical similarity of all rows of each meridian."""
         shrink = self.stride // 2
         if shrink > 1:
-            first, second = F.avg_pool2d(first, shrink), F.avg_pool2d(second, shrink)
+            first, second = functional.avg_pool2d(first, shrink), functional.avg_pool2d(second, shrink)
         own, other = (normalised_patches(image, REFINED_PATCH, (2, 2)).unsqueeze(1) for image in (first, second))
         return meridian_products(own, other)

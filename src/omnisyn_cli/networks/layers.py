@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 
@@ -66,8 +66,8 @@ class ResidualBlock(nn.Module):
 
     def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
         """``(batch, outputs, height / stride, width / stride)``."""
-        inner = F.leaky_relu(self.first(x), LEAK)
-        return F.leaky_relu(self.second(inner) + self.shortcut(x), LEAK)
+        inner = functional.leaky_relu(self.first(x), LEAK)
+        return functional.leaky_relu(self.second(inner) + self.shortcut(x), LEAK)
 
 
 def initialise(module: nn.Module, gain: float = 0.7) -> None:
@@ -97,7 +97,7 @@ def coordinate_channels(like: Float[Tensor, "batch channels height width"]) -> F
 
 def upsample_nearest(x: Float[Tensor, "batch channels height width"]) -> Tensor:
     """Every pixel becomes 2×2 equal ones."""
-    return F.interpolate(x, scale_factor=2.0, mode="nearest")
+    return functional.interpolate(x, scale_factor=2.0, mode="nearest")
 
 
 def convex_upsample(
@@ -116,7 +116,7 @@ def convex_upsample(
     shifts = [padded[..., i : i + height, j : j + width] for i in range(3) for j in range(3)]
     weights = logits.view(batch, 1, 9, 4, height, width).softmax(dim=2)
     fine = (weights * torch.stack(shifts, dim=2).unsqueeze(3)).sum(dim=2)  # (batch, channels, 4, height, width)
-    return F.pixel_shuffle(fine.reshape(batch, channels * 4, height, width), 2)
+    return functional.pixel_shuffle(fine.reshape(batch, channels * 4, height, width), 2)
 
 
 def unit_groups(
@@ -124,7 +124,7 @@ def unit_groups(
 ) -> Float[Tensor, "batch groups channels_per_group height width"]:
     """Channels in groups, each group of each pixel a vector of length one."""
     batch, channels, height, width = features.shape
-    return F.normalize(features.view(batch, groups, channels // groups, height, width), dim=2)
+    return functional.normalize(features.view(batch, groups, channels // groups, height, width), dim=2)
 
 
 def normalised_patches(
@@ -142,6 +142,6 @@ def normalised_patches(
     rows = torch.arange(-above, height + below, device=image.device).clamp(0, height - 1)
     padded = wrap_columns(grey.index_select(-2, rows), left, right)
     pick = torch.eye(patch * patch, dtype=image.dtype, device=image.device).view(-1, 1, patch, patch)
-    patches = F.conv2d(padded, pick, stride=stride)
+    patches = functional.conv2d(padded, pick, stride=stride)
     centred = patches - patches.mean(dim=1, keepdim=True)
     return centred / (centred.norm(dim=1, keepdim=True) + PATCH_FLOOR)

@@ -5,9 +5,9 @@ inverse depth per vertex and one byte per quad. Quad ``(row, col)`` lies between
 ``(row, col + 1)``, ``(row + 1, col)`` and ``(row + 1, col + 1)``; columns wrap, so the seam is closed. Two fans of
 triangles, the caps, close the poles.
 
-Where neighbouring vertices belong to different surfaces their edge is *cut*. A quad with a cut edge is not thrown away:
-each corner keeps the quarter of the quad that belongs to its own pixel, at its own inverse depth. Seen from where it was
-taken the mesh therefore has no holes, and a silhouette lies half way between the pixels of its two sides.
+Where neighbouring vertices belong to different surfaces their edge is *cut*. A quad with a cut edge is not thrown
+away: each corner keeps the quarter of the quad that belongs to its own pixel, at its own inverse depth. Seen from where
+it was taken the mesh therefore has no holes, and a silhouette lies half way between the pixels of its two sides.
 
 Faces are numbered ``8·quad + k``: a whole quad has k = 0, 1; a cut quad has two triangles for each of its four corners,
 k = 2·corner + {0, 1}. The caps follow: ``8·quads + width·cap + col``, the north (cap 0) first.
@@ -23,7 +23,18 @@ from jaxtyping import Bool, Float, Integer, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_directions
 
-__all__ = ["CUT_EDGES", "DIAGONAL", "FACES_PER_QUAD", "REMOVED", "Cut", "FaceCorners", "Mesh", "Triangles", "build_mesh"]
+__all__ = [
+    "CUT_EDGES",
+    "DIAGONAL",
+    "FACES_PER_QUAD",
+    "REMOVED",
+    "Cut",
+    "FaceCorners",
+    "Mesh",
+    "Triangles",
+    "build_mesh",
+    "mask_of_vertices",
+]
 
 TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
 CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
@@ -79,11 +90,11 @@ class Mesh:
         return height, width
 
     @cached_property
-    def cut_quads(self) -> Integer[np.ndarray, "cuts"]:
+    def cut_quads(self) -> Integer[np.ndarray, " cuts"]:
         """Flat indices of the drawn quads with at least one cut edge, ascending."""
         return np.flatnonzero(((self.quads & CUT_EDGES) != 0) & ((self.quads & REMOVED) == 0))
 
-    def faces(self) -> Integer[np.ndarray, "faces"]:
+    def faces(self) -> Integer[np.ndarray, " faces"]:
         """The numbers of all faces that are drawn, ascending."""
         flat = self.quads.ravel()
         per_quad = np.where(flat & REMOVED, 0, np.where(flat & CUT_EDGES, FACES_PER_QUAD, 2))
@@ -92,7 +103,7 @@ class Mesh:
         return np.concatenate([np.flatnonzero(kept), FACES_PER_QUAD * flat.size + caps])
 
     def triangles(self) -> Triangles:
-        """Every face as an explicit triangle in the frame of the panorama, for the reference renderer and for export."""
+        """Every face as an explicit triangle in the frame of the panorama, for the reference and for export."""
         faces = self.faces()
         corners = self.corners(faces)
         height, width = self.size
@@ -102,7 +113,7 @@ class Mesh:
         rho = np.einsum("fvk,fk->fv", corners.inverse_depth_weight, inverse_depth[corners.vertex])
         return Triangles(faces, direction, rho + corners.inverse_depth_offset)
 
-    def corners(self, faces: Integer[np.ndarray, "faces"]) -> FaceCorners:
+    def corners(self, faces: Integer[np.ndarray, " faces"]) -> FaceCorners:
         """How the corners of faces follow from the vertices of the mesh; linear, so gradients can flow through it."""
         quad_count = self.quads.size
         is_cap = faces >= FACES_PER_QUAD * quad_count
@@ -123,8 +134,8 @@ class Mesh:
     def _quad_vertices(self, quad: np.ndarray) -> np.ndarray:
         width = self.size[1]
         row, col = quad // width, quad % width
-        right = (col + 1) % width
-        return np.stack([row * width + col, row * width + right, (row + 1) * width + col, (row + 1) * width + right], -1)
+        right, above, below = (col + 1) % width, row * width, (row + 1) * width
+        return np.stack([above + col, above + right, below + col, below + right], -1)
 
     def _cap_vertices(self, cap: np.ndarray) -> np.ndarray:
         height, width = self.size
@@ -160,7 +171,7 @@ class FaceCorners:
 class Triangles:
     """Explicit triangles: homogeneous points ``direction / inverse_depth``, clockwise seen from the centre."""
 
-    face: Integer[np.ndarray, "faces"]
+    face: Integer[np.ndarray, " faces"]
     direction: Float[np.ndarray, "faces 3 3"]
     inverse_depth: Float[np.ndarray, "faces 3"]
 
@@ -202,6 +213,17 @@ def build_mesh(
     return Mesh(rho, quads, _caps(rho, beside), _trust(quads, confidence))
 
 
+def mask_of_vertices(
+    mask: Bool[np.ndarray, "rows cols"] | None, size: tuple[int, ...]
+) -> Bool[np.ndarray, "height width"] | None:
+    """A photograph's mask at the size of a mesh: True where any pixel of a vertex may be used (alpha does the rest)."""
+    if mask is None:
+        return None
+    for axis in (0, 1):
+        mask = np.logical_or.reduceat(mask, np.arange(size[axis]) * mask.shape[axis] // size[axis], axis=axis)
+    return mask
+
+
 def _trust(quads: np.ndarray, confidence: np.ndarray | None) -> np.ndarray:
     """Least confidence of a quad's corners, never quite 0; little where it is cut, because there colours are mixed."""
     trust = np.where(quads & CUT_EDGES, np.float32(TRUST_AT_CUTS), np.float32(1.0))
@@ -209,7 +231,7 @@ def _trust(quads: np.ndarray, confidence: np.ndarray | None) -> np.ndarray:
         return trust
     rows = np.minimum(confidence[:-1], confidence[1:])
     least = np.minimum(rows, np.roll(rows, -1, axis=1)).astype(np.float32)
-    return trust * np.maximum(least, np.float32(LEAST_TRUST))
+    return np.asarray(trust * np.maximum(least, np.float32(LEAST_TRUST)))
 
 
 def _any_corner(mask: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from omnisyn_cli.jit import fast_kernel, inlined, inlined_contracting, kernel
 
+from omnisyn_cli.jit import fast_kernel, inlined, inlined_contracting, kernel
 from omnisyn_cli.render.mesh import BOTTOM, CUT_EDGES, DIAGONAL, FACES_PER_QUAD, LEFT, REMOVED, RIGHT, TOP
 from omnisyn_cli.render.trigonometry import atan2_fast
 
@@ -29,13 +29,10 @@ EDGE_ON = 1e-13
 """Determinants below this are triangles seen edge-on: they cover nothing."""
 
 BLOCK = 32
-"""Quads of one row that are planned together and share a range of target rows."""
+"""Quads of one row whose boxes are found together and that share a range of target rows."""
 
 WIDE = 0.5
 """Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""
-
-PLAN = 23
-"""Numbers in the plan of a quad, see :func:`_quad_planes`."""
 
 BOX_MARGIN = 0.05
 """Pixels added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns."""
@@ -43,7 +40,7 @@ BOX_MARGIN = 0.05
 
 @fast_kernel()
 def transform_vertices(rho, sin_p, cos_p, sin_a, cos_a, rotation, translation, scale, vertices, pixels, begin, end):
-    """v = R·d + ρ·t, ρ, and the (row, col) v falls on, for rows ``begin`` to ``end``; column 0 comes again at the end."""
+    """Write v = R·d + ρ·t, ρ and the (row, col) that v falls on, for some rows; column 0 comes again at the end."""
     r = rotation.astype(np.float32)
     t = translation.astype(np.float32)
     width = rho.shape[1]
@@ -115,19 +112,20 @@ def find_block_rows(pixels, height, width, block_rows, begin, end):
                 right = max(max(turn1, np.float32(0.0)), max(turn2, turn3))
                 span = max(span, right - left)
             first, last = _row_range(low, high, span, height, width)
-            block_rows[row, block, 0] = max(0, int(math.ceil(first)))
-            block_rows[row, block, 1] = min(height - 1, int(math.floor(last)))
+            block_rows[row, block, 0] = max(0, math.ceil(first))
+            block_rows[row, block, 1] = min(height - 1, math.floor(last))
 
 
 @kernel()
 def clear(inverse_depth, face, begin, end):
+    """Nothing is seen in target rows ``begin`` to ``end``."""
     inverse_depth[begin:end] = -1.0
     face[begin:end] = NOTHING
 
 
 @inlined()
 def _cross(ax, ay, az, bx, by, bz):
-    """a × b, rounded so that b × a is exactly its negative: neighbours agree on the side of every ray."""
+    """The product a × b, rounded so that b × a is exactly its negative: neighbours agree on the side of every ray."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
@@ -136,57 +134,70 @@ def _dot(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz
 
 
-@inlined_contracting()
-def _quad_planes(x0, y0, z0, x1, y1, z1, x2, y2, z2, x3, y3, z3, w0, w1, w2, w3, rising):
-    """Everything a ray needs to be tested against a whole quad, as one flat tuple.
+@kernel(fastmath={"contract"})
+def _draw_quad(
+    x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3, rising, face,
+    row_first, row_last, col_first, col_last, sin_p, cos_p, sin_a, cos_a, out_rho, out_face,
+):  # fmt: skip
+    """Both triangles of a quad against the rays in a box; columns outside the image are wrapped.
 
-    ``(cut, a0, a1, plane_a, b0, b1, plane_b, det_a, det_b)``: the
-    diagonal; per triangle two more edges and the vector g with ``inverse depth = r·g`` (a plane is linear in the ray). Triangle A lies where ``r·cut >= 0``, B where ``r·cut <= 0``.
+    A ray with ``r·cut >= 0`` can only hit triangle A, which has the left edge, one with ``r·cut <= 0`` only B, which has
+    the right one; top and bottom change sides with the diagonal. On either the inverse depth is ``r·g`` (a plane is
+    linear in the ray), where g sums the edges, each weighted with the inverse depth of the corner opposite.
     """
-    tx, ty, tz = _cross(x0, y0, z0, x1, y1, z1)
-    rx, ry, rz = _cross(x1, y1, z1, x3, y3, z3)
-    bx, by, bz = _cross(x3, y3, z3, x2, y2, z2)
     lx, ly, lz = _cross(x2, y2, z2, x0, y0, z0)
-    fx, fy, fz = _cross(x0, y0, z0, x3, y3, z3)
-    ux, uy, uz = _cross(x1, y1, z1, x2, y2, z2)
-    # Triangle A holds the left edge, B the right one; top and bottom change sides with the diagonal.
-    cx, cy, cz = (ux, uy, uz) if rising else (fx, fy, fz)
-    ax, ay, az = (tx, ty, tz) if rising else (bx, by, bz)
-    ex, ey, ez = (bx, by, bz) if rising else (tx, ty, tz)
-    det_a = _dot(x2, y2, z2, tx, ty, tz) if rising else _dot(x0, y0, z0, bx, by, bz)
-    det_b = _dot(x1, y1, z1, bx, by, bz) if rising else _dot(x0, y0, z0, rx, ry, rz)
+    rx, ry, rz = _cross(x1, y1, z1, x3, y3, z3)
+    if rising:
+        cx, cy, cz = _cross(x1, y1, z1, x2, y2, z2)
+        ax, ay, az = _cross(x0, y0, z0, x1, y1, z1)
+        bx, by, bz = _cross(x3, y3, z3, x2, y2, z2)
+        det_a, det_b = _dot(x2, y2, z2, ax, ay, az), _dot(x1, y1, z1, bx, by, bz)
+        a_cut, a_left, a_other, b_cut, b_right, b_other = w0, w1, w2, w3, w2, w1
+    else:
+        cx, cy, cz = _cross(x0, y0, z0, x3, y3, z3)
+        ax, ay, az = _cross(x3, y3, z3, x2, y2, z2)
+        bx, by, bz = _cross(x0, y0, z0, x1, y1, z1)
+        det_a, det_b = _dot(x0, y0, z0, ax, ay, az), _dot(x0, y0, z0, rx, ry, rz)
+        a_cut, a_left, a_other, b_cut, b_right, b_other = w2, w3, w0, w1, w0, w3
+    has_a, has_b = det_a > EDGE_ON, det_b > EDGE_ON
+    if not (has_a or has_b):
+        return
     scale_a, scale_b = 1.0 / det_a, 1.0 / det_b
-    # The corner opposite an edge carries that edge's weight.
-    a_cut, a_left, a_other = (w0, w1, w2) if rising else (w2, w3, w0)
-    b_cut, b_right, b_other = (w3, w2, w1) if rising else (w1, w0, w3)
     a_cut, a_left, a_other = a_cut * scale_a, a_left * scale_a, a_other * scale_a
     b_cut, b_right, b_other = b_cut * scale_b, b_right * scale_b, b_other * scale_b
-    return (
-        cx, cy, cz,
-        lx, ly, lz,
-        ax, ay, az,
-        cx * a_cut + lx * a_left + ax * a_other,
-        cy * a_cut + ly * a_left + ay * a_other,
-        cz * a_cut + lz * a_left + az * a_other,
-        rx, ry, rz,
-        ex, ey, ez,
-        rx * b_right + ex * b_other - cx * b_cut,
-        ry * b_right + ey * b_other - cy * b_cut,
-        rz * b_right + ez * b_other - cz * b_cut,
-        det_a, det_b,
-    )  # fmt: skip
+    ga_x, gb_x = cx * a_cut + lx * a_left + ax * a_other, rx * b_right + bx * b_other - cx * b_cut
+    ga_y, gb_y = cy * a_cut + ly * a_left + ay * a_other, ry * b_right + by * b_other - cy * b_cut
+    ga_z, gb_z = cz * a_cut + lz * a_left + az * a_other, rz * b_right + bz * b_other - cz * b_cut
+    width = out_rho.shape[1]
+    for row in range(row_first, row_last + 1):
+        sp, y = sin_p[row], cos_p[row]
+        for turned in range(col_first, col_last + 1):
+            col = turned + width if turned < 0 else (turned - width if turned >= width else turned)
+            x, z = sp * sin_a[col], -sp * cos_a[col]
+            side = _dot(x, y, z, cx, cy, cz)
+            in_a = has_a and side >= 0.0 and _dot(x, y, z, lx, ly, lz) >= 0.0 and _dot(x, y, z, ax, ay, az) >= 0.0
+            if in_a:
+                seen = np.float32(max(0.0, _dot(x, y, z, ga_x, ga_y, ga_z)))
+                if seen > out_rho[row, col]:
+                    out_rho[row, col] = seen
+                    out_face[row, col] = face
+            in_b = has_b and side <= 0.0 and _dot(x, y, z, rx, ry, rz) >= 0.0 and _dot(x, y, z, bx, by, bz) >= 0.0
+            if in_b:
+                seen = np.float32(max(0.0, _dot(x, y, z, gb_x, gb_y, gb_z)))
+                if seen > out_rho[row, col]:
+                    out_rho[row, col] = seen
+                    out_face[row, col] = face + 1
 
 
 @inlined()
-def _plan_boxes(row0, row1, col0, col1, count, height, width, box):
+def _find_boxes(row0, row1, col0, col1, count, height, width, box):
     """First and last target row and column of ``count`` quads between two rows of points, and whether they are wide."""
     width32, zero, margin = np.float32(width), np.float32(0.0), np.float32(BOX_MARGIN)
     wide = np.float32(WIDE * width / (2.0 * math.pi))
     for k in range(count):
         base = col0[k]
-        turn1, turn2, turn3 = (
-            _wrapped(col0[k + 1] - base, width32), _wrapped(col1[k] - base, width32), _wrapped(col1[k + 1] - base, width32),
-        )  # fmt: skip
+        turn1 = _wrapped(col0[k + 1] - base, width32)
+        turn2, turn3 = _wrapped(col1[k] - base, width32), _wrapped(col1[k + 1] - base, width32)
         left, right = min(min(turn1, zero), min(turn2, turn3)), max(max(turn1, zero), max(turn2, turn3))
         low = min(min(row0[k], row0[k + 1]), min(row1[k], row1[k + 1]))
         high = max(max(row0[k], row0[k + 1]), max(row1[k], row1[k + 1]))
@@ -196,85 +207,48 @@ def _plan_boxes(row0, row1, col0, col1, count, height, width, box):
         box[4, k] = right - left - wide
 
 
-@inlined()
-def _plan_planes(x0, y0, z0, w0, x1, y1, z1, w1, quads, count, plan):
-    """Planes of ``count`` quads between two rows of points; a loop without branches, so that it is vectorised."""
-    for k in range(count):
-        planes = _quad_planes(
-            np.float64(x0[k]), np.float64(y0[k]), np.float64(z0[k]),
-            np.float64(x0[k + 1]), np.float64(y0[k + 1]), np.float64(z0[k + 1]),
-            np.float64(x1[k]), np.float64(y1[k]), np.float64(z1[k]),
-            np.float64(x1[k + 1]), np.float64(y1[k + 1]), np.float64(z1[k + 1]),
-            np.float64(w0[k]), np.float64(w0[k + 1]), np.float64(w1[k]), np.float64(w1[k + 1]),
-            (quads[k] & DIAGONAL) != 0,
-        )  # fmt: skip
-        for n in range(PLAN):
-            plan[n, k] = planes[n]
-
-
 @kernel()
 def rasterize_quads(quads, vertices, pixels, block_rows, sin_p, cos_p, sin_a, cos_a, out_rho, out_face, begin, end):
+    """The whole quads in target rows ``begin`` to ``end``."""
     height, width = out_rho.shape
     columns = quads.shape[1]
-    box, plan = np.empty((5, BLOCK), np.float32), np.empty((PLAN, BLOCK), np.float64)
+    box = np.empty((5, BLOCK), np.float32)
     for row in range(quads.shape[0]):
         for block in range(block_rows.shape[1]):
             if block_rows[row, block, 1] < begin or block_rows[row, block, 0] >= end:
                 continue
-            col_begin = block * BLOCK
-            count = min(BLOCK, columns - col_begin)
-            _plan_boxes(
-                pixels[0, row, col_begin:], pixels[0, row + 1, col_begin:],
-                pixels[1, row, col_begin:], pixels[1, row + 1, col_begin:], count, height, width, box,
-            )  # fmt: skip
-            _plan_planes(
-                vertices[0, row, col_begin:], vertices[1, row, col_begin:], vertices[2, row, col_begin:],
-                vertices[3, row, col_begin:], vertices[0, row + 1, col_begin:], vertices[1, row + 1, col_begin:],
-                vertices[2, row + 1, col_begin:], vertices[3, row + 1, col_begin:], quads[row, col_begin:], count, plan,
+            first_col = block * BLOCK
+            count = min(BLOCK, columns - first_col)
+            _find_boxes(
+                pixels[0, row, first_col:], pixels[0, row + 1, first_col:],
+                pixels[1, row, first_col:], pixels[1, row + 1, first_col:], count, height, width, box,
             )  # fmt: skip
             for k in range(count):
-                if quads[row, col_begin + k] & (REMOVED | CUT_EDGES):
+                col = first_col + k
+                code = quads[row, col]
+                row_first, row_last = max(np.int64(box[0, k]), begin), min(np.int64(box[1, k]), end - 1)
+                col_first, col_last = np.int64(box[2, k]), np.int64(box[3, k])
+                if box[4, k] >= 0.0:
+                    col_first, col_last = 0, width - 1
+                if code & (REMOVED | CUT_EDGES) or row_first > row_last or col_first > col_last:
                     continue
-                face = FACES_PER_QUAD * (row * columns + col_begin + k)
-                row_first, row_last = max(int(box[0, k]), begin), min(int(box[1, k]), end - 1)
-                is_wide = box[4, k] >= 0.0
-                col_first, col_last = (0, width - 1) if is_wide else (int(box[2, k]), int(box[3, k]))
-                _draw_planned(
-                    plan, k, face, row_first, row_last, col_first, col_last, sin_p, cos_p, sin_a, cos_a, out_rho, out_face
-                )
+                x0, y0, z0, w0 = _point(vertices, row, col)
+                x1, y1, z1, w1 = _point(vertices, row, col + 1)
+                x2, y2, z2, w2 = _point(vertices, row + 1, col)
+                x3, y3, z3, w3 = _point(vertices, row + 1, col + 1)
+                _draw_quad(
+                    x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3,
+                    (code & DIAGONAL) != 0, FACES_PER_QUAD * (row * columns + col),
+                    row_first, row_last, col_first, col_last, sin_p, cos_p, sin_a, cos_a, out_rho, out_face,
+                )  # fmt: skip
 
 
-@kernel(fastmath={"contract"})
-def _draw_planned(plan, k, face, row_first, row_last, col_first, col_last, sin_p, cos_p, sin_a, cos_a, out_rho, out_face):
-    has_a, has_b = plan[21, k] > EDGE_ON, plan[22, k] > EDGE_ON
-    if row_first > row_last or col_first > col_last or not (has_a or has_b):
-        return
-    width = out_rho.shape[1]
-    cx, cy, cz = plan[0, k], plan[1, k], plan[2, k]
-    for row in range(row_first, row_last + 1):
-        sp, y = sin_p[row], cos_p[row]
-        for turned in range(col_first, col_last + 1):
-            col = turned + width if turned < 0 else (turned - width if turned >= width else turned)
-            x, z = sp * sin_a[col], -sp * cos_a[col]
-            side = _dot(x, y, z, cx, cy, cz)
-            if side >= 0.0 and has_a:
-                if (
-                    _dot(x, y, z, plan[3, k], plan[4, k], plan[5, k]) >= 0.0
-                    and _dot(x, y, z, plan[6, k], plan[7, k], plan[8, k]) >= 0.0
-                ):
-                    seen = np.float32(max(0.0, _dot(x, y, z, plan[9, k], plan[10, k], plan[11, k])))
-                    if seen > out_rho[row, col]:
-                        out_rho[row, col] = seen
-                        out_face[row, col] = face
-            if side <= 0.0 and has_b:
-                if (
-                    _dot(x, y, z, plan[12, k], plan[13, k], plan[14, k]) >= 0.0
-                    and _dot(x, y, z, plan[15, k], plan[16, k], plan[17, k]) >= 0.0
-                ):
-                    seen = np.float32(max(0.0, _dot(x, y, z, plan[18, k], plan[19, k], plan[20, k])))
-                    if seen > out_rho[row, col]:
-                        out_rho[row, col] = seen
-                        out_face[row, col] = face + 1
+@inlined()
+def _point(vertices, row, col):
+    return (
+        np.float64(vertices[0, row, col]), np.float64(vertices[1, row, col]), np.float64(vertices[2, row, col]),
+        np.float64(vertices[3, row, col]),
+    )  # fmt: skip
 
 
 @kernel()
@@ -338,10 +312,12 @@ def _corners(rho, vertices, row, col):
     """The four points of a quad and their inverse depths."""
     nxt = col + 1 if col + 1 < rho.shape[1] else 0
     points = (
-        _vertex(vertices, row, col), _vertex(vertices, row, nxt), _vertex(vertices, row + 1, col), _vertex(vertices, row + 1, nxt),
+        _vertex(vertices, row, col), _vertex(vertices, row, nxt),
+        _vertex(vertices, row + 1, col), _vertex(vertices, row + 1, nxt),
     )  # fmt: skip
     depths = (
-        np.float64(rho[row, col]), np.float64(rho[row, nxt]), np.float64(rho[row + 1, col]), np.float64(rho[row + 1, nxt]),
+        np.float64(rho[row, col]), np.float64(rho[row, nxt]),
+        np.float64(rho[row + 1, col]), np.float64(rho[row + 1, nxt]),
     )  # fmt: skip
     return points, depths
 
@@ -361,14 +337,15 @@ def _box(p0, p1, p2, p3, height, width):
         low, high, left, right = min(low, row), max(high, row), min(left, turn), max(right, turn)
     first, last = _row_range(low, high, right - left, height, width)
     if right - left >= WIDE * col_scale:
-        return int(math.ceil(first)), int(math.floor(last)), 0, width - 1
+        return math.ceil(first), math.floor(last), 0, width - 1
     margin = np.float32(BOX_MARGIN)
-    return int(math.ceil(first)), int(math.floor(last)), int(math.ceil(base + left - margin)), int(math.floor(base + right + margin))
+    first_col, last_col = math.ceil(base + left - margin), math.floor(base + right + margin)
+    return math.ceil(first), math.floor(last), first_col, last_col
 
 
 @kernel()
 def _draw_points(
-    p0, p1, p2, p3, w0, w1, w2, w3, rising, face, plan, sin_p, cos_p, sin_a, cos_a, out_rho, out_face, begin, end
+    p0, p1, p2, p3, w0, w1, w2, w3, rising, face, sin_p, cos_p, sin_a, cos_a, out_rho, out_face, begin, end
 ):  # fmt: skip
     """Any quad given by its points."""
     height, width = out_rho.shape
@@ -376,12 +353,10 @@ def _draw_points(
     row_first, row_last = max(row_first, begin), min(row_last, end - 1)
     if row_first > row_last or col_first > col_last:
         return
-    planes = _quad_planes(
-        p0[0], p0[1], p0[2], p1[0], p1[1], p1[2], p2[0], p2[1], p2[2], p3[0], p3[1], p3[2], w0, w1, w2, w3, rising
-    )
-    for n in range(PLAN):
-        plan[n, 0] = planes[n]
-    _draw_planned(plan, 0, face, row_first, row_last, col_first, col_last, sin_p, cos_p, sin_a, cos_a, out_rho, out_face)
+    _draw_quad(
+        p0[0], p0[1], p0[2], w0, p1[0], p1[1], p1[2], w1, p2[0], p2[1], p2[2], w2, p3[0], p3[1], p3[2], w3,
+        rising, face, row_first, row_last, col_first, col_last, sin_p, cos_p, sin_a, cos_a, out_rho, out_face,
+    )  # fmt: skip
 
 
 @kernel()
@@ -405,7 +380,6 @@ def rasterize_cuts(
 ):  # fmt: skip
     """The quarters of cut quads in target rows ``begin`` to ``end``."""
     columns = rho.shape[1]
-    plan = np.empty((PLAN, 1), np.float64)
     for k in range(len(cut_quads)):
         if cut_rows[k, 1] < begin or cut_rows[k, 0] >= end:
             continue
@@ -415,7 +389,7 @@ def rasterize_cuts(
             p0, p1, p2, p3, w0, w1, w2, w3 = _quarter(corner, quads[row, col], points, depths, t)
             face = FACES_PER_QUAD * cut_quads[k] + 2 * corner
             _draw_points(
-                p0, p1, p2, p3, w0, w1, w2, w3, corner == 1 or corner == 2, face, plan,
+                p0, p1, p2, p3, w0, w1, w2, w3, corner == 1 or corner == 2, face,
                 sin_p, cos_p, sin_a, cos_a, out_rho, out_face, begin, end,
             )  # fmt: skip
 
@@ -425,23 +399,23 @@ def rasterize_caps(rho, caps, vertices, rotation, t, sin_p, cos_p, sin_a, cos_a,
     """The fans around the poles in target rows ``begin`` to ``end``."""
     height, columns = rho.shape
     base = FACES_PER_QUAD * (height - 1) * columns
-    plan = np.empty((PLAN, 1), np.float64)
     for cap in range(2):
         ring, sign = (0, 1.0) if cap == 0 else (height - 1, -1.0)
         for col in range(columns):
             nxt = col + 1 if col + 1 < columns else 0
-            w_pole, w_a, w_b = np.float64(caps[cap, col, 0]), np.float64(caps[cap, col, 1]), np.float64(caps[cap, col, 2])
+            w_pole = np.float64(caps[cap, col, 0])
+            w_a, w_b = np.float64(caps[cap, col, 1]), np.float64(caps[cap, col, 2])
             pole = _moved((sign * rotation[0, 1], sign * rotation[1, 1], sign * rotation[2, 1]), w_pole, t)
             a = _moved(_vertex(vertices, ring, col), w_a - rho[ring, col], t)
             b = _moved(_vertex(vertices, ring, nxt), w_b - rho[ring, nxt], t)
             face = base + cap * columns + col
             if cap == 0:
                 _draw_points(
-                    pole, pole, a, b, w_pole, w_pole, w_a, w_b, False, face, plan,
+                    pole, pole, a, b, w_pole, w_pole, w_a, w_b, False, face,
                     sin_p, cos_p, sin_a, cos_a, out_rho, out_face, begin, end,
                 )  # fmt: skip
             else:
                 _draw_points(
-                    a, b, pole, pole, w_a, w_b, w_pole, w_pole, False, face - 1, plan,
+                    a, b, pole, pole, w_a, w_b, w_pole, w_pole, False, face - 1,
                     sin_p, cos_p, sin_a, cos_a, out_rho, out_face, begin, end,
                 )  # fmt: skip

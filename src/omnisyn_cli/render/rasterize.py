@@ -1,7 +1,7 @@
 """The exact equirectangular rasteriser: every pixel centre of the target against triangles on the sphere, in numba.
 
-A vertex with direction d and inverse depth ρ is the homogeneous vector ``v = R·d + ρ·t`` in the target's frame. The ray r
-of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·(v2×v0)``, ``e2 = r·(v0×v1)`` are all >= 0
+A vertex with direction d and inverse depth ρ is the homogeneous vector ``v = R·d + ρ·t`` in the target's frame. The ray
+r of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·(v2×v0)``, ``e2 = r·(v0×v1)`` are all >= 0
 (and ``det(v0, v1, v2) > 0``: the surface is seen from its front). Then the inverse depth seen is
 ``(e0·ρ0 + e1·ρ1 + e2·ρ2) / det``; the largest one wins. Straight lines are exact for triangles of any size, infinity is
 ρ = 0, and seam and poles only concern the box of pixels in which a triangle is looked for.
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_tables
+from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.raster_kernels import (
     BLOCK,
@@ -33,21 +33,6 @@ from omnisyn_cli.render.raster_kernels import (
 from omnisyn_cli.threads import run_bands
 
 __all__ = ["NOTHING", "Fragments", "Rasterizer", "rasterize"]
-
-NOTHING = -1
-"""Face number of pixels that see no surface."""
-
-EDGE_ON = 1e-13
-"""Determinants below this are triangles seen edge-on: they cover nothing."""
-
-BLOCK = 32
-"""Quads of one row that share a range of target rows."""
-
-WIDE = 0.5
-"""Triangles that span more than this azimuth (radians) are near a pole or the camera; their boxes are found with care."""
-
-BOX_MARGIN = 0.05
-"""Pixels added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +50,7 @@ class Fragments:
     @property
     def visibility(self) -> Bool[np.ndarray, "height width"]:
         """Whether a surface is seen."""
-        return self.face != NOTHING
+        return np.asarray(self.face != NOTHING)
 
 
 class Rasterizer:
@@ -90,7 +75,7 @@ class Rasterizer:
             raise ValueError(f"expected a mesh of {self.mesh_size} vertices, got {mesh.size}")
         rotation, translation = _pose_arrays(target_from_source)
         height = self.mesh_size[0]
-        scale = _pixel_scale(self.size)
+        scale = np.array(pixel_scale(self.size), np.float32)
         cut_quads = mesh.cut_quads
         cut_rows = np.empty((len(cut_quads), 2), np.int32)
 
@@ -147,10 +132,3 @@ def rasterize(mesh: Mesh, target_from_source: Pose, size: tuple[int, int], threa
 
 def _pose_arrays(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(pose.rotation, np.float64), np.ascontiguousarray(pose.position, np.float64)
-
-
-def _pixel_scale(size: tuple[int, int]) -> np.ndarray:
-    """(row, col) = angle (polar, azimuth) · scale + offset, as ``[row scale, row offset, col scale, col offset]``."""
-    row_at_zero, col_at_zero = angles_to_pixel(0.0, 0.0, size)
-    row_at_one, col_at_one = angles_to_pixel(1.0, 1.0, size)
-    return np.array([row_at_one - row_at_zero, row_at_zero, col_at_one - col_at_zero, col_at_zero], np.float32)

@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.mesh import Cut, build_mesh
+from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
+from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
 from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.two_pass import TwoPassRenderer
 
 __all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
 
@@ -50,7 +52,7 @@ class MeshRenderer:
         cut: Cut | None = None,
         threads: int | None = None,
     ) -> None:
-        self._mesh = build_mesh(inverse_depth, cut, _mask_of_vertices(mask, inverse_depth.shape), confidence)
+        self._mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
         self._texture = make_texture(image, mask)
         self._rasterizer = Rasterizer(self._mesh.size, size, threads)
         self._shader = Shader(size, threads)
@@ -61,7 +63,11 @@ class MeshRenderer:
         return fragments.inverse_depth, self._shader(fragments, self._mesh, self._texture, target_from_source)
 
 
-RENDERERS: dict[str, Callable[..., Renderer]] = {"mesh": MeshRenderer}
+RENDERERS: dict[str, Callable[..., Renderer]] = {
+    "mesh": MeshRenderer,
+    "points": PointRenderer,
+    "two-pass": TwoPassRenderer,
+}
 """Classes by name; all are made with the arguments of :class:`MeshRenderer`."""
 
 
@@ -93,12 +99,3 @@ def make_renderer(
     if name not in RENDERERS:
         raise ValueError(f"expected one of {', '.join(RENDERERS)} as renderer, got {name!r}")
     return RENDERERS[name](image, mask, inverse_depth, confidence, size, cut, threads)
-
-
-def _mask_of_vertices(mask: Mask | None, size: tuple[int, ...]) -> np.ndarray | None:
-    """A mask at the resolution of the mesh: True where any of a vertex's pixels may be used; alpha does the rest."""
-    if mask is None:
-        return None
-    for axis in (0, 1):
-        mask = np.logical_or.reduceat(mask, np.arange(size[axis]) * mask.shape[axis] // size[axis], axis=axis)
-    return mask

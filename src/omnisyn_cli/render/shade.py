@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_tables
+from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
@@ -41,7 +41,7 @@ class Texture:
     """
 
     size: tuple[int, int]
-    texels: Float32[np.ndarray, "numbers"]
+    texels: Float32[np.ndarray, " numbers"]
     layout: Float[np.ndarray, "levels 6"]
 
 
@@ -65,9 +65,8 @@ def make_texture(
 
 def _angle_to_texel(size: tuple[int, int]) -> tuple[float, float, float, float]:
     """Row scale and offset, column scale and offset of polar angle and azimuth in a bordered level."""
-    row0, col0 = angles_to_pixel(0.0, 0.0, size)
-    row1, col1 = angles_to_pixel(1.0, 1.0, size)
-    return row1 - row0, row0 + BORDER, col1 - col0, col0 + BORDER
+    row_scale, row_offset, col_scale, col_offset = pixel_scale(size)
+    return row_scale, row_offset + BORDER, col_scale, col_offset + BORDER
 
 
 def _with_border(image: np.ndarray) -> np.ndarray:
@@ -95,16 +94,15 @@ class Shader:
 
         def band(begin: int, end: int) -> None:
             shade_rows(
-                fragments.inverse_depth, fragments.face, mesh.trust, texture.texels, texture.layout, *self._tables,
+                fragments.inverse_depth, fragments.face, mesh.trust.ravel(), texture.texels, texture.layout, *self._tables,
                 rotation, translation, ratio, self.bicubic, self._image, begin, end,
             )  # fmt: skip
 
         run_bands(band, self.size[0], self.threads)
         return self._image
 
-
     def infinitely_far(self, texture: Texture, target_from_source: Pose) -> Float32[np.ndarray, "height width 4"]:
-        """The texture as a sphere of infinite radius: only the rotation matters. The next call overwrites the result."""
+        """The texture as a sphere of infinite radius: only the rotation matters. The next call overwrites it."""
         whole = Mesh(
             inverse_depth=np.zeros((2, 2), np.float32),
             quads=np.zeros((1, 2), np.uint8),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from omnisyn_cli.jit import inlined
 
 __all__ = ["ATAN2_ERROR", "atan2_fast"]

@@ -1,6 +1,7 @@
 """Procedural streets and rooms with exact depth, for training and tests.
 
-``generate_scene`` makes a :class:`Scene`, ``sample_path`` cameras in it, ``render_panorama`` and ``render_views`` their pictures.
+``generate_scene`` makes a :class:`Scene`, ``sample_path`` cameras in it, ``render_panorama`` and ``render_views``
+their pictures.
 """
 
 from collections.abc import Callable, Mapping
@@ -41,5 +42,7 @@ def generate_scene(kind: str, seed: int) -> Scene:
         ValueError: there is no such kind, or the seed is negative.
     """
     if kind not in GENERATORS or seed < 0:
-        raise ValueError(f"expected a kind of {', '.join(GENERATORS)} and a seed of at least 0, got {kind!r} and {seed}")
+        raise ValueError(
+            f"expected a kind of {', '.join(GENERATORS)} and a seed of at least 0, got {kind!r} and {seed}"
+        )
     return GENERATORS[kind](seed)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.scenes import palette
+from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
@@ -23,16 +23,30 @@ def _facade(rng: np.random.Generator, floor: float, shop: bool) -> Material:
     wall = pick(rng, palette.BRICK if is_brick else palette.PLASTER)
     trim = pick(rng, palette.PLASTER) if rng.random() < 0.6 else palette.darker(wall, rng.uniform(0.6, 1.25))
     return Material(
-        Pattern.FACADE, wall, pick(rng, palette.GLASS, 0.1), trim, cell=(rng.uniform(1.7, 3.6), floor), line=rng.uniform(0.05, 0.11),
-        grain=rng.uniform(0.04, 0.16), grain_size=rng.uniform(0.8, 4.0), detail=0.8 if shop else 0.2, gloss=0.9,
+        Pattern.FACADE,
+        wall,
+        pick(rng, palette.GLASS, 0.1),
+        trim,
+        cell=(rng.uniform(1.7, 3.6), floor),
+        line=rng.uniform(0.05, 0.11),
+        grain=rng.uniform(0.04, 0.16),
+        grain_size=rng.uniform(0.8, 4.0),
+        detail=0.8 if shop else 0.2,
+        gloss=0.9,
         seed=int(rng.integers(1, 10000)),
-    )  # fmt: skip
+    )
 
 
 def _flank(rng: np.random.Generator, wall: palette.Colour) -> Material:
     if rng.random() < 0.3:
         return Material(
-            Pattern.BRICK, wall, palette.darker(wall, 0.85), palette.darker(wall, 1.25), cell=(0.26, 0.085), line=0.012, grain=0.15
+            Pattern.BRICK,
+            wall,
+            palette.darker(wall, 0.85),
+            palette.darker(wall, 1.25),
+            cell=(0.26, 0.085),
+            line=0.012,
+            grain=0.15,
         )
     return Material(Pattern.PLAIN, wall, palette.darker(wall, 0.75), grain=0.15, grain_size=2.5, detail=0.35)
 
@@ -60,7 +74,13 @@ def town_house(
     if facing_z:
         build.add(Shape.BOX, (x, y + 0.5 * tall, z), (0.5 * wide, 0.5 * tall, 0.5 * deep), front, cap=roof)
         return
-    build.add(Shape.BOX, (x + side * 0.5 * deep, y + 0.5 * tall, z), (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01), front, cap=roof)
+    build.add(
+        Shape.BOX,
+        (x + side * 0.5 * deep, y + 0.5 * tall, z),
+        (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01),
+        front,
+        cap=roof,
+    )
     if not detailed:
         return
     trim = Material(Pattern.PLAIN, front.third, palette.darker(front.third, 0.85), grain=0.12)
@@ -75,11 +95,15 @@ def town_house(
     if rng.random() < 0.4:
         _pitched_roof(build, (x + side * 0.5 * deep, y + tall, z), deep, wide, along_z=True)
     if rng.random() < 0.5:
-        chimney = Material(Pattern.BRICK, (0.5, 0.33, 0.27), (0.42, 0.28, 0.24), (0.6, 0.56, 0.5), cell=(0.25, 0.08), line=0.012)
+        chimney = Material(
+            Pattern.BRICK, (0.5, 0.33, 0.27), (0.42, 0.28, 0.24), (0.6, 0.56, 0.5), cell=(0.25, 0.08), line=0.012
+        )
         build.add(Shape.BOX, (x + side * 2.0, y + tall + 0.7, z + 0.3 * wide), (0.35, 0.9, 0.5), chimney)
 
 
-def _band(build: SceneBuilder, base: Point, wide: float, side: float, at: float, half: float, trim: Material, out: float) -> None:
+def _band(
+    build: SceneBuilder, base: Point, wide: float, side: float, at: float, half: float, trim: Material, out: float
+) -> None:
     """Add a ledge across the front that sticks out by ``out``."""
     build.add(Shape.BOX, (base[0], base[1] + at, base[2]), (out, half, 0.5 * wide), trim)
 
@@ -111,21 +135,40 @@ def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, fl
     rng = build.rng
     x, y, z = base
     door = Material(
-        Pattern.WINDOW, (0.3, 0.2, 0.15), pick(rng, palette.GLASS), palette.darker(pick(rng, palette.WOOD), 0.8), cell=(0.5, 0.9),
-        line=0.12, gloss=0.5, grain=0.1,
-    )  # fmt: skip
+        Pattern.WINDOW,
+        (0.3, 0.2, 0.15),
+        pick(rng, palette.GLASS),
+        palette.darker(pick(rng, palette.WOOD), 0.8),
+        cell=(0.5, 0.9),
+        line=0.12,
+        gloss=0.5,
+        grain=0.1,
+    )
     at = z + rng.uniform(-0.35, 0.35) * wide
     build.add(Shape.BOX, (x, y + 1.1, at), (0.06, 1.1, 0.55), door)
-    build.add(Shape.BOX, (x - side * 0.15, y + 0.08, at), (0.25, 0.08, 0.75), Material(Pattern.PLAIN, pick(rng, palette.CONCRETE)))
+    build.add(
+        Shape.BOX,
+        (x - side * 0.15, y + 0.08, at),
+        (0.25, 0.08, 0.75),
+        Material(Pattern.PLAIN, pick(rng, palette.CONCRETE)),
+    )
     if not shop:
         return
     board = Material(
-        Pattern.COLLAGE, pick(rng, palette.SIGN), pick(rng, palette.PLASTER), pick(rng, palette.SIGN), cell=(1.2, 0.5), grain=0.05,
-        detail=0.3, seed=int(rng.integers(1, 1000)),
-    )  # fmt: skip
+        Pattern.COLLAGE,
+        pick(rng, palette.SIGN),
+        pick(rng, palette.PLASTER),
+        pick(rng, palette.SIGN),
+        cell=(1.2, 0.5),
+        grain=0.05,
+        detail=0.3,
+        seed=int(rng.integers(1, 1000)),
+    )
     build.add(Shape.BOX, (x - side * 0.06, y + floor - 0.45, z), (0.08, 0.28, 0.45 * wide), board)
     if rng.random() < 0.5:
-        cloth = Material(Pattern.STRIPES, pick(rng, palette.SIGN), (0.85, 0.83, 0.78), cell=(0.5, 0.5), detail=0.5, grain=0.08)
+        cloth = Material(
+            Pattern.STRIPES, pick(rng, palette.SIGN), (0.85, 0.83, 0.78), cell=(0.5, 0.5), detail=0.5, grain=0.08
+        )
         _lean(build, (x - side * 0.55, y + floor - 0.85, z), (0.62, 0.02, 0.35 * wide), -side * 0.45, cloth)
     if rng.random() < 0.4:  # a sign that sticks out
         build.add(Shape.BOX, (x - side * 0.5, y + floor + 0.3, z + 0.4 * wide), (0.35, 0.35, 0.04), board)
@@ -144,7 +187,15 @@ def _pitched_roof(build: SceneBuilder, middle: Point, deep: float, wide: float, 
     clay = palette.darker(pick(rng, palette.BRICK), rng.uniform(0.6, 1.0))
     if rng.random() < 0.4:
         clay = (0.27, 0.27, 0.29)
-    tiles = Material(Pattern.BRICK, clay, palette.darker(clay, 0.8), palette.darker(clay, 0.5), cell=(0.3, 0.25), line=0.03, grain=0.2)
+    tiles = Material(
+        Pattern.BRICK,
+        clay,
+        palette.darker(clay, 0.8),
+        palette.darker(clay, 0.5),
+        cell=(0.3, 0.25),
+        line=0.03,
+        grain=0.2,
+    )
     angle = rng.uniform(0.4, 0.75)
     span = 0.5 * (deep if along_z else wide) + 0.4
     run = 0.5 * span / math.cos(angle)
@@ -169,13 +220,27 @@ def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detail
     tall, deep = floor * int(rng.integers(3, 13)), rng.uniform(12, 20)
     wall = pick(rng, palette.CONCRETE if rng.random() < 0.6 else palette.PLASTER)
     front = Material(
-        Pattern.FACADE, wall, pick(rng, palette.GLASS, 0.1), palette.darker(wall, rng.uniform(0.5, 1.2)),
-        cell=(rng.uniform(1.2, 4.0), floor), line=rng.uniform(0.04, 0.1), grain=0.06, grain_size=3.0, detail=rng.uniform(0, 1),
-        gloss=1.0, seed=int(rng.integers(1, 10000)),
-    )  # fmt: skip
+        Pattern.FACADE,
+        wall,
+        pick(rng, palette.GLASS, 0.1),
+        palette.darker(wall, rng.uniform(0.5, 1.2)),
+        cell=(rng.uniform(1.2, 4.0), floor),
+        line=rng.uniform(0.04, 0.1),
+        grain=0.06,
+        grain_size=3.0,
+        detail=rng.uniform(0, 1),
+        gloss=1.0,
+        seed=int(rng.integers(1, 10000)),
+    )
     x, y, z = base
     roof = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), grain=0.2)
-    build.add(Shape.BOX, (x + side * 0.5 * deep, y + 0.5 * tall, z), (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01), front, cap=roof)
+    build.add(
+        Shape.BOX,
+        (x + side * 0.5 * deep, y + 0.5 * tall, z),
+        (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01),
+        front,
+        cap=roof,
+    )
     if not detailed:
         return
     trim = Material(Pattern.PLAIN, palette.darker(wall, rng.uniform(0.7, 1.15)), grain=0.08)
@@ -211,3 +276,11 @@ def house(build: SceneBuilder, base: Point, wide: float, side: float, *, detaile
     if rng.random() < 0.5:
         gate = Material(Pattern.RIBS, pick(rng, palette.PLASTER), cell=(0.2, 0.5), line=0.02, grain=0.05)
         build.add(Shape.BOX, (x - side * 0.05, y + 1.1, z + 0.28 * wide), (0.08, 1.1, 1.2), gate)
+    if rng.random() < 0.5:
+        props.hedge(build, (x - side * rng.uniform(1.5, 2.8), y, z), (0.42 * wide, rng.uniform(0.4, 0.9)))
+    for _ in range(int(rng.integers(0, 3))):
+        spot = (x - side * rng.uniform(0.8, 3.0), y, z + rng.uniform(-0.5, 0.5) * wide)
+        if rng.random() < 0.6:
+            props.bush(build, spot, rng.uniform(0.3, 0.8))
+        else:
+            props.tree(build, spot, rng.uniform(3.0, 6.0))

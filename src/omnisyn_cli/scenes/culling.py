@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float64, Int64
-from omnisyn_cli.scenes.jit import kernel
+from jaxtyping import Float, Int
 
+from omnisyn_cli.scenes.jit import kernel
 
 __all__ = ["light_grid", "list_tile", "tile_planes"]
 
@@ -35,45 +35,45 @@ def _reach(shape, axes, k, x, y, z):  # type: ignore[no-untyped-def]
 def tile_planes(sin_polar, cos_polar, horizon, up, rows, columns, planes):  # type: ignore[no-untyped-def]
     """Fill ``planes`` (4, 3) with inward normals of half spaces through the eye that hold all rays of a tile.
 
-    Sides are meridians, which are planes. The parallels above and below are cones: where the cone bulges out of the tile the plane
-    touches it, elsewhere the plane passes through the corners. A tile half around the sphere or more gets no planes (zeros).
+    Sides are meridians, which are planes. The parallels above and below are cones: where the cone bulges out of the
+    tile the plane touches it, elsewhere the plane passes through the corners. A tile half around the sphere or more
+    gets no planes (zeros).
 
-    Args:
-        sin_polar, cos_polar: of each row of samples.
-        horizon: unit vector on the horizon of each column of samples.
-        up: unit vector to the top of the picture.
-        rows, columns: first and last row and column of the tile.
-        planes: output.
+    ``sin_polar``, ``cos_polar`` (per row of samples) and ``horizon`` (per column) are the tables of the rays; ``rows``
+    and ``columns`` hold the first and the last of the tile.
     """
-    planes[:] = 0.0
-    first, last = horizon[columns[0]], horizon[columns[1]]
-    middle = first + last
-    length = math.sqrt(middle[0] ** 2 + middle[1] ** 2 + middle[2] ** 2)
-    if length < 0.5 or columns[1] - columns[0] > 0.4 * len(horizon):
+    for p in range(4):
+        planes[p, 0], planes[p, 1], planes[p, 2] = 0.0, 0.0, 0.0
+    first, last = columns
+    x, y, z = (
+        horizon[first, 0] + horizon[last, 0],
+        horizon[first, 1] + horizon[last, 1],
+        horizon[first, 2] + horizon[last, 2],
+    )
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < 0.5 or last - first > 0.4 * len(horizon):
         return
-    middle = middle / length
-    cos_half = 0.5 * length
-    planes[0] = np.cross(up, first)
-    planes[1] = np.cross(up, last)
+    x, y, z, cos_half = x / length, y / length, z / length, 0.5 * length
     for side in range(2):
-        inside = planes[side, 0] * middle[0] + planes[side, 1] * middle[1] + planes[side, 2] * middle[2]
-        if inside < 0.0:
-            planes[side] = -planes[side]
-    cosine, sine = cos_polar[rows[0]], sin_polar[rows[0]]
-    planes[2] = cosine * middle - sine * (cos_half if cosine > 0.0 else 1.0) * up
-    cosine, sine = cos_polar[rows[1]], sin_polar[rows[1]]
-    planes[3] = sine * (1.0 if cosine > 0.0 else cos_half) * up - cosine * middle
+        h = columns[side]
+        nx = up[1] * horizon[h, 2] - up[2] * horizon[h, 1]
+        ny = up[2] * horizon[h, 0] - up[0] * horizon[h, 2]
+        nz = up[0] * horizon[h, 1] - up[1] * horizon[h, 0]
+        sign = -1.0 if nx * x + ny * y + nz * z < 0.0 else 1.0
+        planes[side, 0], planes[side, 1], planes[side, 2] = sign * nx, sign * ny, sign * nz
+    for side in range(2):
+        cosine, sine = cos_polar[rows[side]], sin_polar[rows[side]]
+        sign = 1.0 if side == 0 else -1.0
+        a, b = sign * cosine, -sign * sine * (cos_half if sign * cosine > 0.0 else 1.0)
+        p = 2 + side
+        planes[p, 0], planes[p, 1], planes[p, 2] = a * x + b * up[0], a * y + b * up[1], a * z + b * up[2]
 
 
 @kernel
 def list_tile(bounds, candidates, candidate_count, planes, listed):  # type: ignore[no-untyped-def]
-    """Write the shapes that may show in a tile to ``listed``, in the order of the candidates, and return their number.
+    """Copy those of the first ``candidate_count`` candidates that may show in a tile to ``listed`` and count them.
 
-    Args:
-        bounds: :class:`omnisyn_cli.scenes.world.Bounds` of n shapes.
-        candidates, candidate_count: shapes to choose from, nearest first.
-        planes: of :func:`tile_planes`.
-        listed: (n,) output.
+    ``bounds`` is a :class:`omnisyn_cli.scenes.world.Bounds`, ``planes`` come from :func:`tile_planes`; the order stays.
     """
     count = 0
     shape, offset, axes = bounds.shape, bounds.offset, bounds.axes
@@ -97,8 +97,10 @@ def _fill_grid(low: np.ndarray, high: np.ndarray, casters: np.ndarray) -> tuple[
     start = np.zeros(GRID * GRID + 1, dtype=np.int64)
     for k in casters:
         for i in range(low[k, 0], high[k, 0] + 1):
-            start[i * GRID + low[k, 1] + 1 : i * GRID + high[k, 1] + 2] += 1
-    start = np.cumsum(start)
+            for j in range(low[k, 1], high[k, 1] + 1):
+                start[i * GRID + j + 1] += 1
+    for cell in range(GRID * GRID):
+        start[cell + 1] += start[cell]
     items = np.empty(start[-1], dtype=np.int64)
     filled = start[:-1].copy()
     for k in casters:
@@ -110,12 +112,12 @@ def _fill_grid(low: np.ndarray, high: np.ndarray, casters: np.ndarray) -> tuple[
 
 
 def light_grid(
-    centre: Float64[np.ndarray, "n 3"],
-    axes: Float64[np.ndarray, "n 3 3"],
-    casters: Int64[np.ndarray, "k"],
-    across: Float64[np.ndarray, "2 3"],
+    centre: Float[np.ndarray, "n 3"],
+    axes: Float[np.ndarray, "n 3 3"],
+    casters: Int[np.ndarray, " k"],
+    across: Float[np.ndarray, "2 3"],
     margin: float,
-) -> tuple[Int64[np.ndarray, "c1"], Int64[np.ndarray, "i"], Float64[np.ndarray, "2 2"]]:
+) -> tuple[Int[np.ndarray, " c1"], Int[np.ndarray, " i"], Float[np.ndarray, "2 2"]]:
     """List for each cell of a grid across the light the shapes whose shadows pass through it.
 
     Args:
@@ -126,8 +128,8 @@ def light_grid(
         margin: by which shadows are wider than their shapes, metres.
 
     Returns:
-        ``(start, items, frame)``: the shapes of cell ``c = i·GRID + j`` are ``items[start[c]:start[c + 1]]``; ``frame`` holds for each
-        axis of the grid its origin in metres and the number of cells per metre.
+        ``(start, items, frame)``: the shapes of cell ``c = i·GRID + j`` are ``items[start[c]:start[c + 1]]``;
+        ``frame`` holds for each axis of the grid its origin in metres and the number of cells per metre.
     """
     if len(casters) == 0:
         return np.zeros(GRID * GRID + 1, np.int64), np.zeros(0, np.int64), np.array([[0.0, 1.0], [0.0, 1.0]])

@@ -1,4 +1,4 @@
-"""What stands in rooms. Every function adds one thing at a point on the floor; its front looks along the local +z axis."""
+"""What stands in rooms: every function adds one thing to the floor, its front looking along the local +z axis."""
 
 from __future__ import annotations
 
@@ -43,19 +43,32 @@ def wood(rng: np.random.Generator, plank: float = 0.5) -> Material:
     """Draw a varnished or painted board."""
     if rng.random() < 0.3:
         paint = pick(rng, palette.INTERIOR)
-        return Material(Pattern.PLAIN, paint, palette.darker(paint, 0.9), grain=0.05, gloss=0.15, seed=int(rng.integers(1, 1000)))
+        return Material(
+            Pattern.PLAIN, paint, palette.darker(paint, 0.9), grain=0.05, gloss=0.15, seed=int(rng.integers(1, 1000))
+        )
     tone = pick(rng, palette.WOOD)
     return Material(
-        Pattern.PLANKS, tone, palette.darker(tone, 0.8), palette.darker(tone, 0.5), cell=(2.0, plank), line=0.004, grain=0.05,
-        gloss=0.2, seed=int(rng.integers(1, 1000)),
-    )  # fmt: skip
+        Pattern.PLANKS,
+        tone,
+        palette.darker(tone, 0.8),
+        palette.darker(tone, 0.5),
+        cell=(2.0, plank),
+        line=0.004,
+        grain=0.05,
+        gloss=0.2,
+        seed=int(rng.integers(1, 1000)),
+    )
 
 
 def _cloth(rng: np.random.Generator) -> Material:
     tone = pick(rng, palette.CLOTH, 0.08)
     if rng.random() < 0.25:
-        return Material(Pattern.WALLPAPER, tone, palette.darker(tone, 1.3), pick(rng, palette.CLOTH), cell=(0.15, 0.15), grain=0.1)
-    return Material(Pattern.PLAIN, tone, palette.darker(tone, 0.85), grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000)))
+        return Material(
+            Pattern.WALLPAPER, tone, palette.darker(tone, 1.3), pick(rng, palette.CLOTH), cell=(0.15, 0.15), grain=0.1
+        )
+    return Material(
+        Pattern.PLAIN, tone, palette.darker(tone, 0.85), grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000))
+    )
 
 
 def table(build: SceneBuilder, base: Point, yaw: float, size: tuple[float, float] | None = None) -> None:
@@ -83,7 +96,9 @@ def _clutter(at: Turned, half: tuple[float, float], height: float, count: int) -
     for _ in range(count):
         x, z = rng.uniform(-0.85, 0.85) * half[0], rng.uniform(-0.75, 0.75) * half[1]
         colour = pick(rng, palette.SIGN if rng.random() < 0.3 else palette.CLOTH, 0.1)
-        stuff = Material(Pattern.COLLAGE, colour, pick(rng, palette.INTERIOR), pick(rng, palette.SIGN), cell=(0.1, 0.06), grain=0.05)
+        stuff = Material(
+            Pattern.COLLAGE, colour, pick(rng, palette.INTERIOR), pick(rng, palette.SIGN), cell=(0.1, 0.06), grain=0.05
+        )
         plain = Material(Pattern.PLAIN, colour, palette.darker(colour, 0.9), grain=0.05, gloss=0.3)
         kind = rng.random()
         if kind < 0.5:
@@ -183,9 +198,15 @@ def cabinet(build: SceneBuilder, base: Point, yaw: float, tall: float | None = N
     wide, height, deep = rng.uniform(0.35, 0.9), tall or rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     face = Material(
-        Pattern.TILES, tone, palette.darker(tone, 0.93), palette.darker(tone, 0.35),
-        cell=(wide / max(1, round(wide / 0.4)), height / int(rng.integers(1, 5))), line=0.012, grain=0.08, gloss=0.15,
-    )  # fmt: skip
+        Pattern.TILES,
+        tone,
+        palette.darker(tone, 0.93),
+        palette.darker(tone, 0.35),
+        cell=(wide / max(1, round(wide / 0.4)), height / int(rng.integers(1, 5))),
+        line=0.012,
+        grain=0.08,
+        gloss=0.15,
+    )
     at.box((0, 0.5 * height, 0), (wide, 0.5 * height, deep), face, cap=wood(rng, 0.3))
     if height < 1.3:
         _clutter(at, (wide, deep), height, int(rng.integers(0, 4)))
@@ -213,9 +234,14 @@ def _shelf_row(at: Turned, y: float, room: float, wide: float, deep: float) -> N
     rng = at.build.rng
     if rng.random() < 0.7:
         books = Material(
-            Pattern.BOOKS, pick(rng, palette.CLOTH, 0.1), pick(rng, palette.SIGN, 0.1), pick(rng, palette.INTERIOR),
-            cell=(rng.uniform(0.025, 0.05), 1.0), grain=0.03, seed=int(rng.integers(1, 1000)),
-        )  # fmt: skip
+            Pattern.BOOKS,
+            pick(rng, palette.CLOTH, 0.1),
+            pick(rng, palette.SIGN, 0.1),
+            pick(rng, palette.INTERIOR),
+            cell=(rng.uniform(0.025, 0.05), 1.0),
+            grain=0.03,
+            seed=int(rng.integers(1, 1000)),
+        )
         share = rng.uniform(0.4, 0.95)
         half = (share * wide, 0.45 * room, 0.6 * deep)
         at.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * wide * 0.9, y + half[1], 0), half, books)
@@ -246,7 +272,9 @@ def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
     clay = pick(rng, palette.BRICK)
     at.rod((0, 0, 0), (0, 0.32, 0), 0.15, Material(Pattern.PLAIN, clay, palette.darker(clay, 0.9), grain=0.1))
     green = pick(rng, palette.FOLIAGE)
-    leaves = Material(Pattern.LEAVES, palette.darker(green, 0.6), palette.darker(green, 1.3), cell=(0.1, 0.1), detail=0.75)
+    leaves = Material(
+        Pattern.LEAVES, palette.darker(green, 0.6), palette.darker(green, 1.3), cell=(0.1, 0.1), detail=0.75
+    )
     tall = rng.uniform(0.3, 0.8)
     at.rod((0, 0.3, 0), (0, 0.4 + tall, 0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
     for _ in range(int(rng.integers(2, 5))):
@@ -261,7 +289,14 @@ def screen(build: SceneBuilder, base: Point, yaw: float) -> None:
     at = Turned(build, base, yaw)
     wide, tall = rng.uniform(0.4, 0.8), rng.uniform(1.3, 1.8)
     board = Material(
-        Pattern.WINDOW, (0.8, 0.8, 0.8), pick(rng, palette.INTERIOR), (0.5, 0.5, 0.5), cell=(9.0, 0.62), line=0.03, grain=0.05, gloss=0.2
+        Pattern.WINDOW,
+        (0.8, 0.8, 0.8),
+        pick(rng, palette.INTERIOR),
+        (0.5, 0.5, 0.5),
+        cell=(9.0, 0.62),
+        line=0.03,
+        grain=0.05,
+        gloss=0.2,
     )
     at.box((0, 0.5 * tall + 0.08, 0), (wide, 0.5 * tall - 0.04, 0.02), board)
     for x in (-wide, wide):
@@ -277,10 +312,18 @@ def carton_pile(build: SceneBuilder, base: Point, yaw: float, on_pallet: bool) -
         height = 0.0
         for _ in range(int(rng.integers(1, 4))):
             half = (rng.uniform(0.15, 0.32), rng.uniform(0.1, 0.24), rng.uniform(0.15, 0.28))
-            at.box((rng.uniform(-0.04, 0.04), height + half[1], 0), half, CARTON, tint=rng.uniform(0.8, 1.15), turn=rng.uniform(-0.2, 0.2))
+            at.box(
+                (rng.uniform(-0.04, 0.04), height + half[1], 0),
+                half,
+                CARTON,
+                tint=rng.uniform(0.8, 1.15),
+                turn=rng.uniform(-0.2, 0.2),
+            )
             height += 2.0 * half[1]
         return
-    pallet = Material(Pattern.PLANKS, (0.66, 0.54, 0.38), (0.55, 0.44, 0.3), (0.2, 0.15, 0.1), cell=(2.0, 0.14), line=0.04)
+    pallet = Material(
+        Pattern.PLANKS, (0.66, 0.54, 0.38), (0.55, 0.44, 0.3), (0.2, 0.15, 0.1), cell=(2.0, 0.14), line=0.04
+    )
     at.box((0, 0.13, 0), (0.6, 0.015, 0.5), pallet)
     for x in (-0.52, 0.0, 0.52):
         at.box((x, 0.06, 0), (0.06, 0.06, 0.5), pallet)
@@ -291,7 +334,11 @@ def carton_pile(build: SceneBuilder, base: Point, yaw: float, on_pallet: bool) -
         for i in range(columns):
             for j in range(rows):
                 if layer < layers - 1 or rng.random() < 0.7:
-                    centre = ((2 * i + 1 - columns) * half[0], 0.145 + (2 * layer + 1) * half[1], (2 * j + 1 - rows) * half[2])
+                    centre = (
+                        (2 * i + 1 - columns) * half[0],
+                        0.145 + (2 * layer + 1) * half[1],
+                        (2 * j + 1 - rows) * half[2],
+                    )
                     size = (half[0] - 0.006, half[1] - 0.003, half[2] - 0.006)
                     at.box(centre, size, CARTON, tint=rng.uniform(0.85, 1.1))
 
@@ -300,8 +347,12 @@ def rack(build: SceneBuilder, base: Point, yaw: float, bays: int, tall: float) -
     """Add a pallet rack: frames, beams, loads; it stretches along the local x axis, its middle at the base."""
     rng = build.rng
     at = Turned(build, base, yaw)
-    upright = Material(Pattern.PLAIN, pick(rng, ((0.12, 0.2, 0.42), (0.2, 0.2, 0.2), (0.2, 0.3, 0.25))), grain=0.06, gloss=0.1)
-    beam = Material(Pattern.PLAIN, pick(rng, ((0.8, 0.63, 0.1), (0.78, 0.35, 0.1), (0.6, 0.6, 0.6))), grain=0.06, gloss=0.1)
+    upright = Material(
+        Pattern.PLAIN, pick(rng, ((0.12, 0.2, 0.42), (0.2, 0.2, 0.2), (0.2, 0.3, 0.25))), grain=0.06, gloss=0.1
+    )
+    beam = Material(
+        Pattern.PLAIN, pick(rng, ((0.8, 0.63, 0.1), (0.78, 0.35, 0.1), (0.6, 0.6, 0.6))), grain=0.06, gloss=0.1
+    )
     bay, deep = rng.uniform(1.8, 2.7), rng.uniform(0.35, 0.55)
     levels = max(1, int(tall / rng.uniform(1.3, 2.0)))
     for k in range(bays + 1):
@@ -318,19 +369,31 @@ def rack(build: SceneBuilder, base: Point, yaw: float, bays: int, tall: float) -
             at.box((0, y + 0.045, 0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
         for k in range(bays):
             if rng.random() < 0.8:
-                _load(at, ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0), 0.42 * bay, deep, tall / (levels + 1))
+                _load(
+                    at,
+                    ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0),
+                    0.42 * bay,
+                    deep,
+                    tall / (levels + 1),
+                )
 
 
 def _load(at: Turned, base: Point, wide: float, deep: float, room: float) -> None:
     rng = at.build.rng
     pieces = int(rng.integers(1, 4))
     for k in range(pieces):
-        half = (wide / pieces * rng.uniform(0.75, 0.97), min(0.8, 0.5 * room) * rng.uniform(0.35, 0.85), deep * rng.uniform(0.7, 0.95))
+        half = (
+            wide / pieces * rng.uniform(0.75, 0.97),
+            min(0.8, 0.5 * room) * rng.uniform(0.35, 0.85),
+            deep * rng.uniform(0.7, 0.95),
+        )
         x = base[0] + (2 * k + 1 - pieces) * wide / pieces
         if rng.random() < 0.75:
             goods = CARTON
         else:
-            goods = Material(Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.INTERIOR), grain=0.12, gloss=0.2)
+            goods = Material(
+                Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.INTERIOR), grain=0.12, gloss=0.2
+            )
         at.box((x, base[1] + half[1], base[2]), half, goods, tint=rng.uniform(0.8, 1.15))
 
 

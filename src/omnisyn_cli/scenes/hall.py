@@ -33,7 +33,9 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
         elif roll < 0.9:
             for x in np.arange(x0 + 1.5, x1 - 1.5, rng.uniform(1.8, 4.5)):
                 if rng.random() < 0.6:
-                    furniture.carton_pile(build, (float(x), 0.0, z + rng.uniform(-0.2, 0.4)), rng.normal(0, 0.1), on_pallet=True)
+                    furniture.carton_pile(
+                        build, (float(x), 0.0, z + rng.uniform(-0.2, 0.4)), rng.normal(0, 0.1), on_pallet=True
+                    )
         _marking(build, cell, z + 0.9)
         z += aisle * rng.uniform(0.8, 1.2)
     for _ in range(int(rng.integers(2, 7))):
@@ -91,7 +93,9 @@ def _marking(build: SceneBuilder, cell: Cell, z: float) -> None:
     if rng.random() < 0.3 or z > cell.high[1] - 0.2:
         return
     if rng.random() < 0.5:
-        paint = Material(Pattern.STRIPES, (0.12, 0.12, 0.12), (0.85, 0.68, 0.1), cell=(0.3, 0.3), detail=1.0, grain=0.15)
+        paint = Material(
+            Pattern.STRIPES, (0.12, 0.12, 0.12), (0.85, 0.68, 0.1), cell=(0.3, 0.3), detail=1.0, grain=0.15
+        )
     else:
         paint = Material(Pattern.PLAIN, pick(rng, palette.SIGN), grain=0.2, grain_size=0.4)
     build.box((cell.low[0] + 0.8, 0.0, z), (cell.high[0] - 0.8, 0.004, z + 0.1), paint, casts_shadow=False)

@@ -1,13 +1,12 @@
 """Where a ray meets a shape: closed forms in each shape's own frame, scaled so that it fills the cube [-1, 1]³.
 
-A shape is hit where a ray *enters* it; a ray that starts inside misses. Distances are in the units of the direction, so a unit
-vector in the world gives metres although the local frame is scaled.
+A shape is hit where a ray *enters* it; a ray that starts inside misses. Distances are in the units of the direction,
+so a unit vector in the world gives metres although the local frame is scaled.
 """
 
 import math
+
 from omnisyn_cli.scenes.jit import inlined, kernel
-
-
 
 __all__ = ["MISS", "enter", "leave_ellipsoid"]
 
@@ -17,7 +16,7 @@ _TINY = 1e-12
 
 
 @inlined
-def _enter_box(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+def _enter_box(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     dx = dx if abs(dx) > _TINY else _TINY
     dy = dy if abs(dy) > _TINY else _TINY
     dz = dz if abs(dz) > _TINY else _TINY
@@ -30,7 +29,7 @@ def _enter_box(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float)
 
 
 @inlined
-def _enter_ellipsoid(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+def _enter_ellipsoid(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     a = dx * dx + dy * dy + dz * dz
     b = ox * dx + oy * dy + oz * dz
     c = ox * ox + oy * oy + oz * oz - 1.0
@@ -42,7 +41,7 @@ def _enter_ellipsoid(ox: float, oy: float, oz: float, dx: float, dy: float, dz: 
 
 
 @inlined
-def leave_ellipsoid(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+def leave_ellipsoid(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Return the distance at which a ray comes out of the unit sphere, for leaves that are seen from behind."""
     a = dx * dx + dy * dy + dz * dz
     b = ox * dx + oy * dy + oz * dz
@@ -54,7 +53,7 @@ def leave_ellipsoid(ox: float, oy: float, oz: float, dx: float, dy: float, dz: f
 
 
 @inlined
-def _enter_cylinder(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+def _enter_cylinder(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     a = dx * dx + dz * dz
     a = a if a > _TINY else _TINY
     b = ox * dx + oz * dz
@@ -70,7 +69,7 @@ def _enter_cylinder(ox: float, oy: float, oz: float, dx: float, dy: float, dz: f
 
 
 @kernel
-def _enter_cone(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+def _enter_cone(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     # x² + z² = ((1 - y) / 2)² between y = -1 (the base, radius 1) and y = 1 (the tip)
     h, k = 0.5 * (1.0 - oy), -0.5 * dy
     a = dx * dx + dz * dz - k * k
@@ -95,7 +94,7 @@ def _enter_cone(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 
 
 @inlined
-def enter(shape: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float) -> float:
+def enter(shape, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Return the distance at which a ray enters a unit shape (a value of ``Shape``), ``MISS`` if it does not."""
     if shape == 0:
         return _enter_box(ox, oy, oz, dx, dy, dz)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float
 
 __all__ = ["Column", "Material", "Pattern", "pack_materials"]
 
@@ -94,7 +94,7 @@ class Material:
 _OPEN = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
 
 
-def pack_materials(materials: Sequence[Material]) -> Float64[np.ndarray, "m p"]:
+def pack_materials(materials: Sequence[Material]) -> Float[np.ndarray, "m p"]:
     """Return one row per material, with linear colours, laid out as :class:`Column` says."""
     rows = [
         (

@@ -1,13 +1,15 @@
 """Band-limited building blocks of the procedural textures, evaluated at one point at a time.
 
-Everything here knows the footprint, the width in metres (or cells) that one sample covers, and fades to its own mean when the
+Everything here knows the footprint, the width in metres (or cells) that one sample covers, and fades to its own mean
+when the
 footprint outgrows the detail: far textures become plain instead of noisy.
 """
 
 import math
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float
+
 from omnisyn_cli.scenes.jit import kernel
 
 __all__ = ["cell_hash", "fractal_noise", "lattice", "pulse", "smooth_noise", "smooth_noise_3d"]
@@ -17,13 +19,13 @@ _PERIOD = 128  # lattice points before the noise repeats, a power of two
 _MASK = _PERIOD - 1
 
 
-def lattice() -> Float32[np.ndarray, "128 128"]:
+def lattice() -> Float[np.ndarray, "128 128"]:
     """Return the random values, uniform in [0, 1), that all noise interpolates: a table costs less than hashing."""
     return np.random.default_rng(20220809).random((_PERIOD, _PERIOD), dtype=np.float32)
 
 
 @kernel
-def cell_hash(i: int, j: int, seed: int) -> float:
+def cell_hash(i, j, seed):  # type: ignore[no-untyped-def]
     """Return a number uniform in [0, 1) for an integer cell."""
     h = (i * 73856093) ^ (j * 19349663) ^ (seed * 83492791)
     h = (h * 2654435761) & 0xFFFFFFFF
@@ -33,7 +35,7 @@ def cell_hash(i: int, j: int, seed: int) -> float:
 
 
 @kernel
-def smooth_noise(table: np.ndarray, x: float, y: float, seed: int) -> float:
+def smooth_noise(table, x, y, seed):  # type: ignore[no-untyped-def]
     """Interpolate the lattice smoothly at (x, y), in lattice units; mean 0.5."""
     column, row = math.floor(x), math.floor(y)
     a, b = x - column, y - row
@@ -46,7 +48,7 @@ def smooth_noise(table: np.ndarray, x: float, y: float, seed: int) -> float:
 
 
 @kernel
-def smooth_noise_3d(table: np.ndarray, x: float, y: float, z: float, seed: int) -> float:
+def smooth_noise_3d(table, x, y, z, seed):  # type: ignore[no-untyped-def]
     """Interpolate between slices of :func:`smooth_noise`; mean 0.5."""
     layer = math.floor(z)
     c = z - layer
@@ -57,7 +59,7 @@ def smooth_noise_3d(table: np.ndarray, x: float, y: float, z: float, seed: int) 
 
 
 @kernel
-def fractal_noise(table: np.ndarray, x: float, y: float, seed: int, footprint: float, octaves: int) -> float:
+def fractal_noise(table, x, y, seed, footprint, octaves):  # type: ignore[no-untyped-def]
     """Add octaves of noise; an octave fades out as its wavelength falls under four footprints. Range about ±1, mean 0.
 
     ``x``, ``y`` and ``footprint`` are in units of the coarsest wavelength.
@@ -74,8 +76,8 @@ def fractal_noise(table: np.ndarray, x: float, y: float, seed: int, footprint: f
 
 
 @kernel
-def pulse(x: float, width: float, footprint: float) -> float:
-    """Return the share of ``[x - footprint/2, x + footprint/2]`` covered by the intervals ``[k, k + width)``, k integer."""
+def pulse(x, width, footprint):  # type: ignore[no-untyped-def]
+    """Return the share of the footprint around x that is covered by the intervals ``[k, k + width)``, k integer."""
     reach = max(footprint, 1e-4)
     low, high = x - 0.5 * reach, x + 0.5 * reach
     low_cell, high_cell = math.floor(low), math.floor(high)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Float, Int
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
@@ -29,7 +30,7 @@ def render_panorama(
     supersample: int = 2,
     shadows: bool = True,
     threads: int | None = None,
-) -> tuple[Float32[np.ndarray, "height width 3"], Float32[np.ndarray, "height width"]]:
+) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
     """Render one panorama.
 
     Args:
@@ -41,7 +42,8 @@ def render_panorama(
         threads: how many to use; None = one per core. The result does not depend on it.
 
     Returns:
-        ``(image, depth)``: RGB in [0, 1] and Euclidean metres along the ray of the pixel's centre, inf where there is only sky.
+        ``(image, depth)``: RGB in [0, 1] and Euclidean metres along the ray of the pixel's centre, inf where there is
+        only sky.
     """
     images, depths = render_views(
         scene, pose.rotation, pose.position[None], size, supersample=supersample, shadows=shadows, threads=threads
@@ -58,14 +60,17 @@ def render_views(
     supersample: int = 2,
     shadows: bool = True,
     threads: int | None = None,
-) -> tuple[Float32[np.ndarray, "views height width 3"], Float32[np.ndarray, "views height width"]]:
+) -> tuple[Float[np.ndarray, "views height width 3"], Float[np.ndarray, "views height width"]]:
     """Render panoramas from several positions in one rotated frame, e.g. the one whose poles are the epipoles.
 
     Args:
         scene: what to render.
         rotation: world from camera, shared by all views.
         positions: optical centres in the world, metres.
-        size, supersample, shadows, threads: as in :func:`render_panorama`.
+        size: ``(height, width)`` in pixels.
+        supersample: colour samples per pixel along each axis.
+        shadows: whether the sun casts shadows.
+        threads: how many to use; None = one per core.
 
     Returns:
         ``(images, depths)``.
@@ -85,17 +90,29 @@ def render_views(
         if workers == 1:
             render_tiles(*fixed, (0, bands), shadows, image, depth)
             continue
+        render_band = partial(_render_band, fixed, shadows, image, depth)
         with ThreadPoolExecutor(workers) as pool:
-            done = [pool.submit(render_tiles, *fixed, (band, band + 1), shadows, image, depth) for band in range(bands)]
-            for band in done:
-                band.result()
+            list(pool.map(render_band, range(bands)))
     return images, depths
 
 
+def _render_band(fixed: tuple[Any, ...], shadows: bool, image: np.ndarray, depth: np.ndarray, band: int) -> None:
+    render_tiles(*fixed, (band, band + 1), shadows, image, depth)
+
+
 def distances(
-    scene: Scene, position: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
-) -> tuple[Float64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
-    """Cast single rays: metres (inf = sky) along unit vectors, and what is hit: shape number, -1 the ground, -2 the sky."""
+    scene: Scene, position: Float[np.ndarray, 3], directions: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Cast single rays from one position.
+
+    Args:
+        scene: what to look at.
+        position: where the rays start, metres.
+        directions: unit vectors.
+
+    Returns:
+        Metres (inf = sky), and what is hit: the number of a shape, -1 for the ground, -2 for the sky.
+    """
     world, _ = seen_from(pack(scene), scene, np.asarray(position, dtype=np.float64))
     distance, hit = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
     cast_rays(world, np.ascontiguousarray(directions, dtype=np.float64), distance, hit)
@@ -109,7 +126,7 @@ def _unrotated_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, 
     return sin_polar, cos_polar, horizon
 
 
-def _ray_tables(rotation: Float64[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> tuple[np.ndarray, ...]:
+def _ray_tables(rotation: Float[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> tuple[np.ndarray, ...]:
     height, width = size
     up = rotation @ angles_to_direction(np.array(0.0), np.array(0.0))
     centres = _unrotated_tables(height, width)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.scenes.scene import Scene, Walkway
@@ -16,8 +16,8 @@ _ATTEMPTS = 400
 _CHECKED_POINTS = 9  # along the line, besides the frames
 
 
-def clearance(scene: Scene, positions: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p"]:
-    """Lower bound in metres of the distance from each position to the nearest surface; negative inside or under the ground.
+def clearance(scene: Scene, positions: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
+    """Lower bound in metres of the distance from each position to the nearest surface, negative inside it.
 
     Every shape counts as its oriented box.
     """
@@ -26,7 +26,8 @@ def clearance(scene: Scene, positions: Float64[np.ndarray, "p 3"]) -> Float64[np
     outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
     distance = outside + np.minimum(beyond.max(axis=-1), 0.0)
     above = positions @ scene.ground[:3] - scene.ground[3]
-    return np.minimum(distance.min(axis=1, initial=np.inf), above)
+    nearest: np.ndarray = np.minimum(distance.min(axis=1, initial=np.inf), above)
+    return nearest
 
 
 def sample_path(
@@ -46,7 +47,8 @@ def sample_path(
         frames: number of poses, evenly spaced; at least 1.
         baseline: metres from the first to the last; None = what is usual in the scene.
         vertical: share of paths that go straight up.
-        tilt: standard deviation in radians of each frame's pitch and roll; above 0 every frame also gets its own heading.
+        tilt: standard deviation in radians of each frame's pitch and roll; above 0 every frame also gets its own
+            heading.
 
     Returns:
         Poses, the first and last being the ends. The heading is random.
@@ -64,17 +66,21 @@ def sample_path(
         length = baseline if baseline is not None else rng.uniform(*walkway.baselines)
         if baseline is None and attempt > _ATTEMPTS // 2:
             length = walkway.baselines[0]
-        start, end = _line(rng, scene, walkway, length, upright=rng.random() < vertical, strict=attempt < _ATTEMPTS // 2)
+        start, end = _line(
+            rng, scene, walkway, length, upright=rng.random() < vertical, strict=attempt < _ATTEMPTS // 2
+        )
         shares = np.linspace(0.0, 1.0, frames)[:, None]
         checked = np.concatenate([shares, np.linspace(0.0, 1.0, _CHECKED_POINTS)[:, None]])
         if clearance(scene, start + checked * (end - start)).min() > keep:
             return [Pose(_attitude(rng, heading, tilt), position) for position in start + shares * (end - start)]
-    raise ValueError(f"expected room for a path of {frames} frames, found none in {_ATTEMPTS} attempts: try a shorter baseline")
+    raise ValueError(
+        f"expected room for a path of {frames} frames, found none in {_ATTEMPTS} attempts: try a shorter baseline"
+    )
 
 
 def _line(
     rng: np.random.Generator, scene: Scene, walkway: Walkway, length: float, *, upright: bool, strict: bool
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
     """Both ends of a candidate; heights count from the ground."""
     low, high = np.array(walkway.low), np.array(walkway.high)
     start = rng.uniform(low, high)
@@ -97,7 +103,7 @@ def _line(
     return start, end
 
 
-def _attitude(rng: np.random.Generator, heading: float, tilt: float) -> Float64[np.ndarray, "3 3"]:
+def _attitude(rng: np.random.Generator, heading: float, tilt: float) -> Float[np.ndarray, "3 3"]:
     if tilt <= 0.0:
         return rotation_from_heading(heading)
     return rotation_from_heading(rng.uniform(-math.pi, math.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))

@@ -1,4 +1,4 @@
-"""Things that stand in a street: trees, lamps, signs, cars, people. Every function adds shapes at a point on the ground."""
+"""Things that stand in a street: trees, lamps, signs, cars, people; every function adds one to the ground."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
+from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 
-__all__ = ["bench", "bollard", "bush", "car", "conifer", "lamp_post", "person", "sign", "tree", "waste_bin"]
+__all__ = ["bench", "bollard", "bush", "car", "conifer", "hedge", "lamp_post", "person", "sign", "tree", "waste_bin"]
 
 Point = tuple[float, float, float]
 
@@ -27,7 +28,12 @@ def _leaves(rng: np.random.Generator, openness: float, size: float) -> Material:
     green = pick(rng, palette.FOLIAGE, 0.08)
     seed = int(rng.integers(1, 1000))
     return Material(
-        Pattern.LEAVES, palette.darker(green, 0.62), palette.darker(green, 1.3), cell=(size, size), detail=openness, seed=seed
+        Pattern.LEAVES,
+        palette.darker(green, 0.62),
+        palette.darker(green, 1.3),
+        cell=(size, size),
+        detail=openness,
+        seed=seed,
     )
 
 
@@ -74,7 +80,16 @@ def bush(build: SceneBuilder, base: Point, radius: float) -> None:
     """Add a low clump of leaves."""
     centre = (base[0], base[1] + 0.5 * radius, base[2])
     build.add(Shape.ELLIPSOID, centre, (radius, 0.8 * radius, radius), _leaves(build.rng, 0.4, 0.15))
-    build.add(Shape.ELLIPSOID, centre, (0.8 * radius, 0.62 * radius, 0.8 * radius), _leaves(build.rng, 0.0, 0.15), tint=0.7)
+    build.add(
+        Shape.ELLIPSOID, centre, (0.8 * radius, 0.62 * radius, 0.8 * radius), _leaves(build.rng, 0.0, 0.15), tint=0.7
+    )
+
+
+def hedge(build: SceneBuilder, base: Point, half: tuple[float, float]) -> None:
+    """Add a clipped hedge, ``half`` = half its length along z and half its height."""
+    thick = build.rng.uniform(0.25, 0.5)
+    centre = (base[0], base[1] + half[1], base[2])
+    build.add(Shape.BOX, centre, (thick, half[1], half[0]), _leaves(build.rng, 0.0, 0.2))
 
 
 def lamp_post(build: SceneBuilder, base: Point, height: float, toward: float) -> None:
@@ -97,9 +112,16 @@ def sign(build: SceneBuilder, base: Point, yaw: float) -> None:
     build.pole(base, height, 0.032, Material(Pattern.PLAIN, (0.55, 0.56, 0.56), grain=0.06, gloss=0.2))
     for level in range(int(rng.integers(1, 3))):
         face = Material(
-            Pattern.COLLAGE, pick(rng, palette.SIGN), pick(rng, palette.SIGN), (0.92, 0.92, 0.9),
-            cell=(0.5, 0.3), grain=0.03, gloss=0.15, detail=0.6, seed=int(rng.integers(1, 1000)),
-        )  # fmt: skip
+            Pattern.COLLAGE,
+            pick(rng, palette.SIGN),
+            pick(rng, palette.SIGN),
+            (0.92, 0.92, 0.9),
+            cell=(0.5, 0.3),
+            grain=0.03,
+            gloss=0.15,
+            detail=0.6,
+            seed=int(rng.integers(1, 1000)),
+        )
         half = (rng.uniform(0.2, 0.45), rng.uniform(0.18, 0.35), 0.012)
         build.add(Shape.BOX, (x, y + height - half[1] - 0.75 * level, z), half, face, yaw=yaw)
 
@@ -122,7 +144,9 @@ def waste_bin(build: SceneBuilder, base: Point) -> None:
 
 def bench(build: SceneBuilder, base: Point, yaw: float) -> None:
     """Add a bench of slats on two iron legs."""
-    wood = Material(Pattern.PLANKS, (0.50, 0.36, 0.24), (0.42, 0.29, 0.2), (0.1, 0.08, 0.06), cell=(3.0, 0.1), line=0.02)
+    wood = Material(
+        Pattern.PLANKS, (0.50, 0.36, 0.24), (0.42, 0.29, 0.2), (0.1, 0.08, 0.06), cell=(3.0, 0.1), line=0.02
+    )
     iron = Material(Pattern.PLAIN, (0.15, 0.15, 0.15), grain=0.05)
     x, y, z = base
     c, s = math.cos(yaw), math.sin(yaw)
@@ -136,11 +160,19 @@ def car(build: SceneBuilder, base: Point, yaw: float) -> None:
     """Add a car: body, cabin of glass, bumpers, wheels and lights; its nose points along the local −z."""
     rng = build.rng
     paint = pick(rng, palette.CAR)
-    body = Material(Pattern.PLAIN, paint, palette.darker(paint, 0.9), grain=0.02, gloss=0.75, grain_size=2.0)
+    body = Material(Pattern.PLAIN, paint, palette.darker(paint, 0.9), grain=0.02, gloss=0.5, grain_size=2.0)
     dark = Material(Pattern.PLAIN, (0.09, 0.09, 0.1), grain=0.05, gloss=0.2)
     glass = Material(
-        Pattern.WINDOW, paint, (0.10, 0.12, 0.14), palette.darker(paint, 0.5), cell=(1.15, 9.0), line=0.06, gloss=1.0, grain=0.02
+        Pattern.WINDOW,
+        paint,
+        (0.10, 0.12, 0.14),
+        palette.darker(paint, 0.5),
+        cell=(1.15, 9.0),
+        line=0.06,
+        gloss=1.0,
+        grain=0.02,
     )
+    screen = Material(Pattern.PLAIN, (0.1, 0.12, 0.14), grain=0.03, gloss=0.9)
     is_van = rng.random() < 0.2
     length, width = rng.uniform(3.7, 4.7), rng.uniform(0.83, 0.95)
     waist, roof = (1.0, rng.uniform(1.9, 2.2)) if is_van else (rng.uniform(0.82, 0.95), rng.uniform(1.4, 1.65))
@@ -159,8 +191,18 @@ def car(build: SceneBuilder, base: Point, yaw: float) -> None:
     cabin = 0.45 * length if is_van else 0.27 * length
     part(0, 0.5 * (waist + roof) - 0.03, back, (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, dark)
     part(0, roof - 0.04, back, (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
-    if not is_van:  # the raked bonnet and the windscreen's foot
-        part(0, waist + 0.06, back - cabin - 0.12, (width - 0.14, 0.12, 0.2), glass, dark)
+    if not is_van:  # raked windscreens, front and back
+        for end, lean in ((back - cabin - 0.05, 0.95), (back + cabin + 0.02, -0.7)):
+            rake = rotation_from_rotation_vector(np.array([lean, 0.0, 0.0]))
+            turned = rotation_from_rotation_vector(np.array([0.0, yaw, 0.0])) @ rake
+            middle = place(0, 0.5 * (waist + roof) - 0.02, end)
+            build.add(
+                Shape.BOX,
+                middle,
+                (width - 0.13, 0.5 * (roof - waist) / math.cos(lean) - 0.05, 0.02),
+                screen,
+                rotation=turned,
+            )
     for z in (-0.62 * half, 0.62 * half):
         hub_left, hub_right = place(-width - 0.01, 0.31, z), place(width + 0.01, 0.31, z)
         build.rod(hub_left, hub_right, 0.31, TYRE)
@@ -175,7 +217,9 @@ def person(build: SceneBuilder, base: Point) -> None:
     rng = build.rng
     x, y, z = base
     height = rng.uniform(1.5, 1.9)
-    coat = Material(Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.CLOTH), grain=0.25, grain_size=0.3, detail=0.2)
+    coat = Material(
+        Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.CLOTH), grain=0.25, grain_size=0.3, detail=0.2
+    )
     trousers = Material(Pattern.PLAIN, palette.darker(pick(rng, palette.CLOTH), 0.6), grain=0.2)
     yaw, stride = rng.uniform(0, math.pi), rng.uniform(0.02, 0.25)
     c, s = math.cos(yaw), math.sin(yaw)

@@ -59,7 +59,7 @@ def normal_at(shapes, k, shape, axis, x, y, z):  # type: ignore[no-untyped-def]
 @kernel
 def _is_open_at(world, k, x, y, z):  # type: ignore[no-untyped-def]
     shape = world.kinds[k, SHAPE]
-    u, v, hu, hv, axis = place_on(world.shapes, k, shape, x, y, z)
+    u, v, _, hv, axis = place_on(world.shapes, k, shape, x, y, z)
     material = world.materials[world.kinds[k, CAPS if axis == 1 else SIDES]]
     x, y, z = x * world.shapes[k, HALF], y * world.shapes[k, HALF + 1], z * world.shapes[k, HALF + 2]
     return is_hole(material, world.noise, u, v, hv, x, y, z, world.kinds[k, VARIATION])
@@ -81,17 +81,15 @@ def _enter_open(world, k, ox, oy, oz, dx, dy, dz, t):  # type: ignore[no-untyped
 def first_hit(world, listed, count, x, y, z):  # type: ignore[no-untyped-def]
     """Metres along the unit vector (x, y, z) from the eye to the first thing, and its number.
 
-    Args:
-        world: the scene.
-        listed: shapes to try, nearest first.
-        count: how many of them.
-        x, y, z: unit vector.
+    Tries the first ``count`` of the ``listed`` shapes, nearest first.
     """
     best, hit = MISS, SKY
     s, shapes = world.scalars, world.shapes
     slant = s[PLANE] * x + s[PLANE + 1] * y + s[PLANE + 2] * z
     if slant < -1e-9:
-        height = s[PLANE] * s[WORLD_EYE] + s[PLANE + 1] * s[WORLD_EYE + 1] + s[PLANE + 2] * s[WORLD_EYE + 2] - s[PLANE + 3]
+        height = (
+            s[PLANE] * s[WORLD_EYE] + s[PLANE + 1] * s[WORLD_EYE + 1] + s[PLANE + 2] * s[WORLD_EYE + 2] - s[PLANE + 3]
+        )
         if height > 0.0:
             best, hit = -height / slant, GROUND
     for i in range(count):
@@ -140,7 +138,7 @@ def is_shadowed(world, px, py, pz, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel
 def cast_rays(world, directions, distance, hit):  # type: ignore[no-untyped-def]
-    """Cast rays from the eye without any culling: (n, 3) unit vectors to (n,) metres (inf = sky) and (n,) shape numbers."""
+    """Cast rays without any culling: (n, 3) unit vectors to (n,) metres (inf = sky) and (n,) shape numbers."""
     for i in range(len(directions)):
         t, k = first_hit(world, world.order, len(world.order), directions[i, 0], directions[i, 1], directions[i, 2])
         distance[i] = np.inf if k == SKY else t

@@ -70,7 +70,8 @@ def render_tiles(world, bounds, tables, samples, tiles, bands, shadows, image, d
         bounds: of its shapes.
         tables: ``(sin_polar, cos_polar, horizon)`` of the pixel centres and the same of the samples, then ``up``.
         samples: samples per pixel along each axis.
-        tiles: pixels along the side of a large and of a small tile; shapes are chosen for the former, then for the latter.
+        tiles: pixels along the side of a large and of a small tile; shapes are chosen for the former, then for the
+            latter.
         bands: first band of large tiles and one past the last.
         shadows: whether to cast shadow rays.
         image: (H, W, 3) float32 output in [0, 1].
@@ -90,7 +91,10 @@ def render_tiles(world, bounds, tables, samples, tiles, bands, shadows, image, d
             for row in range(top, bottom, small):
                 for column in range(left, right, small):
                     last_row, last_column = min(bottom, row + small), min(right, column + small)
-                    rows, columns = (row * samples, last_row * samples - 1), (column * samples, last_column * samples - 1)
+                    rows, columns = (
+                        (row * samples, last_row * samples - 1),
+                        (column * samples, last_column * samples - 1),
+                    )
                     tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
                     count = list_tile(bounds, coarse, listed, planes, fine)
                     rows, columns = (row, last_row), (column, last_column)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape, Walkw
 from omnisyn_cli.scenes.walls import Cell, Opening, enclose
 
 __all__ = ["room"]
+
+Openings = dict[str, list[Opening]]
+Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ def room(seed: int) -> Scene:
         if plan.use == "hall":
             furnish_hall(build, cell)
         else:
-            _furnish(build, cell, plan.use)
+            _furnish(build, cell, plan.use, openings[index])
         _walkway(build, cell, plan.use)
     return build.build("room")
 
@@ -87,10 +91,20 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
         direction, softness = sun_at(rng.choice([0.0, math.pi]) + rng.normal(0, 0.5), rng.uniform(0.35, 0.9)), 0.008
         sun = (2.6, 2.35, 1.9)
     return Lighting(
-        sun_direction=direction, sun=sun, sky=sky, bounce=bounce, softness=softness, zenith=day.zenith, horizon=day.horizon,
-        cloud=day.cloud, cloud_cover=day.cloud_cover, cloud_scale=day.cloud_scale, haze=0.0,
-        exposure=rng.uniform(1.2, 1.9), seed=day.seed,
-    )  # fmt: skip
+        sun_direction=direction,
+        sun=sun,
+        sky=sky,
+        bounce=bounce,
+        softness=softness,
+        zenith=day.zenith,
+        horizon=day.horizon,
+        cloud=day.cloud,
+        cloud_cover=day.cloud_cover,
+        cloud_scale=day.cloud_scale,
+        haze=0.0,
+        exposure=rng.uniform(1.2, 1.9),
+        seed=day.seed,
+    )
 
 
 def _outside(build: SceneBuilder, level: float) -> None:
@@ -98,7 +112,9 @@ def _outside(build: SceneBuilder, level: float) -> None:
     rng = build.rng
     green = pick(rng, palette.FOLIAGE)
     build.ground = (0.0, 1.0, 0.0, level)
-    build.ground_material = Material(Pattern.GRASS, palette.darker(green, 0.85), palette.darker(green, 1.25), (0.5, 0.47, 0.35), detail=0.4)
+    build.ground_material = Material(
+        Pattern.GRASS, palette.darker(green, 0.85), palette.darker(green, 1.25), (0.5, 0.47, 0.35), detail=0.4
+    )
     for side in (-1.0, 1.0):
         for _ in range(int(rng.integers(1, 4))):
             x, z = rng.uniform(-25, 25), side * rng.uniform(16, 45)
@@ -110,9 +126,9 @@ def _outside(build: SceneBuilder, level: float) -> None:
                 props.conifer(build, (x, level, z), rng.uniform(7, 14))
 
 
-def _openings(rng: np.random.Generator, plan: _Plan) -> list[dict[str, list[Opening]]]:
-    """Doors between neighbours, windows in the outer walls; walls are named by where they stand: west, east, south, north."""
-    openings: list[dict[str, list[Opening]]] = [{"west": [], "east": [], "south": [], "north": []} for _ in plan.cells]
+def _openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
+    """Doors between neighbours and windows to the outside, by cell and by wall: west, east, south, north."""
+    openings: list[Openings] = [{"west": [], "east": [], "south": [], "north": []} for _ in plan.cells]
     for left, right in zip(range(len(plan.cells)), range(1, len(plan.cells)), strict=False):
         low = max(plan.cells[left].low[1], plan.cells[right].low[1]) + 0.3
         high = min(plan.cells[left].high[1], plan.cells[right].high[1]) - 0.3
@@ -151,18 +167,18 @@ def _walkway(build: SceneBuilder, cell: Cell, use: str) -> None:
     build.walkways.append(Walkway(low, high, (0.0, 0.0), baselines, 0.22))
 
 
-def _furnish(build: SceneBuilder, cell: Cell, use: str) -> None:
+def _furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> None:
     """Line the walls and fill the floor; things that would overlap are left out."""
     rng = build.rng
     taken: list[tuple[float, float, float]] = []
     size = (cell.high[0] - cell.low[0], cell.high[1] - cell.low[1])
     if rng.random() < (0.5 if use == "home" else 0.15):
         _rug(build, cell)
-    for _ in range(int(rng.integers(3, 6) + size[0] * size[1] / 9.0)):
-        _against_wall(build, cell, use, taken)
+    for _ in range(int(rng.integers(6, 12) + size[0] * size[1] / 5.0)):
+        _against_wall(build, cell, use, openings, taken)
     if use == "office" and min(size) > 4.0 and rng.random() < 0.6:
         _rows_of_desks(build, cell, taken)
-    for _ in range(int(rng.integers(1, 3) + size[0] * size[1] / 14.0)):
+    for _ in range(int(rng.integers(1, 4) + size[0] * size[1] / 9.0)):
         _in_the_middle(build, cell, use, taken)
 
 
@@ -179,23 +195,49 @@ def _rug(build: SceneBuilder, cell: Cell) -> None:
     x = rng.uniform(cell.low[0] + 1.5, max(cell.low[0] + 1.51, cell.high[0] - 1.5))
     z = rng.uniform(cell.low[1] + 1.2, max(cell.low[1] + 1.21, cell.high[1] - 1.2))
     weave = Material(
-        Pattern.RUG, pick(rng, palette.CLOTH), pick(rng, palette.CLOTH), pick(rng, palette.CLOTH), cell=(0.3, 0.3), grain=0.12,
-        grain_size=0.08, seed=int(rng.integers(1, 1000)),
-    )  # fmt: skip
-    build.add(Shape.BOX, (x, 0.006, z), half, weave, yaw=float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])), casts_shadow=False)
+        Pattern.RUG,
+        pick(rng, palette.CLOTH),
+        pick(rng, palette.CLOTH),
+        pick(rng, palette.CLOTH),
+        cell=(0.3, 0.3),
+        grain=0.12,
+        grain_size=0.08,
+        seed=int(rng.integers(1, 1000)),
+    )
+    build.add(
+        Shape.BOX, (x, 0.006, z), half, weave, yaw=float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])), casts_shadow=False
+    )
 
 
-def _against_wall(build: SceneBuilder, cell: Cell, use: str, taken: list[tuple[float, float, float]]) -> None:
+def _against_wall(
+    build: SceneBuilder, cell: Cell, use: str, openings: Openings, taken: list[tuple[float, float, float]]
+) -> None:
     """Stand something against a wall, facing the room, and perhaps hang a picture over it."""
     rng = build.rng
-    x, z, yaw = _wall_place(rng, cell, 0.42)
-    radius = 0.75
-    if not _is_free(taken, x, z, radius):
+    x, z, yaw, is_open = _wall_place(rng, cell, openings, 0.42)
+    radius = 0.62
+    if is_open > 1 or not _is_free(taken, x, z, radius):
         return
     base = (x, 0.0, z)
-    home = (furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp)
-    work = (furniture.cabinet, furniture.shelf, furniture.shelf, furniture.screen, furniture.plant, furniture.table)
+    home: tuple[Thing, ...] = (
+        furniture.cabinet,
+        furniture.shelf,
+        furniture.sofa,
+        furniture.bed,
+        furniture.plant,
+        furniture.floor_lamp,
+    )
+    work: tuple[Thing, ...] = (
+        furniture.cabinet,
+        furniture.shelf,
+        furniture.shelf,
+        furniture.screen,
+        furniture.plant,
+        furniture.table,
+    )
     choices = home if use == "home" else work
+    if is_open:  # nothing tall before a window
+        choices = (furniture.table, furniture.plant, furniture.armchair)
     if rng.random() < 0.12:
         furniture.carton_pile(build, base, yaw, on_pallet=False)
     else:
@@ -207,35 +249,55 @@ def _against_wall(build: SceneBuilder, cell: Cell, use: str, taken: list[tuple[f
         else:
             thing(build, base, yaw)
     if rng.random() < 0.7:
-        _picture(build, cell)
+        _picture(build, cell, openings)
 
 
-def _wall_place(rng: np.random.Generator, cell: Cell, gap: float) -> tuple[float, float, float]:
-    """A point ``gap`` in front of a random wall, and the yaw that looks away from it."""
-    wall = int(rng.integers(4))
+def _wall_place(
+    rng: np.random.Generator, cell: Cell, openings: Openings, gap: float
+) -> tuple[float, float, float, int]:
+    """A point ``gap`` in front of a wall, the yaw that looks away from it, and 0 (wall), 1 (window) or 2 (door)."""
+    name = str(rng.choice(["south", "north", "west", "east"]))
     x, z = rng.uniform(cell.low[0] + 0.8, cell.high[0] - 0.8), rng.uniform(cell.low[1] + 0.8, cell.high[1] - 0.8)
-    if wall == 0:
-        return x, cell.low[1] + gap, 0.0
-    if wall == 1:
-        return x, cell.high[1] - gap, math.pi
-    if wall == 2:
-        return cell.low[0] + gap, z, 0.5 * math.pi
-    return cell.high[0] - gap, z, -0.5 * math.pi
+    along = x if name in ("south", "north") else z
+    before = [o for o in openings[name] if o.start - 0.6 < along < o.end + 0.6]
+    is_open = 0 if not before else (2 if before[0].bottom <= 0.0 else 1)
+    if name == "south":
+        return x, cell.low[1] + gap, 0.0, is_open
+    if name == "north":
+        return x, cell.high[1] - gap, math.pi, is_open
+    if name == "west":
+        return cell.low[0] + gap, z, 0.5 * math.pi, is_open
+    return cell.high[0] - gap, z, -0.5 * math.pi, is_open
 
 
-def _picture(build: SceneBuilder, cell: Cell) -> None:
+def _picture(build: SceneBuilder, cell: Cell, openings: Openings) -> None:
     rng = build.rng
-    x, z, yaw = _wall_place(rng, cell, 0.075)
+    x, z, yaw, is_open = _wall_place(rng, cell, openings, 0.075)
+    if is_open:
+        return
     half = (rng.uniform(0.15, 0.55), rng.uniform(0.15, 0.45), 0.015)
     paint = Material(
-        Pattern.PICTURE, pick(rng, palette.GLASS, 0.15), pick(rng, palette.FOLIAGE, 0.15), pick(rng, palette.WOOD),
-        cell=(0.25, 0.2), line=rng.uniform(0.01, 0.04), grain=0.04, gloss=0.2, seed=int(rng.integers(1, 1000)),
-    )  # fmt: skip
+        Pattern.PICTURE,
+        pick(rng, palette.GLASS, 0.15),
+        pick(rng, palette.FOLIAGE, 0.15),
+        pick(rng, palette.WOOD),
+        cell=(0.25, 0.2),
+        line=rng.uniform(0.01, 0.04),
+        grain=0.04,
+        gloss=0.2,
+        seed=int(rng.integers(1, 1000)),
+    )
     if rng.random() < 0.35:
         paint = Material(
-            Pattern.COLLAGE, pick(rng, palette.SIGN, 0.1), pick(rng, palette.INTERIOR), pick(rng, palette.SIGN, 0.1),
-            cell=(0.4, 0.3), grain=0.04, detail=0.8, seed=int(rng.integers(1, 1000)),
-        )  # fmt: skip
+            Pattern.COLLAGE,
+            pick(rng, palette.SIGN, 0.1),
+            pick(rng, palette.INTERIOR),
+            pick(rng, palette.SIGN, 0.1),
+            cell=(0.4, 0.3),
+            grain=0.04,
+            detail=0.8,
+            seed=int(rng.integers(1, 1000)),
+        )
     build.add(Shape.BOX, (x, rng.uniform(1.3, 1.75), z), half, paint, yaw=yaw)
 
 
@@ -247,7 +309,11 @@ def _rows_of_desks(build: SceneBuilder, cell: Cell, taken: list[tuple[float, flo
         for z in np.arange(cell.low[1] + 1.5, cell.high[1] - 1.2, step[1]):
             if rng.random() < 0.8 and _is_free(taken, float(x), float(z), 0.7):
                 furniture.table(build, (float(x), 0.0, float(z)), 0.0, (0.6, 0.35))
-                seat(build, (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7)), math.pi + rng.uniform(-0.5, 0.5))
+                seat(
+                    build,
+                    (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7)),
+                    math.pi + rng.uniform(-0.5, 0.5),
+                )
 
 
 def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: list[tuple[float, float, float]]) -> None:

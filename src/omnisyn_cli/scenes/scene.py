@@ -1,7 +1,8 @@
 """A scene as arrays: convex shapes, materials, one ground plane, a sky, a sun and lamps.
 
-The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape in a box of
-half sizes ``half`` that is rotated and moved. :class:`SceneBuilder` collects the shapes while a generator walks down its street.
+The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape in a
+box of half sizes ``half`` that is rotated and moved. :class:`SceneBuilder` collects the shapes while a generator
+walks down its street.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from enum import IntEnum
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float, Int
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material, pack_materials
@@ -108,24 +109,24 @@ class Scene:
     """
 
     kind: str
-    shape: Int64[np.ndarray, "n"]
-    centre: Float64[np.ndarray, "n 3"]
-    rotation: Float64[np.ndarray, "n 3 3"]
-    half: Float64[np.ndarray, "n 3"]
-    material: Int64[np.ndarray, "n 2"]
-    tint: Float64[np.ndarray, "n 3"]
-    variation: Int64[np.ndarray, "n"]
-    casts_shadow: Bool[np.ndarray, "n"]
-    materials: Float64[np.ndarray, "m p"]
-    ground: Float64[np.ndarray, "4"]
+    shape: Int[np.ndarray, " n"]
+    centre: Float[np.ndarray, "n 3"]
+    rotation: Float[np.ndarray, "n 3 3"]
+    half: Float[np.ndarray, "n 3"]
+    material: Int[np.ndarray, "n 2"]
+    tint: Float[np.ndarray, "n 3"]
+    variation: Int[np.ndarray, " n"]
+    casts_shadow: Bool[np.ndarray, " n"]
+    materials: Float[np.ndarray, "m p"]
+    ground: Float[np.ndarray, 4]
     ground_material: int
-    lamps: Float64[np.ndarray, "l 6"]
+    lamps: Float[np.ndarray, "l 6"]
     lighting: Lighting
     walkways: tuple[Walkway, ...]
 
 
 class _Added(NamedTuple):
-    """One shape: ``turn`` is its yaw, or the direction of its y axis, or its rotation; the rest as in :class:`Scene`."""
+    """One shape; ``turn`` is its yaw, or the direction of its y axis, or its rotation."""
 
     shape: int
     centre: Vector
@@ -158,7 +159,7 @@ class SceneBuilder:
         *,
         cap: Material | None = None,
         yaw: float = 0.0,
-        rotation: Float64[np.ndarray, "3 3"] | None = None,
+        rotation: Float[np.ndarray, "3 3"] | None = None,
         tint: Colour | float = 1.0,
         casts_shadow: bool = True,
     ) -> None:
@@ -248,7 +249,7 @@ class SceneBuilder:
         return self._materials.setdefault(material, len(self._materials))
 
 
-def _rotations(turns: Sequence[Turn]) -> Float64[np.ndarray, "n 3 3"]:
+def _rotations(turns: Sequence[Turn]) -> Float[np.ndarray, "n 3 3"]:
     """World-from-local rotations, all at once: one by one they would cost more than the picture."""
     yaws = np.array([turn if isinstance(turn, float | int) else 0.0 for turn in turns], dtype=np.float64)
     vectors = np.zeros((len(turns), 3))

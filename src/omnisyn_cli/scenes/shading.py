@@ -17,7 +17,12 @@ GLOSS, GLOW, FIRST, SECOND, THIRD = (
 EYE, HALF, TINT = int(Packed.EYE), int(Packed.HALF), int(Packed.TINT)
 SHAPE, SIDES, CAPS, VARIATION = int(Kind.SHAPE), int(Kind.SIDES), int(Kind.CAPS), int(Kind.VARIATION)
 SUN, ABOVE, BELOW, ZENITH = int(Scalar.SUN), int(Scalar.SKY), int(Scalar.BOUNCE), int(Scalar.ZENITH)
-HORIZON, CLOUD, COVER, CLOUD_SCALE = int(Scalar.HORIZON), int(Scalar.CLOUD), int(Scalar.CLOUD_COVER), int(Scalar.CLOUD_SCALE)
+HORIZON, CLOUD, COVER, CLOUD_SCALE = (
+    int(Scalar.HORIZON),
+    int(Scalar.CLOUD),
+    int(Scalar.CLOUD_COVER),
+    int(Scalar.CLOUD_SCALE),
+)
 CLOUD_SEED, HAZE, SUNS, PLANE = int(Scalar.CLOUD_SEED), int(Scalar.HAZE), int(Scalar.SUNS), int(Scalar.GROUND)
 WORLD_EYE, GROUND_MATERIAL = int(Scalar.EYE), int(Scalar.GROUND_MATERIAL)
 OFF_SURFACE = 1e-3  # metres between a surface and the start of its shadow ray
@@ -51,7 +56,7 @@ def _sky(s, table, x, y, z, pixel):  # type: ignore[no-untyped-def]
 
 @kernel
 def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-untyped-def]
-    """Light that falls on a point, and how much of the sun it sees; ``sun`` is the place of its direction in the scalars."""
+    """Light that falls on a point, and how much of the sun, whose direction is at ``sun`` in the scalars, it sees."""
     s = world.scalars
     above = 0.5 + 0.5 * ny
     r = s[ABOVE] * above + s[BELOW] * (1.0 - above)
@@ -83,14 +88,8 @@ def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-u
 def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
     """Linear colour of what the ray (x, y, z) hits.
 
-    Args:
-        world: the scene.
-        hit: number of the shape, or GROUND or SKY.
-        t: its distance, metres.
-        x, y, z: unit vector.
-        pixel: angle between neighbouring samples, radians.
-        sample: number of the sample in its pixel: chooses the point on the sun.
-        shadows: whether to cast shadow rays.
+    ``hit`` is the number of the shape (or GROUND, SKY) and t its distance; ``pixel`` is the angle between neighbouring
+    samples in radians; ``sample``, the number of the sample in its pixel, chooses a point on the sun.
     """
     s, shapes, kinds = world.scalars, world.shapes, world.kinds
     if hit == SKY:
@@ -109,7 +108,12 @@ def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-un
         qz = shapes[hit, EYE + 2] + t * (shapes[hit, 6] * x + shapes[hit, 7] * y + shapes[hit, 8] * z)
         u, v, hu, hv, axis = place_on(shapes, hit, shape, qx, qy, qz)
         nx, ny, nz = normal_at(shapes, hit, shape, axis, qx, qy, qz)
-        qx, qy, qz, variation = qx * shapes[hit, HALF], qy * shapes[hit, HALF + 1], qz * shapes[hit, HALF + 2], kinds[hit, VARIATION]
+        qx, qy, qz, variation = (
+            qx * shapes[hit, HALF],
+            qy * shapes[hit, HALF + 1],
+            qz * shapes[hit, HALF + 2],
+            kinds[hit, VARIATION],
+        )
         tr, tg, tb = shapes[hit, TINT], shapes[hit, TINT + 1], shapes[hit, TINT + 2]
         row = kinds[hit, CAPS if axis == 1 else SIDES]
         if axis != 1:  # dirt and missing light where things meet the floor
@@ -123,7 +127,11 @@ def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-un
         material, world.noise, u, v, hu, hv, qx, qy, qz, footprint, variation
     )
     lightness = max(lightness, 0.02)
-    first, second, third = (1.0 - second) * (1.0 - third) * lightness, second * (1.0 - third) * lightness, third * lightness
+    first, second, third = (
+        (1.0 - second) * (1.0 - third) * lightness,
+        second * (1.0 - third) * lightness,
+        third * lightness,
+    )
     ar = (material[FIRST] * first + material[SECOND] * second + material[THIRD] * third) * tr
     ag = (material[FIRST + 1] * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
     ab = (material[FIRST + 2] * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb

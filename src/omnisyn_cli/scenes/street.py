@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -72,10 +73,8 @@ def street(seed: int) -> Scene:
 def _draw_plan(rng: np.random.Generator) -> _Plan:
     style = str(rng.choice(["town", "suburb", "office", "square"], p=[0.4, 0.2, 0.22, 0.18]))
     slope = 0.0 if rng.random() < 0.6 else rng.uniform(-0.06, 0.06)
-    crossings = []
-    for middle in (rng.uniform(-45, -9), rng.uniform(6, 50)):
-        if rng.random() < 0.6:
-            crossings.append((middle, rng.uniform(3.0, 6.0)))
+    middles = (rng.uniform(-45, -9), rng.uniform(6, 50))
+    crossings = [(middle, rng.uniform(3.0, 6.0)) for middle in middles if rng.random() < 0.6]
     return _Plan(
         style=style,
         road=float(rng.choice([rng.uniform(2.6, 4.2), rng.uniform(4.2, 8.0)])),
@@ -86,8 +85,16 @@ def _draw_plan(rng: np.random.Generator) -> _Plan:
     )
 
 
-def _tilted(build: SceneBuilder, plan: _Plan, x: tuple[float, float], z: tuple[float, float], top: float, deep: float,
-            material: Material, side_material: Material | None = None) -> None:  # fmt: skip
+def _tilted(
+    build: SceneBuilder,
+    plan: _Plan,
+    x: tuple[float, float],
+    z: tuple[float, float],
+    top: float,
+    deep: float,
+    material: Material,
+    side_material: Material | None = None,
+) -> None:
     """Add a slab that follows the slope, from x[0] to x[1] and z[0] to z[1], ``top`` metres above the road."""
     middle = 0.5 * (z[0] + z[1])
     angle = -math.atan(plan.slope)
@@ -96,9 +103,14 @@ def _tilted(build: SceneBuilder, plan: _Plan, x: tuple[float, float], z: tuple[f
     centre = (0.5 * (x[0] + x[1]), plan.slope * middle + top - 0.5 * deep, middle)
     half = (0.5 * abs(x[1] - x[0]), 0.5 * deep, length)
     build.add(
-        Shape.BOX, centre, half, material if side_material is None else side_material, cap=material, rotation=rotation,
+        Shape.BOX,
+        centre,
+        half,
+        material if side_material is None else side_material,
+        cap=material,
+        rotation=rotation,
         casts_shadow=False,
-    )  # fmt: skip
+    )
 
 
 def _roadway(build: SceneBuilder, plan: _Plan) -> None:
@@ -109,13 +121,21 @@ def _roadway(build: SceneBuilder, plan: _Plan) -> None:
     paint = (0.86, 0.86, 0.83)
     seed = int(rng.integers(1, 1000))
     build.ground_material = Material(
-        Pattern.ROAD, grey, paint, (0.82, 0.62, 0.16), cell=(plan.road, rng.uniform(4, 9)), line=rng.uniform(0.1, 0.18),
-        detail=rng.uniform(0, 1), seed=seed,
-    )  # fmt: skip
+        Pattern.ROAD,
+        grey,
+        paint,
+        (0.82, 0.62, 0.16),
+        cell=(plan.road, rng.uniform(4, 9)),
+        line=rng.uniform(0.1, 0.18),
+        detail=rng.uniform(0, 1),
+        seed=seed,
+    )
     if plan.style == "square":
         build.ground_material = _paving(rng)
     bare = Material(Pattern.ROAD, grey, grey, grey, cell=(500.0, 9.0), detail=0.0, line=0.0, seed=seed)
-    zebra = Material(Pattern.STRIPES, paint, palette.darker(grey, 1.05), cell=(1.0, 1.0), detail=0.5, grain=0.3, grain_size=0.4)
+    zebra = Material(
+        Pattern.STRIPES, paint, palette.darker(grey, 1.05), cell=(1.0, 1.0), detail=0.5, grain=0.3, grain_size=0.4
+    )
     for middle, half in plan.crossings:
         _tilted(build, plan, (-90, 90), (middle - half, middle + half), 0.004, 0.02, bare)
         if rng.random() < 0.7:
@@ -124,10 +144,14 @@ def _roadway(build: SceneBuilder, plan: _Plan) -> None:
     for _ in range(int(rng.integers(1, 5))):  # manholes and mended patches
         x, z = rng.uniform(-0.8, 0.8) * plan.road, rng.uniform(-14, 14)
         if rng.random() < 0.5:
-            iron = Material(Pattern.CHECKER, (0.25, 0.24, 0.23), (0.33, 0.32, 0.3), cell=(0.05, 0.05), line=0.004, grain=0.2)
+            iron = Material(
+                Pattern.CHECKER, (0.25, 0.24, 0.23), (0.33, 0.32, 0.3), cell=(0.05, 0.05), line=0.004, grain=0.2
+            )
             build.add(Shape.CYLINDER, (x, plan.ground(z, False), z), (0.33, 0.006 + 0.33 * abs(plan.slope), 0.33), iron)
         else:
-            patch = Material(Pattern.ROAD, palette.darker(grey, rng.uniform(0.75, 1.15)), grey, grey, (500.0, 9.0), 0.0, detail=0.0)
+            patch = Material(
+                Pattern.ROAD, palette.darker(grey, rng.uniform(0.75, 1.15)), grey, grey, (500.0, 9.0), 0.0, detail=0.0
+            )
             size = rng.uniform(0.4, 1.6, 2)
             _tilted(build, plan, (x - size[0], x + size[0]), (z - size[1], z + size[1]), 0.007, 0.02, patch)
 
@@ -136,16 +160,27 @@ def _paving(rng: np.random.Generator) -> Material:
     stone, other = pick(rng, palette.PAVING), pick(rng, palette.PAVING)
     wide = rng.uniform(0.2, 0.9)
     return Material(
-        Pattern(rng.choice([Pattern.BRICK, Pattern.TILES, Pattern.TILES])), stone, palette.mixed(stone, other, 0.55),
-        palette.darker(stone, 0.65), cell=(wide, wide * rng.uniform(0.4, 1.0)), line=rng.uniform(0.008, 0.02),
-        grain=rng.uniform(0.1, 0.3), grain_size=rng.uniform(0.5, 2.5), detail=rng.uniform(0.1, 0.6), seed=int(rng.integers(1, 1000)),
-    )  # fmt: skip
+        Pattern(rng.choice([Pattern.BRICK, Pattern.TILES, Pattern.TILES])),
+        stone,
+        palette.mixed(stone, other, 0.55),
+        palette.darker(stone, 0.65),
+        cell=(wide, wide * rng.uniform(0.4, 1.0)),
+        line=rng.uniform(0.008, 0.02),
+        grain=rng.uniform(0.1, 0.3),
+        grain_size=rng.uniform(0.5, 2.5),
+        detail=rng.uniform(0.1, 0.6),
+        seed=int(rng.integers(1, 1000)),
+    )
 
 
 def _grass(rng: np.random.Generator) -> Material:
     green = pick(rng, palette.FOLIAGE)
     return Material(
-        Pattern.GRASS, palette.darker(green, 0.85), palette.darker(green, 1.25), (0.55, 0.50, 0.30), detail=rng.uniform(0, 0.8)
+        Pattern.GRASS,
+        palette.darker(green, 0.85),
+        palette.darker(green, 1.25),
+        (0.55, 0.50, 0.30),
+        detail=rng.uniform(0, 0.8),
     )
 
 
@@ -161,7 +196,9 @@ def _blocks(plan: _Plan) -> list[tuple[float, float]]:
 def _pavement(build: SceneBuilder, plan: _Plan, side: float) -> None:
     rng = build.rng
     stone = _paving(rng)
-    kerb = Material(Pattern.BRICK, (0.58, 0.57, 0.55), (0.52, 0.51, 0.5), (0.35, 0.34, 0.33), cell=(1.0, 1.0), line=0.012)
+    kerb = Material(
+        Pattern.BRICK, (0.58, 0.57, 0.55), (0.52, 0.51, 0.5), (0.35, 0.34, 0.33), cell=(1.0, 1.0), line=0.012
+    )
     green = plan.style in ("suburb", "square") or rng.random() < 0.25
     yard = _grass(rng) if green else stone
     inner = plan.road + plan.pavement
@@ -175,7 +212,9 @@ def _fronts(build: SceneBuilder, plan: _Plan, side: float) -> None:
     """Line one side with buildings; squares have an open side, suburbs gardens."""
     rng = build.rng
     inner = plan.road + plan.pavement
-    setback = {"town": rng.uniform(0, 0.8), "office": rng.uniform(0.5, 9), "suburb": rng.uniform(3, 8)}.get(plan.style, 0.5)
+    setback = {"town": rng.uniform(0, 0.8), "office": rng.uniform(0.5, 9), "suburb": rng.uniform(3, 8)}.get(
+        plan.style, 0.5
+    )
     if plan.style == "square" and side > 0:
         setback = rng.uniform(14, 30)
     gap = {"town": 0.12, "office": 0.35, "suburb": 0.95, "square": 0.2}[plan.style]
@@ -205,10 +244,12 @@ def _fronts(build: SceneBuilder, plan: _Plan, side: float) -> None:
 def _skyline(build: SceneBuilder, plan: _Plan, side: float) -> None:
     """Add towers and tree tops behind the first row, and what closes the street far away."""
     rng = build.rng
-    for _ in range(int(rng.integers(2, 6))):
-        x, z = side * rng.uniform(45, 90), rng.uniform(-80, 80)
-        if rng.random() < 0.6:
+    for _ in range(int(rng.integers(3, 8))):
+        x, z = side * rng.uniform(35, 90), rng.uniform(-80, 80)
+        if rng.random() < (0.25 if plan.style == "suburb" else 0.6):
             office(build, (x, plan.ground(z), z), rng.uniform(14, 30), side, detailed=False)
+        elif rng.random() < 0.5:
+            props.tree(build, (x, plan.ground(z), z), rng.uniform(7, 13))
         else:
             props.conifer(build, (x, plan.ground(z), z), rng.uniform(9, 18))
     z = math.copysign(rng.uniform(88, 120), side)
@@ -235,7 +276,7 @@ def _roadside(build: SceneBuilder, plan: _Plan, side: float) -> None:
         if not plan.is_crossing(z):
             props.lamp_post(build, (kerb_x, plan.ground(z), z), height, -side)
         z += lamp
-    for _ in range(int(rng.integers(3, 10))):
+    for _ in range(int(rng.integers(5, 14))):
         _small_thing(build, plan, side)
     if parked:
         z = -34.0 + rng.uniform(0, 5)
@@ -277,9 +318,13 @@ def _small_thing(build: SceneBuilder, plan: _Plan, side: float) -> None:
 def _fence(build: SceneBuilder, plan: _Plan, side: float) -> None:
     rng = build.rng
     iron = Material(
-        Pattern(rng.choice([Pattern.BARS, Pattern.BARS, Pattern.MESH])), pick(rng, palette.METAL), cell=(0.13, 0.13), line=0.025,
-        grain=0.05, gloss=0.1,
-    )  # fmt: skip
+        Pattern(rng.choice([Pattern.BARS, Pattern.BARS, Pattern.MESH])),
+        pick(rng, palette.METAL),
+        cell=(0.13, 0.13),
+        line=0.025,
+        grain=0.05,
+        gloss=0.1,
+    )
     x = side * (plan.road + plan.pavement - 0.12) if rng.random() < 0.6 else side * (plan.road + 0.25)
     height = rng.uniform(0.8, 1.5)
     rotation = rotation_from_rotation_vector(np.array([-math.atan(plan.slope), 0.0, 0.0]))
@@ -305,7 +350,7 @@ def _wires(build: SceneBuilder, plan: _Plan) -> None:
     for z in stands:
         build.pole((x, plan.ground(z), z), height, 0.12, wood)
         build.rod((x - 0.9, plan.ground(z) + height - 0.5, z), (x + 0.9, plan.ground(z) + height - 0.5, z), 0.05, wood)
-    for a, b in zip(stands, stands[1:], strict=False):
+    for a, b in itertools.pairwise(stands):
         for across in (-0.8, 0.0, 0.8):
             low, middle = plan.ground(a) + height - 0.4, 0.5 * (a + b)
             sag = (x + across, 0.5 * (plan.ground(a) + plan.ground(b)) + height - 1.0, middle)

@@ -1,18 +1,16 @@
 """The patterns: what a material looks like at one point of a face.
 
-A pattern answers with five numbers: how much of the material's second and third colour lies over the first, a factor on the
-brightness, a factor on the gloss and one on the glow. It is told the place on the face in metres (``u`` across, 0 in the middle;
-``v`` up, 0 at the bottom), the half sizes of the face, and the footprint of the sample in metres; detail smaller than the footprint
-fades to its mean.
+A pattern answers with five numbers: how much of the material's second and third colour lies over the first, a factor
+on the brightness, a factor on the gloss and one on the glow. It is told the place on the face in metres (``u`` across,
+0 in the middle; ``v`` up, 0 at the bottom), the half sizes of the face, and the footprint of the sample in metres;
+detail smaller than the footprint fades to its mean.
 """
 
 import math
 
-import numpy as np
-
+from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.materials import Column
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
-from omnisyn_cli.scenes.jit import kernel
 
 __all__ = ["is_hole", "pattern_at"]
 
@@ -21,19 +19,19 @@ GRAIN, GRAIN_SIZE, SEED, OPEN = int(Column.GRAIN), int(Column.GRAIN_SIZE), int(C
 
 
 @kernel
-def _visible(size: float, footprint: float) -> float:
+def _visible(size, footprint):  # type: ignore[no-untyped-def]
     """How much of the variation between cells of a size survives a footprint."""
     return min(1.0, max(0.0, 1.7 - 1.6 * footprint / size))
 
 
 @kernel
-def _step(x: float, footprint: float) -> float:
+def _step(x, footprint):  # type: ignore[no-untyped-def]
     """Share of the footprint around x that is above zero."""
     return min(1.0, max(0.0, 0.5 + x / max(footprint, 1e-4)))
 
 
 @kernel
-def _inside(u: float, v: float, u0: float, v0: float, u1: float, v1: float, footprint: float) -> float:
+def _inside(u, v, u0, v0, u1, v1, footprint):  # type: ignore[no-untyped-def]
     """Share of the footprint within a rectangle."""
     across = _step(u - u0, footprint) * _step(u1 - u, footprint)
     return across * _step(v - v0, footprint) * _step(v1 - v, footprint)
@@ -164,7 +162,10 @@ def _road(m, table, u, v, fp):  # type: ignore[no-untyped-def]
     if m[DETAIL] > 0.75:
         dash = _inside(across, 0.0, 0.07, -1.0, 0.07 + line, 1.0, fp)
     if half > 6.0:  # two lanes each way
-        dash = max(dash, _inside(across, 0.0, 0.5 * half, -1.0, 0.5 * half + line, 1.0, fp) * pulse(v / period, 0.42, fp / period))
+        dash = max(
+            dash,
+            _inside(across, 0.0, 0.5 * half, -1.0, 0.5 * half + line, 1.0, fp) * pulse(v / period, 0.42, fp / period),
+        )
     paint = max(dash, edge) * min(1.0, max(0.0, worn * 1.1))
     on_paint = 1.0 - paint
     lightness = 1.0 + on_paint * (0.35 * patch + 0.55 * speck + 0.2 * (worn - 1.0) + track - crack)
@@ -225,8 +226,10 @@ def _carton(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
     width, height = 0.05 + 0.25 * hu * (0.5 + a), 0.04 + 0.3 * hv * (0.5 + b)
     u0, v0 = -0.85 * hu + a * (1.5 * hu - width), 0.2 * hv + b * (1.5 * hv - height)
     label = _inside(u, v, u0, v0, u0 + width, v0 + height, fp)
-    text = pulse(v / 0.035, 0.45, fp / 0.035) * _inside(u, v, u0 + 0.02, v0 + 0.02, u0 + width - 0.03, v0 + height - 0.02, fp)
-    text *= _step(cell_hash(int(math.floor(u / 0.02)), int(math.floor(v / 0.035)), seed) - 0.3, 0.2)
+    text = pulse(v / 0.035, 0.45, fp / 0.035) * _inside(
+        u, v, u0 + 0.02, v0 + 0.02, u0 + width - 0.03, v0 + height - 0.02, fp
+    )
+    text *= _step(cell_hash(math.floor(u / 0.02), math.floor(v / 0.035), seed) - 0.3, 0.2)
     edge = 1.0 - 0.18 * (1.0 - _inside(u, v, -hu + 0.012, 0.012, hu - 0.012, 2.0 * hv - 0.012, fp + 0.01))
     return tape * (1.0 - label), label, edge * (1.0 - 0.75 * text * label), 1.0, 1.0
 
@@ -290,18 +293,21 @@ def _window(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pattern_at(m, table, u, v, hu, hv, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
+def _leaves(table, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
+    clump = smooth_noise_3d(table, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
+    leaf = (smooth_noise_3d(table, x * 6.0, y * 6.0, z * 6.0, variation + 3) - 0.5) * _visible(0.12, fp)
+    return min(1.0, max(0.0, 0.5 + clump + leaf)), 0.0, 1.0 + 0.7 * clump + 0.9 * leaf, 1.0, 1.0
+
+
+@kernel
+def pattern_at(m, table, u, v, hu, hv, x, y, z, fp, variation):  # type: ignore[no-untyped-def]  # noqa: C901
     """Return the shares of the second and third colour and the factors on brightness, gloss and glow.
 
-    Args:
-        m: packed material.
-        table: of :func:`omnisyn_cli.scenes.noise.lattice`.
-        u, v: place on the face, metres; ``v`` grows upwards from 0.
-        hu, hv: half sizes of the face, metres.
-        x, y, z: place in the shape's own frame, metres.
-        fp: footprint, metres.
-        variation: number of the shape.
+    ``m`` is a packed material and ``table`` the noise; (u, v) is the place on a face of half sizes (hu, hv), v growing
+    upwards from 0; (x, y, z) the place in the shape's own frame; ``fp`` the footprint: all metres. ``variation`` is the
+    number of the shape.
     """
+    # one flat list: numba compiles every level of calls again for the level above
     pattern = int(m[0])
     result = (0.0, 0.0, 1.0, 1.0, 1.0)
     if pattern == 1:
@@ -319,15 +325,13 @@ def pattern_at(m, table, u, v, hu, hv, x, y, z, fp, variation):  # type: ignore[
     elif pattern == 7:
         result = _collage(m, u, v, fp, variation)
     elif pattern == 8:
-        result = _road(m, table, u, v, fp)
+        return _road(m, table, u, v, fp)
     elif pattern == 9:
-        result = _grass(m, table, u, v, fp)
+        return _grass(m, table, u, v, fp)
     elif pattern == 10:
         result = _wallpaper(m, u, v, fp)
     elif pattern == 11:
-        clump = smooth_noise_3d(table, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
-        leaf = (smooth_noise_3d(table, x * 6.0, y * 6.0, z * 6.0, variation + 3) - 0.5) * _visible(0.12, fp)
-        result = (min(1.0, max(0.0, 0.5 + clump + leaf)), 0.0, 1.0 + 0.7 * clump + 0.9 * leaf, 1.0, 1.0)
+        return _leaves(table, x, y, z, fp, variation)
     elif pattern == 13:
         result = _panels(m, u, v, fp)
     elif pattern == 14:
@@ -342,19 +346,19 @@ def pattern_at(m, table, u, v, hu, hv, x, y, z, fp, variation):  # type: ignore[
         result = _rug(m, u, v, hu, hv, fp)
     elif pattern == 19:
         result = _window(m, u, v, hu, hv, fp, variation)
-    if m[GRAIN] <= 0.0 or pattern == 8 or pattern == 9 or pattern == 11:
-        return result
-    size = m[GRAIN_SIZE]
-    noise = fractal_noise(table, (u + variation) / size, v / size, int(m[SEED]) + variation, fp / size, 4)
     second, third, lightness, gloss, glow = result
-    if pattern == 0:  # stains
-        second = min(1.0, max(0.0, (noise + m[DETAIL] - 0.5) * 1.6))
-    return second, third, lightness * (1.0 + m[GRAIN] * 2.0 * noise), gloss, glow
+    if m[GRAIN] > 0.0:
+        size, seed = m[GRAIN_SIZE], int(m[SEED]) + variation
+        noise = fractal_noise(table, (u + variation) / size, v / size, seed, fp / size, 5)
+        if pattern == 0:  # stains
+            second = min(1.0, max(0.0, (noise + m[DETAIL] - 0.5) * 1.6))
+        lightness *= 1.0 + 2.0 * m[GRAIN] * noise
+    return second, third, lightness, gloss, glow
 
 
 @kernel
 def is_hole(m, table, u, v, hv, x, y, z, variation):  # type: ignore[no-untyped-def]
-    """Tell whether a ray passes through the surface here: between leaves, bars or wires. Arguments as ``pattern_at``."""
+    """Tell whether a ray passes between leaves, bars or wires here; arguments as of :func:`pattern_at`."""
     pattern = int(m[0])
     if pattern == 11:
         size = m[CELL_U]

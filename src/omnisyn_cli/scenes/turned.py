@@ -27,7 +27,14 @@ class Turned:
         return self.base[0] + c * x + s * z, self.base[1] + y, self.base[2] - s * x + c * z
 
     def box(
-        self, centre: Point, half: Point, material: Material, *, cap: Material | None = None, tint: float = 1.0, turn: float = 0.0
+        self,
+        centre: Point,
+        half: Point,
+        material: Material,
+        *,
+        cap: Material | None = None,
+        tint: float = 1.0,
+        turn: float = 0.0,
     ) -> None:
         """Add a box; ``turn`` turns it further about its own middle."""
         self.build.add(Shape.BOX, self.place(*centre), half, material, cap=cap, yaw=self.yaw + turn, tint=tint)

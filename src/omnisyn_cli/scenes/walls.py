@@ -39,7 +39,9 @@ class Opening:
     top: float
 
 
-def enclose(build: SceneBuilder, cell: Cell, openings: dict[str, list[Opening]], use: str, *, casts_shadow: bool) -> None:
+def enclose(
+    build: SceneBuilder, cell: Cell, openings: dict[str, list[Opening]], use: str, *, casts_shadow: bool
+) -> None:
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
     Args:
@@ -72,24 +74,57 @@ def _wall_paint(rng: np.random.Generator, use: str) -> Material:
     kind = rng.random()
     if use == "home" and kind < 0.3:
         return Material(
-            Pattern.WALLPAPER, tone, palette.darker(tone, rng.uniform(0.75, 1.12)), palette.mixed(tone, pick(rng, palette.CLOTH), 0.4),
-            cell=(rng.uniform(0.12, 0.5), rng.uniform(0.15, 0.5)), grain=0.03, seed=seed,
-        )  # fmt: skip
+            Pattern.WALLPAPER,
+            tone,
+            palette.darker(tone, rng.uniform(0.75, 1.12)),
+            palette.mixed(tone, pick(rng, palette.CLOTH), 0.4),
+            cell=(rng.uniform(0.12, 0.5), rng.uniform(0.15, 0.5)),
+            grain=0.03,
+            seed=seed,
+        )
     if kind < (0.4 if use != "hall" else 0.3):
         brick = pick(rng, palette.BRICK) if rng.random() < 0.5 else tone
         return Material(
-            Pattern.BRICK, brick, palette.darker(brick, 0.8), palette.darker(brick, 1.25), cell=(0.25, 0.08), line=0.011, grain=0.12, seed=seed
+            Pattern.BRICK,
+            brick,
+            palette.darker(brick, 0.8),
+            palette.darker(brick, 1.25),
+            cell=(0.25, 0.08),
+            line=0.011,
+            grain=0.12,
+            seed=seed,
         )
     if use == "hall" and kind < 0.6:
-        return Material(Pattern.RIBS, tone, palette.darker(tone, 0.85), palette.darker(tone, 0.6), cell=(0.3, 2.5), line=0.03, grain=0.06, seed=seed)
+        return Material(
+            Pattern.RIBS,
+            tone,
+            palette.darker(tone, 0.85),
+            palette.darker(tone, 0.6),
+            cell=(0.3, 2.5),
+            line=0.03,
+            grain=0.06,
+            seed=seed,
+        )
     if kind < 0.5:
         return Material(
-            Pattern.PLANKS, pick(rng, palette.WOOD), pick(rng, palette.WOOD), (0.15, 0.1, 0.07), cell=(3.0, 0.14), line=0.006, grain=0.05, seed=seed
+            Pattern.PLANKS,
+            pick(rng, palette.WOOD),
+            pick(rng, palette.WOOD),
+            (0.15, 0.1, 0.07),
+            cell=(3.0, 0.14),
+            line=0.006,
+            grain=0.05,
+            seed=seed,
         )
     return Material(
-        Pattern.PLAIN, tone, palette.darker(tone, rng.uniform(0.78, 0.97)), grain=rng.uniform(0.02, 0.1), grain_size=rng.uniform(0.5, 3.0),
-        detail=rng.uniform(0.2, 0.6), seed=seed,
-    )  # fmt: skip
+        Pattern.PLAIN,
+        tone,
+        palette.darker(tone, rng.uniform(0.78, 0.97)),
+        grain=rng.uniform(0.02, 0.1),
+        grain_size=rng.uniform(0.5, 3.0),
+        detail=rng.uniform(0.2, 0.6),
+        seed=seed,
+    )
 
 
 def _floor(rng: np.random.Generator, use: str) -> Material:
@@ -98,24 +133,56 @@ def _floor(rng: np.random.Generator, use: str) -> Material:
     if use == "hall":
         tone = pick(rng, palette.CONCRETE)
         return Material(
-            Pattern.TILES, tone, palette.darker(tone, 0.96), palette.darker(tone, 0.75), cell=(5.0, 5.0), line=0.012, grain=0.16,
-            grain_size=1.2, gloss=0.25, seed=seed,
-        )  # fmt: skip
+            Pattern.TILES,
+            tone,
+            palette.darker(tone, 0.96),
+            palette.darker(tone, 0.75),
+            cell=(5.0, 5.0),
+            line=0.012,
+            grain=0.16,
+            grain_size=1.2,
+            gloss=0.25,
+            seed=seed,
+        )
     if kind < 0.45:
         tone = pick(rng, palette.WOOD)
         return Material(
-            Pattern.PLANKS, tone, palette.darker(tone, 0.75), palette.darker(tone, 0.4), cell=(rng.uniform(0.6, 2.2), rng.uniform(0.07, 0.2)),
-            line=0.005, grain=0.06, gloss=0.35, seed=seed,
-        )  # fmt: skip
+            Pattern.PLANKS,
+            tone,
+            palette.darker(tone, 0.75),
+            palette.darker(tone, 0.4),
+            cell=(rng.uniform(0.6, 2.2), rng.uniform(0.07, 0.2)),
+            line=0.005,
+            grain=0.06,
+            gloss=0.35,
+            seed=seed,
+        )
     if kind < 0.7:
         tone = pick(rng, palette.PAVING if rng.random() < 0.5 else palette.INTERIOR)
         other = palette.darker(tone, rng.uniform(0.4, 0.95))
         pattern = Pattern.CHECKER if rng.random() < 0.3 else Pattern.TILES
         side = rng.uniform(0.2, 0.6)
-        return Material(pattern, tone, other, palette.darker(tone, 0.6), cell=(side, side), line=0.008, grain=0.07, gloss=0.45, detail=0.3, seed=seed)
+        return Material(
+            pattern,
+            tone,
+            other,
+            palette.darker(tone, 0.6),
+            cell=(side, side),
+            line=0.008,
+            grain=0.07,
+            gloss=0.45,
+            detail=0.3,
+            seed=seed,
+        )
     tone = pick(rng, palette.CLOTH)
     return Material(
-        Pattern.PLAIN, tone, palette.darker(tone, 0.8), grain=0.2, grain_size=rng.choice([0.05, 0.3]), detail=0.4, seed=seed
+        Pattern.PLAIN,
+        tone,
+        palette.darker(tone, 0.8),
+        grain=0.2,
+        grain_size=rng.choice([0.05, 0.3]),
+        detail=0.4,
+        seed=seed,
     )
 
 
@@ -125,7 +192,15 @@ def _ceiling(build: SceneBuilder, cell: Cell, use: str, casts_shadow: bool) -> N
     white = pick(rng, ((0.9, 0.9, 0.88), (0.84, 0.83, 0.8), (0.75, 0.76, 0.76)))
     if use == "office" or rng.random() < 0.1:
         surface = Material(
-            Pattern.PANELS, white, palette.darker(white, 0.7), (0.97, 0.97, 0.95), cell=(0.6, 0.6), line=0.02, grain=0.05, detail=0.7, glow=2.5
+            Pattern.PANELS,
+            white,
+            palette.darker(white, 0.7),
+            (0.97, 0.97, 0.95),
+            cell=(0.6, 0.6),
+            line=0.02,
+            grain=0.05,
+            detail=0.7,
+            glow=2.5,
         )
     else:
         surface = Material(Pattern.PLAIN, white, palette.darker(white, 0.92), grain=0.04, grain_size=1.5)
@@ -150,7 +225,9 @@ def _ceiling_lamp(build: SceneBuilder, cell: Cell) -> None:
     drop = rng.uniform(0.2, 0.7)
     kind = rng.random()
     if kind < 0.4:
-        build.rod((x, cell.tall - drop, z), (x, cell.tall, z), 0.006, Material(Pattern.PLAIN, (0.1, 0.1, 0.1), grain=0.0))
+        build.rod(
+            (x, cell.tall - drop, z), (x, cell.tall, z), 0.006, Material(Pattern.PLAIN, (0.1, 0.1, 0.1), grain=0.0)
+        )
         build.ball((x, cell.tall - drop, z), rng.uniform(0.1, 0.2), shade)
     elif kind < 0.7:
         build.add(Shape.CYLINDER, (x, cell.tall - 0.05, z), (0.22, 0.05, 0.22), shade)
@@ -170,8 +247,14 @@ def _axes(cell: Cell, name: str) -> tuple[float, float, float, bool]:
     return cell.low[0], cell.high[0], cell.high[1] - inset, True
 
 
-def _slab(build: SceneBuilder, wall: tuple[float, float, float, bool], along: tuple[float, float], heights: tuple[float, float],
-          half: float, material: Material) -> None:  # fmt: skip
+def _slab(
+    build: SceneBuilder,
+    wall: tuple[float, float, float, bool],
+    along: tuple[float, float],
+    heights: tuple[float, float],
+    half: float,
+    material: Material,
+) -> None:
     """Add a piece of wall, or a bar in one."""
     across, is_x = wall[2], wall[3]
     middle, reach = 0.5 * (along[0] + along[1]), 0.5 * (along[1] - along[0])
@@ -194,7 +277,10 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
     if build.rng.random() < 0.5:
         skirting = Material(Pattern.PLAIN, palette.darker(material.first, build.rng.choice([0.5, 1.15])), grain=0.04)
         at = wall[0]
-        for opening in [*sorted((o for o in openings if o.bottom <= 0.0), key=lambda o: o.start), Opening(wall[1], wall[1], 0, 0)]:
+        for opening in [
+            *sorted((o for o in openings if o.bottom <= 0.0), key=lambda o: o.start),
+            Opening(wall[1], wall[1], 0, 0),
+        ]:
             _slab(build, wall, (at, opening.start), (0.0, 0.09), half + 0.012, skirting)
             at = opening.end
 
@@ -222,12 +308,22 @@ def _window(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> Non
     inside = (wall[0], wall[1], wall[2] + 0.1 * inward, wall[3])
     if rng.random() < 0.35 and high < 3.0:
         tone = pick(rng, palette.CLOTH)
-        cloth = Material(Pattern.RIBS, tone, palette.darker(tone, 0.75), tone, cell=(0.09, 50.0), line=0.001, grain=0.08)
+        cloth = Material(
+            Pattern.RIBS, tone, palette.darker(tone, 0.75), tone, cell=(0.09, 50.0), line=0.001, grain=0.08
+        )
         for edge, sign in ((a, -1.0), (b, 1.0)):
             start, end = sorted((edge + sign * 0.25, edge - sign * 0.22))
             _slab(build, inside, (start, end), (0.1, high + 0.12), 0.025, cloth)
     elif low > 0.6 and low < 1.3 and rng.random() < 0.5:
-        steel = Material(Pattern.RIBS, (0.86, 0.86, 0.84), (0.72, 0.72, 0.7), (0.6, 0.6, 0.6), cell=(0.08, 9.0), line=0.01, grain=0.03)
+        steel = Material(
+            Pattern.RIBS,
+            (0.86, 0.86, 0.84),
+            (0.72, 0.72, 0.7),
+            (0.6, 0.6, 0.6),
+            cell=(0.08, 9.0),
+            line=0.01,
+            grain=0.03,
+        )
         _slab(build, inside, (a + 0.1, b - 0.1), (0.12, low - 0.12), 0.04, steel)
 
 
@@ -257,9 +353,15 @@ def _closed_door(build: SceneBuilder, cell: Cell, name: str) -> None:
     wall = (low, high, across + 0.03 * inward, is_x)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     leaf = Material(
-        Pattern.WINDOW, tone, palette.darker(tone, 0.9), tone, cell=(0.36, 9.0 if rng.random() < 0.3 else 0.7), line=0.1, grain=0.08,
+        Pattern.WINDOW,
+        tone,
+        palette.darker(tone, 0.9),
+        tone,
+        cell=(0.36, 9.0 if rng.random() < 0.3 else 0.7),
+        line=0.1,
+        grain=0.08,
         gloss=0.15,
-    )  # fmt: skip
+    )
     trim = Material(Pattern.PLAIN, palette.darker(tone, 0.8), grain=0.04)
     _slab(build, wall, (middle - 0.45, middle + 0.45), (0.0, top), 0.02, leaf)
     for edge in (middle - 0.48, middle + 0.48):

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float, Int
 
 from omnisyn_cli.scenes.culling import light_grid
 from omnisyn_cli.scenes.materials import Column
@@ -114,12 +114,12 @@ class Bounds(NamedTuple):
 class Pack:
     """The part of a world that does not depend on the eye; fields as in :class:`World` and :class:`Bounds`."""
 
-    to_unit: Float64[np.ndarray, "n 3 3"]
-    axes: Float64[np.ndarray, "n 3 3"]
-    kinds: Int64[np.ndarray, "n 5"]
-    scalars: Float64[np.ndarray, "s"]
-    grid_start: Int64[np.ndarray, "c"]
-    grid_items: Int64[np.ndarray, "i"]
+    to_unit: Float[np.ndarray, "n 3 3"]
+    axes: Float[np.ndarray, "n 3 3"]
+    kinds: Int[np.ndarray, "n 5"]
+    scalars: Float[np.ndarray, " s"]
+    grid_start: Int[np.ndarray, " c"]
+    grid_items: Int[np.ndarray, " i"]
 
 
 def pack(scene: Scene) -> Pack:
@@ -139,19 +139,31 @@ def pack(scene: Scene) -> Pack:
         to_unit=axes / scene.half[:, :, None] ** 2,
         axes=axes,
         kinds=np.column_stack([scene.shape, scene.material, scene.variation, is_open]).astype(np.int64),
-        scalars=np.concatenate([_light_scalars(scene), scene.ground, np.zeros(3), suns.ravel(), across.ravel(), frame.ravel()]),
+        scalars=np.concatenate(
+            [_light_scalars(scene), scene.ground, np.zeros(3), suns.ravel(), across.ravel(), frame.ravel()]
+        ),
         grid_start=start,
         grid_items=items,
     )
 
 
-def _light_scalars(scene: Scene) -> Float64[np.ndarray, "24"]:
+def _light_scalars(scene: Scene) -> Float[np.ndarray, 24]:
     light = scene.lighting
-    colours = [*light.sun, *light.sky, *light.bounce, scene.ground_material, *light.zenith, *light.horizon, *light.cloud]
-    return np.array([*colours, light.cloud_cover, light.cloud_scale, light.haze, light.exposure, light.seed], dtype=np.float64)
+    colours = [
+        *light.sun,
+        *light.sky,
+        *light.bounce,
+        scene.ground_material,
+        *light.zenith,
+        *light.horizon,
+        *light.cloud,
+    ]
+    return np.array(
+        [*colours, light.cloud_cover, light.cloud_scale, light.haze, light.exposure, light.seed], dtype=np.float64
+    )
 
 
-def seen_from(packed: Pack, scene: Scene, eye: Float64[np.ndarray, "3"]) -> tuple[World, Bounds]:
+def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, 3]) -> tuple[World, Bounds]:
     """Finish a pack for one place of the eye."""
     offset = scene.centre - eye
     unit = -np.squeeze(packed.to_unit @ offset[:, :, None], -1)
@@ -175,5 +187,5 @@ def seen_from(packed: Pack, scene: Scene, eye: Float64[np.ndarray, "3"]) -> tupl
 
 
 @lru_cache(maxsize=1)
-def _noise_table() -> Float32[np.ndarray, "128 128"]:
+def _noise_table() -> Float[np.ndarray, "128 128"]:
     return lattice()

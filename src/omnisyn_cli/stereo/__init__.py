@@ -1,0 +1,1 @@
+"""Depth of a pair of panoramas by classical stereo, without a network."""

@@ -55,17 +55,23 @@ def find_planes(
     )
     chosen = rng.choice(len(directions), min(CHUNK, len(directions)), replace=False)
     d, rho, tol, w = directions[chosen], inverse_depth[chosen], tolerance[chosen], weight[chosen].astype(np.float32)
-    inliers = (np.abs(proposals @ d.T - rho) < tol).astype(np.float32)
-    total, planes = float(w.sum()), []
-    for _ in range(count):
-        support = inliers @ w
+    inliers = _inliers(proposals, d, rho, tol)
+    support, total, planes = w @ inliers, float(w.sum()), []
+    while len(planes) < count and support.max() >= share * total:
         best = int(support.argmax())
-        if support[best] < share * total:
-            break
-        normal = _polish(proposals[best], d, rho, tol, w > 0)
-        planes.append(normal)
-        w[(np.abs(d @ normal - rho) < 1.5 * tol) | (inliers[best] > 0)] = 0.0
+        planes.append(_polish(proposals[best], d, rho, tol, w > 0))
+        explained = (np.abs(d @ planes[-1] - rho) < 1.5 * tol) | (inliers[:, best] > 0)
+        spent = np.flatnonzero(explained & (w > 0))
+        support -= w[spent] @ inliers[spent]
+        support[best] = 0.0
+        w[spent] = 0.0
     return np.array(planes).reshape(-1, 3)
+
+
+def _inliers(proposals: np.ndarray, d: np.ndarray, rho: np.ndarray, tol: np.ndarray) -> np.ndarray:
+    """``(points, proposals)``, 1 where the proposal explains the point; float32, which sums fast."""
+    scaled = (d / tol[:, None]).astype(np.float32) @ proposals.T.astype(np.float32)
+    return np.asarray(np.abs(scaled - (rho / tol).astype(np.float32)[:, None]) < 1.0, np.float32)
 
 
 def _windows(d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, np.ndarray], block: int) -> np.ndarray:

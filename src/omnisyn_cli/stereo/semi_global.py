@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, UInt64
 
-__all__ = ["FORBIDDEN", "aggregate", "band_cost", "census", "choose", "warp_cost"]
+__all__ = ["FORBIDDEN", "aggregate", "sweep_cost", "census", "choose", "warp_cost"]
 
 HALF_WINDOW = 3
 NOISE = np.float32(0.004)
@@ -47,27 +47,29 @@ def census(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.ndarray, "
                 r = min(max(row + i, 0), height - 1)
                 for j in range(-HALF_WINDOW, HALF_WINDOW + 1):
                     if i != 0 or j != 0:
-                        bits = (bits << np.uint64(1)) | np.uint64(luminance[r, (col + j) % width] > threshold)
+                        c = col + j
+                        if c < 0 or c >= width:
+                            c %= width
+                        bits = (bits << np.uint64(1)) | np.uint64(luminance[r, c] > threshold)
             signature[row, col] = bits
     return signature
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def band_cost(
+def sweep_cost(
     first: Float[np.ndarray, "height width 3"],
     second: Float[np.ndarray, "height width 3"],
     usable: Bool[np.ndarray, "height width"],
-    start: Float[np.ndarray, "height width"],
     lowest: Float[np.ndarray, "height width"],
     levels: int,
     colour_share: float,
     truncation: float,
 ) -> Float[np.ndarray, "height width levels"]:
-    """Cost in [0, 1] of the disparities ``start + 0, 1, … levels − 1`` (rows), to the nearest row of the second image.
+    """Cost in [0, 1] of the disparities 0, 1, … levels − 1 (rows).
 
     Args:
         first, second: RGB; ``usable``: where the second image may be matched.
-        start: rows; disparities below ``lowest`` (rows) are :data:`FORBIDDEN`.
+        lowest: rows; smaller disparities are :data:`FORBIDDEN`.
         colour_share: weight of the absolute colour difference against the census.
         truncation: the colour difference that counts as 1.
     """
@@ -80,12 +82,11 @@ def band_cost(
     cost = np.empty((height, width, levels), np.float32)
     for row in numba.prange(height):
         for col in range(width):
-            base = row + int(np.floor(start[row, col] + 0.5))
             for level in range(levels):
-                r = base + level
-                if r - row < lowest[row, col]:
+                r = row + level
+                if level < lowest[row, col]:
                     cost[row, col, level] = FORBIDDEN
-                elif r < 0 or r >= height or not usable[r, col]:
+                elif r >= height or not usable[r, col]:
                     cost[row, col, level] = UNSEEN
                 else:
                     share = np.float32(_count_bits(bits_a[row, col] ^ bits_b[r, col])) * CONTRADICTION

@@ -35,7 +35,7 @@ class PoolScene:
 
     images: UInt8[np.ndarray, "views height width 3"]
     inverse_depth: Float[np.ndarray, "views height width"]
-    along: Float[np.ndarray, "views"]
+    along: Float[np.ndarray, " views"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Batch:
     first: Float[Tensor, "batch 3 height width"]
     second: Float[Tensor, "batch 3 height width"]
     root: Float[Tensor, "batch 1 height width"]
-    baseline: Float[Tensor, "batch"]
+    baseline: Float[Tensor, " batch"]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def list_pool(folder: Path) -> list[Path]:
     """
     paths = sorted(folder.glob("*.npz"))
     if not paths:
-        raise InputError(f"expected a pool of training scenes in {folder}, found no .npz file; run `omnisyn train pool`")
+        raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; run `omnisyn train pool`")
     return paths
 
 
@@ -169,14 +169,14 @@ def vary_colours(
     for image in varied:
         if rng.random() < a.jpeg:
             image[:] = _through_jpeg(image, int(rng.integers(40, 96)))
-    return varied.astype(f32, copy=False)
+    return np.asarray(varied, dtype=f32)
 
 
 def _blurred(image: Float32[np.ndarray, "height width 3"], sigma: float) -> np.ndarray:
     reach = 4
     height, width = image.shape[:2]
-    row, col = np.arange(-reach, height + reach)[:, None], np.arange(-reach, width + reach)[None, :]
-    padded = image[wrap_pixel(*np.broadcast_arrays(row, col), height, width)]
+    row, col = np.mgrid[-reach : height + reach, -reach : width + reach]
+    padded = image[wrap_pixel(row, col, height, width)]
     return np.asarray(cv2.GaussianBlur(padded, (0, 0), sigma))[reach:-reach, reach:-reach]
 
 

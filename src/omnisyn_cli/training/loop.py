@@ -116,9 +116,7 @@ class Trainer:
         """One step; returns the loss. The batch depends on the seed and the step alone."""
         config = self.config
         rng = np.random.default_rng([config.seed, self.step])
-        batch = draw_batch(
-            pool, rng, config.batch, config.size, Augmentation(), self.network.config.greatest_root
-        )
+        batch = draw_batch(pool, rng, config.batch, config.size, Augmentation(), self.network.config.greatest_root)
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate()
         loss = depth_loss(self.network(batch.first, batch.second), batch.root)

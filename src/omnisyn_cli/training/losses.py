@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 from omnisyn_cli.networks.depth import DepthPrediction
@@ -59,7 +59,7 @@ def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 heigh
         thinned = target[..., stride // 2 :: stride, stride // 2 :: stride]
         loss = loss + STAGE_WEIGHT / len(coarse) * _root_error(root, thinned).mean()
     right = _is_right(prediction.inverse_depth(), target.square())
-    confidence = F.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
+    confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
     return loss + CONFIDENCE_WEIGHT * (confidence * polar_weights(target)).mean()
 
 
@@ -114,7 +114,7 @@ class DepthScores:
 
 @torch.no_grad()
 def depth_scores(
-    prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, "batch"]
+    prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
 ) -> DepthScores:
     """Compare an estimate with true roots; ``baseline`` in metres."""
     scale = baseline.view(-1, 1, 1, 1)

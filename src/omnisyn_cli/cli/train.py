@@ -1,0 +1,70 @@
+"""``omnisyn train``: making the networks. Everything goes on where it was left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+__all__ = ["train"]
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.group()
+def train() -> None:
+    """Train the networks on scenes that the program makes itself."""
+
+
+@train.command()
+@click.argument("folder", type=FOLDER)
+@click.option("--scenes", default=1000, show_default=True, type=click.IntRange(1), help="How many scenes.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
+@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
+@click.option("--views", default=3, show_default=True, type=click.IntRange(2, 9), help="Views per scene, on a line.")
+@click.option("--kind", "kinds", multiple=True, help="Kind of scene; may be given several times. [default: all]")
+@click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
+def pool(folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int) -> None:
+    """Render procedural scenes into FOLDER; those that are there already stay."""
+    from omnisyn_cli.training.pool import PoolConfig, fill_pool
+
+    options: dict[str, Any] = {"kinds": kinds} if kinds else {}
+    config = PoolConfig(size=(height, 2 * height), views=views, **options)
+    for path in fill_pool(folder, range(seed, seed + scenes), config, workers=workers):
+        click.echo(path)
+
+
+@train.command()
+@click.argument("folder", type=FOLDER)
+@click.option("--pool", required=True, type=FOLDER, help="Scenes to learn from, made by `omnisyn train pool`.")
+@click.option("--validation-pool", required=True, type=FOLDER, help="Scenes to be judged by: other seeds.")
+@click.option("--variant", default="fast", show_default=True, help="Network of a fresh run.")
+@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
+@click.option("--batch", default=4, show_default=True, type=click.IntRange(1), help="Pairs per step.")
+@click.option("--rate", default=6e-4, show_default=True, type=float, help="Learning rate after the warm-up.")
+@click.option("--cooldown-steps", default=0, show_default=True, type=click.IntRange(0), help="Take the rate to 0, end.")
+@click.option("--minutes", default=float("inf"), type=float, help="Stop after this time. [default: never]")
+@click.option("--steps", default=None, type=click.IntRange(1), help="Stop at this step. [default: never]")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Of the weights and the batches.")
+@click.option("--threads", default=0, type=click.IntRange(0), help="Of the processor. [default: all]")
+def depth(folder: Path, threads: int, minutes: float, steps: int | None, **options: Any) -> None:
+    """Train the depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
+    import torch
+
+    from omnisyn_cli.networks.depth import VARIANTS
+    from omnisyn_cli.training.loop import TrainConfig
+    from omnisyn_cli.training.loop import train as run
+
+    if threads:
+        torch.set_num_threads(threads)
+    variant, height = options.pop("variant"), options.pop("height")
+    if variant not in VARIANTS:
+        raise click.BadParameter(f"expected one of {', '.join(VARIANTS)}, got {variant!r}", param_hint="--variant")
+    folders: dict[str, Any] = {name: str(options.pop(name)) for name in ("pool", "validation_pool")}
+    config = TrainConfig(**folders, **options, size=(height, 2 * height))
+    run(VARIANTS[variant], config, folder, minutes=minutes, steps=steps, report=_show)
+
+
+def _show(row: dict[str, Any]) -> None:
+    click.echo("  ".join(f"{key} {value:.6g}" for key, value in row.items()))

@@ -1,0 +1,277 @@
+"""What is going to be done: a user's wishes, checked against the files, before any picture is decoded.
+
+Whatever can be refused is refused here, so that nothing fails after minutes of work that could have been known before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
+from omnisyn_cli.io import PosedPanorama, check_output, check_video, read_header, read_poses
+from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.placement import placement_of
+from omnisyn_cli.io.sequence import image_sequence, is_sequence
+from omnisyn_cli.io.staging import check_staged_folder
+from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.trajectory import STILL, Ease, Heading, Waypoint, path_length, plan_path
+
+__all__ = ["DEPTH_METHODS", "InterpolationJob", "InterpolationPlan", "depth_name", "plan_interpolation"]
+
+DEPTH_METHODS = ("auto", "matching", "file")
+
+SECONDS_PER_PAIR = 3.0
+"""Length of the video between two panoramas unless the user says otherwise."""
+
+MOST_FRAMES = 1_000_000
+"""Nine hours; more is taken for a mistake."""
+
+
+@dataclass(frozen=True)
+class InterpolationJob:
+    """What a user asks for.
+
+    Attributes:
+        images: two or more panoramas, in walking order.
+        poses: pose file that names them all.
+        output: video file, folder or file name pattern.
+        frames: number of frames; None follows from ``duration`` and ``fps``.
+        duration: seconds; None means three per pair.
+        fps: frames per second.
+        size: (height, width) of the video; None means that of the largest panorama.
+        depth: ``matching``, ``file`` (named in the pose file), or ``auto``: file where every panorama has one.
+        renderer: ``mesh``, ``points`` or ``two-pass``.
+        cut: where meshes are cut.
+        ease, heading: see :func:`omnisyn_cli.trajectory.plan_path`.
+        codec, crf, preset: see :func:`omnisyn_cli.io.open_video`.
+        save_depth: folder for the depth of every panorama, as EXR; None saves none.
+        save_frames: folder or pattern for the frames as images besides the video; None saves none.
+        threads: at most this many; None is one per core.
+        overwrite: replace what exists.
+        allow_aspect: resample panoramas that are not 2:1.
+    """
+
+    images: tuple[Path, ...]
+    poses: Path
+    output: Path
+    frames: int | None = None
+    duration: float | None = None
+    fps: float = 30.0
+    size: tuple[int, int] | None = None
+    depth: str = "auto"
+    renderer: str = "mesh"
+    cut: Cut = field(default_factory=Cut)
+    ease: Ease = "linear"
+    heading: Heading = "panoramas"
+    codec: str | None = None
+    crf: float | None = None
+    preset: str | None = None
+    save_depth: Path | None = None
+    save_frames: Path | None = None
+    threads: int | None = None
+    overwrite: bool = False
+    allow_aspect: bool = False
+
+
+@dataclass(frozen=True)
+class InterpolationPlan:
+    """A job that has been checked.
+
+    Attributes:
+        job: what was asked for.
+        entries: the pose file's entry of every panorama.
+        source_sizes: (height, width) of every panorama.
+        size: (height, width) of the video.
+        path: a waypoint for every frame.
+        depth: the depth method.
+        length: metres from the first panorama to the last.
+        memory: bytes that the pictures and buffers will take, estimated.
+        notes: what the user should know.
+    """
+
+    job: InterpolationJob
+    entries: tuple[PosedPanorama, ...]
+    source_sizes: tuple[tuple[int, int], ...]
+    size: tuple[int, int]
+    path: tuple[Waypoint, ...]
+    depth: str
+    length: float
+    memory: int
+    notes: tuple[str, ...]
+
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        height, width = self.size
+        return {
+            "inputs": [str(image) for image in self.job.images],
+            "output": str(self.job.output),
+            "frames": len(self.path),
+            "fps": self.job.fps,
+            "seconds_of_video": round(len(self.path) / self.job.fps, 3),
+            "size": f"{width}x{height}",
+            "encoder": _encoder(self.job),
+            "depth": self.depth,
+            "renderer": self.job.renderer,
+            "path_metres": round(self.length, 4),
+            "memory_mib": round(self.memory / 2**20),
+            "notes": list(self.notes),
+        }
+
+
+def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
+    """Check a job without decoding or writing anything.
+
+    Raises:
+        InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
+    """
+    if len(job.images) < 2:
+        raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
+    pose_file = read_poses(job.poses)
+    entries = tuple(pose_file.of(image) for image in job.images)
+    source_sizes = tuple(_size_of(image, job.allow_aspect) for image in job.images)
+    depth = _depth_method(job, entries)
+    _check_companions(entries, depth)
+    size = job.size or _even(max(source_sizes))
+    _check_outputs(job, size)
+    _check_inputs_survive(job, entries)
+    poses = [entry.pose for entry in entries]
+    path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
+    memory = _memory(size, source_sizes)
+    return InterpolationPlan(
+        job, entries, source_sizes, size, path, depth, path_length(poses), memory, tuple(_notes(job, entries))
+    )
+
+
+def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
+    """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each of its pairs."""
+    return f"{pair:04d}_{images[index].stem}_depth.exr"
+
+
+def _size_of(image: Path, allow_aspect: bool) -> tuple[int, int]:
+    """Height and width of the panorama that :func:`omnisyn_cli.io.read_panorama` will make of a file."""
+    placement = placement_of(read_header(image))
+    height, width = placement.full_height, placement.full_width
+    if width == 2 * height:
+        return height, width
+    if not allow_aspect:
+        raise ImageError(
+            f"{image}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
+            "stitch it to 2:1, or allow other aspect ratios if the image does cover the whole sphere"
+        )
+    return width // 2, width // 2 * 2
+
+
+def _even(size: tuple[int, int]) -> tuple[int, int]:
+    """The 2:1 size with an even height that is closest to an image of this height."""
+    height = size[0] + size[0] % 2
+    return height, 2 * height
+
+
+def _frame_count(job: InterpolationJob) -> int:
+    seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
+    count = job.frames if job.frames is not None else seconds * job.fps
+    if not math.isfinite(count) or count > MOST_FRAMES:
+        raise InputError(f"expected at most {MOST_FRAMES:,} frames, got {count:g}; ask for fewer")
+    if round(count) < len(job.images):
+        raise InputError(
+            f"expected at least {len(job.images)} frames, one for each panorama, got {round(count)}; "
+            "ask for more frames or a longer duration"
+        )
+    return round(count)
+
+
+def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> str:
+    without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
+    if job.depth == "auto":
+        return "matching" if without else "file"
+    if job.depth == "file" and without:
+        raise PoseError(
+            f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
+            "name one or choose another depth method"
+        )
+    return job.depth
+
+
+def _check_companions(entries: Sequence[PosedPanorama], depth: str) -> None:
+    """Masks, and depth files if they are used, have to be there."""
+    for entry in entries:
+        if entry.mask is not None:
+            read_header(entry.mask)
+        if entry.depth is not None and depth == "file":
+            read_header(entry.depth)
+
+
+def _check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
+    if size[1] != 2 * size[0]:
+        raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
+    check_video(
+        job.output, size=size, fps=job.fps, codec=job.codec, crf=job.crf, preset=job.preset, overwrite=job.overwrite
+    )
+    if job.save_frames is not None:
+        _check_saved_frames(job, job.save_frames, size)
+    if job.save_depth is not None:
+        check_staged_folder(job.save_depth)
+        for file in _depth_files(job):
+            if file.exists():
+                check_output(file, job.overwrite)
+
+
+def _check_saved_frames(job: InterpolationJob, frames: Path, size: tuple[int, int]) -> None:
+    if not is_sequence(frames):
+        raise OutputPathError(f"{frames}: expected a folder or a pattern such as frames/%05d.png, got a file name")
+    if is_sequence(job.output) and image_sequence(frames) == image_sequence(job.output):
+        raise OutputPathError(f"{frames}: expected another place than the output's, got the same; name another folder")
+    check_video(frames, size=size, fps=job.fps, overwrite=job.overwrite)
+
+
+def _depth_files(job: InterpolationJob) -> Iterator[Path]:
+    if job.save_depth is not None:
+        for pair in range(len(job.images) - 1):
+            for index in (pair, pair + 1):
+                yield job.save_depth / depth_name(job.images, pair, index)
+
+
+def _check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> None:
+    """Overwriting must not reach what the video is made of."""
+    replaced = {job.output.resolve(), *(file.resolve() for file in _depth_files(job))}
+    for place in (job.output, job.save_frames):
+        if place is not None and is_sequence(place):
+            replaced.update(file.resolve() for file in image_sequence(place).existing())
+    companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
+    for file in (*job.images, job.poses, *companions):
+        if file.resolve() in replaced:
+            raise OutputPathError(f"{file}: expected inputs that are not overwritten, got this one; write elsewhere")
+
+
+def _encoder(job: InterpolationJob) -> str:
+    """The codec and its settings in a few words."""
+    if is_sequence(job.output):
+        return f"{job.codec or 'png'} images"
+    codec = CODECS[job.codec or "h264"]
+    crf = codec.crf if job.crf is None else job.crf
+    quality = "" if crf is None else f" crf {crf:g}"
+    return f"{job.codec or 'h264'}{quality} preset {job.preset or codec.preset}"
+
+
+def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
+    for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
+        if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
+            same = second.pose.almost_equals(first.pose)
+            how = "cross-fades" if same else "turns in place and cross-fades"
+            yield f"{a.name} and {b.name} have the same position: there is no parallax to follow, the video {how}"
+
+
+def _memory(size: tuple[int, int], sources: Sequence[tuple[int, int]]) -> int:
+    """Bytes, estimated: two panoramas with textures, two renderings, the fused picture, frames on their way out."""
+    largest = max(height * width for height, width in sources)
+    pixels = size[0] * size[1]
+    per_source_pixel = 3 + 12 + 16 * 4 / 3 + 24  # samples, floats, mip levels, mesh
+    per_pixel = 2 * (8 + 16) + 16 + 16 / 3 + 5 * 3  # two renderings, picture, pyramid, frames in the queue
+    return int(250e6 + 2 * per_source_pixel * largest + per_pixel * pixels)

@@ -1,0 +1,1 @@
+"""Trained networks at work: ONNX Runtime and numpy only."""

@@ -1,0 +1,126 @@
+"""Depth of a pair by a trained network: turned into the epipole frame, run both ways, checked, turned back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.errors import ImageError
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import epipole_frame, sweep_directions
+from omnisyn_cli.types import DepthEstimate, View
+
+__all__ = ["LearnedDepthEstimator", "free_space_agreement"]
+
+EDGE = 0.05
+"""Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
+
+TOLERANCE = 0.1
+"""Relative error in inverse depth that counts as agreement between both directions."""
+
+INFINITE = 1e-3
+"""Inverse depth × baseline below which two values need not agree."""
+
+
+class LearnedDepthEstimator:
+    """Inverse depth of both panoramas by a network; a :class:`~omnisyn_cli.types.DepthEstimator`.
+
+    Estimates have the size of the network's images whatever the size of the panoramas. Panoramas from one position have
+    no parallax: everything is then 0 with confidence 0.
+
+    Args:
+        session: of a depth model, from :func:`omnisyn_cli.runtime.session.open_session`.
+    """
+
+    def __init__(self, session: Any) -> None:
+        self.session = session
+        shape = session.get_inputs()[0].shape
+        self.size: tuple[int, int] = (shape[-2], shape[-1])
+
+    def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        """Estimates for ``first`` and ``second``, each in its own frame; ImageError for a panorama not 2:1."""
+        for view in (first, second):
+            _check(view)
+        if np.array_equal(first.pose.position, second.pose.position):
+            return self._nothing(), self._nothing()
+        frame, _, baseline = epipole_frame(first.pose, second.pose)
+        images = [self._rectified(view, frame) for view in (first, second)]
+        there, trust_there = self._run(images[0], images[1])
+        back, trust_back = (turn(x) for x in self._run(turn(images[1]), turn(images[0])))
+        trust_there = trust_there * free_space_agreement(there, back, np.array([0.0, -1.0, 0.0]))
+        trust_back = trust_back * free_space_agreement(back, there, np.array([0.0, 1.0, 0.0]))
+        return (
+            self._estimate(first, frame, there / np.float32(baseline), trust_there),
+            self._estimate(second, frame, back / np.float32(baseline), trust_back),
+        )
+
+    def _rectified(self, view: View, frame: Pose) -> Float[np.ndarray, "height width 3"]:
+        """The panorama as a camera held like ``frame`` would have taken it, at the network's size."""
+        image = np.asarray(view.image, np.float32)
+        if image.shape[0] > self.size[0]:
+            image = np.asarray(cv2.resize(image, self.size[::-1], interpolation=cv2.INTER_AREA))
+        directions = pixel_directions(*self.size) @ (view.pose.rotation.T @ frame.rotation).T
+        return np.asarray(np.clip(sample_bicubic(image, directions), 0.0, 1.0), np.float32)
+
+    def _run(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inverse depth × baseline and confidence of ``first``, both in the epipole frame."""
+        names = [entry.name for entry in self.session.get_inputs()]
+        images = [np.ascontiguousarray(image.transpose(2, 0, 1)[None]) for image in (first, second)]
+        inverse_depth, confidence = self.session.run(None, dict(zip(names, images, strict=True)))
+        return inverse_depth[0, 0], confidence[0, 0]
+
+    def _estimate(self, view: View, frame: Pose, inverse_depth: np.ndarray, trust: np.ndarray) -> DepthEstimate:
+        """Both maps as the camera was held."""
+        directions = pixel_directions(*self.size) @ (frame.rotation.T @ view.pose.rotation).T
+        confidence = np.clip(sample_bilinear(trust, directions), 0.0, 1.0)
+        if view.mask is not None:
+            confidence = confidence * sample_nearest(view.mask, pixel_directions(*self.size))
+        inside = _sample_between_edges(inverse_depth, directions)
+        return DepthEstimate(inside.astype(np.float32), confidence.astype(np.float32))
+
+    def _nothing(self) -> DepthEstimate:
+        return DepthEstimate(np.zeros(self.size, np.float32), np.zeros(self.size, np.float32))
+
+
+def turn(image: np.ndarray) -> np.ndarray:
+    """An image in the epipole frame as it looks when the roles of both cameras are exchanged, and back."""
+    return np.ascontiguousarray(image[::-1, ::-1])
+
+
+def free_space_agreement(
+    inverse_depth: Float[np.ndarray, "height width"],
+    other: Float[np.ndarray, "height width"],
+    translation: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "height width"]:
+    """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
+
+    Where the other camera sees something nearer the surface is merely hidden from it, which contradicts nothing.
+
+    Args:
+        inverse_depth: in baselines, of one panorama.
+        other: of the other panorama, in a frame of equal orientation.
+        translation: other-from-this, in baselines.
+    """
+    directions = pixel_directions(*inverse_depth.shape)
+    moved = sweep_directions(directions, inverse_depth.astype(np.float64), Pose(np.eye(3), translation))
+    expected = inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+    seen = sample_nearest(other, moved)
+    too_far = np.maximum(expected - seen - INFINITE, 0.0) / np.maximum(expected, INFINITE)
+    return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)
+
+
+def _sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Bilinear on surfaces, the nearest pixel at edges: nothing is invented between a thing and what is behind it."""
+    smooth, nearest = sample_bilinear(values, directions), sample_nearest(values, directions)
+    return np.asarray(np.where(np.abs(smooth - nearest) > EDGE * nearest, nearest, smooth))
+
+
+def _check(view: View) -> None:
+    height, width = view.image.shape[:2]
+    if width != 2 * height:
+        raise ImageError(f"expected a panorama twice as wide as high, got {width}×{height}; crop or pad it to 2:1")

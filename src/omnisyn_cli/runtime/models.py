@@ -1,0 +1,110 @@
+"""The trained models that come with the program: a manifest, and files that are checked before they are used.
+
+``models/manifest.toml``::
+
+    version = 1
+
+    [[models]]
+    name = "depth-fast"           # what `--model` takes
+    role = "depth"                # depth | fusion | …
+    variant = "fast"
+    file = "depth-fast.onnx"      # beside the manifest
+    sha256 = "…"
+    size = [256, 512]             # rows and columns of the images it takes
+    parameters = 1927384
+    training = "…"                # on what, for how long
+    licence = "Apache-2.0"
+
+    [models.metrics]
+    delta_25 = 0.9
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from omnisyn_cli.errors import InputError
+
+__all__ = ["ModelEntry", "find_model", "models_folder", "read_manifest", "sha256_of"]
+
+MANIFEST = "manifest.toml"
+MANIFEST_VERSION = 1
+
+
+@dataclass(frozen=True)
+class ModelEntry:
+    """One model of a manifest, see the module's docstring."""
+
+    name: str
+    role: str
+    variant: str
+    file: str
+    sha256: str
+    size: tuple[int, int]
+    parameters: int
+    training: str
+    licence: str
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+
+def models_folder() -> Path:
+    """Where the default models lie: inside an installed package, or at the root of a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "models"
+    return installed if (installed / MANIFEST).is_file() else package.parents[1] / "models"
+
+
+def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
+    """The models of a folder by name; none where there is no manifest.
+
+    Raises:
+        InputError: the manifest is malformed or of another version.
+    """
+    path = (folder or models_folder()) / MANIFEST
+    if not path.is_file():
+        return {}
+    try:
+        manifest = tomllib.loads(path.read_text(encoding="utf-8"))
+        entries = TypeAdapter(list[ModelEntry]).validate_python(manifest.get("models", []))
+    except (tomllib.TOMLDecodeError, ValidationError) as error:
+        reason = str(error).replace("\n", " ")
+        raise InputError(f"expected a manifest of models in {path}, but {reason}; write it with export-onnx") from error
+    if manifest.get("version") != MANIFEST_VERSION:
+        raise InputError(f"expected version {MANIFEST_VERSION} in {path}, got {manifest.get('version')!r}; update omnisyn")
+    return {entry.name: entry for entry in entries}
+
+
+def find_model(name: str, folder: Path | None = None) -> Path:
+    """The file of a model of the manifest, verified by its sha256; or ``name`` itself if it is a path to a file.
+
+    Raises:
+        InputError: there is no such model or file, or the file is not the one that was trained.
+    """
+    if name.endswith(".onnx"):
+        if not Path(name).is_file():
+            raise InputError(f"expected an ONNX file at {name}, found none; `omnisyn models` lists those that come along")
+        return Path(name)
+    folder = folder or models_folder()
+    entries = read_manifest(folder)
+    if name not in entries:
+        known = ", ".join(entries) or "none installed"
+        raise InputError(f"expected a model of the manifest ({known}) or a path to an .onnx file, got {name!r}")
+    path, entry = folder / entries[name].file, entries[name]
+    if not path.is_file():
+        raise InputError(f"expected the model {name} at {path}, found no file; reinstall omnisyn-cli")
+    found = sha256_of(path)
+    if found != entry.sha256:
+        raise InputError(f"expected {path} with sha256 {entry.sha256[:12]}…, got {found[:12]}…; reinstall omnisyn-cli")
+    return path
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

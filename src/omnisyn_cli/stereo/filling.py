@@ -1,0 +1,234 @@
+"""Depth where none was measured: planes carried on from what is known, stopping at edges of the image.
+
+A plane is ``inverse_depth = normal · direction``, so carrying planes on is a weighted least-squares fit of a normal
+around every pixel. The sums of such a fit are images, and an edge-aware recursive filter adds them up over any
+distance in linear time.
+
+Source: filter: Gastal and Oliveira, Domain transform for edge-aware image and video processing, 2011.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numba
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
+
+__all__ = ["fill", "remove_speckles", "upsample"]
+
+REACHES = (0.8, 0.2, 0.05)
+"""Radians over which planes are carried on, widest first; each is the fallback of the next."""
+
+ROUNDS = 3
+"""Horizontal and vertical passes of the filter per reach."""
+
+EDGE = 15.0
+"""How much longer the way across a colour difference of 1 is, in reaches."""
+
+FALLBACK_WEIGHT = 1e-3
+FLATNESS = 3e-3
+"""Ridge against tilts that the data do not ask for, relative to the weight of the data."""
+
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def fill(
+    inverse_depth: Float[np.ndarray, "height width"],
+    weight: Float[np.ndarray, "height width"],
+    guide: Float[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "height width"]:
+    """The map with every pixel of weight below 1 filled in; pixels of weight 1 stay as they are.
+
+    Args:
+        inverse_depth: any unit, finite, >= 0.
+        weight: in [0, 1]; between 0 and 1 a value is a hint: it counts, but gives way.
+        guide: RGB whose edges stop the filling.
+
+    Returns:
+        Values between the least and the greatest with weight 1. Without any such pixel: zeros.
+    """
+    known = weight >= 1.0
+    if not known.any():
+        return np.zeros_like(inverse_depth, dtype=np.float32)
+    low, high = float(inverse_depth[known].min()), float(inverse_depth[known].max())
+    values = np.clip(inverse_depth, low, high)
+    directions = pixel_directions(*values.shape)
+    estimate = np.full(values.shape, np.median(values[known]))
+    for reach in REACHES:
+        residual = (values - estimate) / (0.1 * estimate + 0.02 * high)
+        doubt = np.where(known, 1.0, 1.0 / (1.0 + residual**2))
+        estimate = np.clip(_planes(values, weight * doubt, estimate, directions, guide, reach), low, high)
+    return np.where(known, values, estimate).astype(np.float32)
+
+
+def _planes(
+    values: np.ndarray, weight: np.ndarray, fallback: np.ndarray, directions: np.ndarray, guide: np.ndarray, reach: float
+) -> np.ndarray:
+    """Value at each pixel of the plane fitted around it."""
+    sums = [weight * directions[..., i] * directions[..., j] for i, j in PAIRS]
+    sums += [weight * values * directions[..., i] for i in range(3)]
+    smooth = _smooth(np.stack(sums, axis=-1).astype(np.float32), guide.astype(np.float32), reach).astype(np.float64)
+    matrix = np.empty((*values.shape, 3, 3))
+    for k, (i, j) in enumerate(PAIRS):
+        matrix[..., i, j] = matrix[..., j, i] = smooth[..., k]
+    amount = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
+    along = directions[..., :, None] * directions[..., None, :]
+    matrix += FALLBACK_WEIGHT * along + (FLATNESS * amount + 1e-9) * (np.eye(3) - along)
+    vector = smooth[..., 6:] + FALLBACK_WEIGHT * fallback[..., None] * directions
+    normal = np.linalg.solve(matrix, vector[..., None])[..., 0]
+    return np.asarray((normal * directions).sum(axis=-1))
+
+
+def _smooth(channels: np.ndarray, guide: np.ndarray, reach: float) -> np.ndarray:
+    """Edge-aware mean of every channel over about ``reach`` radians."""
+    height, width = guide.shape[:2]
+    sine = direction_tables(height, width)[0]
+    across = np.abs(guide - np.roll(guide, 1, axis=1)).sum(axis=-1)
+    down = np.abs(np.diff(guide, axis=0, prepend=guide[:1])).sum(axis=-1)
+    way_across = sine[:, None] * (2.0 * math.pi / width) / reach + EDGE * across
+    way_down = math.pi / height / reach + EDGE * down
+    for k in range(ROUNDS):
+        share = math.sqrt(3.0) * 2.0 ** (ROUNDS - k - 1) / math.sqrt(4.0**ROUNDS - 1.0)
+        decay = -math.sqrt(2.0) / share
+        channels = _pass_across(channels, np.exp(decay * way_across).astype(np.float32))
+        channels = _pass_down(channels, np.exp(decay * way_down).astype(np.float32))
+    return channels
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _pass_across(
+    channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width channels"]:
+    """Recursive mean along rows, both ways, round and round; ``keep[r, c]`` couples columns c − 1 and c."""
+    height, width, count = channels.shape
+    out = np.empty_like(channels)
+    for row in numba.prange(height):
+        state = channels[row, 0].copy()
+        for k in range(-width, width):
+            col = k % width
+            a = keep[row, col]
+            for i in range(count):
+                state[i] = channels[row, col, i] + a * (state[i] - channels[row, col, i])
+                if k >= 0:
+                    out[row, col, i] = state[i]
+        back = out[row].copy()
+        for i in range(count):
+            state[i] = back[width - 1, i]
+        for k in range(2 * width - 1, -1, -1):
+            col = k % width
+            a = keep[row, (col + 1) % width]
+            for i in range(count):
+                state[i] = back[col, i] + a * (state[i] - back[col, i])
+                out[row, col, i] = state[i]
+    return out
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _pass_down(
+    channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
+) -> Float[np.ndarray, "height width channels"]:
+    """Recursive mean along columns, both ways; ``keep[r, c]`` couples rows r − 1 and r."""
+    height, width, count = channels.shape
+    out = channels.copy()
+    for col in numba.prange(width):
+        for row in range(1, height):
+            a = keep[row, col]
+            for i in range(count):
+                out[row, col, i] += a * (out[row - 1, col, i] - out[row, col, i])
+        for row in range(height - 2, -1, -1):
+            a = keep[row + 1, col]
+            for i in range(count):
+                out[row, col, i] += a * (out[row + 1, col, i] - out[row, col, i])
+    return out
+
+
+def remove_speckles(
+    inverse_depth: Float[np.ndarray, "height width"], known: Bool[np.ndarray, "height width"], pixels: int, step: float
+) -> Bool[np.ndarray, "height width"]:
+    """``known`` without islands of fewer than ``pixels`` whose inverse depth differs from all around.
+
+    Args:
+        inverse_depth: any unit.
+        known: what to keep.
+        pixels: least size of an island.
+        step: relative difference that separates neighbours.
+    """
+    logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + step)
+    levels = np.where(known, np.clip(logarithm * 16.0 + 16000.0, 0, 32000), -1000).astype(np.int16)
+    margin = min(levels.shape[1], 64)
+    wide = np.ascontiguousarray(np.concatenate([levels[:, -margin:], levels, levels[:, :margin]], axis=1))
+    cv2.filterSpeckles(wide, -1000, pixels, 16)
+    return np.asarray(known & (wide[:, margin:-margin] != -1000))
+
+
+def upsample(
+    inverse_depth: Float[np.ndarray, "low_height low_width"],
+    low_guide: Float[np.ndarray, "low_height low_width 3"],
+    guide: Float[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "height width"]:
+    """The map at the size of ``guide``, its discontinuities moved to the edges of the image.
+
+    Every pixel takes the weighted median of the low pixels around it, where those of its own colour weigh most, and
+    then the mean of the ones close to that median, so that planes stay smooth.
+
+    Source: Kopf et al., Joint bilateral upsampling, 2007, with a median for the mean.
+    """
+    ring = 3
+    height, width = inverse_depth.shape
+    rows, cols = np.arange(-ring, height + ring)[:, None], np.arange(-ring, width + ring)[None, :]
+    row, col = wrap_pixel(rows + 0 * cols, cols + 0 * rows, height, width)
+    return np.asarray(
+        _upsample(
+            inverse_depth[row, col].astype(np.float32),
+            low_guide[row, col].astype(np.float32),
+            guide.astype(np.float32),
+            ring,
+        )
+    )
+
+
+@numba.njit(cache=True, parallel=True, nogil=True)
+def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
+    height, width, _ = guide.shape
+    row_scale = (low.shape[0] - 2 * ring) / height
+    col_scale = (low.shape[1] - 2 * ring) / width
+    out = np.empty((height, width), np.float32)
+    side = 2 * ring - 1
+    for row in numba.prange(height):
+        value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+        y = (row + 0.5) * row_scale - 0.5 + ring
+        for col in range(width):
+            x = (col + 0.5) * col_scale - 0.5 + ring
+            r0, c0 = int(np.floor(y + 0.5)) - ring + 1, int(np.floor(x + 0.5)) - ring + 1
+            for k in range(side * side):
+                r, c = r0 + k // side, c0 + k % side
+                distance = ((r - y) ** 2 + (c - x) ** 2) / 2.0
+                colour = 0.0
+                for i in range(3):
+                    colour += abs(low_guide[r, c, i] - guide[row, col, i])
+                weight[k] = np.exp(-distance - 12.0 * colour)
+                value[k] = low[r, c]
+            out[row, col] = _median_mean(value, weight)
+    return out
+
+
+@numba.njit(inline="always")
+def _median_mean(value, weight):  # type: ignore[no-untyped-def]
+    order = np.argsort(value)
+    half, reached, median = 0.5 * weight.sum(), np.float32(0.0), value[order[-1]]
+    for k in order:
+        reached += weight[k]
+        if reached >= half:
+            median = value[k]
+            break
+    total, mean = np.float32(0.0), np.float32(0.0)
+    for k in range(value.shape[0]):
+        if abs(value[k] - median) <= np.float32(0.1) * median:
+            total += weight[k]
+            mean += weight[k] * value[k]
+    return mean / total if total > 0 else median

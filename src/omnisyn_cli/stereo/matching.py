@@ -1,0 +1,110 @@
+"""Depth of a pair without a network: semi-global matching, planes, and filling.
+
+The steps, each a function of its own module: turn the pair until epipolar lines are meridians (:mod:`.rectify`), match
+both ways (:mod:`.semi_global`), let large planes explain what they can (:mod:`.surfaces`), keep what both directions agree
+on, find the sky (:mod:`.sky`), fill the rest and move edges to where the image has them (:mod:`.filling`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.errors import ImageError
+from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
+from omnisyn_cli.stereo.rectify import RectifiedPair, flip, rectify, resize_area
+from omnisyn_cli.stereo.sky import find_sky
+from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
+from omnisyn_cli.types import DepthEstimate, View
+
+__all__ = ["MatchingDepthEstimator", "MatchingOptions"]
+
+HINT = 0.03
+"""Weight of a disparity that only one direction believes, against 1 for what both agree on."""
+
+SPECKLE = 12
+"""Pixels at half size: smaller islands are mistakes more often than things."""
+
+
+@dataclass(frozen=True)
+class MatchingDepthEstimator:
+    """Inverse depth of both panoramas of a pair by classical stereo; a :class:`~omnisyn_cli.types.DepthEstimator`.
+
+    Estimates have ``options.size`` whatever the size of the images. The sky is 0. Near the two epipoles, where nothing can be
+    measured, and wherever only one view sees, values are carried on from the surroundings with a confidence near 0.
+    Panoramas from one position have no parallax: everything is then 0 with confidence 0.
+    """
+
+    options: MatchingOptions = MatchingOptions()
+
+    def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
+        for view in (first, second):
+            _check(view)
+        if np.array_equal(first.pose.position, second.pose.position):
+            return self._nothing(), self._nothing()
+        height, width = self.options.size
+        pair = rectify(first, second, (height // 2, width // 2))
+        there, back = self._match(pair)
+        return self._finish(first, pair, there), self._finish(second, pair.reversed(), back)
+
+    def _match(self, pair: RectifiedPair) -> tuple[Matches, Matches]:
+        """Both directions; ``seen`` is what they agree on."""
+        pairs = (pair, pair.reversed())
+        grids = [Meridians.of(p) for p in pairs]
+        free = _agreeing([match_freely(p, g, self.options) for p, g in zip(pairs, grids, strict=True)], self.options)
+        surfaces = [
+            Matches(assign_surfaces(p, g, f, self.options), p.first_usable) for p, g, f in zip(pairs, grids, free, strict=True)
+        ]
+        there, back = _agreeing(surfaces, self.options)
+        return there, back
+
+    def _finish(self, view: View, pair: RectifiedPair, matches: Matches) -> DepthEstimate:
+        """From disparity in the frame of the pair to inverse depth in the frame of the camera."""
+        size, pose = pair.size, view.pose
+        grid = Meridians.of(pair)
+        inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
+        agreed = pair.to_camera(matches.seen & _measurable(grid), pose, size)
+        agreed = remove_speckles(inverse_depth, agreed, SPECKLE, 0.1)
+        rise = pixel_directions(*size) @ pose.rotation[1]
+        sky = find_sky(inverse_depth, agreed, rise, solid_angles(*size))
+        weight = np.where(agreed, 1.0, HINT * pair.to_camera(pair.first_usable, pose, size))
+        low_guide, guide = resize_area(view.image, size), resize_area(view.image, self.options.size)
+        whole = fill(inverse_depth, np.where(sky, 0.0, weight), low_guide)
+        whole = upsample(np.where(sky, 0.0, whole), low_guide, guide)
+        confidence = upsample((agreed | sky).astype(np.float32), low_guide, guide)
+        return DepthEstimate(whole / np.float32(pair.baseline), np.clip(confidence, 0.0, 1.0))
+
+    def _nothing(self) -> DepthEstimate:
+        return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
+
+
+def _agreeing(both: list[Matches], options: MatchingOptions) -> list[Matches]:
+    """Left-right check: keep as seen what the other direction saw at the same depth."""
+    return [
+        replace(a, seen=a.seen & _confirmed(a.disparity, flip(b.disparity), options.agreement))
+        for a, b in (both, both[::-1])
+    ]
+
+
+def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bool[np.ndarray, "height width"]:
+    height = disparity.shape[0]
+    target = np.arange(height)[:, None] + disparity
+    row = np.clip(np.rint(target), 0, height - 1).astype(np.int64)
+    found = np.take_along_axis(other, row, axis=0)
+    return np.asarray((np.abs(found - disparity) <= tolerance) & (target <= height - 1))
+
+
+def _measurable(grid: Meridians) -> Float[np.ndarray, "height width"]:
+    """Away from the epipoles: within 4° of them a row of disparity says nothing."""
+    return np.asarray(np.broadcast_to(np.sin(grid.polar_angle) > math.sin(math.radians(4.0)), grid.directions.shape[:2]))
+
+
+def _check(view: View) -> None:
+    height, width = view.image.shape[:2]
+    if width != 2 * height:
+        raise ImageError(f"expected a panorama twice as wide as high, got {width}×{height}; crop or pad it to 2:1")

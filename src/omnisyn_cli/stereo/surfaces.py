@@ -1,0 +1,200 @@
+"""Which surface every pixel lies on: one of the large planes, infinity, or whatever semi-global matching saw there.
+
+Planes carry depth over what has no texture of its own, and their windows lean as the plane does, which is what makes
+floors under the camera match at all.
+
+Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-based rendering, 2009.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_angles
+from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
+from omnisyn_cli.stereo.planes import find_planes
+from omnisyn_cli.stereo.rectify import RectifiedPair
+from omnisyn_cli.stereo.semi_global import FORBIDDEN, aggregate, choose, sweep_cost, warp_cost
+
+__all__ = ["MatchingOptions", "Matches", "Meridians", "assign_surfaces", "match_freely"]
+
+NO_ORDER = 1e6
+"""Step penalty between labels that have no order."""
+
+NEAREST = 20.0
+"""Largest inverse depth in 1/baselines: nothing closer than a twentieth of a baseline is believed."""
+
+
+@dataclass(frozen=True)
+class MatchingOptions:
+    """What semi-global matching and the plane labelling may believe.
+
+    Attributes:
+        size: ``(height, width)`` of the estimates; matching runs at half of it.
+        widest_parallax: radians; on a path halfway between the cameras a surface that passes at a perpendicular
+            distance of h baselines has a parallax of ``2·atan(1 / 2h)``.
+        highest_camera: baselines; no camera hovers higher above the ground, so parallax below the horizon has a
+            least value. Shading that moves with the camera otherwise passes for infinitely far ground.
+        colour_share: weight of colour differences against the census, in [0, 1].
+        truncation: colour difference that counts as a contradiction.
+        step, jump: penalties of semi-global matching.
+        contrast: grey difference across which a jump costs half.
+        margin: how much dearer the best rival of a disparity must be for the disparity to count as seen.
+        planes: most planes per panorama.
+        plane_share: least share of the matched solid angle for a plane.
+        label_jump, label_contrast: as ``jump`` and ``contrast``, between surfaces.
+        seen_bias, unseen_bias: what semi-global matching costs more than a plane where it is sure and where not.
+        under_floor: what a surface costs more where it lies beneath the floor.
+        agreement: rows by which both directions may differ.
+    """
+
+    size: tuple[int, int] = (512, 1024)
+    widest_parallax: float = math.radians(112.0)
+    highest_camera: float = 10.0
+    colour_share: float = 0.5
+    truncation: float = 0.1
+    step: float = 0.1
+    jump: float = 3.0
+    contrast: float = 0.05
+    margin: float = 0.2
+    planes: int = 24
+    plane_share: float = 0.003
+    label_jump: float = 2.0
+    label_contrast: float = 0.15
+    seen_bias: float = 0.15
+    unseen_bias: float = 0.5
+    under_floor: float = 0.3
+    agreement: float = 1.0
+
+
+@dataclass(frozen=True)
+class Meridians:
+    """The grid of a rectified image and its two units: rows of disparity, and inverse depth in 1/baselines."""
+
+    directions: Float[np.ndarray, "height width 3"]
+    polar_angle: Float[np.ndarray, "height 1"]
+    up: Float[np.ndarray, "3"]
+
+    @staticmethod
+    def of(pair: RectifiedPair) -> Meridians:
+        """The grid of a pair."""
+        rows = np.arange(pair.size[0], dtype=np.float64)[:, None]
+        _, polar_angle = pixel_to_angles(rows, np.zeros_like(rows), pair.size)
+        return Meridians(pixel_directions(*pair.size), polar_angle, pair.up)
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return self.polar_angle.shape[0]
+
+    @property
+    def rise(self) -> Float[np.ndarray, "height width"]:
+        """Sine of the elevation above the horizon."""
+        return np.asarray(self.directions @ self.up)
+
+    def disparity(self, inverse_depth: np.ndarray) -> Float[np.ndarray, "height width"]:
+        """Rows for an inverse depth; −1 where it is negative (behind the camera)."""
+        parallax = parallax_from_inverse_depth(self.polar_angle, np.maximum(inverse_depth, 0.0))
+        return np.where(inverse_depth < 0, -1.0, parallax * (self.height / math.pi)).astype(np.float32)
+
+    def inverse_depth(self, disparity: np.ndarray) -> Float[np.ndarray, "height width"]:
+        """In 1/baselines, in [0, :data:`NEAREST`]."""
+        parallax = np.maximum(disparity, 0.0) * (math.pi / self.height)
+        return np.asarray(np.minimum(inverse_depth_from_parallax(self.polar_angle, parallax), NEAREST))
+
+    def inverse_depth_per_row(self, disparity: np.ndarray) -> Float[np.ndarray, "height width"]:
+        """How much inverse depth one row of disparity is worth."""
+        far_angle = np.minimum(self.polar_angle + disparity * (math.pi / self.height), math.pi - 1e-3)
+        return np.asarray(np.sin(self.polar_angle) / np.sin(far_angle) ** 2 * (math.pi / self.height))
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Disparities of one direction.
+
+    Attributes:
+        disparity: ``(height, width)`` rows.
+        seen: whether texture, and nothing else, decided.
+    """
+
+    disparity: Float[np.ndarray, "height width"]
+    seen: Bool[np.ndarray, "height width"]
+
+
+def match_freely(pair: RectifiedPair, grid: Meridians, options: MatchingOptions) -> Matches:
+    """Semi-global matching over all disparities, without planes."""
+    lowest = _lowest(grid, options)
+    levels = max(2, math.ceil(options.widest_parallax / math.pi * grid.height))
+    cost = sweep_cost(
+        pair.first, pair.second, pair.second_usable, lowest, levels, options.colour_share, options.truncation
+    )
+    total = aggregate(cost, pair.first.mean(-1), options.step, options.jump, options.contrast)
+    disparity, margin = choose(total)
+    at_bound = (lowest > 0) & (disparity <= lowest + 1.5)
+    return Matches(disparity, (margin > options.margin) & ~at_bound & pair.first_usable)
+
+
+def assign_surfaces(
+    pair: RectifiedPair, grid: Meridians, free: Matches, options: MatchingOptions
+) -> Float[np.ndarray, "height width"]:
+    """Disparity in rows of the surface that explains each pixel best, given free matches that both directions share."""
+    planes = _planes(grid, free, options)
+    lowest = _lowest(grid, options)
+    candidates = [free.disparity]
+    for normal in planes:
+        disparity = grid.disparity(grid.directions @ normal)
+        candidates.append(np.where(disparity < lowest, np.float32(-1.0), disparity))
+    if _sees_infinity(grid, free):
+        candidates.append(np.where(grid.rise > 0, 0.0, -1.0).astype(np.float32))
+    floor = _under_floor(grid, planes)
+    cost = np.empty((*pair.size, len(candidates)), np.float32)
+    for k, disparity in enumerate(candidates):
+        similarity = warp_cost(
+            pair.first, pair.second, pair.second_usable, disparity, options.colour_share, options.truncation
+        )
+        cost[..., k] = similarity + options.under_floor * (disparity < floor)
+    cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
+    total = aggregate(cost, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast)
+    total[cost >= FORBIDDEN] = np.inf
+    label = total.argmin(axis=-1)[..., None]
+    return np.asarray(np.take_along_axis(np.stack(candidates, axis=-1), label, axis=-1)[..., 0])
+
+
+def _lowest(grid: Meridians, options: MatchingOptions) -> np.ndarray:
+    """Disparity of ground that lies ``highest_camera`` below; 0 above a tenth of a radian or so under the horizon."""
+    return grid.disparity(np.maximum(-grid.rise - 0.17, 0.0) / options.highest_camera)
+
+
+def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> Float[np.ndarray, "planes 3"]:
+    inverse_depth = grid.inverse_depth(free.disparity)
+    usable = free.seen & (inverse_depth < NEAREST)
+    tolerance = grid.inverse_depth_per_row(free.disparity)
+    solid_angle = np.broadcast_to(np.sin(grid.polar_angle), usable.shape)
+    return find_planes(
+        grid.directions[usable],
+        inverse_depth[usable],
+        tolerance[usable],
+        solid_angle[usable],
+        np.nonzero(usable),
+        grid.up,
+        count=options.planes,
+        share=options.plane_share,
+    )
+
+
+def _sees_infinity(grid: Meridians, free: Matches) -> bool:
+    above = grid.rise > 0
+    return bool((free.seen & above & (free.disparity < 1.0)).sum() > 0.02 * above.sum())
+
+
+def _under_floor(grid: Meridians, planes: np.ndarray) -> np.ndarray:
+    """Disparity below which a pixel is clearly farther than the best supported level plane underneath."""
+    for normal in planes:
+        steepness = -(normal @ grid.up) / max(float(np.linalg.norm(normal)), 1e-12)
+        if steepness > 0.97 and np.linalg.norm(normal) > 0.03:
+            return grid.disparity(0.85 * (grid.directions @ normal)) - 1.0
+    return np.full(grid.directions.shape[:2], -1.0, np.float32)
