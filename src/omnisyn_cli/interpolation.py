@@ -1,6 +1,6 @@
 """From files to a video: what ``omnisyn interpolate`` does, as a library.
 
-:func:`plan_interpolation` (:mod:`omnisyn_cli.planning`) reads and checks everything that can be known without decoding a
+:func:`plan_interpolation` (:mod:`omnisyn_cli.planning`) reads and checks what can be known without decoding a
 picture; :func:`run_interpolation` does the work. Nothing appears under its final name unless all of it succeeded.
 """
 
@@ -80,12 +80,10 @@ def run_interpolation(plan: InterpolationPlan, on_frame: Callable[[int], None] |
     with clock("decode"):
         loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
     with _depth_keeper(plan) as keep_depth, _sinks(plan) as sinks:
-        done = 0
-        for frame in _frames(plan, loader, clock, keep_depth):
+        for done, frame in enumerate(_frames(plan, loader, clock, keep_depth), start=1):
             with clock("encode"):
                 for sink in sinks:
                     sink.write(frame)
-            done += 1
             if on_frame:
                 on_frame(done)
         with clock("encode"):
@@ -101,11 +99,16 @@ KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_depth: KeepDepth) -> Iterator[np.ndarray]:
     """All frames as 8-bit samples; the depth of every pair is handed to ``keep_depth``."""
     options = SynthesisOptions(plan.size, plan.job.renderer, plan.job.cut, plan.job.threads)
-    for made in synthesize(loader.views(), plan.path, _estimator(plan), options, clock=clock):
+    views, estimator, prepared = loader.views(), _estimator(plan), set()
+    for made in synthesize(views, plan.path, estimator, options, clock=clock):
         if isinstance(made, Segment):
+            prepared.add(made.index)
             keep_depth(made.index, made.depths)
         else:
             yield _as_bytes(made, loader, plan.job.threads)
+    if plan.job.save_depth is not None:
+        for pair in sorted(set(range(len(views) - 1)) - prepared):  # no frame lay between these two
+            keep_depth(pair, estimator(views[pair], views[pair + 1]))
 
 
 def _estimator(plan: InterpolationPlan) -> DepthEstimator:

@@ -150,7 +150,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
 
 
 def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
-    """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each of its pairs."""
+    """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each pair."""
     return f"{pair:04d}_{images[index].stem}_depth.exr"
 
 

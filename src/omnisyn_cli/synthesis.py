@@ -1,7 +1,7 @@
 """The paper on one page: depth → mesh → render both → fuse, for every position between two panoramas.
 
-``DepthEstimator`` finds inverse depth for both views of a pair, each becomes a surface (:mod:`omnisyn_cli.render`), both
-are seen from every waypoint and a ``Fuser`` makes one picture of the two (:mod:`omnisyn_cli.fusion`).
+``DepthEstimator`` finds inverse depth for both views of a pair, each becomes a surface (:mod:`omnisyn_cli.render`),
+both are seen from every waypoint and a ``Fuser`` makes one picture of the two (:mod:`omnisyn_cli.fusion`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
@@ -94,12 +95,21 @@ def prepare_segment(
     with clock("mesh"):
         renderers = [
             make_renderer(
-                options.renderer, view.image, view.mask, depth.inverse_depth, depth.confidence,
+                options.renderer, _usable_image(view, options.threads), view.mask, depth.inverse_depth, depth.confidence,
                 options.size, options.cut, options.threads,
             )
             for view, depth in zip((first, second), depths, strict=True)
         ]  # fmt: skip
     return Segment(index, (first, second), depths, (renderers[0], renderers[1]))
+
+
+def _usable_image(view: View, threads: int | None) -> np.ndarray:
+    """The picture with masked pixels painted over from around them: interpolation beside a mask reads them a little."""
+    if view.mask is None or view.mask.all():
+        return view.image
+    image = np.array(view.image, np.float32)
+    HoleFiller(view.mask.shape, threads)(image, view.mask.astype(np.float32))
+    return image
 
 
 def _infinitely_far(view: View) -> DepthEstimate:
@@ -135,7 +145,7 @@ def synthesize(
             yield _photograph(views[panorama], waypoint, panorama, options, clock)
             continue
         if segment is None or waypoint.segment != current:
-            current, segment = waypoint.segment, None  # the former segment's memory is free before the next one's is used
+            current, segment = waypoint.segment, None  # the former one's memory is free before the next takes its own
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
             yield segment
         yield Frame(_fused(segment, waypoint, fuser, clock), waypoint, None)
@@ -170,7 +180,9 @@ def turned_panorama(
     return np.ascontiguousarray(Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3])
 
 
-def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, clock: Stopwatch) -> Float32[np.ndarray, "height width 3"]:
+def _fused(
+    segment: Segment, waypoint: Waypoint, fuser: Fuser, clock: Stopwatch
+) -> Float32[np.ndarray, "height width 3"]:
     world_to_target = waypoint.pose.inverse()
     renderings = []
     with clock("render"):

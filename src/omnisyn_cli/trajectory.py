@@ -138,7 +138,7 @@ def _travel_rotation(poses: Sequence[Pose], segment: int, t: float) -> Float[np.
 
 
 def _level_direction(poses: Sequence[Pose], segment: int) -> Float[np.ndarray, "3 3"]:
-    """Rotation whose −z looks along a segment, level; one without a horizontal way borrows from the nearest that has."""
+    """Rotation whose −z looks along a segment, level; one without a horizontal way borrows the nearest that has."""
     count = len(poses) - 1
     wanted = min(max(segment, 0), count - 1)
     for candidate in sorted(range(count), key=lambda k: (abs(k - wanted), k)):

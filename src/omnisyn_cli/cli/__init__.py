@@ -7,8 +7,14 @@ instant.
 from __future__ import annotations
 
 import importlib
+import io
+import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 
 import click
 
@@ -25,6 +31,13 @@ COMMANDS = {
 """Module and one-line help of every command; the command has the name of its key."""
 
 INTERRUPTED = 130
+
+ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+"""Requests to end that are treated like Ctrl-C: half-written files are removed first."""
+
+
+class Terminated(KeyboardInterrupt):
+    """Another process, or the terminal that was closed, asked the program to end; ``args[0]`` is the signal."""
 
 
 class LazyGroup(click.Group):
@@ -60,29 +73,61 @@ def cli() -> None:
     Panoramas are equirectangular images; a pose file says where each was taken.
 
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.
-    """
+    """  # noqa: D301 - click's \b is a backspace
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code; errors of this package become one line on stderr."""
-    sys.exit(_run(arguments))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a file's name may be what the terminal cannot show
+    with _signals_raised():
+        code = _run(arguments)
+    sys.exit(code)
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    given = None if arguments is None else list(arguments)
     try:
-        result = cli.main(args=list(arguments) if arguments is not None else None, prog_name="omnisyn", standalone_mode=False)
+        result = cli.main(args=given, prog_name="omnisyn", standalone_mode=False)
     except click.exceptions.Exit as exit_request:
         return exit_request.exit_code
     except click.ClickException as error:
         error.show()
         return error.exit_code
     except OmnisynError as error:
-        click.echo(f"omnisyn: {error}", err=True)
-        return error.exit_code
+        return _failed(str(error), error.exit_code)
+    except Terminated as error:
+        return _failed("ended by a signal; nothing was left half written", 128 + int(error.args[0]))
     except (KeyboardInterrupt, click.Abort):
-        click.echo("omnisyn: interrupted; nothing was left half written", err=True)
-        return INTERRUPTED
+        return _failed("interrupted; nothing was left half written", INTERRUPTED)
     except MemoryError:
-        click.echo("omnisyn: expected enough memory, got none; try a smaller --size (see --dry-run)", err=True)
+        return _failed("expected enough memory, got none; try a smaller --size (see --dry-run)", 1)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
         return 1
     return result if isinstance(result, int) else 0
+
+
+def _failed(message: str, code: int) -> int:
+    """Say why in one line, whatever characters a file's name brought into it."""
+    click.echo("omnisyn: " + " ".join(message.splitlines()), err=True)
+    return code
+
+
+@contextmanager
+def _signals_raised() -> Iterator[None]:
+    """Turn ending signals into :class:`Terminated`, unless they are ignored (nohup) or somebody else's."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise Terminated(number)
+
+    is_main = threading.current_thread() is threading.main_thread()
+    ours = [number for number in ENDING_SIGNALS if is_main and signal.getsignal(number) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)

@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation import InterpolationJob, InterpolationPlan, Summary
+    from omnisyn_cli.interpolation import InterpolationPlan, Summary
 
-__all__ = ["interpolate"]
+    SizeType = click.ParamType[tuple[int, int]]
+else:
+    SizeType = click.ParamType  # older releases of click have no generic one
+
+__all__ = ["Size", "interpolate"]
 
 FilePath = click.Path(path_type=Path)
 
 
-class Size(click.ParamType[tuple[int, int]]):
+class Size(SizeType):
     """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program."""
 
     name = "WxH"
@@ -28,7 +32,7 @@ class Size(click.ParamType[tuple[int, int]]):
         if isinstance(value, tuple):
             return value
         width, _, height = str(value).lower().partition("x")
-        if not (width.isdigit() and height.isdigit()) or int(width) == 0 or int(width) != 2 * int(height):
+        if not (width.isdecimal() and height.isdecimal()) or int(width) == 0 or int(width) != 2 * int(height):
             self.fail(f"expected WIDTHxHEIGHT, twice as wide as high, such as 2048x1024, got {value!r}", param, ctx)
         return int(height), int(width)
 
@@ -42,7 +46,9 @@ class Size(click.ParamType[tuple[int, int]]):
 )  # fmt: skip
 @click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=click.FloatRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
-@click.option("--fps", type=click.FloatRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second.")
+@click.option(
+    "--fps", type=click.FloatRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second."
+)
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
     "--depth", type=click.Choice(["auto", "matching", "file"]), default="auto", show_default=True,
@@ -53,8 +59,14 @@ class Size(click.ParamType[tuple[int, int]]):
     "--renderer", type=click.Choice(["mesh", "points", "two-pass"]), default="mesh", show_default=True,
     help="mesh is exact; points and the paper's two-pass method are there to compare.",
 )  # fmt: skip
-@click.option("--cut", type=click.FloatRange(0, 1, min_open=True), default=0.05, show_default=True, help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.")
-@click.option("--cut-metres", type=click.FloatRange(0, min_open=True), help="Cut at steps of depth instead, as the paper does (there 2).")
+@click.option(
+    "--cut", type=click.FloatRange(0, 1, min_open=True), default=0.05, show_default=True,
+    help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.",
+)  # fmt: skip
+@click.option(
+    "--cut-metres", type=click.FloatRange(0, min_open=True),
+    help="Cut at steps of depth instead, as the paper does (there 2).",
+)  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
     help="Constant speed, or a gentle start and stop.",
@@ -64,12 +76,17 @@ class Size(click.ParamType[tuple[int, int]]):
     help="Where the image centre looks: turning from panorama to panorama, as in the first one, along the world's −z, "
     "or along the way.",
 )  # fmt: skip
-@click.option("--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]), help="[default: h264, or png for a folder]")
+@click.option(
+    "--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]),
+    help="Of the video or of the frames in a folder.  [default: h264, or png for a folder]",
+)  # fmt: skip
 @click.option("--crf", type=float, help="Constant quality of the encoder, lower is better.  [default: 18 for h264]")
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
 @click.option("--save-frames", metavar="FOLDER", type=FilePath, help="Keep the frames as PNG besides the video.")
-@click.option("--device", type=click.Choice(["auto", "cpu"]), default="auto", show_default=True, help="Where to compute.")
+@click.option(
+    "--device", type=click.Choice(["auto", "cpu"]), default="auto", show_default=True, help="Where to compute."
+)
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
@@ -88,8 +105,8 @@ def interpolate(
     omnisyn interpolate a.jpg b.jpg c.jpg --poses poses.json -o walk.mp4 --ease smooth --size 4096x2048
     omnisyn interpolate a.jpg b.jpg --poses poses.json -o frames/ --frames 12
 
-    The first and the last frame are the panoramas themselves.
-    """
+    The first and the last frame are the panoramas themselves. Names that begin with a dash go after ``--``.
+    """  # noqa: D301 - click's \b is a backspace
     del device  # matching and rendering run on the CPU; "auto" and "cpu" are the same for them
     from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
     from omnisyn_cli.render.mesh import Cut
@@ -133,7 +150,8 @@ def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: boo
         for stage, seconds in summary.seconds.items():
             click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
     height, width = summary.plan.size
-    click.echo(f"{summary.plan.job.output}: {len(summary.plan.path)} frames of {width}x{height} in {summary.seconds['total']:.1f} s")
+    frames, seconds = len(summary.plan.path), summary.seconds["total"]
+    click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {seconds:.1f} s")
 
 
 @contextmanager

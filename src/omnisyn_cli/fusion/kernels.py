@@ -13,6 +13,9 @@ __all__ = ["blend_rows", "pull", "push", "quantize_rows"]
 FAR_PREFERENCE = 0.01
 """1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
 
+BELIEF = 4.0
+"""A surface hides what is behind it as far as its depth is trusted; a quarter is enough, which cut edges have."""
+
 UNSEEN = np.float32(1e-4)
 """A colour worth less than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
 
@@ -46,11 +49,14 @@ def blend_rows(
             if a > zero and b > zero:
                 a, b = (one - t) * a, t * b
                 gap = (near_a - near_b) / (max(near_a, near_b) * disagreement + np.float32(1e-9))
-                rest = max(math.exp(-gap * gap), hidden)
+                believed = first[row, col, 3] if gap > zero else second[row, col, 3]
+                believed = min(one, np.float32(BELIEF) * believed)
+                rest = one - believed * (one - max(math.exp(-gap * gap), hidden))
                 a, b = (a * rest, b) if gap < zero else (a, b * rest)
             total = a + b
             if total > zero:
-                share_a, share_b = a / total, b / total
+                smaller = min(a, b) / total  # the larger share is 1 minus this: exactly 1 where the other is 0
+                share_a, share_b = (smaller, one - smaller) if a < b else (one - smaller, smaller)
                 for k in range(3):
                     image[row, col, k] = max(zero, share_a * first[row, col, k] + share_b * second[row, col, k])
                 far = np.float32(FAR_PREFERENCE) / (share_a * near_a + share_b * near_b + np.float32(FAR_PREFERENCE))

@@ -58,8 +58,8 @@ class Pose:
         transposed = np.swapaxes(self.rotation, -1, -2)
         return Pose(transposed, -np.squeeze(transposed @ self.position[..., None], -1))
 
-    def transform(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Points ``(*batch, 3)`` taken from the camera's frame to the world."""
+    def transform(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*moved 3"]:
+        """Points taken from the camera's frame to the world; their batch axes broadcast against the pose's."""
         moved: np.ndarray = np.squeeze(self.rotation @ points[..., None], -1) + self.position
         return moved
 

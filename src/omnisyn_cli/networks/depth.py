@@ -39,6 +39,7 @@ from omnisyn_cli.networks.layers import (
     coordinate_channels,
     initialise,
     normalised_patches,
+    sizes,
     unit_groups,
     upsample_nearest,
     wrap_columns,
@@ -182,7 +183,7 @@ def resampling_matrix(
     seen = np.asarray(_row_in_second(row, np.maximum(roots, 0.0)[:, None], rows_first, rows_second))
     seen = np.clip(seen, 0.0, rows_second - 1.0)[..., None]
     distance = np.abs(seen - np.arange(rows_second))
-    return np.maximum(1.0 - distance, 0.0).astype(np.float32)
+    return np.asarray(np.maximum(1.0 - distance, 0.0), np.float32)
 
 
 @lru_cache(maxsize=8)
@@ -210,7 +211,7 @@ def sphere_volume(
     matrix: Float[Tensor, "levels rows_first rows_second"],
 ) -> Float[Tensor, "batch groups levels rows_first width"]:
     """Pairs of rows resampled to spheres."""
-    batch, groups, width, rows_first, rows_second = products.shape
+    batch, groups, width, rows_first, rows_second = sizes(products)
     by_row = products.permute(3, 4, 0, 1, 2).reshape(rows_first, rows_second, batch * groups * width)
     volume = torch.matmul(matrix.transpose(0, 1), by_row)  # (rows_first, levels, batch·groups·width)
     return volume.view(rows_first, -1, batch, groups, width).permute(2, 3, 1, 0, 4)
@@ -224,12 +225,12 @@ def lookup(
 
     No gradient reaches the roots. Rows beyond a pole read the last row.
     """
-    rows_first, rows_second = products.shape[-2:]
+    rows_first, rows_second = sizes(products)[-2:]
     with torch.no_grad():
         row = torch.arange(rows_first, dtype=roots.dtype, device=roots.device).view(1, 1, -1, 1)
         seen = _row_in_second(row, roots.clamp(min=0.0), rows_first, rows_second)
         seen = seen.clamp(0.0, rows_second - 1.0).permute(0, 3, 2, 1).unsqueeze(1)  # batch, 1, width, rows, candidates
-        seen = seen.expand(-1, products.shape[1], -1, -1, -1)
+        seen = seen.expand(-1, sizes(products)[1], -1, -1, -1)
         lower = seen.floor()
         share = seen - lower
         index = lower.long()
@@ -265,7 +266,7 @@ class DepthNetwork(nn.Module):
         Raises:
             ValueError: the size is not 1:2 or not a multiple of eight times the coarse stride.
         """
-        height, width = first.shape[-2:]
+        height, width = sizes(first)[-2:]
         multiple = 8 * self.config.coarse_stride
         if height % multiple or width != 2 * height:
             raise ValueError(f"expected images 1:2 with multiples of {multiple} rows, got {height}×{width}")
@@ -350,7 +351,7 @@ class CoarseMatcher(nn.Module):
         )
         classical = classical_products(first, second, self.config.coarse_stride)
         products = torch.cat([learned, classical], dim=1)
-        matrix = _resampling_tensor(self.config, products.shape[-2], products.shape[-1]).to(products)
+        matrix = _resampling_tensor(self.config, *sizes(products)[-2:]).to(products)
         return torch.flatten(self.filters(sphere_volume(products, matrix)), 1, 2)
 
     def context(self, narrow: Tensor) -> Tensor:
@@ -384,11 +385,16 @@ class VolumeFilters(nn.Module):
 
     def forward(self, volume: Float[Tensor, "batch kinds levels height width"]) -> Tensor:
         """``(batch, channels, levels, height, width)``."""
-        x = self.enter(volume)
+        x: Tensor = self.enter(volume)
         for i in range(0, len(self.layers), 2):
             inner = functional.leaky_relu(self.layers[i](wrap_columns(x, 1, 1)), LEAK)
             x = functional.leaky_relu(self.layers[i + 1](wrap_columns(inner, 1, 1)) + x, LEAK)
         return x
+
+
+def shrunk(image: Tensor, factor: int) -> Tensor:
+    """Means over blocks of ``factor × factor`` pixels."""
+    return functional.avg_pool2d(image, factor) if factor > 1 else image
 
 
 @torch.no_grad()
@@ -465,8 +471,6 @@ class Refinement(nn.Module):
     @torch.no_grad()
     def classical(self, first: Tensor, second: Tensor) -> Tensor:
         """Classical similarity of all rows of each meridian."""
-        shrink = self.stride // 2
-        if shrink > 1:
-            first, second = functional.avg_pool2d(first, shrink), functional.avg_pool2d(second, shrink)
-        own, other = (normalised_patches(image, REFINED_PATCH, (2, 2)).unsqueeze(1) for image in (first, second))
+        images = (shrunk(image, self.stride // 2) for image in (first, second))
+        own, other = (normalised_patches(image, REFINED_PATCH, (2, 2)).unsqueeze(1) for image in images)
         return meridian_products(own, other)

@@ -39,7 +39,7 @@ def export_depth(network: DepthNetwork, path: Path) -> None:
     """Write ``network`` at its configured size, weights inside; the file is checked by ONNX.
 
     Inputs ``first`` and ``second``, ``(1, 3, height, width)`` in [0, 1] in the epipole frame; outputs ``inverse_depth``
-    (× baseline) and ``confidence``, ``(1, 1, height, width)``. The size is fixed: the sphere volume's matrix belongs to it.
+    (× baseline) and ``confidence``, ``(1, 1, height, width)``. The size is fixed, as the volume's matrix is.
     """
     height, width = network.config.size
     image = torch.rand(1, 3, height, width)

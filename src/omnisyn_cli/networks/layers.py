@@ -24,6 +24,7 @@ __all__ = [
     "coordinate_channels",
     "initialise",
     "normalised_patches",
+    "sizes",
     "unit_groups",
     "upsample_nearest",
     "wrap_columns",
@@ -38,7 +39,7 @@ PATCH_FLOOR = 0.03
 
 def wrap_columns(x: Float[Tensor, "*batch height width"], left: int, right: int) -> Tensor:
     """Columns continued around the seam: ``left`` of them before the first and ``right`` after the last."""
-    pieces = [x[..., x.shape[-1] - left :]] if left else []
+    pieces = [x[..., sizes(x)[-1] - left :]] if left else []
     pieces += [x, x[..., :right]] if right else [x]
     return torch.cat(pieces, dim=-1) if len(pieces) > 1 else x
 
@@ -70,6 +71,11 @@ class ResidualBlock(nn.Module):
         return functional.leaky_relu(self.second(inner) + self.shortcut(x), LEAK)
 
 
+def sizes(x: Tensor) -> tuple[int, ...]:
+    """The shape as plain numbers, so that a traced network holds constants."""
+    return tuple(int(size) for size in x.shape)
+
+
 def initialise(module: nn.Module, gain: float = 0.7) -> None:
     """Kaiming weights for LeakyReLU times ``gain``, zero biases; without it nothing learns (no normalisation)."""
     for layer in module.modules():
@@ -86,7 +92,7 @@ def coordinate_channels(like: Float[Tensor, "batch channels height width"]) -> F
 
     The ground lies at azimuth 0. The sine is left out: it would tell a scene from its mirror image.
     """
-    batch, _, height, width = like.shape
+    batch, _, height, width = sizes(like)
     row, col = torch.arange(height, dtype=like.dtype), torch.arange(width, dtype=like.dtype)
     azimuth, polar_angle = pixel_to_angles(row, col, (height, width))
     polar_angle = (polar_angle * (2.0 / math.pi) - 1.0).to(like.device)
@@ -111,7 +117,7 @@ def convex_upsample(
 
     Source: RAFT (Teed and Deng, 2020), section 3.3.
     """
-    batch, channels, height, width = x.shape
+    batch, channels, height, width = sizes(x)
     padded = wrap_columns(torch.cat([x[..., :1, :], x, x[..., -1:, :]], dim=-2), 1, 1)
     shifts = [padded[..., i : i + height, j : j + width] for i in range(3) for j in range(3)]
     weights = logits.view(batch, 1, 9, 4, height, width).softmax(dim=2)
@@ -123,7 +129,7 @@ def unit_groups(
     features: Float[Tensor, "batch channels height width"], groups: int
 ) -> Float[Tensor, "batch groups channels_per_group height width"]:
     """Channels in groups, each group of each pixel a vector of length one."""
-    batch, channels, height, width = features.shape
+    batch, channels, height, width = sizes(features)
     return functional.normalize(features.view(batch, groups, channels // groups, height, width), dim=2)
 
 
@@ -138,10 +144,11 @@ def normalised_patches(
     grey = image.mean(dim=1, keepdim=True)
     above, left = (patch - stride[0]) // 2, (patch - stride[1]) // 2
     below, right = patch - stride[0] - above, patch - stride[1] - left
-    height = grey.shape[-2]
+    height = sizes(grey)[-2]
     rows = torch.arange(-above, height + below, device=image.device).clamp(0, height - 1)
     padded = wrap_columns(grey.index_select(-2, rows), left, right)
     pick = torch.eye(patch * patch, dtype=image.dtype, device=image.device).view(-1, 1, patch, patch)
     patches = functional.conv2d(padded, pick, stride=stride)
     centred = patches - patches.mean(dim=1, keepdim=True)
-    return centred / (centred.norm(dim=1, keepdim=True) + PATCH_FLOOR)
+    unit: Tensor = centred / (torch.linalg.vector_norm(centred, dim=1, keepdim=True) + PATCH_FLOOR)
+    return unit

@@ -45,7 +45,7 @@ REMOVED = 32
 """Set where nothing of the quad is drawn (all of it is masked)."""
 FACES_PER_QUAD = 8
 
-TRUST_AT_CUTS = 0.05
+TRUST_AT_CUTS = 0.25
 LEAST_TRUST = 0.01
 
 _TINY = 1e-12
@@ -102,12 +102,15 @@ class Mesh:
         caps = np.arange(self.caps.shape[0] * self.caps.shape[1])
         return np.concatenate([np.flatnonzero(kept), FACES_PER_QUAD * flat.size + caps])
 
+    def vertex_directions(self) -> Float[np.ndarray, "vertices 3"]:
+        """Unit vector of every vertex in the frame of the panorama, row after row, and of the two poles."""
+        return np.concatenate([pixel_directions(*self.size).reshape(-1, 3), _POLES])
+
     def triangles(self) -> Triangles:
         """Every face as an explicit triangle in the frame of the panorama, for the reference and for export."""
         faces = self.faces()
         corners = self.corners(faces)
-        height, width = self.size
-        directions = np.concatenate([pixel_directions(height, width).reshape(-1, 3), _POLES])
+        directions = self.vertex_directions()
         inverse_depth = np.concatenate([self.inverse_depth.reshape(-1).astype(np.float64), np.zeros(2)])
         direction = np.einsum("fvk,fkx->fvx", corners.direction_weight, directions[corners.vertex])
         rho = np.einsum("fvk,fk->fv", corners.inverse_depth_weight, inverse_depth[corners.vertex])

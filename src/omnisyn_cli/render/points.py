@@ -1,8 +1,8 @@
 """A panorama as a cloud of points: the comparison that assumes no surface (as SynSin does).
 
 Every source pixel is a disc on the target's sphere. A disc of constant angle grows as 1/sin(polar angle) in columns,
-wraps at the seam and reaches over the poles by itself. The nearest disc wins; among the discs of one surface, those whose
-inverse depths differ by a few per cent, the one that is centred closest to the pixel, so that a surface keeps its
+wraps at the seam and reaches over the poles by itself. The nearest disc wins; among the discs of one surface (those
+whose inverse depths differ by a few per cent) the one that is centred closest to the pixel, so that a surface keeps its
 texture. Points never stretch: where the camera comes closer, they come apart and leave holes.
 """
 

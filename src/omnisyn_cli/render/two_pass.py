@@ -2,11 +2,11 @@
 
 The vertices are mapped to pixels of the target and the triangles between them are drawn flat, in the plane of the
 equirectangular image, inverse depth interpolated linearly there. A triangle across the seam would be drawn across the
-whole image, so each pass leaves out what is wider than half the image, and a second pass draws an image turned by 180°;
-the nearer of both counts.
+whole image, so each pass leaves out what is wider than half the image, and a second pass draws an image turned by 180°.
+Of both, the nearer counts.
 
-It differs from :mod:`omnisyn_cli.render.rasterize` where a triangle is large in the image: the edges of a triangle, arcs
-of great circles, are drawn straight, and inverse depth is not linear between them. Around the target's poles that is
+It differs from :mod:`omnisyn_cli.render.rasterize` where a triangle is large in the image: its edges, arcs of great
+circles, are drawn straight, and inverse depth is not linear between them. Around the target's poles that is
 everywhere: a triangle that holds a pole is drawn wrongly or not at all, and the source's own polar caps are missing.
 """
 

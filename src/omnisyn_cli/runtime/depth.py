@@ -79,7 +79,7 @@ class LearnedDepthEstimator:
         directions = pixel_directions(*self.size) @ (frame.rotation.T @ view.pose.rotation).T
         confidence = np.clip(sample_bilinear(trust, directions), 0.0, 1.0)
         if view.mask is not None:
-            confidence = confidence * sample_nearest(view.mask, pixel_directions(*self.size))
+            confidence = confidence * sample_nearest(view.mask.astype(np.float32), pixel_directions(*self.size))
         inside = _sample_between_edges(inverse_depth, directions)
         return DepthEstimate(inside.astype(np.float32), confidence.astype(np.float32))
 
@@ -95,7 +95,7 @@ def turn(image: np.ndarray) -> np.ndarray:
 def free_space_agreement(
     inverse_depth: Float[np.ndarray, "height width"],
     other: Float[np.ndarray, "height width"],
-    translation: Float[np.ndarray, "3"],
+    translation: Float[np.ndarray, 3],
 ) -> Float[np.ndarray, "height width"]:
     """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
 

@@ -76,7 +76,9 @@ def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
         reason = str(error).replace("\n", " ")
         raise InputError(f"expected a manifest of models in {path}, but {reason}; write it with export-onnx") from error
     if manifest.get("version") != MANIFEST_VERSION:
-        raise InputError(f"expected version {MANIFEST_VERSION} in {path}, got {manifest.get('version')!r}; update omnisyn")
+        raise InputError(
+            f"expected version {MANIFEST_VERSION} in {path}, got {manifest.get('version')!r}; update omnisyn"
+        )
     return {entry.name: entry for entry in entries}
 
 
@@ -88,7 +90,9 @@ def find_model(name: str, folder: Path | None = None) -> Path:
     """
     if name.endswith(".onnx"):
         if not Path(name).is_file():
-            raise InputError(f"expected an ONNX file at {name}, found none; `omnisyn models` lists those that come along")
+            raise InputError(
+                f"expected an ONNX file at {name}, found none; `omnisyn models` lists those that come along"
+            )
         return Path(name)
     folder = folder or models_folder()
     entries = read_manifest(folder)

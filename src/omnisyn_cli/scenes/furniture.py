@@ -18,6 +18,7 @@ __all__ = [
     "cabinet",
     "carton_pile",
     "chair",
+    "clutter",
     "floor_lamp",
     "office_chair",
     "plant",
@@ -79,19 +80,19 @@ def table(build: SceneBuilder, base: Point, yaw: float, size: tuple[float, float
     tall = rng.uniform(0.42, 0.55) if rng.random() < 0.25 else rng.uniform(0.7, 0.78)
     top = wood(rng, 0.2)
     leg = top if rng.random() < 0.5 else (BLACK if rng.random() < 0.5 else CHROME)
-    at.box((0, tall - 0.02, 0), (wide, 0.02, deep), top)
+    at.box((0.0, tall - 0.02, 0.0), (wide, 0.02, deep), top)
     thickness = rng.uniform(0.012, 0.035)
     for x in (-wide + 0.06, wide - 0.06):
         for z in (-deep + 0.06, deep - 0.06):
-            at.rod((x, 0, z), (x, tall - 0.03, z), thickness, leg)
+            at.rod((x, 0.0, z), (x, tall - 0.03, z), thickness, leg)
     if rng.random() < 0.5:
         for z in (-deep + 0.06, deep - 0.06):
-            at.box((0, tall - 0.08, z), (wide - 0.06, 0.035, 0.01), leg)
-    _clutter(at, (wide, deep), tall, int(rng.integers(0, 5)))
+            at.box((0.0, tall - 0.08, z), (wide - 0.06, 0.035, 0.01), leg)
+    clutter(at, (wide, deep), tall, int(rng.integers(0, 5)))
 
 
-def _clutter(at: Turned, half: tuple[float, float], height: float, count: int) -> None:
-    """Put small things on a board: boxes, books, cups, bottles, balls."""
+def clutter(at: Turned, half: tuple[float, float], height: float, count: int) -> None:
+    """Put small things on a board or floor of half sizes ``half``: boxes, books, cups, bottles, balls."""
     rng = at.build.rng
     for _ in range(count):
         x, z = rng.uniform(-0.85, 0.85) * half[0], rng.uniform(-0.75, 0.75) * half[1]
@@ -103,7 +104,7 @@ def _clutter(at: Turned, half: tuple[float, float], height: float, count: int) -
         kind = rng.random()
         if kind < 0.5:
             size = (rng.uniform(0.05, 0.17), rng.uniform(0.01, 0.12), rng.uniform(0.05, 0.13))
-            at.box((x, height + size[1], z), size, stuff, turn=rng.uniform(0, math.pi))
+            at.box((x, height + size[1], z), size, stuff, turn=rng.uniform(0.0, math.pi))
         elif kind < 0.85:
             tall = rng.uniform(0.08, 0.3)
             at.rod((x, height, z), (x, height + tall, z), rng.uniform(0.03, 0.05), plain)
@@ -121,15 +122,15 @@ def chair(build: SceneBuilder, base: Point, yaw: float) -> None:
     seat = _cloth(rng) if rng.random() < 0.5 else body
     half, tall = rng.uniform(0.19, 0.24), rng.uniform(0.42, 0.48)
     top = tall + rng.uniform(0.35, 0.55)
-    at.box((0, tall, 0), (half, rng.uniform(0.015, 0.04), half), seat)
+    at.box((0.0, tall, 0.0), (half, rng.uniform(0.015, 0.04), half), seat)
     for x in (-half + 0.03, half - 0.03):
-        at.rod((x, 0, half - 0.03), (x, tall, half - 0.03), 0.016, leg)
-        at.rod((x, 0, -half + 0.02), (x, top, -half - 0.03), 0.016, leg)
+        at.rod((x, 0.0, half - 0.03), (x, tall, half - 0.03), 0.016, leg)
+        at.rod((x, 0.0, -half + 0.02), (x, top, -half - 0.03), 0.016, leg)
     if rng.random() < 0.5:
-        at.box((0, 0.5 * (tall + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - tall) - 0.02, 0.012), seat)
+        at.box((0.0, 0.5 * (tall + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - tall) - 0.02, 0.012), seat)
     else:
         for share in (0.35, 0.65, 0.95):
-            at.box((0, tall + share * (top - tall), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
+            at.box((0.0, tall + share * (top - tall), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
 
 
 def office_chair(build: SceneBuilder, base: Point, yaw: float) -> None:
@@ -139,12 +140,12 @@ def office_chair(build: SceneBuilder, base: Point, yaw: float) -> None:
     cloth = _cloth(rng)
     for k in range(5):
         angle = 2.0 * math.pi * k / 5
-        at.rod((0, 0.09, 0), (0.3 * math.cos(angle), 0.05, 0.3 * math.sin(angle)), 0.022, BLACK)
-    at.rod((0, 0.05, 0), (0, 0.45, 0), 0.028, CHROME)
-    at.box((0, 0.48, 0), (0.23, 0.04, 0.23), cloth)
-    at.box((0, 0.82, -0.24), (0.21, 0.26, 0.03), cloth)
+        at.rod((0.0, 0.09, 0.0), (0.3 * math.cos(angle), 0.05, 0.3 * math.sin(angle)), 0.022, BLACK)
+    at.rod((0.0, 0.05, 0.0), (0.0, 0.45, 0.0), 0.028, CHROME)
+    at.box((0.0, 0.48, 0.0), (0.23, 0.04, 0.23), cloth)
+    at.box((0.0, 0.82, -0.24), (0.21, 0.26, 0.03), cloth)
     for x in (-0.27, 0.27):
-        at.box((x, 0.68, 0), (0.025, 0.015, 0.15), BLACK)
+        at.box((x, 0.68, 0.0), (0.025, 0.015, 0.15), BLACK)
         at.rod((x, 0.5, -0.05), (x, 0.67, -0.05), 0.014, BLACK)
 
 
@@ -154,10 +155,10 @@ def sofa(build: SceneBuilder, base: Point, yaw: float) -> None:
     at = Turned(build, base, yaw)
     cloth = _cloth(rng)
     wide = rng.uniform(0.65, 1.15)
-    at.box((0, 0.22, 0), (wide, 0.14, 0.42), cloth)
-    at.box((0, 0.55, -0.36), (wide, 0.27, 0.09), cloth, tint=0.95)
+    at.box((0.0, 0.22, 0.0), (wide, 0.14, 0.42), cloth)
+    at.box((0.0, 0.55, -0.36), (wide, 0.27, 0.09), cloth, tint=0.95)
     for x in (-wide - 0.07, wide + 0.07):
-        at.box((x, 0.32, 0), (0.09, 0.28, 0.44), cloth, tint=0.9)
+        at.box((x, 0.32, 0.0), (0.09, 0.28, 0.44), cloth, tint=0.9)
     seats = 2 if wide < 0.9 else 3
     for k in range(seats):
         x = (2 * k + 1 - seats) / seats * wide
@@ -170,10 +171,10 @@ def armchair(build: SceneBuilder, base: Point, yaw: float) -> None:
     """Add an armchair."""
     at = Turned(build, base, yaw)
     cloth = _cloth(build.rng)
-    at.box((0, 0.25, 0), (0.3, 0.16, 0.34), cloth)
-    at.box((0, 0.6, -0.32), (0.34, 0.34, 0.08), cloth, tint=0.95)
+    at.box((0.0, 0.25, 0.0), (0.3, 0.16, 0.34), cloth)
+    at.box((0.0, 0.6, -0.32), (0.34, 0.34, 0.08), cloth, tint=0.95)
     for x in (-0.36, 0.36):
-        at.box((x, 0.34, 0), (0.07, 0.26, 0.36), cloth, tint=0.9)
+        at.box((x, 0.34, 0.0), (0.07, 0.26, 0.36), cloth, tint=0.9)
 
 
 def bed(build: SceneBuilder, base: Point, yaw: float) -> None:
@@ -183,10 +184,10 @@ def bed(build: SceneBuilder, base: Point, yaw: float) -> None:
     frame, cover = wood(rng, 0.2), _cloth(rng)
     wide = rng.uniform(0.45, 0.9)
     white = Material(Pattern.PLAIN, (0.87, 0.86, 0.83), (0.8, 0.79, 0.76), grain=0.06, grain_size=0.3)
-    at.box((0, 0.2, 0), (wide, 0.1, 1.0), frame)
-    at.box((0, 0.38, 0.0), (wide - 0.02, 0.1, 0.97), white)
-    at.box((0, 0.41, 0.22), (wide + 0.01, 0.1, 0.78), cover)
-    at.box((0, 0.55, -1.02), (wide, 0.45, 0.03), frame)
+    at.box((0.0, 0.2, 0.0), (wide, 0.1, 1.0), frame)
+    at.box((0.0, 0.38, 0.0), (wide - 0.02, 0.1, 0.97), white)
+    at.box((0.0, 0.41, 0.22), (wide + 0.01, 0.1, 0.78), cover)
+    at.box((0.0, 0.55, -1.02), (wide, 0.45, 0.03), frame)
     for x in (-0.5 * wide, 0.5 * wide) if wide > 0.6 else (0.0,):
         at.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
 
@@ -207,9 +208,9 @@ def cabinet(build: SceneBuilder, base: Point, yaw: float, tall: float | None = N
         grain=0.08,
         gloss=0.15,
     )
-    at.box((0, 0.5 * height, 0), (wide, 0.5 * height, deep), face, cap=wood(rng, 0.3))
+    at.box((0.0, 0.5 * height, 0.0), (wide, 0.5 * height, deep), face, cap=wood(rng, 0.3))
     if height < 1.3:
-        _clutter(at, (wide, deep), height, int(rng.integers(0, 4)))
+        clutter(at, (wide, deep), height, int(rng.integers(0, 4)))
 
 
 def shelf(build: SceneBuilder, base: Point, yaw: float) -> None:
@@ -220,12 +221,12 @@ def shelf(build: SceneBuilder, base: Point, yaw: float) -> None:
     wide, tall, deep = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.2), rng.uniform(0.13, 0.2)
     rows = max(2, int(tall / rng.uniform(0.3, 0.42)))
     for x in (-wide, wide):
-        at.box((x, 0.5 * tall, 0), (0.012, 0.5 * tall, deep), board)
+        at.box((x, 0.5 * tall, 0.0), (0.012, 0.5 * tall, deep), board)
     if rng.random() < 0.7:
-        at.box((0, 0.5 * tall, -deep), (wide, 0.5 * tall, 0.008), board, tint=0.8)
+        at.box((0.0, 0.5 * tall, -deep), (wide, 0.5 * tall, 0.008), board, tint=0.8)
     for row in range(rows + 1):
         y = 0.02 + row * (tall - 0.04) / rows
-        at.box((0, y, 0), (wide, 0.012, deep), board)
+        at.box((0.0, y, 0.0), (wide, 0.012, deep), board)
         if row < rows and rng.random() < 0.8:
             _shelf_row(at, y + 0.012, (tall - 0.04) / rows - 0.05, wide, deep)
 
@@ -244,11 +245,11 @@ def _shelf_row(at: Turned, y: float, room: float, wide: float, deep: float) -> N
         )
         share = rng.uniform(0.4, 0.95)
         half = (share * wide, 0.45 * room, 0.6 * deep)
-        at.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * wide * 0.9, y + half[1], 0), half, books)
+        at.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * wide * 0.9, y + half[1], 0.0), half, books)
     else:
         for x in (-0.5, 0.45):
             half = (rng.uniform(0.2, 0.4) * wide, rng.uniform(0.2, 0.45) * room, 0.75 * deep)
-            at.box((x * wide, y + half[1], 0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
+            at.box((x * wide, y + half[1], 0.0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
 
 
 def floor_lamp(build: SceneBuilder, base: Point, yaw: float) -> None:
@@ -257,12 +258,12 @@ def floor_lamp(build: SceneBuilder, base: Point, yaw: float) -> None:
     at = Turned(build, base, yaw)
     tall = rng.uniform(1.3, 1.8)
     shade = Material(Pattern.PLAIN, (0.93, 0.84, 0.66), grain=0.03, glow=rng.uniform(0.3, 1.4))
-    at.rod((0, 0, 0), (0, 0.03, 0), 0.15, BLACK)
-    at.rod((0, 0, 0), (0, tall, 0), 0.013, BLACK)
+    at.rod((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), 0.15, BLACK)
+    at.rod((0.0, 0.0, 0.0), (0.0, tall, 0.0), 0.013, BLACK)
     if rng.random() < 0.5:
-        at.rod((0, tall - 0.05, 0), (0, tall + 0.22, 0), 0.17, shade)
+        at.rod((0.0, tall - 0.05, 0.0), (0.0, tall + 0.22, 0.0), 0.17, shade)
     else:
-        at.ellipsoid((0, tall + 0.1, 0), (0.16, 0.16, 0.16), shade)
+        at.ellipsoid((0.0, tall + 0.1, 0.0), (0.16, 0.16, 0.16), shade)
 
 
 def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
@@ -270,13 +271,13 @@ def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
     rng = build.rng
     at = Turned(build, base, yaw)
     clay = pick(rng, palette.BRICK)
-    at.rod((0, 0, 0), (0, 0.32, 0), 0.15, Material(Pattern.PLAIN, clay, palette.darker(clay, 0.9), grain=0.1))
+    at.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, Material(Pattern.PLAIN, clay, palette.darker(clay, 0.9), grain=0.1))
     green = pick(rng, palette.FOLIAGE)
     leaves = Material(
         Pattern.LEAVES, palette.darker(green, 0.6), palette.darker(green, 1.3), cell=(0.1, 0.1), detail=0.75
     )
     tall = rng.uniform(0.3, 0.8)
-    at.rod((0, 0.3, 0), (0, 0.4 + tall, 0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
+    at.rod((0.0, 0.3, 0.0), (0.0, 0.4 + tall, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
     for _ in range(int(rng.integers(2, 5))):
         size = rng.uniform(0.14, 0.32)
         centre = (rng.uniform(-0.15, 0.15), 0.35 + tall * rng.uniform(0.4, 1.0), rng.uniform(-0.15, 0.15))
@@ -298,9 +299,9 @@ def screen(build: SceneBuilder, base: Point, yaw: float) -> None:
         grain=0.05,
         gloss=0.2,
     )
-    at.box((0, 0.5 * tall + 0.08, 0), (wide, 0.5 * tall - 0.04, 0.02), board)
+    at.box((0.0, 0.5 * tall + 0.08, 0.0), (wide, 0.5 * tall - 0.04, 0.02), board)
     for x in (-wide, wide):
-        at.rod((x, 0, 0), (x, tall, 0), 0.02, CHROME)
+        at.rod((x, 0.0, 0.0), (x, tall, 0.0), 0.02, CHROME)
         at.rod((x, 0.03, -0.25), (x, 0.03, 0.25), 0.018, CHROME)
 
 
@@ -324,9 +325,9 @@ def carton_pile(build: SceneBuilder, base: Point, yaw: float, on_pallet: bool) -
     pallet = Material(
         Pattern.PLANKS, (0.66, 0.54, 0.38), (0.55, 0.44, 0.3), (0.2, 0.15, 0.1), cell=(2.0, 0.14), line=0.04
     )
-    at.box((0, 0.13, 0), (0.6, 0.015, 0.5), pallet)
+    at.box((0.0, 0.13, 0.0), (0.6, 0.015, 0.5), pallet)
     for x in (-0.52, 0.0, 0.52):
-        at.box((x, 0.06, 0), (0.06, 0.06, 0.5), pallet)
+        at.box((x, 0.06, 0.0), (0.06, 0.06, 0.5), pallet)
     half = (0.58 / int(rng.integers(1, 4)), rng.uniform(0.12, 0.25), 0.48 / int(rng.integers(1, 3)))
     columns, rows = round(0.58 / half[0]), round(0.48 / half[2])
     layers = int(rng.integers(1, 5 if columns * rows < 4 else 4))
@@ -365,8 +366,8 @@ def rack(build: SceneBuilder, base: Point, yaw: float, bays: int, tall: float) -
         y = 0.12 + level * (tall - 0.3) / max(1, levels) if level else 0.0
         if level:
             for z in (-deep, deep):
-                at.box((0, y, z), (0.5 * bays * bay, 0.06, 0.025), beam)
-            at.box((0, y + 0.045, 0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
+                at.box((0.0, y, z), (0.5 * bays * bay, 0.06, 0.025), beam)
+            at.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
         for k in range(bays):
             if rng.random() < 0.8:
                 _load(
@@ -404,7 +405,7 @@ def stairs(build: SceneBuilder, base: Point, yaw: float, steps: int) -> None:
     tread, rail = wood(rng, 0.3), CHROME
     wide, rise, run = rng.uniform(0.45, 0.7), 0.175, 0.28
     for k in range(steps):
-        at.box((0, 0.5 * rise * (k + 1), -run * k), (wide, 0.5 * rise * (k + 1), 0.5 * run), tread)
+        at.box((0.0, 0.5 * rise * (k + 1), -run * k), (wide, 0.5 * rise * (k + 1), 0.5 * run), tread)
         if k % 2 == 0:
             at.rod((wide - 0.05, rise * (k + 1), -run * k), (wide - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail)
-    at.rod((wide - 0.05, rise + 0.9, 0), (wide - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)
+    at.rod((wide - 0.05, rise + 0.9, 0.0), (wide - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)

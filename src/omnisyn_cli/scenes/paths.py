@@ -13,7 +13,7 @@ from omnisyn_cli.scenes.scene import Scene, Walkway
 __all__ = ["clearance", "sample_path"]
 
 _ATTEMPTS = 400
-_CHECKED_POINTS = 9  # along the line, besides the frames
+_HIGHEST_CLIMB = 2.0  # metres, of a path that goes straight up, unless more is asked for
 
 
 def clearance(scene: Scene, positions: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
@@ -66,16 +66,33 @@ def sample_path(
         length = baseline if baseline is not None else rng.uniform(*walkway.baselines)
         if baseline is None and attempt > _ATTEMPTS // 2:
             length = walkway.baselines[0]
-        start, end = _line(
-            rng, scene, walkway, length, upright=rng.random() < vertical, strict=attempt < _ATTEMPTS // 2
-        )
-        shares = np.linspace(0.0, 1.0, frames)[:, None]
-        checked = np.concatenate([shares, np.linspace(0.0, 1.0, _CHECKED_POINTS)[:, None]])
-        if clearance(scene, start + checked * (end - start)).min() > keep:
+        is_upright = rng.random() < vertical
+        if is_upright and baseline is None:
+            length = min(length, _HIGHEST_CLIMB)
+        start, end = _line(rng, scene, walkway, length, upright=is_upright, strict=attempt < _ATTEMPTS // 2)
+        if _is_free(scene, start, end, keep) and (any(walkway.heading) or _is_indoors(scene, end)):
+            shares = np.linspace(0.0, 1.0, frames)[:, None]
             return [Pose(_attitude(rng, heading, tilt), position) for position in start + shares * (end - start)]
     raise ValueError(
         f"expected room for a path of {frames} frames, found none in {_ATTEMPTS} attempts: try a shorter baseline"
     )
+
+
+def _is_free(scene: Scene, start: Float[np.ndarray, 3], end: Float[np.ndarray, 3], keep: float) -> bool:
+    """Whether a segment stays out of every shape's box, grown by ``keep`` on all sides, and above the ground."""
+    if min(start @ scene.ground[:3], end @ scene.ground[:3]) < scene.ground[3] + keep:
+        return False
+    local = np.einsum("nji,nj->ni", scene.rotation, start - scene.centre)
+    step = np.einsum("nji,j->ni", scene.rotation, end - start)
+    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    middle, reach = -local / step, (scene.half + keep) / np.abs(step)
+    enters, leaves = (middle - reach).max(axis=1), (middle + reach).min(axis=1)
+    return not np.any((enters < leaves) & (leaves > 0.0) & (enters < 1.0))
+
+
+def _is_indoors(scene: Scene, point: Float[np.ndarray, 3]) -> bool:
+    """Whether a point lies over a walkway, rather than beyond a window."""
+    return any(w.low[0] <= point[0] <= w.high[0] and w.low[2] <= point[2] <= w.high[2] for w in scene.walkways)
 
 
 def _line(
@@ -86,7 +103,7 @@ def _line(
     start = rng.uniform(low, high)
     if upright:
         start[1] = low[1] * 0.8
-        step = np.array([0.0, min(length, 2.5), 0.0])
+        step = np.array([0.0, length, 0.0])
     else:
         bearing = rng.uniform(-math.pi, math.pi)
         ahead = np.array([walkway.heading[0], 0.0, walkway.heading[1]])

@@ -44,7 +44,7 @@ def tree(build: SceneBuilder, base: Point, height: float) -> None:
     trunk = height * rng.uniform(0.25, 0.4)
     radius = 0.022 * height * rng.uniform(0.8, 1.4)
     build.pole(base, trunk * 1.35, radius, BARK)
-    leaves = _leaves(rng, rng.uniform(0.5, 0.85), rng.uniform(0.22, 0.45))
+    leaves = _leaves(rng, rng.uniform(0.5, 0.85), rng.uniform(0.13, 0.3))
     spread = height * rng.uniform(0.2, 0.3)
     for _ in range(int(rng.integers(3, 7))):
         angle, out, up = rng.uniform(0, 2 * math.pi), spread * rng.uniform(0.1, 0.9), rng.uniform(0.15, 0.85)
@@ -185,17 +185,17 @@ def car(build: SceneBuilder, base: Point, yaw: float) -> None:
     def part(x: float, y: float, z: float, size: Point, material: Material, cap: Material | None = None) -> None:
         build.add(Shape.BOX, place(x, y, z), size, material, cap=cap, yaw=yaw)
 
-    part(0, 0.5 * (waist + 0.28), 0, (width, 0.5 * (waist - 0.28), half), body)
-    part(0, 0.32, 0, (width - 0.05, 0.14, half + 0.06), dark)
+    part(0.0, 0.5 * (waist + 0.28), 0.0, (width, 0.5 * (waist - 0.28), half), body)
+    part(0.0, 0.32, 0.0, (width - 0.05, 0.14, half + 0.06), dark)
     back = 0.0 if is_van else 0.12 * length
     cabin = 0.45 * length if is_van else 0.27 * length
-    part(0, 0.5 * (waist + roof) - 0.03, back, (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, dark)
-    part(0, roof - 0.04, back, (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
+    part(0.0, 0.5 * (waist + roof) - 0.03, back, (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, dark)
+    part(0.0, roof - 0.04, back, (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
     if not is_van:  # raked windscreens, front and back
         for end, lean in ((back - cabin - 0.05, 0.95), (back + cabin + 0.02, -0.7)):
             rake = rotation_from_rotation_vector(np.array([lean, 0.0, 0.0]))
             turned = rotation_from_rotation_vector(np.array([0.0, yaw, 0.0])) @ rake
-            middle = place(0, 0.5 * (waist + roof) - 0.02, end)
+            middle = place(0.0, 0.5 * (waist + roof) - 0.02, end)
             build.add(
                 Shape.BOX,
                 middle,

@@ -15,6 +15,7 @@ from omnisyn_cli.scenes.hall import furnish_hall
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.turned import Turned
 from omnisyn_cli.scenes.walls import Cell, Opening, enclose
 
 __all__ = ["room"]
@@ -82,7 +83,7 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
     tone = (1.0, 0.97 - 0.1 * warmth, 0.95 - 0.28 * warmth)
     level = rng.uniform(0.32, 0.55)
     sky = (level * tone[0], level * tone[1], level * tone[2])
-    bounce = (0.8 * sky[0], 0.74 * sky[1], 0.66 * sky[2])
+    bounce = (0.85 * sky[0], 0.82 * sky[1], 0.77 * sky[2])
     if plan.lamp_lit:
         strength = rng.uniform(0.35, 0.9)
         sun = (strength * tone[0], strength * tone[1], strength * tone[2])
@@ -176,6 +177,10 @@ def _furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> N
         _rug(build, cell)
     for _ in range(int(rng.integers(6, 12) + size[0] * size[1] / 5.0)):
         _against_wall(build, cell, use, openings, taken)
+    for _ in range(int(rng.uniform(0.1, 0.45) * (size[0] + size[1]))):
+        _picture(build, cell, openings)
+    middle = (0.5 * (cell.low[0] + cell.high[0]), 0.0, 0.5 * (cell.low[1] + cell.high[1]))
+    furniture.clutter(Turned(build, middle, 0.0), (0.5 * size[0], 0.5 * size[1]), 0.0, int(rng.integers(0, 9)))
     if use == "office" and min(size) > 4.0 and rng.random() < 0.6:
         _rows_of_desks(build, cell, taken)
     for _ in range(int(rng.integers(1, 4) + size[0] * size[1] / 9.0)):

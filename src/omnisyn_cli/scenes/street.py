@@ -137,7 +137,7 @@ def _roadway(build: SceneBuilder, plan: _Plan) -> None:
         Pattern.STRIPES, paint, palette.darker(grey, 1.05), cell=(1.0, 1.0), detail=0.5, grain=0.3, grain_size=0.4
     )
     for middle, half in plan.crossings:
-        _tilted(build, plan, (-90, 90), (middle - half, middle + half), 0.004, 0.02, bare)
+        _tilted(build, plan, (-90.0, 90.0), (middle - half, middle + half), 0.004, 0.02, bare)
         if rng.random() < 0.7:
             for edge in (middle - half - 3.2, middle + half + 0.4):
                 _tilted(build, plan, (-plan.road + 0.2, plan.road - 0.2), (edge, edge + 2.8), 0.006, 0.02, zebra)

@@ -295,8 +295,12 @@ def _window(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
 @kernel
 def _leaves(table, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
     clump = smooth_noise_3d(table, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
-    leaf = (smooth_noise_3d(table, x * 6.0, y * 6.0, z * 6.0, variation + 3) - 0.5) * _visible(0.12, fp)
-    return min(1.0, max(0.0, 0.5 + clump + leaf)), 0.0, 1.0 + 0.7 * clump + 0.9 * leaf, 1.0, 1.0
+    twig = (smooth_noise_3d(table, x * 7.0, y * 7.0, z * 7.0, variation + 3) - 0.5) * _visible(0.12, fp)
+    leaf = 0.0
+    if fp < 0.05:
+        leaf = (smooth_noise_3d(table, x * 23.0, y * 23.0, z * 23.0, variation + 5) - 0.5) * _visible(0.04, fp)
+    fine = 0.6 * twig + 0.8 * leaf
+    return min(1.0, max(0.0, 0.5 + clump + fine)), 0.0, 1.05 + 0.7 * clump + fine, 1.0, 1.0
 
 
 @kernel

@@ -279,7 +279,7 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
         at = wall[0]
         for opening in [
             *sorted((o for o in openings if o.bottom <= 0.0), key=lambda o: o.start),
-            Opening(wall[1], wall[1], 0, 0),
+            Opening(wall[1], wall[1], 0.0, 0.0),
         ]:
             _slab(build, wall, (at, opening.start), (0.0, 0.09), half + 0.012, skirting)
             at = opening.end

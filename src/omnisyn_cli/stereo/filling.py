@@ -67,7 +67,12 @@ def fill(
 
 
 def _planes(
-    values: np.ndarray, weight: np.ndarray, fallback: np.ndarray, directions: np.ndarray, guide: np.ndarray, reach: float
+    values: np.ndarray,
+    weight: np.ndarray,
+    fallback: np.ndarray,
+    directions: np.ndarray,
+    guide: np.ndarray,
+    reach: float,
 ) -> np.ndarray:
     """Value at each pixel of the plane fitted around it."""
     sums = [weight * directions[..., i] * directions[..., j] for i, j in PAIRS]
@@ -192,7 +197,7 @@ def upsample(
     )
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@numba.njit(cache=True, parallel=True, nogil=True, fastmath=True)
 def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
     height, width, _ = guide.shape
     row_scale = (low.shape[0] - 2 * ring) / height
@@ -201,34 +206,51 @@ def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
     side = 2 * ring - 1
     for row in numba.prange(height):
         value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
-        y = (row + 0.5) * row_scale - 0.5 + ring
+        y = np.float32((row + 0.5) * row_scale - 0.5 + ring)
         for col in range(width):
-            x = (col + 0.5) * col_scale - 0.5 + ring
+            x = np.float32((col + 0.5) * col_scale - 0.5 + ring)
             r0, c0 = int(np.floor(y + 0.5)) - ring + 1, int(np.floor(x + 0.5)) - ring + 1
             for k in range(side * side):
                 r, c = r0 + k // side, c0 + k % side
-                distance = ((r - y) ** 2 + (c - x) ** 2) / 2.0
-                colour = 0.0
+                distance = ((r - y) * (r - y) + (c - x) * (c - x)) * np.float32(0.5)
+                colour = np.float32(0.0)
                 for i in range(3):
                     colour += abs(low_guide[r, c, i] - guide[row, col, i])
-                weight[k] = np.exp(-distance - 12.0 * colour)
+                weight[k] = np.exp(-distance - np.float32(12.0) * colour)
                 value[k] = low[r, c]
-            out[row, col] = _median_mean(value, weight)
+            out[row, col] = _mean_near(value, weight, _weighted_median(value, weight))
     return out
 
 
 @numba.njit(inline="always")
-def _median_mean(value, weight):  # type: ignore[no-untyped-def]
-    order = np.argsort(value)
-    half, reached, median = 0.5 * weight.sum(), np.float32(0.0), value[order[-1]]
-    for k in order:
-        reached += weight[k]
-        if reached >= half:
-            median = value[k]
-            break
+def _weighted_median(value, weight):  # type: ignore[no-untyped-def]
+    """Any value will do when all are alike; otherwise half of the weight lies on either side."""
+    low, high = value.min(), value.max()
+    if high <= np.float32(1.1) * low:
+        return high
+    half = np.float32(0.5) * weight.sum()
+    for _ in range(12):
+        middle = np.float32(0.5) * (low + high)
+        below = np.float32(0.0)
+        for k in range(value.shape[0]):
+            if value[k] <= middle:
+                below += weight[k]
+        if below >= half:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@numba.njit(inline="always")
+def _mean_near(value, weight, median):  # type: ignore[no-untyped-def]
     total, mean = np.float32(0.0), np.float32(0.0)
+    nearest, gap = value[0], np.float32(np.inf)
     for k in range(value.shape[0]):
-        if abs(value[k] - median) <= np.float32(0.1) * median:
+        distance = abs(value[k] - median)
+        if distance < gap:
+            nearest, gap = value[k], distance
+        if distance <= np.float32(0.1) * median:
             total += weight[k]
             mean += weight[k] * value[k]
-    return mean / total if total > 0 else median
+    return mean / total if total > 0 else nearest

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
@@ -58,7 +58,8 @@ class MatchingDepthEstimator:
         grids = [Meridians.of(p) for p in pairs]
         free = _agreeing([match_freely(p, g, self.options) for p, g in zip(pairs, grids, strict=True)], self.options)
         surfaces = [
-            Matches(assign_surfaces(p, g, f, self.options), p.first_usable) for p, g, f in zip(pairs, grids, free, strict=True)
+            Matches(assign_surfaces(p, g, f, self.options), p.first_usable)
+            for p, g, f in zip(pairs, grids, free, strict=True)
         ]
         there, back = _agreeing(surfaces, self.options)
         return there, back
@@ -68,10 +69,11 @@ class MatchingDepthEstimator:
         size, pose = pair.size, view.pose
         grid = Meridians.of(pair)
         inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
-        agreed = pair.to_camera(matches.seen & _measurable(grid), pose, size)
+        agreed = pair.to_camera(matches.seen & _measurable(grid, 4.0), pose, size)
         agreed = remove_speckles(inverse_depth, agreed, SPECKLE, 0.1)
         rise = pixel_directions(*size) @ pose.rotation[1]
-        sky = find_sky(inverse_depth, agreed, rise, solid_angles(*size))
+        telling = agreed & pair.to_camera(_measurable(grid, 20.0), pose, size)
+        sky = find_sky(inverse_depth, telling, rise, solid_angles(*size))
         weight = np.where(agreed, 1.0, HINT * pair.to_camera(pair.first_usable, pose, size))
         low_guide, guide = resize_area(view.image, size), resize_area(view.image, self.options.size)
         whole = fill(inverse_depth, np.where(sky, 0.0, weight), low_guide)
@@ -99,9 +101,10 @@ def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bo
     return np.asarray((np.abs(found - disparity) <= tolerance) & (target <= height - 1))
 
 
-def _measurable(grid: Meridians) -> Float[np.ndarray, "height width"]:
-    """Away from the epipoles: within 4° of them a row of disparity says nothing."""
-    return np.asarray(np.broadcast_to(np.sin(grid.polar_angle) > math.sin(math.radians(4.0)), grid.directions.shape[:2]))
+def _measurable(grid: Meridians, degrees: float) -> Bool[np.ndarray, "height width"]:
+    """Farther than so many degrees from the epipoles, where a row of disparity says little or nothing."""
+    sine = np.sin(grid.polar_angle)
+    return np.asarray(np.broadcast_to(sine > math.sin(math.radians(degrees)), grid.directions.shape[:2]))
 
 
 def _check(view: View) -> None:

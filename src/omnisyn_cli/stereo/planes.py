@@ -6,6 +6,7 @@ a 3×3 system.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -24,7 +25,7 @@ def find_planes(
     tolerance: Float[np.ndarray, " points"],
     weight: Float[np.ndarray, " points"],
     pixel: tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points"]],
-    up: Float[np.ndarray, "3"],
+    up: Float[np.ndarray, 3],
     *,
     count: int,
     share: float,
@@ -68,13 +69,26 @@ def find_planes(
     return np.array(planes).reshape(-1, 3)
 
 
-def _inliers(proposals: np.ndarray, d: np.ndarray, rho: np.ndarray, tol: np.ndarray) -> np.ndarray:
-    """``(points, proposals)``, 1 where the proposal explains the point; float32, which sums fast."""
-    scaled = (d / tol[:, None]).astype(np.float32) @ proposals.T.astype(np.float32)
-    return np.asarray(np.abs(scaled - (rho / tol).astype(np.float32)[:, None]) < 1.0, np.float32)
+@numba.njit(cache=True, parallel=True, nogil=True, fastmath=True)
+def _inliers(
+    proposals: Float[np.ndarray, "proposals 3"],
+    d: Float[np.ndarray, "points 3"],
+    rho: Float[np.ndarray, " points"],
+    tol: Float[np.ndarray, " points"],
+) -> Float[np.ndarray, "points proposals"]:
+    """1 where the proposal explains the point; float32, which sums fast."""
+    out = np.empty((len(d), len(proposals)), np.float32)
+    for i in numba.prange(len(d)):
+        x, y, z, r, t = d[i, 0], d[i, 1], d[i, 2], rho[i], tol[i]
+        for k in range(len(proposals)):
+            predicted = proposals[k, 0] * x + proposals[k, 1] * y + proposals[k, 2] * z
+            out[i, k] = np.float32(1.0) if abs(predicted - r) < t else np.float32(0.0)
+    return out
 
 
-def _windows(d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, np.ndarray], block: int) -> np.ndarray:
+def _windows(
+    d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, np.ndarray], block: int
+) -> np.ndarray:
     """One robust fit per square window of pixels."""
     row, col = pixel[0] // block, pixel[1] // block
     _, group = np.unique(row * (col.max() + 1) + col, return_inverse=True)

@@ -48,7 +48,7 @@ class RectifiedPair:
         return self.first.shape[0], self.first.shape[1]
 
     @property
-    def up(self) -> Float[np.ndarray, "3"]:
+    def up(self) -> Float[np.ndarray, 3]:
         """The world's up in the frame of the pair."""
         return np.asarray(self.world_from_frame.T @ UP)
 

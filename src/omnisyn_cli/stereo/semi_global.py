@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, UInt64
 
-__all__ = ["FORBIDDEN", "aggregate", "sweep_cost", "census", "choose", "warp_cost"]
+__all__ = ["FORBIDDEN", "aggregate", "census", "choose", "sweep_cost", "warp_cost"]
 
 HALF_WINDOW = 3
 NOISE = np.float32(0.004)
@@ -38,20 +38,19 @@ FAR = np.float32(1e9)
 def census(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.ndarray, "height width"]:
     """Which of the 48 neighbours in 7×7 are brighter than the pixel; columns wrap, end rows repeat."""
     height, width = luminance.shape
+    wide = np.empty((height, width + 2 * HALF_WINDOW), np.float32)
+    wide[:, HALF_WINDOW:-HALF_WINDOW] = luminance
+    wide[:, :HALF_WINDOW] = luminance[:, -HALF_WINDOW:]
+    wide[:, -HALF_WINDOW:] = luminance[:, :HALF_WINDOW]
     signature = np.zeros((height, width), np.uint64)
     for row in numba.prange(height):
-        for col in range(width):
-            bits = np.uint64(0)
-            threshold = luminance[row, col] + NOISE
-            for i in range(-HALF_WINDOW, HALF_WINDOW + 1):
-                r = min(max(row + i, 0), height - 1)
-                for j in range(-HALF_WINDOW, HALF_WINDOW + 1):
-                    if i != 0 or j != 0:
-                        c = col + j
-                        if c < 0 or c >= width:
-                            c %= width
-                        bits = (bits << np.uint64(1)) | np.uint64(luminance[r, c] > threshold)
-            signature[row, col] = bits
+        for i in range(-HALF_WINDOW, HALF_WINDOW + 1):
+            r = min(max(row + i, 0), height - 1)
+            for j in range(2 * HALF_WINDOW + 1):
+                if i != 0 or j != HALF_WINDOW:
+                    for col in range(width):
+                        brighter = np.uint64(wide[r, col + j] > wide[row, col + HALF_WINDOW] + NOISE)
+                        signature[row, col] = (signature[row, col] << np.uint64(1)) | brighter
     return signature
 
 
@@ -100,6 +99,7 @@ def sweep_cost(
 @numba.njit(cache=True, parallel=True, nogil=True)
 def warp_cost(
     first: Float[np.ndarray, "height width 3"],
+    first_census: UInt64[np.ndarray, "height width"],
     second: Float[np.ndarray, "height width 3"],
     usable: Bool[np.ndarray, "height width"],
     disparity: Float[np.ndarray, "height width"],
@@ -122,8 +122,7 @@ def warp_cost(
                 seen[row, col] = usable[r, col] and usable[r + 1, col]
                 for k in range(3):
                     warped[row, col, k] = (1 - share) * second[r, col, k] + share * second[r + 1, col, k]
-    bits_a = census((first[..., 0] + first[..., 1] + first[..., 2]) / np.float32(3.0))
-    bits_b = census((warped[..., 0] + warped[..., 1] + warped[..., 2]) / np.float32(3.0))
+    bits = census((warped[..., 0] + warped[..., 1] + warped[..., 2]) / np.float32(3.0))
     scale = np.float32(1.0 / (3.0 * truncation))
     cost = np.empty((height, width), np.float32)
     for row in numba.prange(height):
@@ -133,7 +132,7 @@ def warp_cost(
             elif not seen[row, col]:
                 cost[row, col] = UNSEEN
             else:
-                share = np.float32(_count_bits(bits_a[row, col] ^ bits_b[row, col])) * CONTRADICTION
+                share = np.float32(_count_bits(first_census[row, col] ^ bits[row, col])) * CONTRADICTION
                 difference = _difference(first, warped, row, row, col) * scale
                 cost[row, col] = (1 - colour_share) * min(share, np.float32(1.0)) + colour_share * min(
                     difference, np.float32(1.0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -18,9 +19,9 @@ from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_angles
 from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
 from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair
-from omnisyn_cli.stereo.semi_global import FORBIDDEN, aggregate, choose, sweep_cost, warp_cost
+from omnisyn_cli.stereo.semi_global import aggregate, census, choose, sweep_cost, warp_cost
 
-__all__ = ["MatchingOptions", "Matches", "Meridians", "assign_surfaces", "match_freely"]
+__all__ = ["Matches", "MatchingOptions", "Meridians", "assign_surfaces", "match_freely"]
 
 NO_ORDER = 1e6
 """Step penalty between labels that have no order."""
@@ -48,6 +49,7 @@ class MatchingOptions:
         plane_share: least share of the matched solid angle for a plane.
         label_jump, label_contrast: as ``jump`` and ``contrast``, between surfaces.
         seen_bias, unseen_bias: what semi-global matching costs more than a plane where it is sure and where not.
+        remote_bias: what a plane costs more far from every point that it was found by.
         under_floor: what a surface costs more where it lies beneath the floor.
         agreement: rows by which both directions may differ.
     """
@@ -62,11 +64,12 @@ class MatchingOptions:
     contrast: float = 0.05
     margin: float = 0.2
     planes: int = 24
-    plane_share: float = 0.003
-    label_jump: float = 2.0
+    plane_share: float = 0.008
+    label_jump: float = 3.0
     label_contrast: float = 0.15
     seen_bias: float = 0.15
     unseen_bias: float = 0.5
+    remote_bias: float = 0.2
     under_floor: float = 0.3
     agreement: float = 1.0
 
@@ -77,7 +80,7 @@ class Meridians:
 
     directions: Float[np.ndarray, "height width 3"]
     polar_angle: Float[np.ndarray, "height 1"]
-    up: Float[np.ndarray, "3"]
+    up: Float[np.ndarray, 3]
 
     @staticmethod
     def of(pair: RectifiedPair) -> Meridians:
@@ -142,7 +145,20 @@ def assign_surfaces(
     pair: RectifiedPair, grid: Meridians, free: Matches, options: MatchingOptions
 ) -> Float[np.ndarray, "height width"]:
     """Disparity in rows of the surface that explains each pixel best, given free matches that both directions share."""
-    planes = _planes(grid, free, options)
+    planes, support = _planes(grid, free, options)
+    surfaces = _surfaces(grid, free, planes, options)
+    cost = _surface_costs(pair, surfaces, options)
+    cost += options.under_floor * (surfaces < _under_floor(grid, planes)[..., None])
+    cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
+    cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
+    total = aggregate(cost, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast)
+    total[surfaces < 0] = np.inf
+    label = total.argmin(axis=-1)[..., None]
+    return np.asarray(np.take_along_axis(surfaces, label, axis=-1)[..., 0])
+
+
+def _surfaces(grid: Meridians, free: Matches, planes: np.ndarray, options: MatchingOptions) -> np.ndarray:
+    """Disparities ``(height, width, candidates)``: the free matches, the planes, and infinity if anything is there."""
     lowest = _lowest(grid, options)
     candidates = [free.disparity]
     for normal in planes:
@@ -150,18 +166,17 @@ def assign_surfaces(
         candidates.append(np.where(disparity < lowest, np.float32(-1.0), disparity))
     if _sees_infinity(grid, free):
         candidates.append(np.where(grid.rise > 0, 0.0, -1.0).astype(np.float32))
-    floor = _under_floor(grid, planes)
-    cost = np.empty((*pair.size, len(candidates)), np.float32)
-    for k, disparity in enumerate(candidates):
-        similarity = warp_cost(
-            pair.first, pair.second, pair.second_usable, disparity, options.colour_share, options.truncation
-        )
-        cost[..., k] = similarity + options.under_floor * (disparity < floor)
-    cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
-    total = aggregate(cost, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast)
-    total[cost >= FORBIDDEN] = np.inf
-    label = total.argmin(axis=-1)[..., None]
-    return np.asarray(np.take_along_axis(np.stack(candidates, axis=-1), label, axis=-1)[..., 0])
+    return np.stack(candidates, axis=-1)
+
+
+def _surface_costs(pair: RectifiedPair, surfaces: np.ndarray, options: MatchingOptions) -> np.ndarray:
+    signature = census(pair.first.sum(axis=-1) / np.float32(3.0))
+    share, truncation = options.colour_share, options.truncation
+    costs = [
+        warp_cost(pair.first, signature, pair.second, pair.second_usable, np.ascontiguousarray(d), share, truncation)
+        for d in np.moveaxis(surfaces, -1, 0)
+    ]
+    return np.stack(costs, axis=-1)
 
 
 def _lowest(grid: Meridians, options: MatchingOptions) -> np.ndarray:
@@ -169,12 +184,13 @@ def _lowest(grid: Meridians, options: MatchingOptions) -> np.ndarray:
     return grid.disparity(np.maximum(-grid.rise - 0.17, 0.0) / options.highest_camera)
 
 
-def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> Float[np.ndarray, "planes 3"]:
+def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Normals ``(planes, 3)``, and how near each pixel is to points of each plane, ``(height, width, planes)`` in [0, 1]."""
     inverse_depth = grid.inverse_depth(free.disparity)
     usable = free.seen & (inverse_depth < NEAREST)
     tolerance = grid.inverse_depth_per_row(free.disparity)
     solid_angle = np.broadcast_to(np.sin(grid.polar_angle), usable.shape)
-    return find_planes(
+    planes = find_planes(
         grid.directions[usable],
         inverse_depth[usable],
         tolerance[usable],
@@ -184,10 +200,23 @@ def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> Float[n
         count=options.planes,
         share=options.plane_share,
     )
+    support = np.empty((*usable.shape, len(planes)), np.float32)
+    for k, normal in enumerate(planes):
+        support[..., k] = _nearness(usable & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
+    return planes, support
+
+
+def _nearness(mask: np.ndarray) -> np.ndarray:
+    """1 among pixels of a mask, falling to 0 some 10° away."""
+    height, width = mask.shape
+    wide = np.concatenate([mask[:, -width // 8 :], mask, mask[:, : width // 8]], axis=1).astype(np.float32)
+    density = cv2.GaussianBlur(wide, (0, 0), height / 24.0)[:, width // 8 : width // 8 + width]
+    return np.asarray(np.minimum(density / 0.05, 1.0))
 
 
 def _sees_infinity(grid: Meridians, free: Matches) -> bool:
-    above = grid.rise > 0
+    """Whether texture above the horizon, away from the epipoles, stands still."""
+    above = (grid.rise > 0) & (np.sin(grid.polar_angle) > 0.35)
     return bool((free.seen & above & (free.disparity < 1.0)).sum() > 0.02 * above.sum())
 
 

@@ -75,6 +75,7 @@ class Trainer:
             self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
+        self.scores: dict[str, float] = {}
         self.step = 0
         self.cooldown_start: int | None = None
 
@@ -86,6 +87,7 @@ class Trainer:
             "training": asdict(self.config),
             "step": self.step,
             "cooldown_start": self.cooldown_start,
+            "scores": self.scores,
             "weights": self.network.state_dict(),
             "average": self.average,
             "optimizer": self.optimizer.state_dict(),
@@ -98,6 +100,7 @@ class Trainer:
         self.optimizer.load_state_dict(state["optimizer"])
         self.step = state["step"]
         self.cooldown_start = state["cooldown_start"]
+        self.scores = dict(state.get("scores", {}))
 
     def rate(self) -> float:
         """Learning rate of the next step."""
@@ -226,9 +229,10 @@ def open_trainer(network: DepthConfig, config: TrainConfig, path: Path) -> Train
 
 
 def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> dict[str, Any]:
-    scores = validate(trainer.averaged_network(), trainer.config)
+    scores = asdict(validate(trainer.averaged_network(), trainer.config))
+    trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
     row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate(), "loss": float(np.mean(losses))}
-    return row | {key: round(value, 5) for key, value in asdict(scores).items()}
+    return row | trainer.scores
 
 
 def _append(path: Path, row: dict[str, Any]) -> None:

@@ -1,0 +1,33 @@
+"""``omnisyn export-onnx``: a checkpoint becomes a model that `interpolate` can use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+__all__ = ["export_onnx"]
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.command("export-onnx")
+@click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("-o", "--output", required=True, type=FOLDER, help="Folder of models.")
+@click.option("--name", help="What `--model` will call it.  [default: depth-VARIANT]")
+@click.option("--pairs", "pool", type=FOLDER, help="Pool to compare on as well.")
+@click.option("--training", default="", help="On what and for how long it was trained, for the manifest.")
+@click.option("--licence", default="Apache-2.0", show_default=True, help="Of the weights.")
+def export_onnx(
+    checkpoint: Path, output: Path, name: str | None, pool: Path | None, training: str, licence: str
+) -> None:
+    """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
+
+    Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
+    """
+    from omnisyn_cli.training.publish import publish_depth
+
+    entry, difference = publish_depth(checkpoint, output, name=name, pool=pool, training=training, licence=licence)
+    click.echo(
+        f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
+    )

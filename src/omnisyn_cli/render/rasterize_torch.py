@@ -1,0 +1,177 @@
+"""Differentiable rendering: gradients flow from the target to inverse depths and colours of the source.
+
+Which face each pixel sees is found without gradients by :mod:`omnisyn_cli.render.rasterize`. Inverse depth and colour
+follow again, with gradients, from the formulas there. With r the ray of a pixel, the corners ``v_i = R·d_i + ρ_i·t``
+are split into a share along the ray and the rest, ``s_i = r·v_i`` and ``u_i = v_i − s_i·r``. Then
+``e_0 = r·(u_1×u_2)`` and so on, ``det = Σ e_i·s_i`` and ``ρ = Σ e_i·ρ_i / det``: the same numbers, but nothing cancels,
+so float32 will do.
+
+Silhouettes themselves carry no gradient: which face is seen is a constant.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Integer
+from torch import Tensor
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
+from omnisyn_cli.render.rasterize import Fragments, rasterize
+
+__all__ = ["Rendering", "rasterize_torch", "render_fragments"]
+
+POLE_ROWS = 0.5
+"""This close to a source pole, in rows, colour has no gradient to geometry: azimuth turns infinitely fast there."""
+
+LEAST_SLOPE = 1e-4
+"""Faces whose determinant is less than this share of ``Σ e_i`` are seen edge-on: their inverse depth is a constant."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What a target sees, on the device of the source and in its precision.
+
+    Attributes:
+        colour: 0 where nothing is seen.
+        inverse_depth: 1/metre from the target's centre; negative where nothing is seen.
+        visibility: whether a surface is seen; no gradient.
+    """
+
+    colour: Float[Tensor, "*batch height width channels"]
+    inverse_depth: Float[Tensor, "*batch height width"]
+    visibility: Bool[Tensor, "*batch height width"]
+
+
+def rasterize_torch(
+    inverse_depth: Float[Tensor, "*batch rows cols"],
+    colour: Float[Tensor, "*batch image_rows image_cols channels"],
+    target_from_source: Pose,
+    size: tuple[int, int],
+    cut: Cut | None = None,
+    mask: Bool[Tensor, "*batch rows cols"] | None = None,
+) -> Rendering:
+    """One panorama, or a batch of them, seen from elsewhere.
+
+    Args:
+        inverse_depth: 1/metre, finite and >= 0, of the mesh.
+        colour: any number of channels, at a resolution of its own; read bilinearly, without mip levels.
+        target_from_source: rigid transform; with a batch, its arrays may have a batch axis.
+        size: height and width of the target.
+        cut: where surfaces are separated.
+        mask: False where there is no surface.
+
+    Raises:
+        ValueError: on inverse depths that are negative or not finite.
+    """
+    if inverse_depth.ndim == 2:
+        surface = inverse_depth.detach().cpu().numpy()
+        mesh = build_mesh(surface, cut, None if mask is None else mask.cpu().numpy())
+        fragments = rasterize(mesh, target_from_source, size)
+        return render_fragments(fragments, mesh, inverse_depth, colour, target_from_source)
+    views = [
+        rasterize_torch(
+            inverse_depth[k], colour[k], _pose_of(target_from_source, k), size, cut, None if mask is None else mask[k]
+        )
+        for k in range(len(inverse_depth))
+    ]
+    return Rendering(
+        torch.stack([view.colour for view in views]),
+        torch.stack([view.inverse_depth for view in views]),
+        torch.stack([view.visibility for view in views]),
+    )
+
+
+def render_fragments(
+    fragments: Fragments,
+    mesh: Mesh,
+    inverse_depth: Float[Tensor, "rows cols"],
+    colour: Float[Tensor, "image_rows image_cols channels"],
+    target_from_source: Pose,
+) -> Rendering:
+    """Inverse depth and colour of fragments as functions of ``inverse_depth`` and ``colour``.
+
+    Args:
+        fragments: what the target sees of ``mesh``.
+        mesh: made of the values of ``inverse_depth``.
+        inverse_depth: the vertices of the mesh, with gradients.
+        colour: the texture, with gradients.
+        target_from_source: the transform that the fragments were made with.
+    """
+    height, width = fragments.face.shape
+    visible = fragments.visibility
+    rays = pixel_directions(height, width)[visible]
+    seen = _inverse_depth_seen(fragments, mesh, inverse_depth, rays, target_from_source)
+    directions = _source_directions(seen, rays, target_from_source)
+    texels = sample_bilinear(colour, _constant_at_poles(directions, colour.shape[0]))
+    where = torch.from_numpy(visible).to(inverse_depth.device)
+    return Rendering(
+        colour.new_zeros((height, width, colour.shape[-1])).masked_scatter(where[..., None], texels),
+        inverse_depth.new_full((height, width), -1.0).masked_scatter(where, seen),
+        where,
+    )
+
+
+def _inverse_depth_seen(
+    fragments: Fragments, mesh: Mesh, inverse_depth: Tensor, rays: np.ndarray, pose: Pose
+) -> Float[Tensor, " pixels"]:
+    """Inverse depth at each visible pixel, ``Σ e_i·ρ_i / Σ e_i·s_i``."""
+    corners = mesh.corners(fragments.face[fragments.visibility])
+    vertices = mesh.vertex_directions() @ pose.rotation.T
+    points = np.einsum("fck,fkx->fcx", corners.direction_weight, vertices[corners.vertex])
+    along, across = _split(points, rays[:, None])
+    along_t, across_t = _split(pose.position, rays)
+
+    def tensor(array: np.ndarray) -> Tensor:
+        return torch.as_tensor(array).to(inverse_depth)
+
+    rho = _corner_inverse_depths(
+        inverse_depth, corners.vertex, tensor(corners.inverse_depth_weight), tensor(corners.inverse_depth_offset)
+    )
+    u = tensor(across) + rho[..., None] * tensor(across_t)[:, None]
+    s = tensor(along) + rho * tensor(along_t)[:, None]
+    edges = (torch.linalg.cross(u.roll(-1, dims=1), u.roll(-2, dims=1)) * tensor(rays)[:, None]).sum(-1)
+    determinant = (edges * s).sum(-1)
+    is_edge_on = determinant <= LEAST_SLOPE * edges.abs().sum(-1)
+    found = tensor(fragments.inverse_depth[fragments.visibility])
+    ratio = (edges * rho).sum(-1) / torch.where(is_edge_on, torch.ones_like(determinant), determinant)
+    return torch.where(is_edge_on, found, ratio)
+
+
+def _corner_inverse_depths(
+    inverse_depth: Tensor, vertex: Integer[np.ndarray, "faces 4"], weight: Tensor, offset: Tensor
+) -> Float[Tensor, "faces 3"]:
+    """Inverse depths of the corners of faces; poles have none of their own."""
+    padded = torch.cat([inverse_depth.reshape(-1), inverse_depth.new_zeros(2)])
+    return (weight * padded[torch.from_numpy(vertex).to(padded.device)][:, None]).sum(-1) + offset
+
+
+def _split(vectors: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Length along each ray, and the rest orthogonal to it."""
+    along = (vectors * rays).sum(-1)
+    return along, vectors - along[..., None] * rays
+
+
+def _source_directions(seen: Tensor, rays: np.ndarray, pose: Pose) -> Float[Tensor, "pixels 3"]:
+    """Where the source sees what each ray meets: ``Rᵀ(r − ρ·t)``, not normalised."""
+    turned_rays, turned_t = rays @ pose.rotation, pose.position @ pose.rotation
+    return torch.as_tensor(turned_rays).to(seen) - seen[:, None] * torch.as_tensor(turned_t).to(seen)
+
+
+def _constant_at_poles(directions: Tensor, rows: int) -> Tensor:
+    """The same directions, without gradient where they lie so close to a pole that the azimuth is meaningless."""
+    ring = (directions[..., 0].square() + directions[..., 2].square()).detach()
+    near = ring < (POLE_ROWS * math.pi / rows) ** 2 * directions.square().sum(-1).detach()
+    return torch.where(near[..., None], directions.detach(), directions)
+
+
+def _pose_of(pose: Pose, k: int) -> Pose:
+    """Pose ``k`` of a batch, or the one pose of all."""
+    rotation = pose.rotation if pose.rotation.ndim == 2 else pose.rotation[k]
+    return Pose(rotation, pose.position if pose.position.ndim == 1 else pose.position[k])

@@ -1,0 +1,91 @@
+"""From a checkpoint to a model of the program: exported, compared with torch, entered into the manifest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.networks.export import PARITY, export_depth, largest_difference
+from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
+from omnisyn_cli.training.data import draw_batch, list_pool
+from omnisyn_cli.training.loop import load_network
+
+__all__ = ["publish_depth", "write_manifest"]
+
+COMPARED = 3
+"""Pairs of each kind that torch and ONNX Runtime are compared on."""
+
+
+def publish_depth(
+    checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
+) -> tuple[ModelEntry, float]:
+    """Write the averaged network of a checkpoint into a folder of models.
+
+    Args:
+        checkpoint: of :func:`omnisyn_cli.training.loop.train`.
+        folder: gets ``NAME.onnx`` and a new manifest.
+        name: ``depth-VARIANT`` unless given.
+        pool: scenes to compare on, besides random images.
+        training: on what and for how long, for the manifest.
+        licence: of the weights.
+
+    Returns:
+        The entry of the manifest, and the largest relative difference found.
+
+    Raises:
+        InputError: no checkpoint, or no scenes.
+        OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
+    """
+    network, state = load_network(checkpoint)
+    name = name or f"depth-{network.config.name}"
+    folder.mkdir(parents=True, exist_ok=True)
+    path, partial = folder / f"{name}.onnx", folder / f"{name}.partial.onnx"
+    export_depth(network, partial)
+    difference = largest_difference(network, partial, _pairs(network.config.size, pool))
+    if not difference <= PARITY:
+        partial.unlink()
+        raise OmnisynError(
+            f"expected ONNX Runtime to agree with torch within {PARITY}, got {difference:.1e}; not exported"
+        )
+    partial.replace(path)
+    entry = ModelEntry(
+        name=name,
+        role="depth",
+        variant=network.config.name,
+        file=path.name,
+        sha256=sha256_of(path),
+        size=network.config.size,
+        parameters=sum(parameter.numel() for parameter in network.parameters()),
+        training=training or f"{state['step']} steps",
+        licence=licence,
+        metrics=state.get("scores", {}),
+    )
+    write_manifest(folder, read_manifest(folder) | {name: entry})
+    return entry, difference
+
+
+def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
+    """Write ``manifest.toml``, the inverse of :func:`omnisyn_cli.runtime.models.read_manifest`."""
+    lines = [f"version = {MANIFEST_VERSION}"]
+    for entry in entries.values():
+        lines += ["", "[[models]]"]
+        plain = [key.name for key in fields(entry) if key.name != "metrics"]
+        lines += [f"{key} = {json.dumps(getattr(entry, key), ensure_ascii=False)}" for key in plain]
+        if entry.metrics:
+            lines += ["", "[models.metrics]", *(f"{key} = {value!r}" for key, value in entry.metrics.items())]
+    (folder / MANIFEST).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _pairs(size: tuple[int, int], pool: Path | None) -> Iterator[np.ndarray]:
+    rng = np.random.default_rng(0)
+    for _ in range(COMPARED):
+        yield rng.random((2, 3, *size), dtype=np.float32)
+    for _ in range(COMPARED if pool is not None else 0):
+        batch = draw_batch(list_pool(pool or Path()), rng, 1, size)
+        yield torch.cat([batch.first, batch.second]).numpy()

@@ -1,0 +1,104 @@
+"""How long a view takes compared with Embree, which only traces the rays.
+
+``python tests/benchmarks/bench_renderer.py [depth.exr]``: a 1024×512 mesh (of a synthetic depth, or of the file's) drawn
+at 2048×1024 with its texture, everything on one thread, alternating with Embree on the same triangles and rays. Only the
+ratios mean anything on a machine that does other work as well; the best of the rounds counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.mesh import Mesh, build_mesh
+from omnisyn_cli.render.rasterize import Rasterizer
+from omnisyn_cli.render.shade import Shader, make_texture
+
+MESH, TARGET = (512, 1024), (1024, 2048)
+POSE = Pose(np.eye(3), np.array([0.0, 0.0, 1.5]))
+FARTHEST = 1e6
+"""Metres; Embree knows no infinity."""
+
+
+def synthetic() -> np.ndarray:
+    """A street: ground, two walls with pillars in front of them, and sky."""
+    directions = pixel_directions(*MESH)
+    ground = np.maximum(0.0, -directions[..., 1]) / 1.6
+    walls = np.abs(directions[..., 0]) / 6.0 * (directions[..., 1] < 0.6 * np.abs(directions[..., 0]))
+    azimuth = np.arctan2(directions[..., 0], -directions[..., 2])
+    pillars = 0.25 * (np.sin(12 * azimuth) > 0.9) * (np.abs(directions[..., 1]) < 0.4)
+    return np.maximum(np.maximum(ground, walls), pillars).astype(np.float32)
+
+
+def from_file(path: Path) -> np.ndarray:
+    """Inverse depth of a depth file, every n-th pixel of it, so that it has the mesh's size."""
+    from omnisyn_cli.io.depth import read_depth
+
+    depth = read_depth(path)
+    depth = depth[:: max(1, depth.shape[0] // MESH[0]), :: max(1, depth.shape[1] // MESH[1])]
+    return np.where(np.isfinite(depth) & (depth > 0), 1.0 / np.maximum(depth, 1e-6), 0.0).astype(np.float32)
+
+
+def embree(mesh: Mesh) -> Callable[[], object]:
+    """Traces the rays of the target; building the scene is not counted."""
+    triangles = mesh.triangles()
+    depth = 1.0 / np.maximum(triangles.inverse_depth, 1.0 / FARTHEST)
+    points = POSE.transform(triangles.direction * depth[..., None])
+    scene = EmbreeScene()
+    TriangleMesh(scene, points.astype(np.float32))
+    rays = pixel_directions(*TARGET).reshape(-1, 3).astype(np.float32)
+    origins = np.zeros_like(rays)
+    return lambda: scene.run(origins, rays)
+
+
+def renderer(mesh: Mesh, *, bicubic: bool) -> Callable[[], object]:
+    """Rasterises and shades one view."""
+    image = np.random.default_rng(0).random((*TARGET, 3), dtype=np.float32)
+    texture = make_texture(image)
+    rasterizer, shader = Rasterizer(mesh.size, TARGET, threads=1), Shader(TARGET, threads=1, bicubic=bicubic)
+    return lambda: shader(rasterizer(mesh, POSE), mesh, texture, POSE)
+
+
+def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Seconds of the fastest of ``rounds`` runs of each, one after the other in turn; the first run is not counted."""
+    best = dict.fromkeys(contestants, float("inf"))
+    for number in range(rounds + 1):
+        for name, run in contestants.items():
+            begin = time.perf_counter()
+            run()
+            if number:
+                best[name] = min(best[name], time.perf_counter() - begin)
+    return best
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("depth", type=Path, nargs="?", help="an EXR with depths in metres")
+    parser.add_argument("--rounds", type=int, default=7)
+    options = parser.parse_args()
+    mesh = build_mesh(synthetic() if options.depth is None else from_file(options.depth))
+    contestants = {
+        "embree, rays only": embree(mesh),
+        "mesh, bilinear": renderer(mesh, bicubic=False),
+        "mesh, bicubic": renderer(mesh, bicubic=True),
+    }
+    best = best_of(contestants, options.rounds)
+    height, width = mesh.size
+    print(
+        f"{width}×{height} mesh, {len(mesh.cut_quads)} of {mesh.quads.size} quads cut, {TARGET[1]}×{TARGET[0]} target"
+    )
+    for name, seconds in best.items():
+        print(f"{name:20} {seconds * 1e3:8.1f} ms   {best['embree, rays only'] / seconds:5.2f} × embree")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from geometry_samples import POLES, directions
+
+from omnisyn_cli.geometry import sphere
+from omnisyn_cli.geometry.sphere import (
+    LINEARISED_CAP,
+    angles_to_direction,
+    angles_to_pixel,
+    direction_tables,
+    direction_to_angles,
+    direction_to_pixel,
+    linearised_arccos,
+    normalize,
+    pixel_directions,
+    pixel_scale,
+    pixel_to_angles,
+    pixel_to_direction,
+    solid_angles,
+    wrap_angle,
+)
+
+SIZES = [(1, 2), (2, 4), (3, 5), (8, 16), (64, 128), (31, 7)]
+
+
+def test_axes_are_where_the_convention_puts_them():
+    expected = {"centre": (0, 0.5, [0, 0, -1]), "right": (0.5, 0.5, [1, 0, 0]), "up": (0, 0, [0, 1, 0])}
+    for azimuth, polar_angle, direction in expected.values():
+        found = angles_to_direction(np.float64(azimuth * math.pi), np.float64(polar_angle * math.pi))
+        np.testing.assert_allclose(found, direction, atol=1e-15)
+
+
+def test_pixel_centres_lie_half_a_pixel_inside_the_image():
+    azimuth, polar_angle = pixel_to_angles(np.array([0.0, 7.0]), np.array([0.0, 15.0]), (8, 16))
+    np.testing.assert_allclose(azimuth, [-math.pi + math.pi / 16, math.pi - math.pi / 16])
+    np.testing.assert_allclose(polar_angle, [math.pi / 16, math.pi - math.pi / 16])
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_pixel_survives_the_way_to_directions_and_back(size):
+    row, col = direction_to_pixel(pixel_directions(*size), size)
+    expected_row, expected_col = np.mgrid[: size[0], : size[1]]
+    np.testing.assert_allclose(row, expected_row, atol=1e-9)
+    np.testing.assert_allclose(col, expected_col, atol=1e-9)
+
+
+def test_every_direction_survives_the_way_to_angles_and_back_even_at_the_singularities():
+    vectors = directions()
+    np.testing.assert_allclose(angles_to_direction(*direction_to_angles(vectors)), vectors, atol=1e-15)
+
+
+def test_angles_do_not_depend_on_the_length_of_a_vector():
+    vectors = directions()
+    for scale in (1e-6, 3.0, 1e6):
+        np.testing.assert_allclose(direction_to_angles(scale * vectors), direction_to_angles(vectors), atol=1e-14)
+
+
+def test_the_polar_angle_keeps_its_digits_at_the_poles():
+    angle = np.array([1e-12, 1e-9, 1e-3])
+    np.testing.assert_allclose(direction_to_angles(angles_to_direction(0.3 + 0 * angle, angle))[1], angle, rtol=1e-12)
+    assert (direction_to_angles(POLES)[1] == [0.0, math.pi]).all()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_tables_and_scales_for_kernels_say_the_same_as_the_formulas(size):
+    sin_polar, cos_polar, sin_azimuth, cos_azimuth = direction_tables(*size)
+    x, z = sin_polar[:, None] * sin_azimuth, -sin_polar[:, None] * cos_azimuth
+    y = np.broadcast_to(cos_polar[:, None], x.shape)
+    np.testing.assert_allclose(np.stack([x, y, z], -1), pixel_directions(*size), atol=1e-15)
+    row_scale, row_offset, col_scale, col_offset = pixel_scale(size)
+    row, col = angles_to_pixel(1.3, 0.7, size)
+    assert (0.7 * row_scale + row_offset, 1.3 * col_scale + col_offset) == pytest.approx((row, col))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_solid_angles_sum_to_the_whole_sphere(size):
+    weights = solid_angles(*size)
+    assert weights.shape == size
+    assert weights.sum() == pytest.approx(4 * math.pi)
+    assert (weights > 0).all()
+
+
+def test_solid_angles_are_those_of_random_points_on_the_sphere():
+    vectors = normalize(np.random.default_rng(3).normal(size=(200_000, 3)))
+    row, col = direction_to_pixel(vectors, (4, 6))
+    counts = np.histogram2d(row, col, bins=(np.arange(5) - 0.5, np.arange(7) - 0.5))[0]
+    np.testing.assert_allclose(counts / 200_000 * 4 * math.pi, solid_angles(4, 6), rtol=0.05)
+
+
+def test_normalize_leaves_the_zero_vector_with_a_finite_gradient():
+    vector = torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.0, 4.0]], requires_grad=True)
+    unit = normalize(vector)
+    unit.sum().backward()
+    assert unit.tolist() == [[0.0, 0.0, 0.0], pytest.approx([0.6, 0.0, 0.8])]
+    assert torch.isfinite(vector.grad).all()
+
+
+def test_wrapped_angles_are_equal_up_to_whole_turns():
+    angle = np.linspace(-20.0, 20.0, 1001)
+    wrapped = wrap_angle(angle)
+    assert ((wrapped >= -math.pi) & (wrapped < math.pi)).all()
+    turns = (angle - wrapped) / (2 * math.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    assert wrap_angle(math.pi) == -math.pi
+
+
+class TestLinearisedArccos:
+    def test_equals_arccos_away_from_the_poles(self):
+        cosine = np.cos(np.linspace(LINEARISED_CAP, math.pi - LINEARISED_CAP, 101))
+        np.testing.assert_allclose(linearised_arccos(cosine), np.arccos(cosine), atol=1e-12)
+
+    def test_is_exact_at_the_poles_and_symmetric(self):
+        assert linearised_arccos(np.array([1.0, 0.0, -1.0])) == pytest.approx([0.0, math.pi / 2, math.pi])
+        cosine = np.linspace(-1, 1, 501)
+        np.testing.assert_allclose(linearised_arccos(-cosine), math.pi - linearised_arccos(cosine), atol=1e-12)
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_is_continuous_where_the_line_begins(self, sign):
+        edge = sign * math.cos(LINEARISED_CAP)
+        left, right = linearised_arccos(np.array([edge - 1e-12, edge + 1e-12]))
+        assert left == pytest.approx(right, abs=1e-9)
+
+    def test_gradient_is_bounded_and_always_negative(self):
+        cosine = torch.cat([torch.linspace(-1.1, 1.1, 2001, dtype=torch.float64), torch.tensor([-1.0, 1.0])])
+        cosine.requires_grad_()
+        linearised_arccos(cosine).sum().backward()
+        steepest = 1.0 / math.sin(LINEARISED_CAP) * 2.0
+        assert ((cosine.grad < 0) & (cosine.grad > -steepest)).all()
+
+
+def test_numpy_and_torch_agree():
+    vectors = directions()
+    as_torch = torch.from_numpy(vectors)
+    for function in (direction_to_angles, normalize):
+        np.testing.assert_allclose(np.asarray(function(vectors)), np.stack(list(function(as_torch))), atol=1e-15)
+    row, col = np.linspace(-1, 9, 11), np.linspace(-3, 20, 11)
+    expected = pixel_to_direction(row, col, (8, 16))
+    np.testing.assert_allclose(pixel_to_direction(torch.from_numpy(row), torch.from_numpy(col), (8, 16)), expected)
+    cosine = np.linspace(-1, 1, 101)
+    np.testing.assert_allclose(linearised_arccos(torch.from_numpy(cosine)), linearised_arccos(cosine), atol=1e-15)
+
+
+def test_all_names_exist():
+    assert all(hasattr(sphere, name) for name in sphere.__all__)

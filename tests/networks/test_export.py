@@ -1,0 +1,45 @@
+import numpy as np
+import onnx
+import pytest
+import torch
+from depth_samples import TINY
+
+from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.export import OPSET, PARITY, export_depth, largest_difference
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    torch.manual_seed(0)
+    network = DepthNetwork(TINY).eval()
+    for stage in network.refinements:
+        torch.nn.init.normal_(stage.choice.weight, std=0.5)
+    path = tmp_path_factory.mktemp("models") / "tiny.onnx"
+    export_depth(network, path)
+    return network, path
+
+
+def test_onnx_runtime_says_what_torch_says(exported):
+    network, path = exported
+    pairs = np.random.default_rng(0).random((3, 2, 3, 64, 128))
+    assert largest_difference(network, path, pairs) < PARITY
+
+
+def test_a_difference_is_noticed(exported):
+    _, path = exported
+    other = DepthNetwork(TINY).eval()
+    pairs = np.random.default_rng(0).random((1, 2, 3, 64, 128))
+    assert largest_difference(other, path, pairs) > PARITY
+
+
+def test_one_file_holds_everything_and_no_pad_wraps(exported):
+    _, path = exported
+    model = onnx.load(path)
+    assert [path.name for path in path.parent.iterdir()] == ["tiny.onnx"]
+    assert [opset.version for opset in model.opset_import] == [OPSET]
+    kinds = {node.op_type for node in model.graph.node}
+    assert "GridSample" not in kinds
+    modes = [a.s for node in model.graph.node if node.op_type == "Pad" for a in node.attribute if a.name == "mode"]
+    assert b"wrap" not in modes
+    assert [entry.name for entry in model.graph.input] == ["first", "second"]
+    assert [entry.name for entry in model.graph.output] == ["inverse_depth", "confidence"]

@@ -1,0 +1,148 @@
+import numpy as np
+import pytest
+import torch
+from render_samples import CUTS, POSES, moved, random_pose, rough, smooth, turn
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.mesh import build_mesh
+from omnisyn_cli.render.rasterize import Fragments, rasterize
+from omnisyn_cli.render.rasterize_torch import rasterize_torch, render_fragments
+from omnisyn_cli.render.shade import make_texture, shade
+
+
+def colours(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    return torch.from_numpy(np.random.default_rng(30).random((height, width, 3))).to(dtype)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
+@pytest.mark.parametrize("cut", ["whole", "default"])
+def test_equals_the_renderer_of_numpy(cut, pose, dtype):
+    rho, image, size = rough(8, 16), colours(8, 16, dtype), (23, 46)
+    mesh = build_mesh(rho, CUTS[cut])
+    fragments = rasterize(mesh, pose, size)
+    found = rasterize_torch(torch.from_numpy(rho).to(dtype), image, pose, size, CUTS[cut])
+    np.testing.assert_array_equal(found.visibility, fragments.visibility)
+    np.testing.assert_allclose(found.inverse_depth, fragments.inverse_depth, rtol=1e-3, atol=1e-5)
+    expected = shade(fragments, mesh, make_texture(image.numpy()), pose, bicubic=False)
+    rays = pixel_directions(*size) - fragments.inverse_depth[..., None] * pose.position
+    magnified = fragments.visibility & (np.linalg.norm(rays, axis=-1) > 8 / 23)
+    np.testing.assert_allclose(found.colour[magnified], expected[magnified, :3], atol=2e-3)
+    assert found.colour.dtype == found.inverse_depth.dtype == dtype
+
+
+def test_single_precision_does_not_cancel_on_fine_meshes():
+    rho, pose = smooth(256, 512), random_pose(31, 0.8)
+    single = rasterize_torch(torch.from_numpy(rho), colours(4, 8), pose, (20, 40)).inverse_depth
+    double = rasterize_torch(torch.from_numpy(rho).double(), colours(4, 8).double(), pose, (20, 40)).inverse_depth
+    np.testing.assert_allclose(single, double, rtol=2e-5)
+
+
+@pytest.mark.parametrize("cut", ["whole", "default"])
+@pytest.mark.parametrize("seed", range(2))
+def test_gradients_are_those_of_finite_differences(cut, seed):
+    """With the faces fixed, colour and inverse depth of every pixel are smooth in all vertices and texels."""
+    rho = torch.from_numpy(0.1 + rough(4, 8, seed)).double().requires_grad_()
+    mesh, pose = build_mesh(rho.detach().numpy(), CUTS[cut]), random_pose(seed, 0.6)
+    fragments = rasterize(mesh, pose, (5, 9))
+
+    def render(rho: torch.Tensor, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        found = render_fragments(fragments, mesh, rho, image, pose)
+        return found.colour, found.inverse_depth
+
+    assert fragments.visibility.mean() > 0.5
+    assert torch.autograd.gradcheck(lambda rho: render(rho, colours(24, 48, torch.float64)), rho)
+    texels = colours(3, 6, torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(lambda image: render(rho.detach(), image)[0], texels)
+
+
+def test_the_gradient_of_a_pixel_is_the_change_of_the_numba_renderer():
+    """End to end, visibility included: raising all inverse depths raises what the target sees by the same rule."""
+    rho, pose, size = smooth(16, 32).astype(np.float64), random_pose(33, 0.5), (12, 24)
+    leaf = torch.from_numpy(rho).requires_grad_()
+    rasterize_torch(leaf, colours(4, 8).double(), pose, size).inverse_depth.sum().backward()
+    step = 1e-3
+    above, below = (rasterize(build_mesh(rho + s), pose, size).inverse_depth.sum(dtype=float) for s in (step, -step))
+    assert leaf.grad.sum() == pytest.approx((above - below) / (2 * step), rel=2e-2)
+
+
+SINGULAR = {
+    "a pole of the source in the middle of a pixel": (
+        np.full((8, 16), 0.3),
+        moved(0, 0, 0, rotation=turn(np.pi / 2, 0, 0)),
+    ),
+    "moving along the axis": (np.full((8, 16), 0.3), moved(0.0, 1.0, 0.0)),
+    "silhouettes": (rough(8, 16), moved(0.5, 0.2, 0.9)),
+    "all at infinity": (np.zeros((8, 16)), moved(1.0, 2.0, 3.0)),
+    "partly at infinity": (rough(8, 16) * (np.arange(16) % 2), moved(0.3, 0.0, 0.0)),
+    "on the surface": (np.full((8, 16), 0.5), Pose(np.eye(3), -2.0 * pixel_directions(8, 16)[3, 4])),
+    "outside, edge-on": (np.full((8, 16), 0.5), moved(0.0, 0.0, -2.0000001)),
+}
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("case", SINGULAR)
+def test_gradients_are_finite_everywhere(case, dtype):
+    rho, pose = SINGULAR[case]
+    leaf, image = torch.from_numpy(rho).to(dtype).requires_grad_(), colours(8, 16, dtype).requires_grad_()
+    for size in ((9, 15), (8, 16)):
+        found = rasterize_torch(leaf, image, pose, size)
+        (found.colour.square().sum() + found.inverse_depth.square().sum()).backward()
+        assert torch.isfinite(found.colour).all()
+        assert torch.isfinite(leaf.grad).all()
+        assert torch.isfinite(image.grad).all()
+
+
+def test_a_ray_through_the_pole_of_the_source_has_a_finite_gradient():
+    rho, image = torch.full((4, 8), 0.3, requires_grad=True), colours(4, 8).requires_grad_()
+    mesh, pose = build_mesh(rho.detach().numpy()), moved(0.0, 0.0, 0.0, rotation=turn(np.pi / 2, 0.0, 0.0))
+    fragments = Fragments(np.full((1, 1), 0.3, np.float32), rasterize(mesh, pose, (1, 1)).face)
+    render_fragments(fragments, mesh, rho, image, pose).colour.sum().backward()
+    assert torch.isfinite(rho.grad).all()
+    assert image.grad.sum() == pytest.approx(3.0)
+
+
+def test_gradients_descend_to_the_depth_that_made_a_picture():
+    """A loss on a rendered view finds the radius of a textured sphere."""
+    image, pose, size = colours(6, 12), moved(0.4, 0.1, -0.3), (12, 24)
+    expected = rasterize_torch(torch.full((8, 16), 0.5), image, pose, size).colour
+    radius = torch.tensor(0.42, requires_grad=True)
+    optimizer = torch.optim.Adam([radius], lr=5e-3)
+    for _ in range(60):
+        optimizer.zero_grad()
+        found = rasterize_torch(radius.expand(8, 16), image, pose, size).colour
+        (found - expected).square().mean().backward()
+        optimizer.step()
+    assert radius.item() == pytest.approx(0.5, abs=0.01)
+
+
+def test_what_is_not_seen_gets_no_gradient_and_no_colour():
+    rho, image = torch.from_numpy(rough(8, 16)).requires_grad_(), colours(8, 16).requires_grad_()
+    found = rasterize_torch(rho, image, random_pose(34, 12.0), (16, 32))
+    assert not found.visibility.all()
+    assert (found.colour[~found.visibility] == 0).all()
+    assert (found.inverse_depth[~found.visibility] == -1).all()
+    (found.inverse_depth * ~found.visibility).sum().backward()
+    assert (rho.grad == 0).all()
+
+
+def test_a_batch_is_rendered_one_by_one():
+    rho, image = (
+        torch.from_numpy(np.stack([rough(4, 8), smooth(4, 8)])),
+        torch.stack([colours(4, 8), colours(4, 8) / 2]),
+    )
+    poses = Pose(np.stack([np.eye(3), turn(0.1, 0.2, 0.3)]), np.array([[0.1, 0.2, 0.3], [0.0, -0.5, 0.0]]))
+    mask = torch.ones(2, 4, 8, dtype=torch.bool)
+    mask[0, 1:3, 2:5] = False
+    found = rasterize_torch(rho, image, poses, (6, 12), mask=mask)
+    for k in range(2):
+        pose = Pose(poses.rotation[k], poses.position[k])
+        single = rasterize_torch(rho[k], image[k], pose, (6, 12), mask=mask[k])
+        for name in ("colour", "inverse_depth", "visibility"):
+            assert torch.equal(getattr(found, name)[k], getattr(single, name))
+
+
+def test_broken_inverse_depths_are_refused():
+    with pytest.raises(ValueError, match="finite"):
+        rasterize_torch(torch.full((4, 8), torch.nan), colours(4, 8), Pose.identity(), (4, 8))

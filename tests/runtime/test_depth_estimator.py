@@ -1,0 +1,111 @@
+"""The estimator around a network: here an oracle that knows the scene stands in for it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from omnisyn_cli.errors import ImageError, InputError
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.runtime.depth import LearnedDepthEstimator, free_space_agreement, turn
+from omnisyn_cli.runtime.session import open_session
+from omnisyn_cli.types import View
+
+SIZE = (64, 128)
+CENTRE, RADIUS = np.array([0.3, -0.2, 0.4]), 3.0
+FIRST = Pose(rotation_from_rotation_vector(np.array([0.2, 1.0, -0.1])), np.array([0.1, 0.2, -0.3]))
+SECOND = Pose(rotation_from_rotation_vector(np.array([-0.3, -2.0, 0.4])), np.array([0.9, 0.4, 0.7]))
+
+
+def ball(pose, size=SIZE):
+    """Inverse depth and colours seen from inside a ball, in a camera's own frame."""
+    directions = pixel_directions(*size) @ pose.rotation.T
+    offset = pose.position - CENTRE
+    slope = directions @ offset
+    depth = -slope + np.sqrt(slope**2 - offset @ offset + RADIUS**2)
+    return 1.0 / depth, 0.5 + 0.5 * (offset + depth[..., None] * directions) / RADIUS
+
+
+class Oracle:
+    """Answers with the truth of the pair and remembers the images it was shown."""
+
+    def __init__(self, first, second):
+        frame, other, self.baseline = epipole_frame(first, second)
+        self.truth = [ball(frame)[0] * self.baseline, turn(ball(other)[0]) * self.baseline]
+        self.seen = []
+
+    def get_inputs(self):
+        return [SimpleNamespace(name=name, shape=[1, 3, *SIZE]) for name in ("first", "second")]
+
+    def run(self, _, images):
+        self.seen.append((images["first"], images["second"]))
+        answer = self.truth[len(self.seen) - 1].astype(np.float32)[None, None]
+        return [answer, np.ones_like(answer)]
+
+
+def view(pose, mask=None, size=SIZE):
+    return View(ball(pose, size)[1].astype(np.float32), pose, mask)
+
+
+@pytest.mark.parametrize("size", [SIZE, (128, 256), (32, 64)])
+def test_the_network_is_shown_the_epipole_frame_and_its_answer_comes_back_in_metres(size):
+    oracle = Oracle(FIRST, SECOND)
+    estimates = LearnedDepthEstimator(oracle)(view(FIRST, size=size), view(SECOND, size=size))
+    frame, other, _ = epipole_frame(FIRST, SECOND)
+    expected = [ball(pose)[1].transpose(2, 0, 1)[None] for pose in (frame, other)]
+    for shown, truth in zip(oracle.seen[0], expected, strict=True):
+        assert np.abs(shown - truth).max() < 0.03
+    for shown, truth in zip(oracle.seen[1], expected[::-1], strict=True):
+        assert np.abs(shown[..., ::-1, ::-1] - truth).max() < 0.03
+    for estimate, pose in zip(estimates, (FIRST, SECOND), strict=True):
+        np.testing.assert_allclose(estimate.inverse_depth, ball(pose)[0], rtol=0.02)
+        assert estimate.confidence.min() > 0.95
+        assert estimate.inverse_depth.dtype == estimate.confidence.dtype == np.float32
+
+
+def test_exchanging_the_views_exchanges_the_answers():
+    one, two = LearnedDepthEstimator(Oracle(FIRST, SECOND))(view(FIRST), view(SECOND))
+    second, first = LearnedDepthEstimator(Oracle(SECOND, FIRST))(view(SECOND), view(FIRST))
+    np.testing.assert_allclose(first.inverse_depth, one.inverse_depth, rtol=0.02)
+    np.testing.assert_allclose(second.inverse_depth, two.inverse_depth, rtol=0.02)
+
+
+def test_masked_pixels_have_no_confidence():
+    mask = np.ones((128, 256), bool)
+    mask[:, :128] = False
+    first, second = LearnedDepthEstimator(Oracle(FIRST, SECOND))(view(FIRST, mask), view(SECOND))
+    assert np.all(first.confidence[:, :64] == 0)
+    assert first.confidence[:, 64:].min() > 0.5
+    assert second.confidence.min() > 0.5
+
+
+def test_equal_positions_say_nothing():
+    turned = Pose(SECOND.rotation, FIRST.position)
+    for estimate in LearnedDepthEstimator(Oracle(FIRST, SECOND))(view(FIRST), view(turned)):
+        assert not estimate.inverse_depth.any()
+        assert not estimate.confidence.any()
+
+
+def test_panoramas_that_are_not_two_to_one_are_refused():
+    with pytest.raises(ImageError, match="64×64"):
+        LearnedDepthEstimator(Oracle(FIRST, SECOND))(View(np.zeros((64, 64, 3)), FIRST), view(SECOND))
+
+
+def test_who_looks_through_a_surface_contradicts_it_and_who_is_blocked_does_not():
+    frame, other, baseline = epipole_frame(FIRST, SECOND)
+    there, back = ball(frame)[0] * baseline, ball(other)[0] * baseline
+    up = np.array([0.0, -1.0, 0.0])
+    assert free_space_agreement(there, back, up).min() > 0.9
+    assert free_space_agreement(there, 2 * back, up).min() > 0.9  # something nearer hides it
+    assert free_space_agreement(there, 0.5 * back, up).max() < 0.1
+    assert free_space_agreement(0 * there, 0 * back, up).min() == 1  # both see the sky
+
+
+def test_devices_and_files_that_are_not_there_are_refused(tmp_path):
+    with pytest.raises(InputError, match="abacus"):
+        open_session(tmp_path / "model.onnx", device="abacus")
+    (tmp_path / "model.onnx").write_bytes(b"no model")
+    with pytest.raises(InputError, match="ONNX Runtime says"):
+        open_session(tmp_path / "model.onnx", device="cpu")

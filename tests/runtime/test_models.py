@@ -1,0 +1,61 @@
+import hashlib
+
+import pytest
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.runtime.models import find_model, read_manifest
+
+ENTRY = """
+version = {version}
+[[models]]
+name = "depth-test"
+role = "depth"
+variant = "fast"
+file = "depth-test.onnx"
+sha256 = "{digest}"
+size = [256, 512]
+parameters = 5
+training = "never"
+licence = "Apache-2.0"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "depth-test.onnx").write_bytes(b"weights")
+    digest = hashlib.sha256(b"weights").hexdigest()
+    (tmp_path / "manifest.toml").write_text(ENTRY.format(version=1, digest=digest))
+    return tmp_path
+
+
+def test_a_model_is_found_by_name_and_by_path(folder):
+    assert read_manifest(folder)["depth-test"].size == (256, 512)
+    path = folder / "depth-test.onnx"
+    assert find_model("depth-test", folder) == find_model(str(path), folder) == path
+
+
+def test_a_file_that_was_changed_is_refused(folder):
+    (folder / "depth-test.onnx").write_bytes(b"other weights")
+    with pytest.raises(InputError, match="sha256"):
+        find_model("depth-test", folder)
+
+
+def test_what_is_missing_is_named(folder, tmp_path):
+    with pytest.raises(InputError, match="depth-test"):
+        find_model("depth-unknown", folder)
+    with pytest.raises(InputError, match="found none"):
+        find_model(str(tmp_path / "nothing.onnx"), folder)
+    (folder / "depth-test.onnx").unlink()
+    with pytest.raises(InputError, match="no file"):
+        find_model("depth-test", folder)
+
+
+def test_no_manifest_means_no_models(tmp_path):
+    assert read_manifest(tmp_path) == {}
+
+
+@pytest.mark.parametrize("text", ["version = 1\n[[models]]\nname = 3", "not toml", ENTRY.format(version=2, digest="0")])
+def test_malformed_manifests_are_refused(tmp_path, text):
+    (tmp_path / "manifest.toml").write_text(text)
+    with pytest.raises(InputError, match=r"manifest\.toml"):
+        read_manifest(tmp_path)

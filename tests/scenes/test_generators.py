@@ -1,0 +1,97 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scene_samples import builder
+
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.scenes import GENERATORS, Shape, clearance, distances, generate_scene, sample_path
+from omnisyn_cli.scenes.materials import Material
+from omnisyn_cli.scenes.scene import Walkway
+
+KINDS = sorted(GENERATORS)
+
+
+def frozen_bytes(scene):
+    arrays = (getattr(scene, field.name) for field in dataclasses.fields(scene))
+    return b"".join(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode() for value in arrays)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_equal_seeds_give_equal_scenes(kind):
+    first, again, other = generate_scene(kind, 3), generate_scene(kind, 3), generate_scene(kind, 4)
+    assert frozen_bytes(first) == frozen_bytes(again)
+    assert frozen_bytes(first) != frozen_bytes(other)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(12))
+def test_scenes_are_sound_and_cameras_stand_free(kind, seed):
+    scene = generate_scene(kind, seed)
+    path = sample_path(scene, seed, 5)
+    positions = np.stack([pose.position for pose in path])
+    assert (scene.half > 0).all()
+    np.testing.assert_allclose(
+        scene.rotation @ np.swapaxes(scene.rotation, 1, 2), np.broadcast_to(np.eye(3), scene.rotation.shape), atol=1e-9
+    )
+    assert clearance(scene, positions).min() > 0.05
+    directions = pixel_directions(12, 24).reshape(-1, 3)
+    for position in positions:
+        distance, _ = distances(scene, position, directions)
+        assert distance.min() > 0.05
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_path_is_straight_even_and_as_long_as_asked(kind):
+    scene = generate_scene(kind, 1)
+    path = sample_path(scene, 8, 4, baseline=0.8, vertical=0.0)
+    steps = np.diff(np.stack([pose.position for pose in path]), axis=0)
+    np.testing.assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=1e-12)
+    assert np.linalg.norm(steps.sum(axis=0)) == pytest.approx(0.8)
+    np.testing.assert_array_equal(path[0].rotation, path[3].rotation)
+
+
+def test_equal_seeds_give_equal_paths():
+    scene = generate_scene("room", 2)
+    first, again = sample_path(scene, 5, 3), sample_path(scene, 5, 3)
+    assert all(a.almost_equals(b, metres=0.0, radians=0.0) for a, b in zip(first, again, strict=True))
+
+
+def test_upright_paths_go_straight_up():
+    scene = generate_scene("room", 2)
+    path = sample_path(scene, 5, 3, baseline=0.6, vertical=1.0)
+    np.testing.assert_allclose(path[2].position - path[0].position, [0.0, 0.6, 0.0], atol=1e-12)
+
+
+def test_tilted_cameras_are_held_askew():
+    path = sample_path(generate_scene("street", 2), 5, 3, tilt=0.1)
+    ups = np.stack([pose.rotation[:, 1] for pose in path])
+    assert (ups[:, 1] < 1.0 - 1e-6).all()
+    assert np.abs(path[0].rotation - path[1].rotation).max() > 0.01
+
+
+def test_a_path_does_not_leave_through_walls_or_windows():
+    with pytest.raises(ValueError, match="shorter baseline"):
+        sample_path(generate_scene("room", 1), 0, 2, baseline=50.0, vertical=0.0)
+
+
+@pytest.mark.parametrize(("baseline", "fits"), [(1.5, True), (4.0, False)])
+def test_a_path_keeps_within_four_thin_walls(baseline, fits):
+    build = builder(ground=0.0)
+    walls = ((1.5, 0.0, 0.01, 1.6), (-1.5, 0.0, 0.01, 1.6), (0.0, 1.5, 1.6, 0.01), (0.0, -1.5, 1.6, 0.01))
+    for x, z, wide, deep in walls:
+        build.add(Shape.BOX, (x, 1.5, z), (wide, 1.5, deep), Material())
+    build.walkways.append(Walkway((-1.0, 1.0, -1.0), (1.0, 2.0, 1.0), (0.0, 1.0), (1.0, 1.0), 0.2))
+    scene = build.build("test")
+    if fits:
+        path = sample_path(scene, 0, 2, baseline=baseline, vertical=0.0)
+        assert max(np.abs(pose.position[[0, 2]]).max() for pose in path) < 1.5
+    else:
+        with pytest.raises(ValueError, match="found none"):
+            sample_path(scene, 0, 2, baseline=baseline, vertical=0.0)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("castle", 0), ("street", -1)])
+def test_unknown_kinds_and_seeds_are_named(kind, seed):
+    with pytest.raises(ValueError, match=f"{kind}' and {seed}"):
+        generate_scene(kind, seed)

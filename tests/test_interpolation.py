@@ -1,0 +1,324 @@
+"""From files to frames: the photographs at the ends, every kind of input, and all of it or nothing."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+import pytest
+from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
+
+from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError, PoseError
+from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
+from omnisyn_cli.io import PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.types import View
+
+CHAIN = [posed((0, 0, 0.6)), posed((0.1, 0.1, 0), 0.4), posed((0.6, 0, -0.1), 0.8, 0.1)]
+
+
+def job_of(folder: Path, images: list[Path], **changes: object) -> InterpolationJob:
+    """Frames as PNG in ``out``: no encoder is needed and samples come back exactly."""
+    job = InterpolationJob(tuple(images), folder / "poses.json", folder / "out", frames=3, threads=1)
+    return replace(job, **changes)
+
+
+def run(job: InterpolationJob) -> list[np.ndarray]:
+    """The samples of all frames that a job writes into its folder."""
+    run_interpolation(plan_interpolation(job))
+    return [samples_of(file) for file in sorted(job.output.iterdir())]
+
+
+def samples_of(file: Path) -> np.ndarray:
+    samples = read_panorama(file).original
+    assert samples is not None
+    return samples
+
+
+def listing(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_photographs_come_out_bit_by_bit_and_frames_between_are_right(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    plan = plan_interpolation(job_of(tmp_path, images, frames=7))
+    run_interpolation(plan)
+    shown = set()
+    for waypoint, file in zip(plan.path, sorted((tmp_path / "out").iterdir()), strict=True):
+        frame, place = samples_of(file), waypoint.segment + waypoint.t
+        if place in (0, 1, 2):
+            np.testing.assert_array_equal(frame, samples_of(images[int(place)]))
+            shown.add(place)
+        else:
+            assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+    assert shown == {0, 1, 2}
+
+
+def test_with_a_common_heading_a_chain_is_level_and_still_passes_through(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    for heading in ("first", "fixed", "travel"):
+        job = job_of(tmp_path, images, frames=5, heading=heading, output=tmp_path / heading)
+        plan = plan_interpolation(job)
+        for waypoint, frame in zip(plan.path, run(job), strict=True):
+            assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr", ".tif"])
+def test_inputs_of_more_than_8_bits_are_rounded_once(tmp_path: Path, suffix: str) -> None:
+    write_hall(tmp_path, CHAIN[:2])
+    exact = [hall_image(pose) for pose in CHAIN[:2]]
+    images = [tmp_path / f"deep{index}{suffix}" for index in (0, 1)]
+    for path, image in zip(images, exact, strict=True):
+        write_image(path, image if suffix == ".exr" else np.rint(image * 65535).astype(np.uint16))
+    entries = {path.name: PosedPanorama(pose, tmp_path / f"p{index}_depth.exr")
+               for index, (path, pose) in enumerate(zip(images, CHAIN, strict=False))}  # fmt: skip
+    write_poses(tmp_path / "poses.json", entries)
+    frames = run(job_of(tmp_path, images))
+    for frame, image in zip(frames[::2], exact, strict=True):
+        assert np.abs(frame - image * 255).max() <= 0.51
+    assert len(frames) == 3
+
+
+def write_alpha(path: Path, samples: np.ndarray, usable: np.ndarray) -> None:
+    rgba = np.concatenate([samples, np.where(usable, 255, 0).astype(np.uint8)[..., None]], axis=-1)
+    writer = OpenImageIO.ImageOutput.create(str(path))
+    assert writer.open(str(path), OpenImageIO.ImageSpec(rgba.shape[1], rgba.shape[0], 4, "uint8"))
+    assert writer.write_image(np.ascontiguousarray(rgba))
+    assert writer.close()
+
+
+@pytest.mark.parametrize("way", ["alpha", "mask file"])
+def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, way: str) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    usable = np.ones(SIZE, bool)
+    usable[40:60, 30:50] = False
+    samples = samples_of(images[0]).copy()
+    samples[~usable] = (255, 0, 255)
+    entries = [PosedPanorama(pose, tmp_path / f"p{index}_depth.exr") for index, pose in enumerate(CHAIN[:2])]
+    if way == "alpha":
+        write_alpha(images[0], samples, usable)
+    else:
+        write_image(images[0], samples)
+        write_image(tmp_path / "mask.png", np.where(usable, 255, 0).astype(np.uint8))
+        entries[0] = replace(entries[0], mask=tmp_path / "mask.png")
+    write_poses(tmp_path / "poses.json", dict(zip([path.name for path in images], entries, strict=True)))
+    plan = plan_interpolation(job_of(tmp_path, images))
+    run_interpolation(plan)
+    for waypoint, file in zip(plan.path, sorted((tmp_path / "out").iterdir()), strict=True):
+        assert np.abs(samples_of(file) / 255 - hall_image(waypoint.pose)).max() < 0.1
+    np.testing.assert_array_equal(samples_of(tmp_path / "out" / "000002.png"), samples_of(images[1]))
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    write_image(tmp_path / "mask.png", np.full((8, 16), 255, np.uint8))
+    entries = {path.name: PosedPanorama(pose, None, tmp_path / "mask.png")
+               for path, pose in zip(images, CHAIN, strict=False)}  # fmt: skip
+    write_poses(tmp_path / "poses.json", entries)
+    with pytest.raises(InputError, match="128×64 pixels, got 16×8"):
+        run_interpolation(plan_interpolation(job_of(tmp_path, images)))
+
+
+def test_depth_is_kept_on_request_for_every_pair(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    run(job_of(tmp_path, images, frames=3, save_depth=tmp_path / "depth"))
+    names = ["0000_p0_depth.exr", "0000_p1_depth.exr", "0001_p1_depth.exr", "0001_p2_depth.exr"]
+    assert sorted(file.name for file in (tmp_path / "depth").iterdir()) == names
+    for name, index in zip(names, (0, 1, 1, 2), strict=True):
+        saved = read_depth(tmp_path / "depth" / name)
+        np.testing.assert_allclose(saved, distance_to_wall(CHAIN[index], SIZE), rtol=1e-5)
+    with pytest.raises(OutputPathError, match=r"0000_p0_depth\.exr"):
+        plan_interpolation(job_of(tmp_path, images, output=tmp_path / "b", save_depth=tmp_path / "depth"))
+
+
+def test_frames_are_kept_besides_the_video_on_request(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    job = job_of(tmp_path, images, output=tmp_path / "a.mp4", save_frames=tmp_path / "frames", preset="ultrafast")
+    seen: list[int] = []
+    summary = run_interpolation(plan_interpolation(job), seen.append)
+    assert seen == [1, 2, 3]
+    assert b"ftyp" in (tmp_path / "a.mp4").read_bytes()[:16]
+    assert sorted(file.name for file in (tmp_path / "frames").iterdir()) == ["000000.png", "000001.png", "000002.png"]
+    np.testing.assert_array_equal(samples_of(tmp_path / "frames" / "000002.png"), samples_of(images[1]))
+    described = summary.describe()
+    assert {"decode", "depth", "mesh", "render", "fuse", "encode", "total"} <= set(described["stages"])
+    assert described["encoder"] == "h264 crf 18 preset ultrafast"
+
+
+def test_damage_found_late_leaves_nothing_at_all(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    images[2].write_bytes(images[2].read_bytes()[:-300])
+    before = listing(tmp_path)
+    job = job_of(tmp_path, images, output=tmp_path / "a.mp4", save_frames=tmp_path / "f", save_depth=tmp_path / "d")
+    with pytest.raises(ImageError, match="damaged"):
+        run_interpolation(plan_interpolation(job))
+    assert listing(tmp_path) == before
+    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
+
+
+def fake_ffmpeg(folder: Path, last_words: str) -> Path:
+    """A program that lists libx264, takes all frames, writes half a file and fails."""
+    program = folder / "fake-ffmpeg"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\n"
+        "if '-encoders' in sys.argv:\n    print(' V....D libx264  H.264')\n    sys.exit(0)\n"
+        "sys.stdin.buffer.read()\n"
+        "open(next(word[5:] for word in sys.argv if word.startswith('file:')), 'w').write('half')\n"
+        f"sys.exit({last_words!r})\n"
+    )
+    program.chmod(0o755)
+    return program
+
+
+def test_an_encoder_that_fails_at_the_very_end_takes_everything_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, out = tmp_path / "in", tmp_path / "out"
+    inputs.mkdir()
+    out.mkdir()
+    images = write_hall(inputs, CHAIN[:2])
+    program = fake_ffmpeg(tmp_path, "the muxer lost its mind")
+    monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
+    job = job_of(inputs, images, output=out / "a.mp4", save_frames=out / "frames", save_depth=out / "depth")
+    with pytest.raises(EncodingError, match="the muxer lost its mind"):
+        run_interpolation(plan_interpolation(job))
+    assert list(out.iterdir()) == []
+
+
+def test_one_place_twice_is_a_cross_fade_and_said_so(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, [CHAIN[0], CHAIN[0], posed((0, 0, 0.6), 1.0)], with_depth=False)
+    plan = plan_interpolation(job_of(tmp_path, images, frames=5))
+    assert plan.length == 0
+    assert [note.partition(": ")[2] for note in plan.notes] == [
+        "there is no parallax to follow, the video cross-fades",
+        "there is no parallax to follow, the video turns in place and cross-fades",
+    ]
+    for waypoint, frame in zip(plan.path, run(plan.job), strict=True):
+        assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+
+
+def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    assert plan_interpolation(job_of(tmp_path, images)).depth == "file"
+    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
+    entries = {path.name: PosedPanorama(pose) for path, pose in zip(images, CHAIN, strict=False)}
+    write_poses(tmp_path / "poses.json", entries)
+    assert plan_interpolation(job_of(tmp_path, images)).depth == "matching"
+    with pytest.raises(PoseError, match=r"'depth' file for every panorama, got none for p0\.png, p1\.png"):
+        plan_interpolation(job_of(tmp_path, images, depth="file"))
+
+
+def test_a_missing_depth_or_mask_file_is_found_before_any_work(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    (tmp_path / "p1_depth.exr").unlink()
+    with pytest.raises(ImageError, match=r"p1_depth\.exr"):
+        plan_interpolation(job_of(tmp_path, images))
+    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
+
+
+def test_the_size_is_that_of_the_largest_panorama_unless_asked_for(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2], (33, 66))
+    assert plan_interpolation(job_of(tmp_path, images)).size == (34, 68)
+    assert plan_interpolation(job_of(tmp_path, images, size=(16, 32))).size == (16, 32)
+    with pytest.raises(InputError, match="try 32x16"):
+        plan_interpolation(job_of(tmp_path, images, size=(16, 30)))
+    write_image(images[1], as_bytes(hall_image(CHAIN[1], (64, 128))))
+    assert plan_interpolation(job_of(tmp_path, images)).size == (64, 128)
+
+
+def test_other_aspect_ratios_are_refused_or_resampled(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    for image in images:
+        write_image(image, samples_of(image).repeat(2, axis=0))
+    with pytest.raises(ImageError, match="twice as wide as high, got 128×128"):
+        plan_interpolation(job_of(tmp_path, images))
+    plan = plan_interpolation(job_of(tmp_path, images, allow_aspect=True))
+    assert plan.size == SIZE
+    for waypoint, frame in zip(plan.path, run(plan.job), strict=True):
+        assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+
+
+def test_the_estimate_of_memory_grows_with_every_size(tmp_path: Path) -> None:
+    small = write_hall(tmp_path, CHAIN[:2], (16, 32))
+    targets = [plan_interpolation(job_of(tmp_path, small, size=(h, 2 * h))).memory for h in (16, 64, 1024, 4096)]
+    assert targets == sorted(set(targets))
+    write_image(small[0], np.zeros((512, 1024, 3), np.uint8))
+    assert plan_interpolation(job_of(tmp_path, small, size=(1024, 2048))).memory > targets[2]
+    assert 5e8 < plan_interpolation(job_of(tmp_path, small, size=(4096, 8192))).memory < 1e10
+
+
+def test_frames_follow_from_duration_and_rate(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    assert len(plan_interpolation(job_of(tmp_path, images, frames=None)).path) == 180
+    assert len(plan_interpolation(job_of(tmp_path, images, frames=None, duration=2.0, fps=12.5)).path) == 25
+    assert len(plan_interpolation(job_of(tmp_path, images, frames=9, duration=2.0)).path) == 9
+
+
+REFUSED = {
+    "one image": ({"images": 1}, InputError, "two or more panoramas, got 1"),
+    "too few frames": ({"frames": 2, "images": 3}, InputError, "at least 3 frames"),
+    "too short": ({"frames": None, "duration": 0.01}, InputError, "at least 2 frames"),
+    "endless": ({"frames": None, "duration": float("inf")}, InputError, "at most 1,000,000 frames, got inf"),
+    "undefined": ({"frames": None, "fps": float("nan")}, InputError, "at most 1,000,000 frames, got nan"),
+    "frames as a video": ({"save_frames": "b.mp4"}, OutputPathError, "folder or a pattern"),
+    "frames where frames go": ({"save_frames": "out"}, OutputPathError, "another place"),
+    "no folder for depth": ({"save_depth": "none/depth"}, OutputPathError, "create it first"),
+    "depth into a file": ({"save_depth": "poses.json"}, OutputPathError, "got a file"),
+    "odd size for video": ({"output": "a.mp4", "size": (17, 34)}, InputError, "even width and height"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_work_is_refused_before_any_work(tmp_path: Path, case: str) -> None:
+    changes, error, words = REFUSED[case]
+    images = write_hall(tmp_path, CHAIN)[: changes.get("images", 2)]
+    before = listing(tmp_path)
+    paths = {key: tmp_path / value for key, value in changes.items() if isinstance(value, str)}
+    others = {key: value for key, value in changes.items() if key not in paths and key != "images"}
+    with pytest.raises(error, match=words):
+        plan_interpolation(job_of(tmp_path, images, **paths, **others))
+    assert listing(tmp_path) == before
+
+
+def test_overwriting_never_reaches_the_inputs(tmp_path: Path) -> None:
+    """A folder of numbered panoramas as the output would be emptied of its former frames: of the inputs."""
+    images = write_hall(tmp_path, CHAIN[:2])
+    numbered = [image.rename(tmp_path / f"{index:06d}.png") for index, image in enumerate(images)]
+    entries = {path.name: PosedPanorama(pose, tmp_path / f"p{index}_depth.exr")
+               for index, (path, pose) in enumerate(zip(numbered, CHAIN, strict=False))}  # fmt: skip
+    write_poses(tmp_path / "poses.json", entries)
+    for place in ({"output": tmp_path}, {"save_frames": tmp_path, "output": tmp_path / "a.mp4"}):
+        with pytest.raises(OutputPathError, match=r"000000\.png: expected inputs that are not overwritten"):
+            plan_interpolation(job_of(tmp_path, numbered, overwrite=True, **place))
+    assert plan_interpolation(job_of(tmp_path, numbered, output=tmp_path / "f_%03d.png", overwrite=True))
+
+
+def test_matching_is_better_than_a_cross_fade() -> None:
+    """A smoke test of the whole way without any given depth; its accuracy is tested elsewhere."""
+    poses = [posed((-0.3, 0, 0)), posed((0.3, 0, 0))]
+    views = [View(hall_image(pose, (128, 256)), pose) for pose in poses]
+    for estimate, pose in zip(MatchingDepthEstimator(MatchingOptions(size=(128, 256)))(*views), poses, strict=True):
+        truth = 1 / distance_to_wall(pose, (128, 256))
+        assert estimate.inverse_depth.shape == truth.shape
+        assert np.isfinite(estimate.inverse_depth).all()
+        assert (estimate.inverse_depth >= 0).all()
+        assert np.median(np.abs(estimate.inverse_depth / truth - 1)) < 0.2
+
+
+def test_saved_depth_can_be_used_again(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    first = run(job_of(tmp_path, images, save_depth=tmp_path / "depth"))
+    entries = {path.name: PosedPanorama(pose, tmp_path / "depth" / f"0000_{path.stem}_depth.exr")
+               for path, pose in zip(images, CHAIN, strict=False)}  # fmt: skip
+    write_poses(tmp_path / "poses.json", entries)
+    for a, b in zip(first, run(job_of(tmp_path, images, output=tmp_path / "again")), strict=True):
+        assert np.abs(a.astype(int) - b).max() <= 1
+
+
+def test_nothing_there_is_a_place_infinitely_far(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    for index in (0, 1):
+        write_depth(tmp_path / f"p{index}_depth.exr", np.full(SIZE, np.inf))
+    run(job_of(tmp_path, images, save_depth=tmp_path / "depth"))
+    assert np.isinf(read_depth(tmp_path / "depth" / "0000_p0_depth.exr")).all()
