@@ -133,6 +133,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     """
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
+    _check_names(job)
     pose_file = read_poses(job.poses)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(_size_of(image, job.allow_aspect) for image in job.images)
@@ -152,6 +153,14 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
 def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
     """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each pair."""
     return f"{pair:04d}_{images[index].stem}_depth.exr"
+
+
+def _check_names(job: InterpolationJob) -> None:
+    """File names that are not text (bytes from another encoding) cannot be handed to the image libraries."""
+    for path in (*job.images, job.poses, job.output, job.save_depth, job.save_frames):
+        name = str(path)
+        if name.encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
+            raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
 
 
 def _size_of(image: Path, allow_aspect: bool) -> tuple[int, int]:

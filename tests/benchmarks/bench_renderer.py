@@ -1,8 +1,8 @@
 """How long a view takes compared with Embree, which only traces the rays.
 
-``python tests/benchmarks/bench_renderer.py [depth.exr]``: a 1024×512 mesh (of a synthetic depth, or of the file's) drawn
-at 2048×1024 with its texture, everything on one thread, alternating with Embree on the same triangles and rays. Only the
-ratios mean anything on a machine that does other work as well; the best of the rounds counts.
+``python tests/benchmarks/bench_renderer.py [depth.exr]``: a 1024×512 mesh (of a synthetic depth, or of the file's)
+drawn at 2048×1024 with its texture, everything on one thread, in turn with Embree on the same triangles and rays. Only
+the ratios mean anything on a machine that does other work as well; the best of the rounds counts.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.io.depth import read_inverse_depth
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Rasterizer
 from omnisyn_cli.render.shade import Shader, make_texture
@@ -40,11 +41,8 @@ def synthetic() -> np.ndarray:
 
 def from_file(path: Path) -> np.ndarray:
     """Inverse depth of a depth file, every n-th pixel of it, so that it has the mesh's size."""
-    from omnisyn_cli.io.depth import read_depth
-
-    depth = read_depth(path)
-    depth = depth[:: max(1, depth.shape[0] // MESH[0]), :: max(1, depth.shape[1] // MESH[1])]
-    return np.where(np.isfinite(depth) & (depth > 0), 1.0 / np.maximum(depth, 1e-6), 0.0).astype(np.float32)
+    inverse_depth = read_inverse_depth(path)
+    return inverse_depth[:: max(1, inverse_depth.shape[0] // MESH[0]), :: max(1, inverse_depth.shape[1] // MESH[1])]
 
 
 def embree(mesh: Mesh) -> Callable[[], object]:

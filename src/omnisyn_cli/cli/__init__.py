@@ -36,7 +36,7 @@ ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if has
 """Requests to end that are treated like Ctrl-C: half-written files are removed first."""
 
 
-class Terminated(KeyboardInterrupt):
+class Terminated(BaseException):
     """Another process, or the terminal that was closed, asked the program to end; ``args[0]`` is the signal."""
 
 

@@ -141,9 +141,9 @@ def _draw_quad(
 ):  # fmt: skip
     """Both triangles of a quad against the rays in a box; columns outside the image are wrapped.
 
-    A ray with ``r·cut >= 0`` can only hit triangle A, which has the left edge, one with ``r·cut <= 0`` only B, which has
-    the right one; top and bottom change sides with the diagonal. On either the inverse depth is ``r·g`` (a plane is
-    linear in the ray), where g sums the edges, each weighted with the inverse depth of the corner opposite.
+    A ray with ``r·cut >= 0`` can only hit triangle A, which has the left edge, one with ``r·cut <= 0`` only B, which
+    has the right one; top and bottom change sides with the diagonal. On either the inverse depth is ``r·g`` (a plane
+    is linear in the ray), where g sums the edges, each weighted with the inverse depth of the corner opposite.
     """
     lx, ly, lz = _cross(x2, y2, z2, x0, y0, z0)
     rx, ry, rz = _cross(x1, y1, z1, x3, y3, z3)
@@ -229,7 +229,7 @@ def rasterize_quads(quads, vertices, pixels, block_rows, sin_p, cos_p, sin_a, co
                 row_first, row_last = max(np.int64(box[0, k]), begin), min(np.int64(box[1, k]), end - 1)
                 col_first, col_last = np.int64(box[2, k]), np.int64(box[3, k])
                 if box[4, k] >= 0.0:
-                    col_first, col_last = 0, width - 1
+                    col_first, col_last = np.int64(0), np.int64(width - 1)
                 if code & (REMOVED | CUT_EDGES) or row_first > row_last or col_first > col_last:
                     continue
                 x0, y0, z0, w0 = _point(vertices, row, col)

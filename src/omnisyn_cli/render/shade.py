@@ -94,8 +94,8 @@ class Shader:
 
         def band(begin: int, end: int) -> None:
             shade_rows(
-                fragments.inverse_depth, fragments.face, mesh.trust.ravel(), texture.texels, texture.layout, *self._tables,
-                rotation, translation, ratio, self.bicubic, self._image, begin, end,
+                fragments.inverse_depth, fragments.face, mesh.trust.ravel(), texture.texels, texture.layout,
+                *self._tables, rotation, translation, ratio, self.bicubic, self._image, begin, end,
             )  # fmt: skip
 
         run_bands(band, self.size[0], self.threads)

@@ -314,7 +314,7 @@ def carton_pile(build: SceneBuilder, base: Point, yaw: float, on_pallet: bool) -
         for _ in range(int(rng.integers(1, 4))):
             half = (rng.uniform(0.15, 0.32), rng.uniform(0.1, 0.24), rng.uniform(0.15, 0.28))
             at.box(
-                (rng.uniform(-0.04, 0.04), height + half[1], 0),
+                (rng.uniform(-0.04, 0.04), height + half[1], 0.0),
                 half,
                 CARTON,
                 tint=rng.uniform(0.8, 1.15),

@@ -1,14 +1,14 @@
 """Depth of a pair without a network: semi-global matching, planes, and filling.
 
-The steps, each a function of its own module: turn the pair until epipolar lines are meridians (:mod:`.rectify`), match
-both ways (:mod:`.semi_global`), let large planes explain what they can (:mod:`.surfaces`), keep what both directions agree
+The steps, each in a module of its own: turn the pair until epipolar lines are meridians (:mod:`.rectify`), match both
+ways (:mod:`.semi_global`), let large planes explain what they can (:mod:`.surfaces`), keep what both directions agree
 on, find the sky (:mod:`.sky`), fill the rest and move edges to where the image has them (:mod:`.filling`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool
@@ -34,12 +34,12 @@ SPECKLE = 12
 class MatchingDepthEstimator:
     """Inverse depth of both panoramas of a pair by classical stereo; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
-    Estimates have ``options.size`` whatever the size of the images. The sky is 0. Near the two epipoles, where nothing can be
-    measured, and wherever only one view sees, values are carried on from the surroundings with a confidence near 0.
-    Panoramas from one position have no parallax: everything is then 0 with confidence 0.
+    Estimates have ``options.size`` whatever the size of the images. The sky is 0. Near the two epipoles, where nothing
+    can be measured, and wherever only one view sees, values are carried on from the surroundings with a confidence
+    near 0. Panoramas from one position have no parallax: everything is then 0 with confidence 0.
     """
 
-    options: MatchingOptions = MatchingOptions()
+    options: MatchingOptions = field(default_factory=MatchingOptions)
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -69,11 +69,11 @@ class MatchingDepthEstimator:
         size, pose = pair.size, view.pose
         grid = Meridians.of(pair)
         inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
-        agreed = pair.to_camera(matches.seen & _measurable(grid, 4.0), pose, size)
+        agreed = pair.to_camera(matches.seen & _measurable(grid, matches.disparity), pose, size)
         agreed = remove_speckles(inverse_depth, agreed, SPECKLE, 0.1)
         rise = pixel_directions(*size) @ pose.rotation[1]
-        telling = agreed & pair.to_camera(_measurable(grid, 20.0), pose, size)
-        sky = find_sky(inverse_depth, telling, rise, solid_angles(*size))
+        sideways = pair.to_camera(_is_sideways(grid), pose, size)
+        sky = find_sky(inverse_depth, agreed & sideways, rise, solid_angles(*size))
         weight = np.where(agreed, 1.0, HINT * pair.to_camera(pair.first_usable, pose, size))
         low_guide, guide = resize_area(view.image, size), resize_area(view.image, self.options.size)
         whole = fill(inverse_depth, np.where(sky, 0.0, weight), low_guide)
@@ -101,10 +101,16 @@ def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bo
     return np.asarray((np.abs(found - disparity) <= tolerance) & (target <= height - 1))
 
 
-def _measurable(grid: Meridians, degrees: float) -> Bool[np.ndarray, "height width"]:
-    """Farther than so many degrees from the epipoles, where a row of disparity says little or nothing."""
-    sine = np.sin(grid.polar_angle)
-    return np.asarray(np.broadcast_to(sine > math.sin(math.radians(degrees)), grid.directions.shape[:2]))
+def _measurable(grid: Meridians, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:
+    """Not within 4° of an epipole, and no claim of infinity within 20°, where near things hardly move either."""
+    away = np.sin(grid.polar_angle) > math.sin(math.radians(4.0))
+    return np.asarray(away & ((disparity >= 1.0) | _is_sideways(grid)))
+
+
+def _is_sideways(grid: Meridians) -> Bool[np.ndarray, "height width"]:
+    """Farther than 20° from both epipoles: having no parallax here means being far."""
+    sideways = np.sin(grid.polar_angle) > math.sin(math.radians(20.0))
+    return np.asarray(np.broadcast_to(sideways, grid.directions.shape[:2]))
 
 
 def _check(view: View) -> None:

@@ -1,7 +1,7 @@
 """The large planes of a scene: façades, floors, ceilings.
 
-Seen from a panorama a plane is a *linear* function of the direction, ``inverse_depth = normal · direction``; fitting one is
-a 3×3 system.
+Seen from a panorama a plane is a *linear* function of the direction, ``inverse_depth = normal · direction``; fitting
+one is a 3×3 system.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def find_planes(
     inverse_depth: Float[np.ndarray, " points"],
     tolerance: Float[np.ndarray, " points"],
     weight: Float[np.ndarray, " points"],
-    pixel: tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points"]],
-    up: Float[np.ndarray, 3],
+    pixel: tuple[Int[np.ndarray, " points"], ...],
+    up: Float[np.ndarray, " 3"],
     *,
     count: int,
     share: float,
@@ -57,7 +57,8 @@ def find_planes(
     chosen = rng.choice(len(directions), min(CHUNK, len(directions)), replace=False)
     d, rho, tol, w = directions[chosen], inverse_depth[chosen], tolerance[chosen], weight[chosen].astype(np.float32)
     inliers = _inliers(proposals, d, rho, tol)
-    support, total, planes = w @ inliers, float(w.sum()), []
+    support, total = w @ inliers, float(w.sum())
+    planes: list[np.ndarray] = []
     while len(planes) < count and support.max() >= share * total:
         best = int(support.argmax())
         planes.append(_polish(proposals[best], d, rho, tol, w > 0))
@@ -86,9 +87,7 @@ def _inliers(
     return out
 
 
-def _windows(
-    d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, np.ndarray], block: int
-) -> np.ndarray:
+def _windows(d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, ...], block: int) -> np.ndarray:
     """One robust fit per square window of pixels."""
     row, col = pixel[0] // block, pixel[1] // block
     _, group = np.unique(row * (col.max() + 1) + col, return_inverse=True)

@@ -48,21 +48,20 @@ class RectifiedPair:
         return self.first.shape[0], self.first.shape[1]
 
     @property
-    def up(self) -> Float[np.ndarray, 3]:
+    def up(self) -> Float[np.ndarray, " 3"]:
         """The world's up in the frame of the pair."""
         return np.asarray(self.world_from_frame.T @ UP)
 
     def reversed(self) -> RectifiedPair:
         """The same pair seen from the second panorama."""
-        images = [flip(x) for x in (self.second, self.first, self.second_usable, self.first_usable)]
-        return RectifiedPair(*images, self.world_from_frame @ HALF_TURN, self.baseline)
-
-    def half(self) -> RectifiedPair:
-        """The pair at half the size."""
-        size = (self.size[0] // 2, self.size[1] // 2)
-        usable = [resize_area(x.astype(np.float32), size) > 0.99 for x in (self.first_usable, self.second_usable)]
-        images = [resize_area(x, size) for x in (self.first, self.second)]
-        return RectifiedPair(*images, *usable, self.world_from_frame, self.baseline)
+        return RectifiedPair(
+            first=flip(self.second),
+            second=flip(self.first),
+            first_usable=flip(self.second_usable),
+            second_usable=flip(self.first_usable),
+            world_from_frame=self.world_from_frame @ HALF_TURN,
+            baseline=self.baseline,
+        )
 
     def to_camera(self, values: np.ndarray, pose: Pose, size: tuple[int, int]) -> np.ndarray:
         """An image of the first panorama in this frame, as the camera held it (nearest pixel: edges stay edges)."""

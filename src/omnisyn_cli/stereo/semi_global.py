@@ -67,8 +67,11 @@ def sweep_cost(
     """Cost in [0, 1] of the disparities 0, 1, … levels − 1 (rows).
 
     Args:
-        first, second: RGB; ``usable``: where the second image may be matched.
+        first: RGB.
+        second: RGB.
+        usable: where the second image may be matched.
         lowest: rows; smaller disparities are :data:`FORBIDDEN`.
+        levels: how many disparities.
         colour_share: weight of the absolute colour difference against the census.
         truncation: the colour difference that counts as 1.
     """

@@ -1,8 +1,8 @@
 """The sky: infinitely far, recognised by what both views say about it and not by its colour.
 
 A bright wall, an overexposed ceiling or a lamp is as smooth as a cloudless sky. What sets the sky apart is that it
-reaches the zenith, and that wherever it does show something (clouds, a gradient, the rims of what stands before it) that
-something has no parallax.
+reaches the zenith, and that wherever it does show something (clouds, a gradient, the rims of what stands before it)
+that something has no parallax.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def find_sky(
         solid_angle: of every pixel.
     """
     far = (inverse_depth < NO_PARALLAX) & (rise > 0.0)
-    region = _touching_zenith(far, rise)
+    region: np.ndarray = _touching_zenith(far, rise)
     if (solid_angle * (region & seen)).sum() < EVIDENCE * (solid_angle * region).sum() or not region.any():
         return np.zeros_like(far)
-    return region | _spots(~region & (rise > 0.0), solid_angle)
+    return np.asarray(region | _spots(~region & (rise > 0.0), solid_angle))
 
 
 def _touching_zenith(mask: np.ndarray, rise: np.ndarray) -> np.ndarray:

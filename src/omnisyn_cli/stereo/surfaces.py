@@ -80,7 +80,7 @@ class Meridians:
 
     directions: Float[np.ndarray, "height width 3"]
     polar_angle: Float[np.ndarray, "height 1"]
-    up: Float[np.ndarray, 3]
+    up: Float[np.ndarray, " 3"]
 
     @staticmethod
     def of(pair: RectifiedPair) -> Meridians:
@@ -92,7 +92,7 @@ class Meridians:
     @property
     def height(self) -> int:
         """Rows."""
-        return self.polar_angle.shape[0]
+        return int(self.polar_angle.shape[0])
 
     @property
     def rise(self) -> Float[np.ndarray, "height width"]:
@@ -185,7 +185,7 @@ def _lowest(grid: Meridians, options: MatchingOptions) -> np.ndarray:
 
 
 def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Normals ``(planes, 3)``, and how near each pixel is to points of each plane, ``(height, width, planes)`` in [0, 1]."""
+    """Normals ``(planes, 3)``, and for each how near its points are to every pixel, ``(height, width, planes)``."""
     inverse_depth = grid.inverse_depth(free.disparity)
     usable = free.seen & (inverse_depth < NEAREST)
     tolerance = grid.inverse_depth_per_row(free.disparity)

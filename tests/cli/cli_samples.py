@@ -1,0 +1,77 @@
+"""A command line run in this process or in one of its own, and a small pair of panoramas to give it."""
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import omnisyn_cli
+from omnisyn_cli.cli import main
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+
+SIZE = (16, 32)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+def run_cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> Result:
+    """``omnisyn arguments…`` in this process."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as left:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    assert isinstance(left.value.code, int)
+    return Result(left.value.code, out, err)
+
+
+def start_cli(*arguments: object, folder: Path, **environment: str) -> subprocess.Popen[bytes]:
+    """``python -m omnisyn_cli arguments…`` in a process of its own."""
+    command = [sys.executable, "-m", "omnisyn_cli", *map(str, arguments)]
+    here = str(Path(omnisyn_cli.__file__).parents[1])
+    variables = {**os.environ, "PYTHONPATH": here, **environment}
+    return subprocess.Popen(command, cwd=folder, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def write_pair(folder: Path, names: tuple[str, ...] = ("a.png", "b.png"), size: tuple[int, int] = SIZE) -> list[Path]:
+    """Panoramas 1 m apart that see colours by direction at 3 m, and their ``poses.json``."""
+    entries = {}
+    for index, name in enumerate(names):
+        image = (0.5 + 0.4 * pixel_directions(*size)) * 255
+        write_image(folder / name, np.rint(image).astype(np.uint8))
+        write_depth(folder / f"depth{index}.exr", np.full(size, 3.0))
+        entries[name] = PosedPanorama(Pose(np.eye(3), np.array([0.0, 0.0, -index])), folder / f"depth{index}.exr")
+    write_poses(folder / "poses.json", entries)
+    return [folder / name for name in names]
+
+
+def pair_arguments(folder: Path, images: list[Path], output: object = "out.mp4", *more: object) -> list[object]:
+    """A short and cheap interpolation; relative outputs are put into ``folder``."""
+    return ["interpolate", *images, "--poses", folder / "poses.json", "-o", folder / str(output),
+            "--frames", 3, "--threads", 1, "--encoder-preset", "ultrafast", *more]  # fmt: skip
+
+
+def folder_arguments(folder: Path, images: list[Path], *more: object) -> list[object]:
+    """The same into a folder of frames, which needs no encoder."""
+    return ["interpolate", *images, "--poses", folder / "poses.json", "-o", folder / "out", "--frames", 3,
+            "--threads", 1, *more]  # fmt: skip
+
+
+def listing(folder: Path) -> dict[str, int]:
+    """Every file below a folder, hidden ones too, with its size; folders end in a slash."""
+    return {
+        str(path.relative_to(folder)) + ("/" if path.is_dir() else ""): 0 if path.is_dir() else path.stat().st_size
+        for path in sorted(folder.rglob("*"))
+    }

@@ -1,0 +1,331 @@
+"""``omnisyn interpolate``: what it prints where, what it leaves, and what it refuses without leaving anything."""
+
+import json
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_samples import SIZE, folder_arguments, listing, pair_arguments, run_cli, start_cli, write_pair
+
+from omnisyn_cli.io import PosedPanorama, read_poses, read_spherical, write_image, write_poses
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> list[Path]:
+    return write_pair(tmp_path)
+
+
+def edit_poses(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the document of ``poses.json`` by hand, as its author might."""
+    document = json.loads((folder / "poses.json").read_text())
+    change(document["panoramas"])
+    (folder / "poses.json").write_text(json.dumps(document))
+
+
+def test_a_video_and_one_line_on_stdout(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    before = set(listing(tmp_path))
+    result = run_cli(capsys, *pair_arguments(tmp_path, pair))
+    assert (result.code, result.err) == (0, "")
+    assert re.fullmatch(rf"{re.escape(str(tmp_path / 'out.mp4'))}: 3 frames of 32x16 in \d+\.\d s\n", result.out)
+    assert set(listing(tmp_path)) - before == {"out.mp4"}
+    assert read_spherical(tmp_path / "out.mp4").projection == "equirectangular"
+
+
+def test_quiet_prints_nothing_and_verbose_prints_seconds_on_stderr(
+    tmp_path: Path, pair: list[Path], capsys: Capture
+) -> None:
+    quiet = run_cli(capsys, *folder_arguments(tmp_path, pair, "-q"))
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    verbose = run_cli(capsys, *folder_arguments(tmp_path, pair, "-v", "--overwrite"))
+    assert verbose.out.count("\n") == 1
+    assert re.search(r"render: +\d+\.\d\d s", verbose.err)
+
+
+def test_json_on_stdout_has_the_plan_and_the_stages(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    result = run_cli(capsys, *pair_arguments(tmp_path, pair, "out.mp4", "--json"))
+    summary = json.loads(result.out)
+    assert result.err == ""
+    assert {"decode", "depth", "mesh", "render", "fuse", "encode", "total"} <= set(summary["stages"])
+    assert all(seconds >= 0 for seconds in summary["stages"].values())
+    assert (summary["frames"], summary["size"], summary["path_metres"]) == (3, "32x16", 1.0)
+    assert summary["inputs"] == [str(image) for image in pair]
+
+
+def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    before = listing(tmp_path)
+    arguments = pair_arguments(tmp_path, pair, "out.mp4", "--dry-run", "--save-depth", tmp_path / "depth")
+    result = run_cli(capsys, *arguments)
+    assert (result.code, result.err) == (0, "")
+    for line in ("frames: 3", "encoder: h264 crf 18 preset ultrafast", "path metres: 1.0", "size: 32x16", "depth: file"):
+        assert line in result.out
+    assert re.search(r"memory mib: \d+", result.out)
+    plan = json.loads(run_cli(capsys, *arguments, "--json").out)
+    assert (plan["frames"], plan["depth"], plan["notes"]) == (3, "file", [])
+    assert plan["memory_mib"] > 100
+    assert listing(tmp_path) == before
+
+
+def test_one_place_twice_is_noted_on_stderr_unless_quiet(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    edit_poses(tmp_path, lambda panoramas: panoramas["b.png"].update(position=[0, 0, 0]))
+    result = run_cli(capsys, *folder_arguments(tmp_path, pair))
+    assert result.code == 0
+    assert result.err.startswith("note: a.png and b.png have the same position")
+    assert result.err.count("\n") == 1
+    assert run_cli(capsys, *folder_arguments(tmp_path, pair, "--overwrite", "-q")).err == ""
+
+
+@pytest.mark.parametrize("names", [("with space.png", "ünï 日本.png"), ("-a.png", "--b.png"), ("50%d.png", "a'b\".png")])
+def test_awkward_names_work(
+    tmp_path: Path, capsys: Capture, names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_pair(tmp_path, names)
+    monkeypatch.chdir(tmp_path)
+    output = f"-{names[1]}.mp4"
+    result = run_cli(capsys, "interpolate", "--poses", "poses.json", "-o", output, "--frames", 2, "--", *names)
+    assert (result.code, result.err) == (0, "")
+    assert (tmp_path / output).stat().st_size > 0
+
+
+def delete(path: Path) -> None:
+    path.unlink()
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-400])
+
+
+def as_jpeg(folder: Path) -> list[Path]:
+    """The pair with a second panorama that is a JPEG cut short; decoders paint the rest grey and say nothing."""
+    image = folder / "b.jpg"
+    write_image(image, np.random.default_rng(0).integers(0, 255, (64, 128, 3), np.uint8))
+    truncate(image)
+    edit_poses(folder, lambda panoramas: panoramas.update({"b.jpg": panoramas.pop("b.png")}))
+    return [folder / "a.png", image]
+
+
+def rename_pose(folder: Path) -> None:
+    edit_poses(folder, lambda panoramas: panoramas.update({"B.png": panoramas.pop("b.png")}))
+
+
+def scale_matrix(folder: Path) -> None:
+    def change(panoramas: dict[str, Any]) -> None:
+        del panoramas["b.png"]["rotation"]
+        panoramas["b.png"]["matrix"] = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]
+
+    edit_poses(folder, change)
+
+
+def square(path: Path) -> None:
+    write_image(path, np.zeros((32, 32, 3), np.uint8))
+
+
+def undefined_pose(folder: Path) -> None:
+    text = (folder / "poses.json").read_text()
+    (folder / "poses.json").write_text(text.replace("[0.0, 0.0, -1.0]", "[0.0, NaN, -1.0]"))
+
+
+BAD_INPUT: dict[str, tuple[Callable[[Path], object], list[str]]] = {
+    "missing panorama": (lambda folder: delete(folder / "b.png"), ["b.png: expected a file, got no such file"]),
+    "truncated PNG": (lambda folder: truncate(folder / "b.png"), ["b.png: expected a complete image"]),
+    "truncated JPEG": (as_jpeg, ["b.jpg: expected a complete image"]),
+    "no image": (lambda folder: (folder / "b.png").write_text("hello"), ["b.png: expected an image"]),
+    "empty image": (lambda folder: (folder / "b.png").write_bytes(b""), ["got an empty file"]),
+    "not 2:1": (lambda folder: square(folder / "b.png"), ["b.png", "twice as wide as high, got 32×32"]),
+    "no pose": (rename_pose, ["expected an entry for 'b.png'", "did you mean 'B.png'?"]),
+    "not rigid": (scale_matrix, ["'b.png'.matrix: expected a rigid rotation", "remove scale and shear"]),
+    "NaN pose": (undefined_pose, ["poses.json: expected finite numbers, got NaN"]),
+    "no JSON": (lambda folder: (folder / "poses.json").write_text("{"), ["poses.json: expected JSON"]),
+    "missing poses": (lambda folder: delete(folder / "poses.json"), ["poses.json: expected a pose file"]),
+    "unknown key": (
+        lambda folder: edit_poses(folder, lambda panoramas: panoramas["b.png"].update(rotatoin=1)), ["rotatoin"],
+    ),
+    "missing depth": (lambda folder: delete(folder / "depth1.exr"), ["depth1.exr: expected a file"]),
+    "truncated depth": (lambda folder: truncate(folder / "depth1.exr"), ["depth1.exr: expected"]),
+    "depth is a photograph": (
+        lambda folder: edit_poses(folder, lambda panoramas: panoramas["b.png"].update(depth="a.png")),
+        ["a.png: expected depth"],
+    ),
+    "output exists": (lambda folder: (folder / "out.mp4").write_text("mine"), ["out.mp4: expected a new file"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_one_line_code_3_and_nothing_written(tmp_path: Path, capsys: Capture, case: str) -> None:
+    spoil, words = BAD_INPUT[case]
+    images = write_pair(tmp_path)
+    changed = spoil(tmp_path)
+    before = listing(tmp_path)
+    result = run_cli(capsys, *pair_arguments(tmp_path, changed if isinstance(changed, list) else images))
+    assert (result.code, result.out) == (3, "")
+    assert result.err.count("\n") == 1
+    assert result.err.startswith("omnisyn: ")
+    for word in ("expected", "got", *words):
+        assert word in result.err
+    assert listing(tmp_path) == before
+
+
+BAD_OUTPUT = {
+    "no folder": (["none/out.mp4"], "expected an existing folder to write into, got none"),
+    "unknown ending": (["out.avi"], "expected a name ending in .mp4"),
+    "one image": (["out.png"], "add a frame number such as %06d"),
+    "codec of another container": (["out.mp4", "--codec", "prores"], r".mov"),
+    "images in a video": (["out.mp4", "--codec", "png"], "name a folder for images"),
+    "quality": (["out.mp4", "--crf", "99"], "expected a quality from 0 (best) to 51"),
+    "speed": (["out.mp4", "--encoder-preset", "warp"], "expected a preset for h264"),
+    "too few frames": (["out.mp4", "--frames", "2"], "expected at least 3 frames"),
+    "endless": (["out.mp4", "--duration", "inf", "--fps", "30"], "at most 1,000,000 frames"),
+    "frames into a video": (["out.mp4", "--save-frames", "b.mp4"], "expected a folder or a pattern"),
+    "no folder for depth": (["out.mp4", "--save-depth", "none/depth"], "create it first"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_OUTPUT)
+def test_unusable_outputs_are_refused_before_any_work(
+    tmp_path: Path, capsys: Capture, case: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments, words = BAD_OUTPUT[case]
+    images = write_pair(tmp_path, ("a.png", "b.png", "c.png"))
+    monkeypatch.chdir(tmp_path)
+    before = listing(tmp_path)
+    frames = [] if case == "endless" else ["--frames", "3"]
+    result = run_cli(capsys, "interpolate", *images, "--poses", "poses.json", *frames, "-o", *arguments)
+    assert (result.code, result.out) == (3, "")
+    assert result.err.count("\n") == 1
+    assert words in result.err
+    assert listing(tmp_path) == before
+
+
+def test_a_read_only_folder_is_refused(
+    tmp_path: Path, pair: list[Path], capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK)
+    result = run_cli(capsys, *pair_arguments(tmp_path, pair))
+    assert result.code == 3
+    assert "expected a writable folder, got a read-only one" in result.err
+
+
+def test_overwriting_has_to_be_allowed_and_replaces_only_the_output(
+    tmp_path: Path, pair: list[Path], capsys: Capture
+) -> None:
+    for more, code in (((), 0), ((), 3), (("--overwrite",), 0)):
+        assert run_cli(capsys, *folder_arguments(tmp_path, pair, *more)).code == code
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    assert run_cli(capsys, *folder_arguments(tmp_path, pair, "--overwrite")).code == 0
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [
+        "000000.png", "000001.png", "000002.png", "notes.txt",
+    ]  # fmt: skip
+
+
+def fake_ffmpeg(folder: Path, script: str) -> Path:
+    """An ffmpeg that lists libx264 and then does what ``script`` says, with the output's name in ``output``."""
+    program = folder / "fake-ffmpeg"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys, time\n"
+        "if '-encoders' in sys.argv:\n    print(' V....D libx264  H.264')\n    sys.exit(0)\n"
+        "output = next(word[5:] for word in sys.argv if word.startswith('file:'))\n"
+        f"open(output, 'w').write('half')\n{script}\n"
+    )
+    program.chmod(0o755)
+    return program
+
+
+ENCODER_FAILURES = {
+    "at the start": ("sys.exit('level 9.9 is not supported')", "level 9.9 is not supported"),
+    "in the middle": ("sys.stdin.buffer.read(2000)\nsys.exit('lost my mind')", "lost my mind"),
+    "at the end": ("sys.stdin.buffer.read()\nsys.exit('cannot write the index')", "cannot write the index"),
+    "full disk": ("sys.stdin.buffer.read()\nsys.exit('No space left on device')", "free some space"),
+    "without a word": ("sys.exit(7)", "got exit code 7"),
+}
+
+
+@pytest.mark.parametrize("case", ENCODER_FAILURES)
+def test_a_failing_encoder_is_code_1_with_its_own_words_and_no_file(
+    tmp_path: Path, capsys: Capture, case: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script, words = ENCODER_FAILURES[case]
+    images = write_pair(tmp_path)
+    program = fake_ffmpeg(tmp_path, script)
+    monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
+    before = listing(tmp_path)
+    more = ("--save-frames", tmp_path / "frames", "--save-depth", tmp_path / "depth", "--frames", 9)
+    result = run_cli(capsys, *pair_arguments(tmp_path, images, "out.mp4", *more))
+    assert (result.code, result.out) == (1, "")
+    assert words in result.err
+    assert result.err.count("\n") == 1
+    assert listing(tmp_path) == before
+
+
+def test_a_missing_encoder_is_code_1(
+    tmp_path: Path, pair: list[Path], capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = fake_ffmpeg(tmp_path, "")
+    program.write_text(f"#!{sys.executable}\n")
+    monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
+    before = listing(tmp_path)
+    result = run_cli(capsys, *pair_arguments(tmp_path, pair))
+    assert result.code == 1
+    assert "expected an ffmpeg with libx264" in result.err
+    assert listing(tmp_path) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")
+@pytest.mark.parametrize("kind", ["frames", "depth"])
+def test_a_full_disk_is_code_1_and_one_line(tmp_path: Path, pair: list[Path], capsys: Capture, kind: str) -> None:
+    import resource
+
+    more = ["--size", "128x64"] if kind == "frames" else ["--save-depth", tmp_path / "depth", "--size", "8x4"]
+    before = listing(tmp_path)
+    former = resource.getrlimit(resource.RLIMIT_FSIZE)
+    run_cli(capsys, *folder_arguments(tmp_path, pair, "--dry-run"))  # everything is imported while there is room
+    resource.setrlimit(resource.RLIMIT_FSIZE, (900 if kind == "frames" else 250, former[1]))
+    try:
+        result = run_cli(capsys, *folder_arguments(tmp_path, pair, *more))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, former)
+    assert (result.code, result.out) == (1, "")
+    assert result.err.count("\n") == 1
+    assert "check free space" in result.err
+    assert listing(tmp_path) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals there")
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)], ids=["INT", "TERM", "HUP"]
+)
+def test_a_signal_in_the_middle_leaves_nothing(tmp_path: Path, pair: list[Path], number: int, code: int) -> None:
+    before = listing(tmp_path)
+    more = ("--frames", 100_000, "--save-frames", tmp_path / "frames", "--save-depth", tmp_path / "depth")
+    process = start_cli(*pair_arguments(tmp_path, pair, "out.mp4", *more), folder=tmp_path)
+    deadline = time.monotonic() + 120
+    while not any(name.endswith("000004.png") for name in listing(tmp_path)) and time.monotonic() < deadline:
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    assert len([name for name in listing(tmp_path) if name.startswith(".omnisyn-") and "/" not in name]) == 1
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (code, b"")
+    assert err.strip().count(b"\n") == 0
+    assert b"nothing was left half written" in err
+    assert listing(tmp_path) == before
+
+
+def test_panoramas_of_16_bits_may_become_any_kind_of_frame(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    entries = read_poses(tmp_path / "poses.json").panoramas
+    deep = tmp_path / "deep.png"
+    write_image(deep, np.full((*SIZE, 3), 30_000, np.uint16))
+    write_poses(tmp_path / "poses.json", {**entries, "deep.png": PosedPanorama(entries["b.png"].pose)})
+    images = [pair[0], deep]
+    for codec in ("png", "jpg", "exr", "tif"):
+        result = run_cli(capsys, "interpolate", *images, "--poses", tmp_path / "poses.json", "-o", tmp_path / codec,
+                         "--frames", 2, "--codec", codec)  # fmt: skip
+        assert (result.code, result.err) == (0, "")
+        assert sorted(file.name for file in (tmp_path / codec).iterdir()) == [f"000000.{codec}", f"000001.{codec}"]

@@ -1,0 +1,134 @@
+"""The command line itself: help is instant, errors are one line, every way to end has its exit code."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cli_samples import listing, pair_arguments, run_cli, start_cli, write_pair
+
+import omnisyn_cli
+from omnisyn_cli.cli import COMMANDS, cli
+from omnisyn_cli.errors import InputError, OmnisynError
+
+HEAVY = {"torch", "onnxruntime", "numba", "cv2", "OpenImageIO", "numpy", "pydantic", "rich", "ffmpeg", "scipy"}
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["interpolate", "--help"], ["info", "--help"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    """Under 0.3 s on a quiet machine; the test looks at what is imported, because seconds depend on the machine."""
+    program = (
+        "import sys\nfrom omnisyn_cli.cli import main\n"
+        f"try:\n    main({arguments})\nexcept SystemExit as left:\n    print(left.code, *sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    code, *modules = done.stderr.split()
+    assert code == "0"
+    assert not HEAVY & {module.partition(".")[0] for module in modules}
+    assert done.stdout
+
+
+def test_the_library_imports_without_torch_and_onnxruntime() -> None:
+    """Interpolating needs neither; only networks do."""
+    program = "import sys, omnisyn_cli.interpolation; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not {"torch", "onnxruntime", "click"} & set(done.stdout.split())
+
+
+def test_every_command_is_listed_and_loads(capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_cli(capsys, "--help")
+    for name, (_, line) in COMMANDS.items():
+        assert f"  {name}" in result.out
+        assert line.split()[0] in result.out
+        command = cli.get_command(None, name)  # type: ignore[arg-type]
+        assert command is not None
+        assert command.name == name
+
+
+def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert omnisyn_cli.__version__ in run_cli(capsys, "--version").out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["nosuch"], ["interpolate"], ["interpolate", "a", "b"], ["interpolate", "--nosuch"],
+     *(["interpolate", "a", "b", "--poses", "p", "-o", "o", *more] for more in (
+         ["--size", "64x64"], ["--size", "²x1"], ["--size", "64"], ["--frames", "1"], ["--fps", "0"], ["--fps", "x"],
+         ["--duration", "-1"], ["--codec", "h266"], ["--depth", "guess"], ["--threads", "0"], ["--cut", "0"],
+         ["--heading", "north"], ["--ease", "bouncy"], ["--renderer", "magic"], ["--device", "tpu"]))],
+)  # fmt: skip
+def test_wrong_usage_is_2_and_says_so_on_stderr(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    result = run_cli(capsys, *arguments)
+    assert (result.code, result.out) == (2, "")
+    assert "Error: " in result.err
+    assert "Traceback" not in result.err
+
+
+RAISED = {
+    "input": (InputError("expected x, got y"), 3, "omnisyn: expected x, got y\n"),
+    "failure": (OmnisynError("expected x, got y"), 1, "omnisyn: expected x, got y\n"),
+    "two lines": (InputError("a file\nwith a break: expected x"), 3, "omnisyn: a file with a break: expected x\n"),
+    "memory": (MemoryError(), 1, "try a smaller --size"),
+    "interrupt": (KeyboardInterrupt(), 130, "interrupted"),
+}
+
+
+@pytest.mark.parametrize("case", RAISED)
+def test_errors_become_one_line_and_an_exit_code(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, case: str
+) -> None:
+    error, code, words = RAISED[case]
+
+    def fail(**arguments: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cli.get_command(None, "info"), "callback", fail)  # type: ignore[arg-type]
+    result = run_cli(capsys, "info", "a.jpg")
+    assert (result.code, result.out) == (code, "")
+    assert words in result.err
+    assert result.err.strip().count("\n") == 0
+
+
+def test_bugs_are_not_dressed_up(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What nobody foresaw keeps its traceback; hiding it would hide the way to its cause."""
+
+    def fail(**arguments: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(cli.get_command(None, "info"), "callback", fail)  # type: ignore[arg-type]
+    with pytest.raises(ZeroDivisionError):
+        run_cli(capsys, "info", "a.jpg")
+
+
+def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
+    images = write_pair(tmp_path)
+    process = start_cli("info", *images * 200, folder=tmp_path)
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    err = process.stderr.read().decode()
+    process.stderr.close()
+    assert process.wait(60) == 1
+    assert "Traceback" not in err
+    assert "Exception ignored" not in err
+
+
+def test_names_that_no_terminal_can_show_do_not_stop_the_work(tmp_path: Path) -> None:
+    folder = tmp_path / "ünï 日本"
+    folder.mkdir()
+    images = write_pair(folder)
+    process = start_cli(*pair_arguments(folder, images, "out.mp4"), folder=tmp_path, PYTHONIOENCODING="ascii")
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert b"3 frames of 32x16" in out
+    assert "out.mp4" in listing(folder)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere file names are text")
+def test_names_that_are_no_text_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = write_pair(tmp_path)
+    foreign = images[0].rename(tmp_path / "b\udcffroken.png")  # a byte that is not UTF-8
+    result = run_cli(capsys, *pair_arguments(tmp_path, [foreign, images[1]]))
+    assert result.code == 3
+    assert "expected a file name in UTF-8" in result.err
+    assert result.err.count("\n") == 1
