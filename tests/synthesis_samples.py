@@ -55,7 +55,7 @@ def as_bytes(image: np.ndarray) -> np.ndarray:
 def write_hall(
     folder: Path, poses: Sequence[Pose], size: tuple[int, int] = SIZE, suffix: str = ".png", *, with_depth: bool = True
 ) -> list[Path]:
-    """Panoramas ``p0.png``, ``p1.png`` … (8 bits), their depth and ``poses.json`` in a folder; paths of the panoramas."""
+    """Panoramas ``p0.png``, ``p1.png`` … (8 bits), their depth and ``poses.json``; paths of the panoramas."""
     images, entries = [], {}
     for index, pose in enumerate(poses):
         image, depth = folder / f"p{index}{suffix}", folder / f"p{index}_depth.exr"

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO
 import pytest
-from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
 
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError, PoseError
 from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
 from omnisyn_cli.io import PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
+from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
 
 CHAIN = [posed((0, 0, 0.6)), posed((0.1, 0.1, 0), 0.4), posed((0.6, 0, -0.1), 0.8, 0.1)]
 

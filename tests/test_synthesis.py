@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from synthesis_samples import SIZE, hall_image, hall_view, posed, ws_psnr
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize, turned_panorama
 from omnisyn_cli.trajectory import HEADINGS, Waypoint, plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
+from synthesis_samples import SIZE, hall_image, hall_view, posed, ws_psnr
 
 BASELINES = {
     "forward": (posed((0, 0, 0.6)), posed((0, 0, -0.6))),
@@ -151,7 +151,9 @@ def test_what_nobody_saw_is_filled_with_what_is_around() -> None:
         np.testing.assert_array_equal(frame.image, 0)
 
 
-@pytest.mark.parametrize(("source", "target"), [((128, 256), (64, 128)), ((64, 128), (128, 256)), ((64, 128), (54, 108))])
+@pytest.mark.parametrize(
+    ("source", "target"), [((128, 256), (64, 128)), ((64, 128), (128, 256)), ((64, 128), (54, 108))]
+)
 def test_sizes_of_source_and_target_are_independent(source: tuple[int, int], target: tuple[int, int]) -> None:
     poses = BASELINES["tilted"]
     for frame in frames_of([hall_view(pose, source) for pose in poses], plan_path(poses, 3), target):
@@ -172,7 +174,9 @@ def test_a_turned_panorama_is_a_roll_and_an_unturned_one_itself() -> None:
     unturned = turned_panorama(image, Pose(np.eye(3), np.zeros(3)), SIZE, 1)
     np.testing.assert_allclose(unturned, image, atol=1e-3)
     quarter = Pose(rotation_from_heading(np.pi / 2), np.zeros(3))
-    np.testing.assert_allclose(turned_panorama(image, quarter, SIZE, 1), np.roll(image, SIZE[1] // 4, axis=1), atol=1e-3)
+    np.testing.assert_allclose(
+        turned_panorama(image, quarter, SIZE, 1), np.roll(image, SIZE[1] // 4, axis=1), atol=1e-3
+    )
 
 
 def test_the_number_of_threads_does_not_show() -> None:

@@ -6,7 +6,7 @@ exactly on every panorama, so that the photograph itself is shown there and the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -14,7 +14,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.geometry.pose import Pose, rotation_taking, slerp
+from omnisyn_cli.geometry.pose import (
+    Pose,
+    rotation_from_rotation_vector,
+    rotation_taking,
+    rotation_vector_from_rotation,
+    slerp,
+)
 
 __all__ = ["EASES", "HEADINGS", "STILL", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
 
@@ -70,7 +76,9 @@ def plan_path(
         raise ValueError(f"expected at least two panoramas, got {len(poses)}")
     if frames < len(poses):
         raise ValueError(f"expected at least one frame per panorama ({len(poses)}), got {frames}")
-    return [_waypoint(poses, where, heading) for where in _places(_segment_lengths(poses), frames, ease)]
+    where = _places(_segment_lengths(poses), frames, ease)
+    segments = np.minimum(where.astype(int), len(poses) - 2)
+    return [w for k in range(len(poses) - 1) for w in _waypoints(poses, k, where[segments == k] - k, heading)]
 
 
 def _segment_lengths(poses: Sequence[Pose]) -> Float[np.ndarray, " segments"]:
@@ -103,38 +111,44 @@ def _frames_at_knots(way: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.minimum(later, last - order[::-1])
 
 
-def _waypoint(poses: Sequence[Pose], where: float, heading: Heading) -> Waypoint:
-    segment = min(int(where), len(poses) - 2)
-    t = float(where - segment)
+def _waypoints(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading) -> Iterator[Waypoint]:
+    """The frames of one segment, at the shares ``t`` of its way; exact at 0 and 1."""
     first, second = poses[segment], poses[segment + 1]
-    position = first.position if t == 0 else second.position if t == 1 else _between(first, second, t)
-    return Waypoint(segment, t, Pose(_rotation(poses, segment, t, heading), position))
+    positions = (1.0 - t)[:, None] * first.position + t[:, None] * second.position
+    rotations = _rotations(poses, segment, t, heading)
+    for share, rotation, position in zip(t, rotations, positions, strict=True):
+        yield Waypoint(segment, float(share), Pose(rotation, position))
 
 
-def _between(first: Pose, second: Pose, t: float) -> np.ndarray:
-    return np.asarray((1.0 - t) * first.position + t * second.position)
-
-
-def _rotation(poses: Sequence[Pose], segment: int, t: float, heading: Heading) -> Float[np.ndarray, "3 3"]:
+def _rotations(
+    poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading
+) -> Float[np.ndarray, "frames 3 3"]:
     if heading == "fixed":
-        return np.eye(3)
+        return np.broadcast_to(np.eye(3), (len(t), 3, 3))
     if heading == "first":
-        return poses[0].rotation
+        return np.broadcast_to(poses[0].rotation, (len(t), 3, 3))
     if heading == "travel":
-        return _travel_rotation(poses, segment, t)
-    return slerp(poses[segment].rotation, poses[segment + 1].rotation, t)
+        return _travel_rotations(poses, segment, t)
+    return _turned(poses[segment].rotation, poses[segment + 1].rotation, t)
 
 
-def _travel_rotation(poses: Sequence[Pose], segment: int, t: float) -> Float[np.ndarray, "3 3"]:
+def _travel_rotations(poses: Sequence[Pose], segment: int, t: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
     """Level, looking along the way; within the second half of a segment it begins to turn into the next one.
 
     At a panorama it looks half way between the directions before and after it, so that a corner is turned smoothly.
     """
     here = _level_direction(poses, segment)
-    before, after = _level_direction(poses, segment - 1), _level_direction(poses, segment + 1)
-    if t < 0.5:
-        return slerp(slerp(before, here, 0.5), here, 2.0 * t)
-    return slerp(here, slerp(here, after, 0.5), 2.0 * t - 1.0)
+    begin = slerp(_level_direction(poses, segment - 1), here, 0.5)
+    end = slerp(here, _level_direction(poses, segment + 1), 0.5)
+    is_early = (t < 0.5)[:, None, None]
+    return np.where(is_early, _turned(begin, here, 2.0 * t), _turned(here, end, 2.0 * t - 1.0))
+
+
+def _turned(first: np.ndarray, second: np.ndarray, t: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
+    """:func:`omnisyn_cli.geometry.pose.slerp` for many shares at once."""
+    turn = rotation_vector_from_rotation(first.T @ second)
+    between = first @ rotation_from_rotation_vector(t[:, None] * turn)
+    return np.where((t == 1.0)[:, None, None], second, between)
 
 
 def _level_direction(poses: Sequence[Pose], segment: int) -> Float[np.ndarray, "3 3"]:

@@ -1,6 +1,7 @@
 """A command line run in this process or in one of its own, and a small pair of panoramas to give it."""
 
 import os
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -42,7 +43,16 @@ def start_cli(*arguments: object, folder: Path, **environment: str) -> subproces
     command = [sys.executable, "-m", "omnisyn_cli", *map(str, arguments)]
     here = str(Path(omnisyn_cli.__file__).parents[1])
     variables = {**os.environ, "PYTHONPATH": here, **environment}
-    return subprocess.Popen(command, cwd=folder, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        command, cwd=folder, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        preexec_fn=None if sys.platform == "win32" else heed_signals,
+    )  # fmt: skip
+
+
+def heed_signals() -> None:
+    """Undo what whoever started the tests in the background, or under nohup, told them to ignore."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def write_pair(folder: Path, names: tuple[str, ...] = ("a.png", "b.png"), size: tuple[int, int] = SIZE) -> list[Path]:

@@ -28,9 +28,7 @@ def random_case(size: tuple[int, int], share: float, seed: int) -> tuple[np.ndar
 
 @settings(max_examples=60, deadline=None)
 @given(sizes, st.floats(0.05, 0.98), st.integers(0, 999))
-def test_holes_stay_within_the_known_colours_and_the_known_stay(
-    size: tuple[int, int], share: float, seed: int
-) -> None:
+def test_holes_stay_within_the_known_colours_and_the_known_stay(size: tuple[int, int], share: float, seed: int) -> None:
     image, weight = random_case(size, share, seed)
     known = weight > 0
     result = filled(image, weight)

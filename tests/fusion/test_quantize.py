@@ -21,11 +21,15 @@ def test_every_sample_survives_the_way_to_a_number_and_back(dtype: type) -> None
 
 
 def test_the_nearest_sample_is_taken() -> None:
-    np.testing.assert_array_equal(quantized(np.array([0.49, 0.51, 1.49, 1.51, 254.49, 254.51]) / 255), [0, 1, 1, 2, 254, 255])
+    np.testing.assert_array_equal(
+        quantized(np.array([0.49, 0.51, 1.49, 1.51, 254.49, 254.51]) / 255), [0, 1, 1, 2, 254, 255]
+    )
 
 
 def test_out_of_range_goes_to_the_ends() -> None:
-    np.testing.assert_array_equal(quantized(np.array([-5, -1e-9, 1 + 1e-6, 7, np.inf, -np.inf])), [0, 0, 255, 255, 255, 0])
+    np.testing.assert_array_equal(
+        quantized(np.array([-5, -1e-9, 1 + 1e-6, 7, np.inf, -np.inf])), [0, 0, 255, 255, 255, 0]
+    )
 
 
 def test_only_the_asked_rows_are_written() -> None:

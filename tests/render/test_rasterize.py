@@ -121,6 +121,13 @@ class TestSymmetry:
         mesh, pose = build_mesh(smooth(24, 48, seed), WHOLE), random_pose(seed, 0.4)
         assert rasterize(mesh, pose, (50, 100)).visibility.all()
 
+    @pytest.mark.parametrize("columns", [16, 24, 40])
+    def test_edges_that_bulge_beyond_the_rows_of_their_ends_leave_no_holes(self, columns):
+        """An arc between two vertices of one row comes closer to the pole than they are, here by up to two pixels."""
+        mesh = build_mesh(np.full((8, columns), 0.5, np.float32), WHOLE)
+        for pose in (Pose.identity(), moved(0.0, 0.1, 0.0)):
+            assert rasterize(mesh, pose, (300, 600)).visibility.all()
+
     @pytest.mark.parametrize("axis", np.eye(3))
     def test_rays_exactly_through_vertices_and_edges_see_a_surface(self, axis):
         """Quarter turns put vertices, edges and the poles of the mesh onto pixel centres."""

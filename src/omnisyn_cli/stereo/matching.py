@@ -23,10 +23,10 @@ from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["MatchingDepthEstimator", "MatchingOptions"]
 
-HINT = 0.03
+HINT = 0.002
 """Weight of a disparity that only one direction believes, against 1 for what both agree on."""
 
-SPECKLE = 12
+SPECKLE = 20
 """Pixels at half size: smaller islands are mistakes more often than things."""
 
 

@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import OPENINGS, SIZE, room
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
+from omnisyn_cli.stereo.planes import find_planes
+from omnisyn_cli.stereo.rectify import rectify
+from omnisyn_cli.stereo.semi_global import aggregate, census, choose, sweep_cost, warp_cost
+from omnisyn_cli.stereo.sky import find_sky
+from omnisyn_cli.stereo.surfaces import Meridians
+
+SMALL = (48, 96)
+RNG = np.random.default_rng(3)
+FLOOR = np.array([0.05, -0.6, 0.1])
+
+
+def plane(size: tuple[int, int], normal: np.ndarray) -> np.ndarray:
+    return np.maximum(pixel_directions(*size) @ normal, 0.0)
+
+
+@pytest.mark.parametrize("name", OPENINGS)
+def test_rectified_matches_lie_in_one_column_where_the_true_depth_says(name: str) -> None:
+    (first, truth), (second, _) = room(Pose.identity()), room(OPENINGS[name])
+    pair = rectify(first, second, SIZE)
+    grid = Meridians.of(pair)
+    to_camera = grid.directions @ pair.world_from_frame.T
+    row = np.arange(SIZE[0])[:, None]
+    half = np.array([4.0, 1.6, 5.0])
+    with np.errstate(divide="ignore"):
+        depth = (np.sign(to_camera) * half / to_camera).min(axis=-1)
+    target = row + grid.disparity(pair.baseline / depth)
+    below = np.clip(np.rint(target), 0, SIZE[0] - 1).astype(int)
+    found = np.take_along_axis(pair.second, below[..., None], axis=0)
+    assert np.median(np.abs(found - pair.first)) < 0.03
+
+
+def test_a_pair_seen_from_its_second_panorama_twice_is_the_pair() -> None:
+    pair = rectify(room(Pose.identity())[0], room(OPENINGS["level"])[0], SMALL)
+    again = pair.reversed().reversed()
+    np.testing.assert_array_equal(again.first, pair.first)
+    np.testing.assert_allclose(again.world_from_frame, pair.world_from_frame)
+    swapped = rectify(room(OPENINGS["level"])[0], room(Pose.identity())[0], SMALL)
+    np.testing.assert_allclose(swapped.first, pair.reversed().first, atol=1e-5)
+
+
+def test_disparity_and_inverse_depth_are_each_others_inverse() -> None:
+    pair = rectify(room(Pose.identity())[0], room(OPENINGS["oblique and turned"])[0], SMALL)
+    grid = Meridians.of(pair)
+    inverse_depth = RNG.uniform(0.0, 2.0, SMALL)
+    np.testing.assert_allclose(grid.inverse_depth(grid.disparity(inverse_depth)), inverse_depth, rtol=1e-3, atol=1e-4)
+
+
+def test_census_knows_order_only_and_no_seam() -> None:
+    grey = RNG.random(SMALL).astype(np.float32)
+    np.testing.assert_array_equal(np.roll(census(grey), 5, axis=1), census(np.roll(grey, 5, axis=1)))
+    same = census(10.0 * grey + 3.0) == census(10.0 * grey)
+    assert same.mean() > 0.99
+
+
+def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
+    first, second = RNG.random((2, *SMALL, 3)).astype(np.float32)
+    usable, zero = np.ones(SMALL, bool), np.zeros(SMALL, np.float32)
+    sweep = sweep_cost(first, second, usable, zero, 6, 0.5, 0.3)
+    surface = warp_cost(first, census(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
+    inside = slice(4, SMALL[0] - 10)
+    np.testing.assert_allclose(surface[inside], sweep[inside, :, 4], atol=1e-5)
+
+
+def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
+    cost = RNG.random((*SMALL, 7)).astype(np.float32)
+    total = aggregate(cost, np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
+    np.testing.assert_allclose(total, 8.0 * cost, atol=1e-4)
+
+
+def test_with_endless_penalties_one_level_wins_everywhere_it_can_reach() -> None:
+    cost = RNG.random((*SMALL, 5)).astype(np.float32)
+    cost[..., 3] -= 0.1
+    level, _ = choose(aggregate(cost, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1))
+    assert np.all(np.rint(level) == 3)
+
+
+def test_aggregation_has_no_seam() -> None:
+    cost, grey = RNG.random((*SMALL, 5)).astype(np.float32), RNG.random(SMALL).astype(np.float32)
+    before = aggregate(cost, grey, 0.05, 0.3, 0.1)
+    after = aggregate(np.roll(cost, 31, axis=1), np.roll(grey, 31, axis=1), 0.05, 0.3, 0.1)
+    np.testing.assert_allclose(np.roll(before, 31, axis=1), after, atol=1e-3)
+
+
+def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
+    tip = RNG.uniform(1.0, 5.0, SMALL)
+    total = np.abs(np.arange(7) - tip[..., None]).astype(np.float32)
+    level, margin = choose(total)
+    np.testing.assert_allclose(level, tip, atol=1e-4)
+    assert margin.min() > 0
+
+
+def test_planes_are_found_among_outliers() -> None:
+    normals = np.array([FLOOR, [0.3, 0.0, -0.1], [-0.2, 0.02, 0.25]])
+    directions = pixel_directions(*SMALL).reshape(-1, 3)
+    inverse_depth = np.max(directions @ normals.T, axis=1)
+    wrong = RNG.random(len(directions)) < 0.3
+    inverse_depth[wrong] = RNG.uniform(0.0, 1.0, int(wrong.sum()))
+    pixel = np.unravel_index(np.arange(len(directions)), SMALL)
+    found = find_planes(
+        directions,
+        inverse_depth,
+        np.full(len(directions), 0.003),
+        solid_angles(*SMALL).ravel(),
+        pixel,
+        np.array([0.0, 1.0, 0.0]),
+        count=6,
+        share=0.05,
+    )
+    for normal in normals:
+        assert np.abs(found - normal).max(axis=1).min() < 2e-3
+
+
+def test_too_few_points_make_no_plane() -> None:
+    few = np.zeros((5, 3))
+    none = find_planes(few, few[:, 0], few[:, 0], few[:, 0], (few[:, 0].astype(int),) * 2, FLOOR, count=3, share=0.1)
+    assert none.shape == (0, 3)
+
+
+def test_filling_leaves_what_is_known_and_stays_within_it() -> None:
+    values, weight = RNG.random(SMALL), (RNG.random(SMALL) < 0.3).astype(float)
+    filled = fill(values, weight, RNG.random((*SMALL, 3)))
+    known = weight == 1
+    np.testing.assert_array_equal(filled[known], values[known].astype(np.float32))
+    assert filled.min() >= np.float32(values[known].min())
+    assert filled.max() <= np.float32(values[known].max())
+
+
+def test_filling_carries_a_plane_across_a_hole() -> None:
+    truth = plane((96, 192), np.array([0.2, 0.05, -0.6])) + 0.0
+    weight = np.ones(truth.shape)
+    weight[40:60, 85:110] = 0.0
+    filled = fill(np.where(weight > 0, truth, 9.0), weight, np.full((*truth.shape, 3), 0.5))
+    np.testing.assert_allclose(filled[40:60, 85:110], truth[40:60, 85:110], rtol=0.03)
+
+
+def test_filling_stops_at_edges_of_the_image() -> None:
+    guide = np.zeros((*SMALL, 3))
+    guide[:, 30:60] = 1.0
+    weight = np.zeros(SMALL)
+    weight[10:40:6, 5:95:6] = 1.0
+    filled = fill(np.where(guide[..., 0] > 0, 0.8, 0.1), weight, guide)
+    assert abs(np.median(filled[12:36, 32:58]) - 0.8) < 0.08
+    assert abs(np.median(filled[12:36, 64:90]) - 0.1) < 0.08
+
+
+def test_filling_has_no_seam() -> None:
+    values, guide = RNG.random(SMALL), RNG.random((*SMALL, 3))
+    weight = (RNG.random(SMALL) < 0.2).astype(float)
+    before = fill(values, weight, guide)
+    after = fill(np.roll(values, 40, axis=1), np.roll(weight, 40, axis=1), np.roll(guide, 40, axis=1))
+    # directions turn with the columns, a plane fit does not mind
+    np.testing.assert_allclose(np.roll(before, 40, axis=1), after, atol=2e-3)
+
+
+def test_filling_from_nothing_is_zero() -> None:
+    assert not fill(np.ones(SMALL), np.full(SMALL, 0.5), np.zeros((*SMALL, 3))).any()
+
+
+def test_speckles_go_and_surfaces_stay_also_across_the_seam() -> None:
+    values, known = np.full(SMALL, 0.5), np.ones(SMALL, bool)
+    values[20:22, 20:22] = 2.0
+    values[30:34, :4] = values[30:34, -4:] = 2.0
+    kept = remove_speckles(values, known, 20, 0.1)
+    assert not kept[20:22, 20:22].any()
+    assert kept[30:34, :4].all()
+    assert kept.sum() == known.sum() - 4
+
+
+def test_upsampling_keeps_constants_and_moves_edges_to_the_image() -> None:
+    guide = np.zeros((96, 192, 3), np.float32)
+    guide[:, 101:160] = 1.0
+    low_guide = guide.reshape(48, 2, 96, 2, 3).mean(axis=(1, 3))
+    low = np.where(np.arange(96) < 49, 0.2, 1.0) * np.ones((48, 1))
+    low[:, 80:] = 0.2
+    high = upsample(low, low_guide, guide)
+    np.testing.assert_allclose(upsample(np.full((48, 96), 0.3), low_guide, guide), 0.3, rtol=1e-5)
+    np.testing.assert_allclose(high[:, 90:100], 0.2, rtol=1e-4)
+    np.testing.assert_allclose(high[:, 102:158], 1.0, rtol=1e-4)
+
+
+def test_sky_needs_the_zenith_and_evidence() -> None:
+    rise, solid_angle = pixel_directions(*SMALL)[..., 1], solid_angles(*SMALL)
+    inverse_depth = np.where(rise > 0.1, 0.0, 0.5)
+    seen = RNG.random(SMALL) < 0.3
+    np.testing.assert_array_equal(find_sky(inverse_depth, seen, rise, solid_angle), rise > 0.1)
+    assert not find_sky(inverse_depth, np.zeros(SMALL, bool), rise, solid_angle).any()
+    window = np.where((rise > 0.2) & (rise < 0.5), 0.0, 0.5)
+    assert not find_sky(window, seen, rise, solid_angle).any()
