@@ -95,8 +95,8 @@ def prepare_segment(
     with clock("mesh"):
         renderers = [
             make_renderer(
-                options.renderer, _usable_image(view, options.threads), view.mask, depth.inverse_depth, depth.confidence,
-                options.size, options.cut, options.threads,
+                options.renderer, _usable_image(view, options.threads), view.mask,
+                depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
             )
             for view, depth in zip((first, second), depths, strict=True)
         ]  # fmt: skip
@@ -104,7 +104,7 @@ def prepare_segment(
 
 
 def _usable_image(view: View, threads: int | None) -> np.ndarray:
-    """The picture with masked pixels painted over from around them: interpolation beside a mask reads them a little."""
+    """The picture with masked pixels painted over from around them: interpolation beside a mask reads a little of them."""
     if view.mask is None or view.mask.all():
         return view.image
     image = np.array(view.image, np.float32)

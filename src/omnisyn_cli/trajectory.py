@@ -120,9 +120,7 @@ def _waypoints(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Head
         yield Waypoint(segment, float(share), Pose(rotation, position))
 
 
-def _rotations(
-    poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading
-) -> Float[np.ndarray, "frames 3 3"]:
+def _rotations(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Heading) -> Float[np.ndarray, "frames 3 3"]:
     if heading == "fixed":
         return np.broadcast_to(np.eye(3), (len(t), 3, 3))
     if heading == "first":

@@ -18,11 +18,11 @@ def filled(image: np.ndarray, weight: np.ndarray, threads: int | None = 1) -> np
 
 
 def random_case(size: tuple[int, int], share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Colours, and weights that are 0 for a share of the pixels; hidden colours are absurd on purpose."""
+    """Colours, and weights that are 0 for a share of the pixels; what is hidden is not even a number."""
     rng = np.random.default_rng(seed)
     image, weight = rng.random((*size, 3), np.float32), rng.random(size, np.float32) + 0.01
     weight[rng.random(size) < share] = 0
-    image[weight == 0] = 1e6
+    image[weight == 0] = np.nan
     return image, weight
 
 

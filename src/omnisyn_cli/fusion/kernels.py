@@ -67,7 +67,10 @@ def blend_rows(
 
 @fast_kernel()
 def pull(colour, weight, coarse_colour, coarse_weight, begin, end):
-    """Weighted means over 2×2 pixels, for coarse rows ``begin`` to ``end``; an odd last row or column stands alone."""
+    """Weighted means over 2×2 pixels, for coarse rows ``begin`` to ``end``; an odd last row or column stands alone.
+
+    Colours without weight are not read: they may be anything, NaN included.
+    """
     height, width = weight.shape
     for row in range(begin, end):
         for col in range(coarse_weight.shape[1]):
@@ -75,10 +78,11 @@ def pull(colour, weight, coarse_colour, coarse_weight, begin, end):
             for i in range(2 * row, min(2 * row + 2, height)):
                 for j in range(2 * col, min(2 * col + 2, width)):
                     w = weight[i, j]
-                    r += w * colour[i, j, 0]
-                    g += w * colour[i, j, 1]
-                    b += w * colour[i, j, 2]
-                    total += w
+                    if w > 0.0:
+                        r += w * colour[i, j, 0]
+                        g += w * colour[i, j, 1]
+                        b += w * colour[i, j, 2]
+                        total += w
             coarse_weight[row, col] = total
             if total > 0.0:
                 coarse_colour[row, col, 0] = r / total

@@ -45,6 +45,9 @@ REMOVED = 32
 """Set where nothing of the quad is drawn (all of it is masked)."""
 FACES_PER_QUAD = 8
 
+NO_SURFACE = -1e-9
+"""Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
+
 TRUST_AT_CUTS = 0.25
 LEAST_TRUST = 0.01
 
@@ -72,9 +75,10 @@ class Mesh:
     """A panorama's surface as seen from its own centre.
 
     Attributes:
-        inverse_depth: ``(height, width)`` float32, 1/metre, of the vertices.
+        inverse_depth: ``(height, width)`` float32, 1/metre, of the vertices; negative where there is no surface.
         quads: ``(height - 1, width)`` one byte of flags per quad.
-        caps: ``(2, width, 3)`` float32: inverse depth of (pole, left, right) of each cap triangle, north then south.
+        caps: ``(2, width, 3)`` float32: inverse depth of (pole, left, right) of each cap triangle, north then south;
+            negative where it is not drawn.
         trust: ``(height - 1, width)`` float32 in (0, 1]: how much the colour seen on each quad is worth in a blend.
     """
 
@@ -99,7 +103,9 @@ class Mesh:
         flat = self.quads.ravel()
         per_quad = np.where(flat & REMOVED, 0, np.where(flat & CUT_EDGES, FACES_PER_QUAD, 2))
         kept = np.arange(FACES_PER_QUAD) < per_quad[:, None]
-        caps = np.arange(self.caps.shape[0] * self.caps.shape[1])
+        has_surface = self.inverse_depth.ravel()[self._quad_vertices(np.arange(flat.size))] >= 0
+        kept &= np.repeat(has_surface, 2, axis=1) | (per_quad[:, None] == 2)
+        caps = np.flatnonzero((self.caps >= 0).all(axis=-1))
         return np.concatenate([np.flatnonzero(kept), FACES_PER_QUAD * flat.size + caps])
 
     def vertex_directions(self) -> Float[np.ndarray, "vertices 3"]:
@@ -210,10 +216,12 @@ def build_mesh(
     right = np.roll(rho, -1, axis=1)
     falling, rising = np.abs(rho[:-1] - right[1:]), np.abs(rho[1:] - right[:-1])
     quads = quads + DIAGONAL * (rising < falling)
+    caps = _caps(rho, beside, mask)
     if mask is not None:
         quads = quads + REMOVED * ~_any_corner(mask)
+        rho = np.where(mask, rho, np.float32(NO_SURFACE))
     quads = quads.astype(np.uint8)
-    return Mesh(rho, quads, _caps(rho, beside), _trust(quads, confidence))
+    return Mesh(rho, quads, caps, _trust(quads, confidence))
 
 
 def mask_of_vertices(
@@ -265,7 +273,7 @@ def _is_grazing(step: np.ndarray, planar: float, axis: int) -> np.ndarray:
     return np.asarray(np.abs(step) <= planar * same_way)
 
 
-def _caps(rho: np.ndarray, beside: np.ndarray) -> np.ndarray:
+def _caps(rho: np.ndarray, beside: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     """Cap triangles: a smooth fan where the ring is whole, a flat wedge of the farther side where it is cut."""
     caps = np.empty((2, rho.shape[1], 3), np.float32)
     for cap, row in enumerate((0, -1)):
@@ -273,6 +281,8 @@ def _caps(rho: np.ndarray, beside: np.ndarray) -> np.ndarray:
         farther = np.minimum(first, second)
         smooth = np.stack([np.full_like(first, np.median(first)), first, second], axis=-1)
         caps[cap] = np.where(beside[row][:, None] | beside[row].any(), farther[:, None], smooth)
+        if mask is not None:
+            caps[cap, ~(mask[row] & np.roll(mask[row], -1))] = NO_SURFACE
     return caps
 
 

@@ -386,6 +386,8 @@ def rasterize_cuts(
         row, col = cut_quads[k] // columns, cut_quads[k] % columns
         points, depths = _corners(rho, vertices, row, col)
         for corner in range(4):
+            if depths[corner] < 0.0:
+                continue
             p0, p1, p2, p3, w0, w1, w2, w3 = _quarter(corner, quads[row, col], points, depths, t)
             face = FACES_PER_QUAD * cut_quads[k] + 2 * corner
             _draw_points(
@@ -403,6 +405,8 @@ def rasterize_caps(rho, caps, vertices, rotation, t, sin_p, cos_p, sin_a, cos_a,
         ring, sign = (0, 1.0) if cap == 0 else (height - 1, -1.0)
         for col in range(columns):
             nxt = col + 1 if col + 1 < columns else 0
+            if caps[cap, col, 0] < 0.0:
+                continue
             w_pole = np.float64(caps[cap, col, 0])
             w_a, w_b = np.float64(caps[cap, col, 1]), np.float64(caps[cap, col, 2])
             pole = _moved((sign * rotation[0, 1], sign * rotation[1, 1], sign * rotation[2, 1]), w_pole, t)

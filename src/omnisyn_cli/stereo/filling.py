@@ -31,8 +31,11 @@ EDGE = 6.0
 """How much longer the way across a colour difference of 1 is, in reaches."""
 
 FALLBACK_WEIGHT = 1e-3
-FLATNESS = 3e-3
-"""Ridge against tilts that the data do not ask for, relative to the weight of the data."""
+FLATNESS = 0.1
+"""Ridge against tilts that the data do not ask for, relative to what data spread over the reach would weigh."""
+
+SPREAD = np.float32(1.0 / 4.5)
+"""Of the spatial weights in :func:`upsample`: a standard deviation of one and a half low pixels."""
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -90,7 +93,7 @@ def _planes(
         matrix[..., i, j] = matrix[..., j, i] = smooth[..., k]
     amount = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
     along = directions[..., :, None] * directions[..., None, :]
-    matrix += FALLBACK_WEIGHT * along + (FLATNESS * amount + 1e-9) * (np.eye(3) - along)
+    matrix += FALLBACK_WEIGHT * along + (FLATNESS * reach**2 * amount + 1e-9) * (np.eye(3) - along)
     vector = smooth[..., 6:] + FALLBACK_WEIGHT * fallback[..., None] * directions
     normal = np.linalg.solve(matrix, vector[..., None])[..., 0]
     return np.asarray((normal * directions).sum(axis=-1))
@@ -219,7 +222,7 @@ def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
             r0, c0 = int(np.floor(y + 0.5)) - ring + 1, int(np.floor(x + 0.5)) - ring + 1
             for k in range(side * side):
                 r, c = r0 + k // side, c0 + k % side
-                distance = ((r - y) * (r - y) + (c - x) * (c - x)) * np.float32(0.5)
+                distance = ((r - y) * (r - y) + (c - x) * (c - x)) * SPREAD
                 colour = np.float32(0.0)
                 for i in range(3):
                     colour += abs(low_guide[r, c, i] - guide[row, col, i])

@@ -66,7 +66,7 @@ class RectifiedPair:
     def to_camera(self, values: np.ndarray, pose: Pose, size: tuple[int, int]) -> np.ndarray:
         """An image of the first panorama in this frame, as the camera held it (nearest pixel: edges stay edges)."""
         directions = pixel_directions(*size) @ (self.world_from_frame.T @ pose.rotation).T
-        return np.asarray(sample_nearest(values, directions))
+        return np.asarray(sample_nearest(values.astype(np.float32), directions)).astype(values.dtype)
 
 
 def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
