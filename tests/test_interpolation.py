@@ -88,7 +88,7 @@ def write_alpha(path: Path, samples: np.ndarray, usable: np.ndarray) -> None:
     assert writer.close()
 
 
-@pytest.mark.parametrize("way", ["alpha", "mask file"])
+@pytest.mark.parametrize("way", ["alpha", "mask file", "half of each"])
 def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, way: str) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
     usable = np.ones(SIZE, bool)
@@ -96,11 +96,14 @@ def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, way: str
     samples = samples_of(images[0]).copy()
     samples[~usable] = (255, 0, 255)
     entries = [PosedPanorama(pose, tmp_path / f"p{index}_depth.exr") for index, pose in enumerate(CHAIN[:2])]
-    if way == "alpha":
-        write_alpha(images[0], samples, usable)
-    else:
-        write_image(images[0], samples)
-        write_image(tmp_path / "mask.png", np.where(usable, 255, 0).astype(np.uint8))
+    is_upper = np.arange(SIZE[0])[:, None] < 50
+    in_alpha = {"alpha": usable, "mask file": None, "half of each": usable | is_upper}[way]
+    in_file = {"alpha": None, "mask file": usable, "half of each": usable | ~is_upper}[way]
+    write_image(images[0], samples)
+    if in_alpha is not None:
+        write_alpha(images[0], samples, in_alpha)
+    if in_file is not None:
+        write_image(tmp_path / "mask.png", np.where(in_file, 255, 0).astype(np.uint8))
         entries[0] = replace(entries[0], mask=tmp_path / "mask.png")
     write_poses(tmp_path / "poses.json", dict(zip([path.name for path in images], entries, strict=True)))
     plan = plan_interpolation(job_of(tmp_path, images))

@@ -104,7 +104,7 @@ def prepare_segment(
 
 
 def _usable_image(view: View, threads: int | None) -> np.ndarray:
-    """The picture with masked pixels painted over from around them: interpolation beside a mask reads a little of them."""
+    """The picture with masked pixels painted over from around them, because interpolation reads beyond a mask."""
     if view.mask is None or view.mask.all():
         return view.image
     image = np.array(view.image, np.float32)

@@ -160,6 +160,18 @@ def test_turning_everything_by_columns_turns_the_result() -> None:
     np.testing.assert_allclose(turned[seen], whole[seen], atol=1e-5)
 
 
+def test_a_hole_beside_a_near_thing_shows_what_is_behind_it() -> None:
+    """To its left a near red thing, to its right a far green wall: nobody saw the hole, so it is wall."""
+    rho = np.where(np.arange(SIZE[1]) < SIZE[1] // 2, 0.5, 0.05) * np.ones(SIZE)
+    first, hole = rendering(1, rho), np.zeros(SIZE, bool)
+    first.colour[..., :3] = np.where(rho[..., None] > 0.1, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    hole[:, SIZE[1] // 2 - 3 : SIZE[1] // 2 + 3] = True
+    seen = with_holes(first, hole)
+    filled = fuse(seen, seen, 0.5)[hole]
+    assert (filled[:, 1] > 0.9).all()
+    np.testing.assert_allclose(filled.sum(axis=-1), 1, atol=1e-5)
+
+
 def test_the_number_of_threads_does_not_show() -> None:
     first, second = with_holes(rendering(1), half_seen(3)), with_holes(rendering(2), half_seen(4))
     np.testing.assert_array_equal(fuse(first, second, 0.3, threads=1), fuse(first, second, 0.3, threads=3))

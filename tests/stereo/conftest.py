@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
 
-SIZE = (256, 512)
+SIZE = (192, 384)
 HALF_ROOM = np.array([4.0, 1.6, 5.0])
 OPENINGS = {
     "level": Pose(np.eye(3), np.array([0.4, 0.1, -0.9])),

@@ -81,7 +81,8 @@ def test_a_bright_blank_ceiling_is_no_sky(estimator: MatchingDepthEstimator) -> 
     (first, truth), (second, _) = room(ORIGIN, blank_ceiling=True), room(OPENINGS["level"], blank_ceiling=True)
     estimate = estimator(first, second)[0].inverse_depth
     assert estimate.min() > 0
-    assert share_within(estimate, truth, 1.25) > 0.8
+    below = slice(SIZE[0] // 2, None)
+    assert share_within(estimate[below], truth[below], 1.1) > 0.9
 
 
 def test_equal_positions_give_zero_with_no_confidence(estimator: MatchingDepthEstimator) -> None:
@@ -114,14 +115,14 @@ def test_images_of_any_size_are_welcome(estimator: MatchingDepthEstimator, size:
 
 def test_an_image_that_is_no_panorama_is_refused(estimator: MatchingDepthEstimator) -> None:
     view = room(ORIGIN)[0]
-    with pytest.raises(ImageError, match="256×256"):
+    with pytest.raises(ImageError, match="got 256×192"):
         estimator(view, View(view.image[:, :256], OPENINGS["level"]))
 
 
 def test_what_a_mask_hides_changes_nothing_and_is_filled(estimator: MatchingDepthEstimator) -> None:
     (first, truth), (second, _) = room(ORIGIN), room(OPENINGS["level"])
     mask = np.ones(SIZE, bool)
-    mask[190:, 100:300] = False
+    mask[140:, 80:220] = False
     rng = np.random.default_rng(2)
     views = [
         View(np.where(mask[..., None], v.image, rng.random(3)).astype(np.float32), v.pose, mask)
@@ -129,7 +130,7 @@ def test_what_a_mask_hides_changes_nothing_and_is_filled(estimator: MatchingDept
     ]
     estimate = estimator(*views)[0]
     hidden = np.zeros(SIZE, bool)
-    hidden[196:, 106:294] = True
+    hidden[146:, 86:214] = True
     assert estimate.confidence[hidden].max() < 0.1
     assert share_within(estimate.inverse_depth[hidden], truth[hidden], 1.25) > 0.9
 

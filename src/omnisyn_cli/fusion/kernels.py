@@ -60,7 +60,7 @@ def blend_rows(
                 for k in range(3):
                     image[row, col, k] = max(zero, share_a * first[row, col, k] + share_b * second[row, col, k])
                 far = np.float32(FAR_PREFERENCE) / (share_a * near_a + share_b * near_b + np.float32(FAR_PREFERENCE))
-                weight[row, col] = far * far
+                weight[row, col] = far * far * far * far
             else:
                 weight[row, col] = zero
 
@@ -91,21 +91,35 @@ def pull(colour, weight, coarse_colour, coarse_weight, begin, end):
 
 
 @fast_kernel()
-def push(coarse_colour, colour, weight, begin, end):
-    """Holes of rows ``begin`` to ``end`` get the coarse colours, bilinearly, across the seam; rows end at the poles."""
+def push(coarse_colour, coarse_weight, colour, weight, keep_weight, begin, end):
+    """Holes of rows ``begin`` to ``end`` get the coarse colours, bilinearly and by weight; rows end at the poles.
+
+    A filled pixel's own weight, for the next finer level, is the mean of those it was filled from unless
+    ``keep_weight``.
+    """
     width = weight.shape[1]
-    coarse_height, coarse_width = coarse_colour.shape[:2]
+    coarse_height, coarse_width = coarse_weight.shape
     for row in range(begin, end):
+        i = row // 2
+        i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
         for col in range(width):
             if weight[row, col] > 0.0:
                 continue
-            i, j = row // 2, col // 2
-            i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
+            j = col // 2
             j2 = (j - 1 if col % 2 == 0 else j + 1) % coarse_width
-            for k in range(3):
-                near, far = coarse_colour[i, j, k], coarse_colour[i2, j2, k]
-                sides = coarse_colour[i, j2, k] + coarse_colour[i2, j, k]
-                colour[row, col, k] = np.float32(0.5625) * near + np.float32(0.1875) * sides + np.float32(0.0625) * far
+            a, b = np.float32(0.5625) * coarse_weight[i, j], np.float32(0.1875) * coarse_weight[i, j2]
+            c, d = np.float32(0.1875) * coarse_weight[i2, j], np.float32(0.0625) * coarse_weight[i2, j2]
+            total = a + b + c + d
+            if total > 0.0:
+                for k in range(3):
+                    mixed = a * coarse_colour[i, j, k] + b * coarse_colour[i, j2, k]
+                    mixed += c * coarse_colour[i2, j, k] + d * coarse_colour[i2, j2, k]
+                    colour[row, col, k] = mixed / total
+            else:
+                for k in range(3):
+                    colour[row, col, k] = np.float32(0.0)
+            if not keep_weight:
+                weight[row, col] = np.float32(0.25) * total
 
 
 @fast_kernel()

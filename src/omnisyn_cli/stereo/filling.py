@@ -24,6 +24,12 @@ __all__ = ["fill", "remove_speckles", "upsample"]
 REACHES = (0.8, 0.2, 0.05)
 """Radians over which planes are carried on, widest first; each is the fallback of the next."""
 
+SURROUNDINGS = 0.1
+"""Radians around a pixel that the first guess is taken from, edges or not."""
+
+BACKGROUND = 0.2
+"""Quantile of what is known that fills where nothing is near: gaps show the background more often than not."""
+
 ROUNDS = 3
 """Horizontal and vertical passes of the filter per reach."""
 
@@ -44,6 +50,7 @@ def fill(
     inverse_depth: Float[np.ndarray, "height width"],
     weight: Float[np.ndarray, "height width"],
     guide: Float[np.ndarray, "height width 3"],
+    usable: Bool[np.ndarray, "height width"] | None = None,
 ) -> Float[np.ndarray, "height width"]:
     """The map with every pixel of weight below 1 filled in; pixels of weight 1 stay as they are.
 
@@ -51,6 +58,7 @@ def fill(
         inverse_depth: any unit, finite, >= 0.
         weight: in [0, 1]; between 0 and 1 a value is a hint: it counts, but gives way.
         guide: RGB whose edges stop the filling.
+        usable: False where the guide means nothing, so that its edges do not count; by default True everywhere.
 
     Returns:
         Values between the least and the greatest with weight 1. Without any such pixel: zeros.
@@ -60,20 +68,34 @@ def fill(
         return np.zeros_like(inverse_depth, dtype=np.float32)
     low, high = float(inverse_depth[known].min()), float(inverse_depth[known].max())
     values = np.clip(inverse_depth, low, high)
-    directions, guide = pixel_directions(*values.shape), _without_texture(guide)
-    estimate = np.full(values.shape, np.median(values[known]))
+    directions, edges = pixel_directions(*values.shape), _edges(guide, usable)
+    estimate = _surroundings(values, known, directions)
     for reach in REACHES:
         residual = (values - estimate) / (0.1 * estimate + 0.02 * high)
         doubt = np.where(known, 1.0, 1.0 / (1.0 + residual**2))
-        estimate = np.clip(_planes(values, weight * doubt, estimate, directions, guide, reach), low, high)
+        estimate = np.clip(_planes(values, weight * doubt, estimate, directions, edges, reach), low, high)
     return np.where(known, values, estimate).astype(np.float32)
 
 
-def _without_texture(guide: np.ndarray) -> np.ndarray:
-    """The image with its grain gone and its edges kept: texture of a surface must not stop the filling."""
+def _surroundings(values: np.ndarray, known: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """A first guess that no edge shuts out, so that a region with nothing known inside is not left to chance."""
+    no_edges = (np.zeros(values.shape), np.zeros(values.shape))
+    far = np.full(values.shape, np.quantile(values[known], BACKGROUND))
+    guess = _planes(values, known.astype(np.float64), far, directions, no_edges, SURROUNDINGS)
+    return np.clip(guess, values[known].min(), values[known].max())
+
+
+def _edges(guide: np.ndarray, usable: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Colour differences to the pixel on the left and to the one above, of what is no mere texture."""
     margin = min(8, guide.shape[1])
     wide = np.concatenate([guide[:, -margin:], guide, guide[:, :margin]], axis=1).astype(np.float32)
-    return np.asarray(cv2.bilateralFilter(wide, 7, 0.15, 3.0)[:, margin:-margin])
+    flat = cv2.bilateralFilter(wide, 7, 0.15, 3.0)[:, margin:-margin]
+    left, above = np.roll(flat, 1, axis=1), np.concatenate([flat[:1], flat[:-1]])
+    across, down = np.abs(flat - left).sum(axis=-1), np.abs(flat - above).sum(axis=-1)
+    if usable is not None:
+        across *= usable & np.roll(usable, 1, axis=1)
+        down *= usable & np.concatenate([usable[:1], usable[:-1]])
+    return across, down
 
 
 def _planes(
@@ -81,13 +103,13 @@ def _planes(
     weight: np.ndarray,
     fallback: np.ndarray,
     directions: np.ndarray,
-    guide: np.ndarray,
+    edges: tuple[np.ndarray, np.ndarray],
     reach: float,
 ) -> np.ndarray:
     """Value at each pixel of the plane fitted around it."""
     sums = [weight * directions[..., i] * directions[..., j] for i, j in PAIRS]
     sums += [weight * values * directions[..., i] for i in range(3)]
-    smooth = _smooth(np.stack(sums, axis=-1).astype(np.float32), guide.astype(np.float32), reach).astype(np.float64)
+    smooth = _smooth(np.stack(sums, axis=-1).astype(np.float32), edges, reach).astype(np.float64)
     matrix = np.empty((*values.shape, 3, 3))
     for k, (i, j) in enumerate(PAIRS):
         matrix[..., i, j] = matrix[..., j, i] = smooth[..., k]
@@ -99,14 +121,12 @@ def _planes(
     return np.asarray((normal * directions).sum(axis=-1))
 
 
-def _smooth(channels: np.ndarray, guide: np.ndarray, reach: float) -> np.ndarray:
+def _smooth(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], reach: float) -> np.ndarray:
     """Edge-aware mean of every channel over about ``reach`` radians."""
-    height, width = guide.shape[:2]
+    height, width = channels.shape[:2]
     sine = direction_tables(height, width)[0]
-    across = np.abs(guide - np.roll(guide, 1, axis=1)).sum(axis=-1)
-    down = np.abs(np.diff(guide, axis=0, prepend=guide[:1])).sum(axis=-1)
-    way_across = sine[:, None] * (2.0 * math.pi / width) / reach + EDGE * across
-    way_down = math.pi / height / reach + EDGE * down
+    way_across = sine[:, None] * (2.0 * math.pi / width) / reach + EDGE * edges[0]
+    way_down = math.pi / height / reach + EDGE * edges[1]
     for k in range(ROUNDS):
         share = math.sqrt(3.0) * 2.0 ** (ROUNDS - k - 1) / math.sqrt(4.0**ROUNDS - 1.0)
         decay = -math.sqrt(2.0) / share
@@ -216,18 +236,25 @@ def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
     side = 2 * ring - 1
     for row in numba.prange(height):
         value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+        near_row, near_col = np.empty(side, np.float32), np.empty(side, np.float32)
         y = np.float32((row + 0.5) * row_scale - 0.5 + ring)
+        r0 = int(np.floor(y + 0.5)) - ring + 1
+        for k in range(side):
+            near_row[k] = np.exp(-SPREAD * (r0 + k - y) * (r0 + k - y))
         for col in range(width):
             x = np.float32((col + 0.5) * col_scale - 0.5 + ring)
-            r0, c0 = int(np.floor(y + 0.5)) - ring + 1, int(np.floor(x + 0.5)) - ring + 1
+            c0 = int(np.floor(x + 0.5)) - ring + 1
+            for k in range(side):
+                near_col[k] = np.exp(-SPREAD * (c0 + k - x) * (c0 + k - x))
             for k in range(side * side):
-                r, c = r0 + k // side, c0 + k % side
-                distance = ((r - y) * (r - y) + (c - x) * (c - x)) * SPREAD
-                colour = np.float32(0.0)
-                for i in range(3):
-                    colour += abs(low_guide[r, c, i] - guide[row, col, i])
-                weight[k] = np.exp(-distance - np.float32(12.0) * colour)
-                value[k] = low[r, c]
+                weight[k] = near_row[k // side] * near_col[k % side]
+                value[k] = low[r0 + k // side, c0 + k % side]
+            if value.max() > np.float32(1.1) * value.min():
+                for k in range(side * side):
+                    colour = np.float32(0.0)
+                    for i in range(3):
+                        colour += abs(low_guide[r0 + k // side, c0 + k % side, i] - guide[row, col, i])
+                    weight[k] *= np.exp(np.float32(-12.0) * colour)
             out[row, col] = _mean_near(value, weight, _weighted_median(value, weight))
     return out
 

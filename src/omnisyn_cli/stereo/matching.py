@@ -16,7 +16,7 @@ from jaxtyping import Bool
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
-from omnisyn_cli.stereo.rectify import RectifiedPair, flip, rectify, resize_area
+from omnisyn_cli.stereo.rectify import RectifiedPair, flip, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
 from omnisyn_cli.types import DepthEstimate, View
@@ -57,32 +57,34 @@ class MatchingDepthEstimator:
         pairs = (pair, pair.reversed())
         grids = [Meridians.of(p) for p in pairs]
         free = _agreeing([match_freely(p, g, self.options) for p, g in zip(pairs, grids, strict=True)], self.options)
-        surfaces = [
-            Matches(assign_surfaces(p, g, f, self.options), p.first_usable)
-            for p, g, f in zip(pairs, grids, free, strict=True)
-        ]
+        surfaces = [assign_surfaces(p, g, f, self.options) for p, g, f in zip(pairs, grids, free, strict=True)]
         there, back = _agreeing(surfaces, self.options)
         return there, back
 
     def _finish(self, view: View, pair: RectifiedPair, matches: Matches) -> DepthEstimate:
-        """From disparity in the frame of the pair to inverse depth in the frame of the camera."""
-        size, pose = pair.size, view.pose
-        grid = Meridians.of(pair)
-        inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
-        agreed = pair.to_camera(matches.seen & _measurable(grid, matches.disparity), pose, size)
-        agreed = remove_speckles(inverse_depth, agreed, SPECKLE, 0.1)
-        rise = pixel_directions(*size) @ pose.rotation[1]
-        sideways = pair.to_camera(_is_sideways(grid), pose, size)
-        sky = find_sky(inverse_depth, agreed & sideways, rise, solid_angles(*size))
-        weight = np.where(agreed, 1.0, HINT * pair.to_camera(pair.first_usable, pose, size))
-        low_guide, guide = resize_area(view.image, size), resize_area(view.image, self.options.size)
-        whole = fill(inverse_depth, np.where(sky, 0.0, weight), low_guide)
+        """From disparity in the frame of the pair to inverse depth in the frame of the camera, at full size."""
+        low_guide, guide = resize_area(view.image, pair.size), resize_area(view.image, self.options.size)
+        inverse_depth, agreed, sky = _in_camera(view, pair, matches)
+        usable = usable_pixels(view, pair.size)
+        weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
+        whole = fill(inverse_depth, weight, low_guide, usable)
         whole = upsample(np.where(sky, 0.0, whole), low_guide, guide)
-        confidence = upsample((agreed | sky).astype(np.float32), low_guide, guide)
-        return DepthEstimate(whole / np.float32(pair.baseline), np.clip(confidence, 0.0, 1.0))
+        confidence = resize_area((agreed | sky).astype(np.float32), self.options.size)
+        return DepthEstimate(whole / np.float32(pair.baseline), confidence)
 
     def _nothing(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
+
+
+def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inverse depth in 1/baselines, where both directions agree about it, and the sky, in the frame of the camera."""
+    size, pose, grid = pair.size, view.pose, Meridians.of(pair)
+    inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
+    agreed = pair.to_camera(matches.seen & _measurable(grid, matches.disparity), pose, size)
+    agreed = remove_speckles(inverse_depth, agreed & usable_pixels(view, size), SPECKLE, 0.1)
+    rise = pixel_directions(*size) @ pose.rotation[1]
+    sky = find_sky(inverse_depth, agreed & pair.to_camera(_is_sideways(grid), pose, size), rise, solid_angles(*size))
+    return inverse_depth, agreed, sky
 
 
 def _agreeing(both: list[Matches], options: MatchingOptions) -> list[Matches]:

@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.types import View
 
-__all__ = ["RectifiedPair", "rectify", "resize_area"]
+__all__ = ["RectifiedPair", "rectify", "resize_area", "usable_pixels"]
 
 UP = np.array([0.0, 1.0, 0.0])
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -94,7 +94,14 @@ def _turn(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> 
     return np.asarray(sample_bilinear(image, directions), np.float32)
 
 
+def usable_pixels(view: View, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
+    """The mask of a view at another size: True where no forbidden pixel contributes."""
+    if view.mask is None:
+        return np.ones(size, bool)
+    return np.asarray(resize_area(view.mask.astype(np.float32), size) > 0.99)
+
+
 def _turn_mask(view: View, frame: Pose, size: tuple[int, int]) -> np.ndarray:
     if view.mask is None:
         return np.ones(size, bool)
-    return _turn(resize_area(view.mask.astype(np.float32), size), view.pose, frame, size) > 0.99
+    return np.asarray(_turn(usable_pixels(view, size).astype(np.float32), view.pose, frame, size) > 0.99)

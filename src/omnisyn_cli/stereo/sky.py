@@ -19,8 +19,11 @@ NO_PARALLAX = 0.02
 EVIDENCE = 0.05
 """Share of the region where texture must have decided for no parallax."""
 
+LEAST = 0.01
+"""Share of the sphere: a smaller region is no sky."""
+
 SPOT = 0.003
-"""Share of the sphere: openings in the sky smaller than this are closed unless something was surely seen there."""
+"""Share of the sphere: openings in the sky smaller than this are closed."""
 
 
 def find_sky(
@@ -39,7 +42,8 @@ def find_sky(
     """
     far = (inverse_depth < NO_PARALLAX) & (rise > 0.0)
     region: np.ndarray = _touching_zenith(far, rise)
-    if (solid_angle * (region & seen)).sum() < EVIDENCE * (solid_angle * region).sum() or not region.any():
+    size, evidence = (solid_angle * region).sum(), (solid_angle * (region & seen)).sum()
+    if size < LEAST * solid_angle.sum() or evidence < EVIDENCE * size:
         return np.zeros_like(far)
     return np.asarray(region | _spots(~region & (rise > 0.0), solid_angle))
 

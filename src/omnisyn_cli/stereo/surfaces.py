@@ -141,10 +141,11 @@ def match_freely(pair: RectifiedPair, grid: Meridians, options: MatchingOptions)
     return Matches(disparity, (margin > options.margin) & ~at_bound & pair.first_usable)
 
 
-def assign_surfaces(
-    pair: RectifiedPair, grid: Meridians, free: Matches, options: MatchingOptions
-) -> Float[np.ndarray, "height width"]:
-    """Disparity in rows of the surface that explains each pixel best, given free matches that both directions share."""
+def assign_surfaces(pair: RectifiedPair, grid: Meridians, free: Matches, options: MatchingOptions) -> Matches:
+    """The surface that explains each pixel best, given free matches that both directions share.
+
+    A plane counts as seen also where it has no texture; a free match does not.
+    """
     planes, support = _planes(grid, free, options)
     surfaces = _surfaces(grid, free, planes, options)
     cost = _surface_costs(pair, surfaces, options)
@@ -153,8 +154,9 @@ def assign_surfaces(
     cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
     total = aggregate(cost, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast)
     total[surfaces < 0] = np.inf
-    label = total.argmin(axis=-1)[..., None]
-    return np.asarray(np.take_along_axis(surfaces, label, axis=-1)[..., 0])
+    label = total.argmin(axis=-1)
+    disparity = np.take_along_axis(surfaces, label[..., None], axis=-1)[..., 0]
+    return Matches(disparity, pair.first_usable & ((label > 0) | free.seen))
 
 
 def _surfaces(grid: Meridians, free: Matches, planes: np.ndarray, options: MatchingOptions) -> np.ndarray:
