@@ -325,3 +325,20 @@ def test_nothing_there_is_a_place_infinitely_far(tmp_path: Path) -> None:
         write_depth(tmp_path / f"p{index}_depth.exr", np.full(SIZE, np.inf))
     run(job_of(tmp_path, images, save_depth=tmp_path / "depth"))
     assert np.isinf(read_depth(tmp_path / "depth" / "0000_p0_depth.exr")).all()
+
+
+def test_exr_frames_keep_what_eight_bits_would_round(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    run_interpolation(plan_interpolation(job_of(tmp_path, images, codec="exr")))
+    middle = read_panorama(tmp_path / "out" / "000001.exr").image
+    assert np.abs(middle * 255 - np.rint(middle * 255)).max() > 0.25
+    run_interpolation(plan_interpolation(job_of(tmp_path, images, output=tmp_path / "png")))
+    np.testing.assert_array_equal(samples_of(tmp_path / "png" / "000001.png"), as_bytes(middle))
+
+
+def test_prores_takes_sixteen_bits_and_a_folder_takes_no_quality(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    run_interpolation(plan_interpolation(job_of(tmp_path, images, output=tmp_path / "clip.mov", codec="prores")))
+    assert (tmp_path / "clip.mov").stat().st_size > 0
+    with pytest.raises(OutputPathError, match="leave it out"):
+        plan_interpolation(job_of(tmp_path, images, crf=18))

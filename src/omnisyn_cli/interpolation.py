@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Shaped
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.kernels import quantize_rows
@@ -27,6 +27,7 @@ from omnisyn_cli.io import (
     read_inverse_depth,
     read_mask,
     read_panorama,
+    sample_type,
     write_depth,
 )
 from omnisyn_cli.io.background import BackgroundSink
@@ -79,11 +80,13 @@ def run_interpolation(plan: InterpolationPlan, on_frame: Callable[[int], None] |
     loader = _Loader(plan, clock)
     with clock("decode"):
         loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
+    kinds = [sample_type(path, codec) for path, codec in _targets(plan.job)]
     with _depth_keeper(plan) as keep_depth, _sinks(plan) as sinks:
         for done, frame in enumerate(_frames(plan, loader, clock, keep_depth), start=1):
+            samples = {kind: _as_samples(frame, kind, loader, plan.job.threads) for kind in kinds}
             with clock("encode"):
-                for sink in sinks:
-                    sink.write(frame)
+                for sink, kind in zip(sinks, kinds, strict=True):
+                    sink.write(samples[kind])
             if on_frame:
                 on_frame(done)
         with clock("encode"):
@@ -96,8 +99,8 @@ KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 """Called with the index of a pair and the depth of its two panoramas."""
 
 
-def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_depth: KeepDepth) -> Iterator[np.ndarray]:
-    """All frames as 8-bit samples; the depth of every pair is handed to ``keep_depth``."""
+def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_depth: KeepDepth) -> Iterator[Frame]:
+    """All frames; the depth of every pair is handed to ``keep_depth``."""
     options = SynthesisOptions(plan.size, plan.job.renderer, plan.job.cut, plan.job.threads)
     views, estimator, prepared = loader.views(), _estimator(plan), set()
     for made in synthesize(views, plan.path, estimator, options, clock=clock):
@@ -105,7 +108,7 @@ def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_dep
             prepared.add(made.index)
             keep_depth(made.index, made.depths)
         else:
-            yield _as_bytes(made, loader, plan.job.threads)
+            yield made
     if plan.job.save_depth is not None:
         for pair in sorted(set(range(len(views) - 1)) - prepared):  # no frame lay between these two
             keep_depth(pair, estimator(views[pair], views[pair + 1]))
@@ -189,31 +192,46 @@ def _depth_of(estimate: DepthEstimate) -> np.ndarray:
         return np.asarray(1.0 / estimate.inverse_depth, np.float32)
 
 
-def _as_bytes(frame: Frame, loader: _Loader, threads: int | None) -> UInt8[np.ndarray, "height width 3"]:
-    """The frame as 8-bit samples: those of the file itself where it is a photograph unchanged."""
+PEAKS = {"uint8": 255, "uint16": 65535}
+
+
+def _as_samples(frame: Frame, kind: str, loader: _Loader, threads: int | None) -> Shaped[np.ndarray, "height width 3"]:
+    """The frame as samples of a type, in memory of its own; those of the file where it is a photograph unchanged."""
+    if kind == "float32":
+        return frame.image.astype(np.float32)
     if frame.panorama is not None:
         original = loader.panorama(frame.panorama).original
-        if original is not None and original.dtype == np.uint8:
+        if original is not None and str(original.dtype) == kind:
             return np.ascontiguousarray(original)
-    samples = np.empty(frame.image.shape, np.uint8)
-    run_bands(
-        lambda begin, end: quantize_rows(frame.image, np.float32(255), samples, begin, end), len(samples), threads
-    )
+    samples, peak = np.empty(frame.image.shape, kind), np.float32(PEAKS[kind])
+    run_bands(lambda begin, end: quantize_rows(frame.image, peak, samples, begin, end), len(samples), threads)
     return samples
+
+
+def _targets(job: InterpolationJob) -> list[tuple[Path, str | None]]:
+    """Path and codec of everything that takes frames.
+
+    The video comes last, so that it is finished first: if that fails, no images are kept either.
+    """
+    images: list[tuple[Path, str | None]] = [] if job.save_frames is None else [(job.save_frames, None)]
+    return [*images, (job.output, job.codec)]
 
 
 @contextmanager
 def _sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
-    """Where frames go. The video is opened last, so it is finished first: if that fails, no images are kept either."""
+    """Where frames go, in the order of :func:`_targets`."""
     job = plan.job
     with ExitStack() as stack:
         sinks: list[FrameSink] = []
-        if job.save_frames is not None:
-            images = open_video(job.save_frames, size=plan.size, fps=job.fps, overwrite=job.overwrite)
-            sinks.append(stack.enter_context(images))
-        video = open_video(
-            job.output, size=plan.size, fps=job.fps, codec=job.codec, crf=job.crf, preset=job.preset,
-            threads=job.threads or 0, overwrite=job.overwrite,
-        )  # fmt: skip
-        sinks.append(stack.enter_context(video))
+        for path, codec in _targets(job):
+            is_output = path == job.output
+            sinks.append(
+                stack.enter_context(
+                    open_video(
+                        path, size=plan.size, fps=job.fps, codec=codec, threads=job.threads or 0,
+                        crf=job.crf if is_output else None, preset=job.preset if is_output else None,
+                        dtype=sample_type(path, codec), overwrite=job.overwrite,
+                    )
+                )
+            )  # fmt: skip
         yield [stack.enter_context(BackgroundSink(sink)) for sink in sinks]

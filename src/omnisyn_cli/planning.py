@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
-from omnisyn_cli.io import PosedPanorama, check_output, check_video, read_header, read_poses
+from omnisyn_cli.io import PosedPanorama, check_output, check_video, read_header, read_poses, sample_type
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
@@ -221,7 +221,14 @@ def _check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
     if size[1] != 2 * size[0]:
         raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
     check_video(
-        job.output, size=size, fps=job.fps, codec=job.codec, crf=job.crf, preset=job.preset, overwrite=job.overwrite
+        job.output,
+        size=size,
+        fps=job.fps,
+        codec=job.codec,
+        crf=job.crf,
+        preset=job.preset,
+        dtype=sample_type(job.output, job.codec),
+        overwrite=job.overwrite,
     )
     if job.save_frames is not None:
         _check_saved_frames(job, job.save_frames, size)

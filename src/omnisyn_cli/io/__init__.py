@@ -7,7 +7,7 @@ from omnisyn_cli.io.images import Panorama, read_mask, read_panorama
 from omnisyn_cli.io.paths import check_output
 from omnisyn_cli.io.poses import PosedPanorama, PoseFile, read_poses, write_poses
 from omnisyn_cli.io.spherical import SphericalMetadata, inject_spherical, read_spherical
-from omnisyn_cli.io.video import FrameSink, check_video, open_video
+from omnisyn_cli.io.video import FrameSink, check_video, open_video, sample_type
 
 __all__ = [
     "MAX_PIXELS",
@@ -28,6 +28,7 @@ __all__ = [
     "read_panorama",
     "read_poses",
     "read_spherical",
+    "sample_type",
     "write_depth",
     "write_image",
     "write_poses",

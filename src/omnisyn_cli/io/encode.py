@@ -11,7 +11,7 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import OutputPathError, WriteError
 from omnisyn_cli.io.paths import check_output, replaced_when_complete
 
-__all__ = ["IMAGE_SUFFIXES", "write_channels", "write_image"]
+__all__ = ["IMAGE_SUFFIXES", "image_suffix", "write_channels", "write_image"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 
@@ -83,6 +83,22 @@ def write_channels(temporary: Path, samples: np.ndarray, channels: tuple[str, ..
     complaint = _complaint(writer.geterror())
     if not is_written or not is_closed or complaint:
         raise _write_error(target, complaint)
+    if temporary.suffix.lower() == ".exr" and not _is_readable(temporary):
+        raise _write_error(target, "the disk may be full")
+
+
+def _is_readable(path: Path) -> bool:
+    """Whether the file can be read to its end: OpenImageIO keeps silent when the last of an EXR does not fit."""
+    reader = OpenImageIO.ImageInput.open(str(path))
+    if reader is None:
+        OpenImageIO.geterror()
+        return False
+    spec = reader.spec()
+    bottom = spec.y + spec.height
+    last = reader.read_scanlines(0, 0, bottom - 1, bottom, 0, 0, spec.nchannels, spec.format)
+    complaint = reader.geterror()
+    reader.close()
+    return last is not None and not complaint
 
 
 def _write_error(target: Path, complaint: str) -> WriteError:

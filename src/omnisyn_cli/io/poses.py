@@ -90,7 +90,8 @@ class PoseFile:
         name = Path(image_path).name
         if name in self.panoramas:
             return self.panoramas[name]
-        near = difflib.get_close_matches(name, self.panoramas, n=1)
+        same = [known for known in self.panoramas if known.lower() == name.lower()]
+        near = same or difflib.get_close_matches(name, self.panoramas, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "add an entry for it"
         raise PoseError(f"{self.path}: expected an entry for '{name}', got {_listed(self.panoramas)}; {hint}")
 

@@ -19,7 +19,7 @@ from omnisyn_cli.io.paths import check_output, temporary_name, write_errors
 from omnisyn_cli.io.sequence import ImageSequence, check_sequence, image_sequence, is_sequence, open_sequence
 from omnisyn_cli.io.spherical import inject_spherical
 
-__all__ = ["FrameSink", "check_video", "open_video"]
+__all__ = ["FrameSink", "check_video", "open_video", "sample_type"]
 
 IMAGE_CODECS = {"png": (".png",), "jpg": (".jpg", ".jpeg"), "exr": (".exr",), "tif": (".tif", ".tiff")}
 """What a folder of frames can be made of."""
@@ -32,6 +32,15 @@ class FrameSink(Protocol):
 
     def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
         """Take one more frame ``(height, width, 3)`` RGB."""
+
+
+def sample_type(path: Path | str, codec: str | None = None) -> str:
+    """The type of frames that a target makes the most of: ``uint8``, ``uint16`` (ProRes) or ``float32`` (EXR)."""
+    target = Path(path)
+    sequence = _sequence_of(target, codec)
+    if sequence is not None:
+        return "float32" if sequence.after.lower().endswith(".exr") else "uint8"
+    return "uint16" if codec == "prores" else "uint8"
 
 
 def check_video(
@@ -55,6 +64,10 @@ def check_video(
     target = Path(path)
     sequence = _sequence_of(target, codec)
     if sequence is not None:
+        if crf is not None or preset is not None:
+            raise OutputPathError(
+                f"{target}: expected no quality or encoder preset for a folder of frames, got one; leave it out"
+            )
         check_sequence(sequence, overwrite)
         return
     settings = EncoderSettings(size, fps, _codec_of(target, codec), crf, preset, 0, dtype)

@@ -22,6 +22,18 @@ from omnisyn_cli.jit import fast_kernel, inlined, inlined_contracting, kernel
 from omnisyn_cli.render.mesh import BOTTOM, CUT_EDGES, DIAGONAL, FACES_PER_QUAD, LEFT, REMOVED, RIGHT, TOP
 from omnisyn_cli.render.trigonometry import atan2_fast
 
+__all__ = [
+    "BLOCK",
+    "NOTHING",
+    "clear",
+    "find_block_rows",
+    "find_cut_rows",
+    "rasterize_caps",
+    "rasterize_cuts",
+    "rasterize_quads",
+    "transform_vertices",
+]
+
 NOTHING = -1
 """Face number of pixels that see no surface."""
 

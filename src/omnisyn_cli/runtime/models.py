@@ -31,7 +31,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["ModelEntry", "find_model", "models_folder", "read_manifest", "sha256_of"]
+__all__ = ["MANIFEST", "MANIFEST_VERSION", "ModelEntry", "find_model", "models_folder", "read_manifest", "sha256_of"]
 
 MANIFEST = "manifest.toml"
 MANIFEST_VERSION = 1

@@ -82,7 +82,7 @@ def _surroundings(values: np.ndarray, known: np.ndarray, directions: np.ndarray)
     no_edges = (np.zeros(values.shape), np.zeros(values.shape))
     far = np.full(values.shape, np.quantile(values[known], BACKGROUND))
     guess = _planes(values, known.astype(np.float64), far, directions, no_edges, SURROUNDINGS)
-    return np.clip(guess, values[known].min(), values[known].max())
+    return np.asarray(np.clip(guess, values[known].min(), values[known].max()))
 
 
 def _edges(guide: np.ndarray, usable: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -139,27 +139,27 @@ def _smooth(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], reach: f
 def _pass_across(
     channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width channels"]:
-    """Recursive mean along rows, both ways, round and round; ``keep[r, c]`` couples columns c − 1 and c."""
+    """Recursive mean along rows, both ways; ``keep[r, c]`` couples columns c − 1 and c.
+
+    A first round from zero tells the state that comes back to itself: the row is a circle without a beginning.
+    """
     height, width, count = channels.shape
-    out = np.empty_like(channels)
+    out = channels.copy()
     for row in numba.prange(height):
-        state = channels[row, 0].copy()
-        for k in range(-width, width):
-            col = k % width
-            a = keep[row, col]
-            for i in range(count):
-                state[i] = channels[row, col, i] + a * (state[i] - channels[row, col, i])
-                if k >= 0:
-                    out[row, col, i] = state[i]
-        back = out[row].copy()
-        for i in range(count):
-            state[i] = back[width - 1, i]
-        for k in range(2 * width - 1, -1, -1):
-            col = k % width
-            a = keep[row, (col + 1) % width]
-            for i in range(count):
-                state[i] = back[col, i] + a * (state[i] - back[col, i])
-                out[row, col, i] = state[i]
+        state = np.zeros(count, np.float32)
+        for side in range(2):
+            state[:] = 0
+            left = np.float32(1.0)
+            for k in range(2 * width):
+                col = k % width if side == 0 else width - 1 - k % width
+                a = keep[row, col] if side == 0 else keep[row, (col + 1) % width]
+                if k == width:
+                    state /= max(np.float32(1.0) - left, np.float32(1e-6))
+                left *= a
+                for i in range(count):
+                    state[i] = out[row, col, i] + a * (state[i] - out[row, col, i])
+                    if k >= width:
+                        out[row, col, i] = state[i]
     return out
 
 
