@@ -46,18 +46,7 @@ def interpolate(first: Path, second: Path, poses: Path, output: Path) -> tuple[f
 
 def decode(video: Path) -> list[np.ndarray]:
     """All frames of a video."""
-    command = [
-        imageio_ffmpeg.get_ffmpeg_exe(),
-        "-v",
-        "error",
-        "-i",
-        str(video),
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-",
-    ]
+    options = ["-v", "error", "-i", str(video), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     raw = subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), *options], check=True, capture_output=True).stdout
     return list(np.frombuffer(raw, np.uint8).reshape(-1, *SIZE, 3))
 
