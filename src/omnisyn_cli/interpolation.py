@@ -117,9 +117,21 @@ def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_dep
 def _estimator(plan: InterpolationPlan) -> DepthEstimator:
     if plan.depth == "file":
         return KnownDepth()
+    if plan.depth == "network":
+        return _network(plan.job)
     from omnisyn_cli.stereo.matching import MatchingDepthEstimator
 
     estimator: DepthEstimator = MatchingDepthEstimator()
+    return estimator
+
+
+def _network(job: InterpolationJob) -> DepthEstimator:
+    from omnisyn_cli.runtime.depth import LearnedDepthEstimator
+    from omnisyn_cli.runtime.models import find_model
+    from omnisyn_cli.runtime.session import open_session
+
+    session = open_session(find_model(job.model or ""), device=job.device, threads=job.threads)
+    estimator: DepthEstimator = LearnedDepthEstimator(session)
     return estimator
 
 

@@ -21,11 +21,12 @@ from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.trajectory import STILL, Ease, Heading, Waypoint, path_length, plan_path
 
 __all__ = ["DEPTH_METHODS", "InterpolationJob", "InterpolationPlan", "depth_name", "plan_interpolation"]
 
-DEPTH_METHODS = ("auto", "matching", "file")
+DEPTH_METHODS = ("auto", "matching", "file", "network")
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
@@ -46,7 +47,10 @@ class InterpolationJob:
         duration: seconds; None means three per pair.
         fps: frames per second.
         size: (height, width) of the video; None means that of the largest panorama.
-        depth: ``matching``, ``file`` (named in the pose file), or ``auto``: file where every panorama has one.
+        depth: ``matching``, ``file`` (named in the pose file), ``network``, or ``auto``: files where every panorama has
+            one, else matching.
+        model: for ``network``: an ONNX file, or a name in the manifest of installed models.
+        device: where the network runs: ``auto``, ``cpu`` or ``cuda``. All else runs on the processor.
         renderer: ``mesh``, ``points`` or ``two-pass``.
         cut: where meshes are cut.
         ease, heading: see :func:`omnisyn_cli.trajectory.plan_path`.
@@ -66,6 +70,8 @@ class InterpolationJob:
     fps: float = 30.0
     size: tuple[int, int] | None = None
     depth: str = "auto"
+    model: str | None = None
+    device: str = "auto"
     renderer: str = "mesh"
     cut: Cut = field(default_factory=Cut)
     ease: Ease = "linear"
@@ -200,6 +206,13 @@ def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> st
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
         return "matching" if without else "file"
+    if (job.depth == "network") != (job.model is not None):
+        raise InputError(
+            f"expected a model if and only if depth comes from a network, got depth {job.depth!r} and model "
+            f"{job.model!r}; name both or neither"
+        )
+    if job.model is not None:
+        find_model(job.model)
     if job.depth == "file" and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "

@@ -26,6 +26,8 @@ __all__ = ["cli", "main"]
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make the 360° video between two or more posed panoramas."),
     "info": ("omnisyn_cli.cli.info", "Show what the program sees in panoramas, depth, pose files and videos."),
+    "train": ("omnisyn_cli.cli.train", "Train the depth network on scenes that the program makes."),
+    "export-onnx": ("omnisyn_cli.cli.export_onnx", "Turn a trained network into an ONNX model for interpolate."),
     "scenes": ("omnisyn_cli.cli.scenes", "Make procedural scenes with exact depth and poses."),
 }
 """Module and one-line help of every command; the command has the name of its key."""

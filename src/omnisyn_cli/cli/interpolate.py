@@ -51,10 +51,11 @@ class Size(SizeType):
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
-    "--depth", type=click.Choice(["auto", "matching", "file"]), default="auto", show_default=True,
-    help="Where depth comes from: matching of the two pictures, or files named in the poses. auto takes the files "
-    "where every panorama has one.",
+    "--depth", type=click.Choice(["auto", "matching", "file", "network"]), default="auto", show_default=True,
+    help="Where depth comes from: matching of the two pictures, files named in the poses, or a network (see --model). "
+    "auto takes the files where every panorama has one, else matching.",
 )  # fmt: skip
+@click.option("--model", metavar="NAME|PATH", help="The network for --depth network, see `omnisyn export-onnx`.")
 @click.option(
     "--renderer", type=click.Choice(["mesh", "points", "two-pass"]), default="mesh", show_default=True,
     help="mesh is exact; points and the paper's two-pass method are there to compare.",
@@ -85,8 +86,9 @@ class Size(SizeType):
 @click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
 @click.option("--save-frames", metavar="FOLDER", type=FilePath, help="Keep the frames as PNG besides the video.")
 @click.option(
-    "--device", type=click.Choice(["auto", "cpu"]), default="auto", show_default=True, help="Where to compute."
-)
+    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
+    help="Where a network runs; everything else runs on the processor.",
+)  # fmt: skip
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
@@ -95,7 +97,7 @@ class Size(SizeType):
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def interpolate(
-    as_json: bool, dry_run: bool, verbose: bool, quiet: bool, device: str, cut: float, cut_metres: float | None,
+    as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float, cut_metres: float | None,
     encoder_preset: str | None, **options: Any,
 ) -> None:  # fmt: skip
     """Make the 360° video between panoramas A and B, and on through C and further ones.
@@ -107,7 +109,6 @@ def interpolate(
 
     The first and the last frame are the panoramas themselves. Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    del device  # matching and rendering run on the CPU; "auto" and "cpu" are the same for them
     from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
     from omnisyn_cli.render.mesh import Cut
 
