@@ -1,7 +1,7 @@
 """How close the frames come to the truth: ``python tests/benchmarks/bench_quality.py [FOLDER ...]``.
 
 Every scene folder has a ``poses.json`` with five or so panoramas in walking order and their depth; the first and the
-last are the inputs, those between are the truth. Without folders, scenes are made (streets and rooms, seeds 101 to 104).
+last are the inputs, those between are the truth. Without folders, streets and rooms are made (seeds 101 to 104).
 Prints the mean WS-PSNR of the frames between for a cross-fade, for depth by matching and for the true depth.
 """
 
