@@ -342,3 +342,42 @@ def test_prores_takes_sixteen_bits_and_a_folder_takes_no_quality(tmp_path: Path)
     assert (tmp_path / "clip.mov").stat().st_size > 0
     with pytest.raises(OutputPathError, match="leave it out"):
         plan_interpolation(job_of(tmp_path, images, crf=18))
+
+
+def test_overwriting_frames_spares_files_that_only_look_numbered(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("0001.png", "7.png", "20230615.png", "000009.png"):
+        (out / name).write_bytes(b"somebody's")
+    (out / "000002.png").write_bytes(b"former frame")
+    (out / "000003.png").write_bytes(b"former frame")
+    run_interpolation(plan_interpolation(job_of(tmp_path, images, overwrite=True)))
+    kept = {file.name for file in out.iterdir()}
+    assert kept == {"000000.png", "000001.png", "000002.png", "0001.png", "7.png", "20230615.png", "000009.png"}
+    assert (out / "000002.png").read_bytes() != b"former frame"
+
+
+def test_a_model_without_a_network_and_unknown_choices_are_refused(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    with pytest.raises(InputError, match="both or neither"):
+        plan_interpolation(job_of(tmp_path, images, model="some.onnx"))
+    with pytest.raises(InputError, match="both or neither"):
+        plan_interpolation(job_of(tmp_path, images, depth="network"))
+    for wrong in ({"depth": "nonsense"}, {"renderer": "wires"}, {"heading": "north"}, {"ease": "fast"}):
+        with pytest.raises(InputError, match="expected one of"):
+            plan_interpolation(job_of(tmp_path, images, **wrong))
+
+
+def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    sizes = [
+        plan_interpolation(job_of(tmp_path, images, renderer=name)).memory for name in ("mesh", "points", "two-pass")
+    ]
+    assert sizes == sorted(set(sizes))
+
+
+def test_the_encoder_is_named_after_the_pattern(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    plan = plan_interpolation(job_of(tmp_path, images, output=tmp_path / "frame_%05d.jpg"))
+    assert plan.describe()["encoder"] == "jpg images"

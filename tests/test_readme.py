@@ -11,7 +11,7 @@ from omnisyn_cli.cli import cli
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
-DOCUMENTS = [README, *sorted(ROOT.glob("examples/**/*.md")), *sorted(ROOT.glob("docs/**/*.md"))]
+DOCUMENTS = [README, *sorted(ROOT.glob("examples/**/*.md")), *sorted(ROOT.glob("models/*.md"))]
 
 
 def commands(document: Path) -> list[list[str]]:

@@ -1,5 +1,7 @@
 """Bands cover every row once, whatever the number of threads."""
 
+import os
+import signal
 import threading
 
 import pytest
@@ -45,3 +47,15 @@ def test_an_error_in_a_band_is_raised() -> None:
 
 def test_there_is_at_least_one_thread() -> None:
     assert available_threads() >= 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork there")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_forked_process_gets_threads_of_its_own() -> None:
+    run_bands(lambda begin, end: None, 64, 2)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # a pool that came through the fork would wait forever
+        run_bands(lambda begin, end: None, 64, 2)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0

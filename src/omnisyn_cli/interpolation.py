@@ -121,7 +121,7 @@ def _estimator(plan: InterpolationPlan) -> DepthEstimator:
         return _network(plan.job)
     from omnisyn_cli.stereo.matching import MatchingDepthEstimator
 
-    estimator: DepthEstimator = MatchingDepthEstimator()
+    estimator: DepthEstimator = MatchingDepthEstimator(threads=plan.job.threads)
     return estimator
 
 
@@ -155,7 +155,12 @@ class _Loader:
             entry, panorama = self._plan.entries[index], self.panorama(index)
             mask = panorama.mask
             if entry.mask is not None:
-                mask = _combined(mask, read_mask(entry.mask), panorama.image.shape[:2], entry.mask)
+                mask = _combined(
+                    mask,
+                    read_mask(entry.mask, allow_aspect=self._plan.job.allow_aspect),
+                    panorama.image.shape[:2],
+                    entry.mask,
+                )
             return View(panorama.image, entry.pose, mask, self._known_depth(entry))
 
     def _known_depth(self, entry: PosedPanorama) -> DepthEstimate | None:

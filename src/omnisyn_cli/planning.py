@@ -21,8 +21,10 @@ from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.models import find_model
-from omnisyn_cli.trajectory import STILL, Ease, Heading, Waypoint, path_length, plan_path
+from omnisyn_cli.runtime.session import DEVICES
+from omnisyn_cli.trajectory import EASES, HEADINGS, STILL, Ease, Heading, Waypoint, path_length, plan_path
 
 __all__ = ["DEPTH_METHODS", "InterpolationJob", "InterpolationPlan", "depth_name", "plan_interpolation"]
 
@@ -140,6 +142,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
     _check_names(job)
+    _check_choices(job)
     pose_file = read_poses(job.poses)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(_size_of(image, job.allow_aspect) for image in job.images)
@@ -150,7 +153,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     _check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
-    memory = _memory(size, source_sizes)
+    memory = _memory(size, source_sizes, _depth_sizes(entries, depth), job.renderer)
     return InterpolationPlan(
         job, entries, source_sizes, size, path, depth, path_length(poses), memory, tuple(_notes(job, entries))
     )
@@ -204,8 +207,6 @@ def _frame_count(job: InterpolationJob) -> int:
 
 def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
-    if job.depth == "auto":
-        return "matching" if without else "file"
     if (job.depth == "network") != (job.model is not None):
         raise InputError(
             f"expected a model if and only if depth comes from a network, got depth {job.depth!r} and model "
@@ -213,12 +214,28 @@ def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> st
         )
     if job.model is not None:
         find_model(job.model)
+    if job.depth == "auto":
+        return "matching" if without else "file"
     if job.depth == "file" and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
             "name one or choose another depth method"
         )
     return job.depth
+
+
+def _check_choices(job: InterpolationJob) -> None:
+    """What the command line offers as choices, for those who call the library."""
+    choices = {
+        "depth": (job.depth, DEPTH_METHODS),
+        "renderer": (job.renderer, RENDERERS),
+        "ease": (job.ease, EASES),
+        "heading": (job.heading, HEADINGS),
+        "device": (job.device, DEVICES),
+    }
+    for name, (value, known) in choices.items():
+        if value not in known:
+            raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
 
 
 def _check_companions(entries: Sequence[PosedPanorama], depth: str) -> None:
@@ -282,7 +299,8 @@ def _check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama
 def _encoder(job: InterpolationJob) -> str:
     """The codec and its settings in a few words."""
     if is_sequence(job.output):
-        return f"{job.codec or 'png'} images"
+        sequence = image_sequence(job.output, f".{job.codec or 'png'}")
+        return f"{Path(sequence.after).suffix.lstrip('.') or sequence.after.lstrip('.')} images"
     codec = CODECS[job.codec or "h264"]
     crf = codec.crf if job.crf is None else job.crf
     quality = "" if crf is None else f" crf {crf:g}"
@@ -297,10 +315,26 @@ def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[
             yield f"{a.name} and {b.name} have the same position: there is no parallax to follow, the video {how}"
 
 
-def _memory(size: tuple[int, int], sources: Sequence[tuple[int, int]]) -> int:
-    """Bytes, estimated: two panoramas with textures, two renderings, the fused picture, frames on their way out."""
-    largest = max(height * width for height, width in sources)
+PROGRAM = 450e6
+"""Bytes of the interpreter, its libraries, compiled kernels and matching."""
+
+BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
+"""Measured: mesh and buffers; splats; explicit triangles."""
+
+
+def _memory(
+    size: tuple[int, int], sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]], renderer: str
+) -> int:
+    """Bytes, estimated: two panoramas with textures and surfaces, two renderings, the picture, frames on their way."""
+    largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     pixels = size[0] * size[1]
-    per_source_pixel = 3 + 12 + 16 * 4 / 3 + 24  # samples, floats, mip levels, mesh
+    per_source_pixel = 3 + 12 + 16 * 4 / 3 + 12  # samples, floats, mip levels, what decoding takes for a while
     per_pixel = 2 * (8 + 16) + 16 + 16 / 3 + 5 * 3  # two renderings, picture, pyramid, frames in the queue
-    return int(250e6 + 2 * per_source_pixel * largest + per_pixel * pixels)
+    per_pair = 2 * (per_source_pixel * largest + BYTES_PER_VERTEX[renderer] * vertices)
+    return int(PROGRAM + per_pair + per_pixel * pixels)
+
+
+def _depth_sizes(entries: Sequence[PosedPanorama], depth: str) -> list[tuple[int, int]]:
+    """Rows and columns of the surfaces; estimated depth has 512 rows."""
+    headers = [read_header(entry.depth) for entry in entries if entry.depth is not None] if depth == "file" else []
+    return [(header.height, header.width) for header in headers] or [(512, 1024)]

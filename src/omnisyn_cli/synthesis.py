@@ -91,7 +91,7 @@ def prepare_segment(
     """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for."""
     with clock("depth"):
         is_moving = np.linalg.norm(second.pose.position - first.pose.position) > STILL
-        depths = estimator(first, second) if is_moving else (_infinitely_far(first), _infinitely_far(second))
+        depths = estimator(first, second) if is_moving else _depths_in_place(first, second, options)
     with clock("mesh"):
         renderers = [
             make_renderer(
@@ -112,9 +112,13 @@ def _usable_image(view: View, threads: int | None) -> np.ndarray:
     return image
 
 
-def _infinitely_far(view: View) -> DepthEstimate:
-    size = view.image.shape[:2]
-    return DepthEstimate(np.zeros(size, np.float32), np.ones(size, np.float32))
+def _depths_in_place(first: View, second: View, options: SynthesisOptions) -> tuple[DepthEstimate, DepthEstimate]:
+    """What is known of both, else spheres of infinite radius; the exact mesh makes those of a few large quads."""
+    if first.known_depth is not None and second.known_depth is not None:
+        return first.known_depth, second.known_depth
+    height, width = (16, 32) if options.renderer == "mesh" else first.image.shape[:2]
+    far = DepthEstimate(np.zeros((height, width), np.float32), np.ones((height, width), np.float32))
+    return far, far
 
 
 def synthesize(
@@ -177,7 +181,8 @@ def turned_panorama(
     image: np.ndarray, target_from_source: Pose, size: tuple[int, int], threads: int | None = None
 ) -> Float32[np.ndarray, "height width 3"]:
     """A panorama seen from its own centre in another orientation and size; no surface is needed for that."""
-    return np.ascontiguousarray(Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3])
+    colour = Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3]
+    return np.asarray(np.maximum(colour, np.float32(0.0)))
 
 
 def _fused(

@@ -42,3 +42,9 @@ def run_bands(kernel: Callable[[int, int], None], rows: int, threads: int | None
 @lru_cache(maxsize=4)
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="omnisyn")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        after_in_child=_pool.cache_clear
+    )  # threads do not survive a fork, their pools would wait forever

@@ -32,7 +32,6 @@ HEADINGS: tuple[Heading, ...] = ("panoramas", "first", "fixed", "travel")
 STILL = 1e-9
 """Panoramas closer than this (metres) are at the same place."""
 
-UP = np.array([0.0, 1.0, 0.0])
 FORWARD = np.array([0.0, 0.0, -1.0])
 
 
@@ -105,7 +104,8 @@ def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, "
 def _frames_at_knots(way: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """The frame nearest to each panorama; every panorama gets one of its own, in order, the ends the ends."""
     order, last = np.arange(len(knots)), len(way) - 1
-    nearest = np.abs(way[None, :] - knots[:, None]).argmin(axis=1)
+    after = np.clip(np.searchsorted(way, knots), 1, last)
+    nearest = np.where(knots - way[after - 1] <= way[after] - knots, after - 1, after)
     nearest[0], nearest[-1] = 0, last
     later = np.maximum.accumulate(nearest - order) + order
     return np.minimum(later, last - order[::-1])

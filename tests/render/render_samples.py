@@ -14,7 +14,6 @@ CUTS = {
     "default": Cut(),
     "coarse": Cut(relative=0.4),
     "metres": Cut(relative=None, metres=2.0),
-    "grazing": Cut(relative=0.1, planar=2.0),
     "everywhere": Cut(relative=1e-9),
 }
 

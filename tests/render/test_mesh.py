@@ -84,10 +84,6 @@ class TestCuts:
     def test_columns_wrap(self):
         assert self.cut_between(self.ring(1.0, 1.0, 1.0, 0.5), Cut()) == [False, False, True, True]
 
-    def test_planar_spares_surfaces_seen_at_a_grazing_angle_and_no_jumps(self):
-        rho = self.ring(1.0, 0.9, 0.8, 0.7, 0.3, 0.3, 0.3, 1.0)
-        assert self.cut_between(rho, Cut(relative=0.05, planar=1.5))[:6] == [False, False, False, True, False, False]
-
     def test_no_criterion_cuts_nothing(self):
         assert not (build_mesh(rough(8, 16), WHOLE).quads & CUT_EDGES).any()
 

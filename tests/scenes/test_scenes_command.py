@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from omnisyn_cli.cli.scenes import scenes
+from omnisyn_cli.cli.scenes import KINDS, scenes
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.io import read_depth, read_panorama, read_poses
+from omnisyn_cli.scenes import GENERATORS
 
 
 def make(*arguments):
@@ -40,11 +41,54 @@ def test_what_exists_is_kept_unless_overwriting_is_allowed(tmp_path):
     assert (tmp_path / "scene" / "0000.png").read_bytes() != before
 
 
-def test_a_folder_of_something_else_is_never_replaced(tmp_path):
-    (tmp_path / "letters").mkdir()
-    (tmp_path / "letters" / "dear.txt").write_text("Dear")
-    assert isinstance(make(tmp_path / "letters", "--overwrite").exception, OutputPathError)
-    assert (tmp_path / "letters" / "dear.txt").read_text() == "Dear"
+def test_overwriting_touches_no_file_of_another_name(tmp_path):
+    """A folder of photographs has a poses.json too."""
+    scene = tmp_path / "scene"
+    (scene / "raw").mkdir(parents=True)
+    others = [scene / "holiday.jpg", scene / "raw" / "0000.png", scene / ".hidden"]
+    for path in [*others, scene / "poses.json"]:
+        path.write_text("mine")
+    assert make(scene, "--frames", 1, "--overwrite").exit_code == 0
+    assert [path.read_text() for path in others] == ["mine"] * 3
+    assert len(read_poses(scene / "poses.json").panoramas) == 1
+    names = {"0000.png", "0000_depth.exr", "poses.json", "holiday.jpg", "raw", ".hidden"}
+    assert {path.name for path in scene.iterdir()} == names
+
+
+@pytest.mark.parametrize("taken", ["0000.png", "0000_depth.exr", "poses.json"])
+def test_any_file_in_the_way_is_refused_before_anything_is_written(tmp_path, taken):
+    (tmp_path / taken).write_text("mine")
+    assert isinstance(make(tmp_path, "--frames", 1).exception, OutputPathError)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_folder_in_the_way_is_never_replaced(tmp_path):
+    (tmp_path / "0000.png").mkdir()
+    assert isinstance(make(tmp_path, "--frames", 1, "--overwrite").exception, OutputPathError)
+    assert [path.name for path in tmp_path.iterdir()] == ["0000.png"]
+
+
+def test_files_of_other_names_are_no_obstacle(tmp_path):
+    (tmp_path / "dear.txt").write_text("Dear")
+    assert make(tmp_path, "--frames", 1, "--no-depth").exit_code == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"dear.txt", "0000.png", "poses.json"}
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for out in ("file", "file/scene"):
+        assert isinstance(make(tmp_path / out, "--overwrite").exception, OutputPathError)
+
+
+def test_a_failure_keeps_the_scene_that_was_to_be_overwritten(tmp_path, monkeypatch):
+    (tmp_path / "0001.png").write_text("mine")
+
+    def fail(*_, **__):
+        raise RuntimeError("out of light")
+
+    monkeypatch.setattr("omnisyn_cli.scenes.render_panorama", fail)
+    assert isinstance(make(tmp_path, "--overwrite").exception, RuntimeError)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
@@ -65,3 +109,10 @@ def test_names_must_fit_the_frames(tmp_path):
     assert make(tmp_path / "scene", "--frames", 2, "--name", "a.png").exit_code == 2
     twins = make(tmp_path / "scene", "--frames", 2, "--name", "a.png", "--name", "a.jpg")
     assert isinstance(twins.exception, OutputPathError)
+    clash = make(tmp_path / "scene", "--frames", 2, "--name", "a.png", "--name", "a_depth.exr")
+    assert isinstance(clash.exception, OutputPathError)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_kind_can_be_asked_for():
+    assert set(KINDS) == set(GENERATORS)

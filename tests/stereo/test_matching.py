@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stereo_samples import OPENINGS, SIZE, landscape, room
 
-from conftest import OPENINGS, SIZE, landscape, room
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions

@@ -2,16 +2,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stereo_samples import OPENINGS, SIZE, room
 
-from conftest import OPENINGS, SIZE, room
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.planes import find_planes
-from omnisyn_cli.stereo.rectify import rectify
+from omnisyn_cli.stereo.rectify import rectify, resize_area
 from omnisyn_cli.stereo.semi_global import aggregate, census, choose, sweep_cost, warp_cost
 from omnisyn_cli.stereo.sky import find_sky
-from omnisyn_cli.stereo.surfaces import Meridians
+from omnisyn_cli.stereo.surfaces import Meridians, _nearness
 
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
@@ -195,3 +195,20 @@ def test_sky_needs_the_zenith_and_evidence() -> None:
     assert not find_sky(inverse_depth, np.zeros(SMALL, bool), rise, solid_angle).any()
     window = np.where((rise > 0.2) & (rise < 0.5), 0.0, 0.5)
     assert not find_sky(window, seen, rise, solid_angle).any()
+
+
+@pytest.mark.parametrize("size", [(48, 96), (50, 100), (3, 6)])
+def test_nearness_knows_no_seam_at_any_width(size: tuple[int, int]) -> None:
+    mask = RNG.random(size) < 0.1
+    for columns in (1, size[1] // 2):
+        rolled = _nearness(np.roll(mask, columns, axis=1))
+        np.testing.assert_allclose(rolled, np.roll(_nearness(mask), columns, axis=1), atol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(6, 12), (8, 16), (24, 48)])
+def test_resizing_averages_over_the_area_of_a_new_pixel(size: tuple[int, int]) -> None:
+    image = RNG.random((12, 24)).astype(np.float32)
+    fine = np.kron(image, np.ones((4, 4)))
+    factor = 48 // size[0]
+    blocks = fine.reshape(size[0], factor, size[1], factor).mean(axis=(1, 3))
+    np.testing.assert_allclose(resize_area(image, size), blocks, rtol=1e-5)

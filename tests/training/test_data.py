@@ -8,6 +8,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.training import data
 from omnisyn_cli.training.data import Augmentation, draw_batch, list_pool, load_scene, save_scene
 
 ABOVE = Pose(np.eye(3), np.array([0.0, -1.0, 0.0]))
@@ -28,6 +29,32 @@ def test_every_pair_is_photoconsistent(tmp_path, size):
         unmoved = (second - first).abs().mean().item()
         assert difference < 0.02 + 0.02 * (size[0] < 64)
         assert difference < 0.5 * unmoved
+
+
+@pytest.mark.parametrize("stride", [1, 2, 3, 4])
+def test_depth_is_that_of_the_centres_of_the_averaged_blocks(stride):
+    """A plane is sampled where the image is; turning the map around turns the result around."""
+    size, rng = (6, 12), np.random.default_rng(0)
+    row, col = np.mgrid[: 6 * stride, : 12 * stride].astype(np.float32)
+    plane = 1.0 + 1e-3 * row + 2e-3 * col
+    blocks = plane.reshape(6, stride, 12, stride).mean(axis=(1, 3))
+    np.testing.assert_allclose(data._at_block_centres(plane, size), blocks, rtol=1e-6)
+    rough = rng.random(plane.shape, dtype=np.float32)
+    for turn in (np.s_[::-1], np.s_[:, ::-1]):
+        np.testing.assert_allclose(
+            data._at_block_centres(rough[turn], size), data._at_block_centres(rough, size)[turn], rtol=1e-6
+        )
+
+
+def test_where_surfaces_meet_depth_is_that_of_the_nearest():
+    edge = np.array([[1.0, 0.2], [0.2, 0.0]], dtype=np.float32)
+    assert data._at_block_centres(edge, (1, 1)) == 1.0
+
+
+def test_a_pool_that_is_no_multiple_of_the_size_is_refused(tmp_path):
+    pool = list_pool(make_pool(tmp_path))
+    with pytest.raises(InputError, match="multiple of 48 rows, got 64"):
+        draw_batch(pool, np.random.default_rng(0), 1, (48, 96))
 
 
 def test_equal_seeds_draw_equal_batches(tmp_path):

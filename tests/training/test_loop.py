@@ -6,7 +6,7 @@ from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthNetwork
-from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
 
 
@@ -113,3 +113,20 @@ def test_one_pair_can_be_learned_by_heart(tmp_path):
     train(TINY, config, tmp_path / "run", steps=300, report=rows.append)
     assert rows[-1]["delta_10"] > 0.9
     assert isinstance(load_network(tmp_path / "run" / "checkpoint.pt")[0], DepthNetwork)
+
+
+def test_a_compact_checkpoint_is_the_same_network_and_can_be_trained_on(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=3)
+    whole = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
+    save_checkpoint(tmp_path / "new" / "checkpoint.pt", compact(whole))
+    network, _ = load_network(tmp_path / "new" / "checkpoint.pt")
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(value, whole["average"][name], rtol=1e-3, atol=1e-4)
+    small, large = ((tmp_path / name / "checkpoint.pt").stat().st_size for name in ("new", "run"))
+    assert small < large / 3
+    trainer = train(TINY, config, tmp_path / "new", steps=5)
+    assert trainer.step == 5
+    assert all(
+        value.dtype == own.dtype
+        for value, own in zip(trainer.average.values(), network.state_dict().values(), strict=False)
+    )

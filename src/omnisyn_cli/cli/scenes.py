@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +19,9 @@ __all__ = ["scenes"]
 
 POSES_NAME = "poses.json"
 
+KINDS = ("street", "room")
+"""What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
+
 
 @click.group()
 def scenes() -> None:
@@ -29,9 +30,7 @@ def scenes() -> None:
 
 @scenes.command()
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option(
-    "--kind", type=click.Choice(["street", "room"]), default="street", show_default=True, help="What to build."
-)
+@click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="What to build.")
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the first scene; the next ones count on."
 )
@@ -61,7 +60,7 @@ def scenes() -> None:
 )
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
-@click.option("--overwrite", is_flag=True, help="Replace scenes that exist.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def make(
     out: Path,
@@ -83,15 +82,18 @@ def make(
     """Make scenes: panoramas, their depth (EXR, metres) and poses.json.
 
     A scene appears whole or not at all. Equal seeds make equal scenes, whatever the number of threads.
+    What else lies in a folder stays there: --overwrite replaces only files of the names that are written.
     """
     from omnisyn_cli.errors import InputError
+    from omnisyn_cli.io.staging import staged_folder
     from omnisyn_cli.scenes import generate_scene, sample_path
 
     names = names or tuple(f"{frame:04d}.png" for frame in range(frames))
-    _check_names(names, frames)
+    files = [*names, POSES_NAME] if no_depth else [*names, *map(_depth_name, names), POSES_NAME]
+    _check_names(names, files, frames)
     folders = [out] if count == 1 else [out / f"{kind}_{number:04d}" for number in range(1, count + 1)]
     for folder in folders:
-        _check_folder(folder, overwrite)
+        _check_folder(folder, files, overwrite)
     for number, folder in enumerate(folders, start=seed):
         scene = generate_scene(kind, number)
         upright = 1.0 if vertical else 0.0
@@ -99,8 +101,9 @@ def make(
             path = sample_path(scene, number, frames, baseline=baseline, vertical=upright, tilt=math.radians(tilt))
         except ValueError as error:
             raise InputError(f"{kind} of seed {number}: {error}") from error
-        with _complete_folder(folder) as unfinished:
-            _write_scene(unfinished, scene, path, names, size, supersample, threads, with_depth=not no_depth)
+        _make_folder(folder.parent)
+        with staged_folder(folder) as staged:
+            _write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
         if not quiet:
             click.echo(f"{folder}: {kind}, seed {number}, {frames} panoramas", err=True)
 
@@ -123,14 +126,14 @@ def _write_scene(
     for name, pose in zip(names, path, strict=True):
         image, depth = render_panorama(scene, pose, size, supersample=supersample, threads=threads)
         write_image(folder / name, image)
-        depth_file = folder / f"{Path(name).stem}_depth.exr" if with_depth else None
+        depth_file = folder / _depth_name(name) if with_depth else None
         if depth_file is not None:
             write_depth(depth_file, depth)
         panoramas[name] = PosedPanorama(pose, depth=depth_file)
     write_poses(folder / POSES_NAME, panoramas)
 
 
-def _check_names(names: Sequence[str], frames: int) -> None:
+def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> None:
     from omnisyn_cli.errors import OutputPathError
     from omnisyn_cli.io.encode import image_suffix
 
@@ -138,45 +141,31 @@ def _check_names(names: Sequence[str], frames: int) -> None:
         raise click.UsageError(f"expected --name once for each of {frames} frames, got it {len(names)} times")
     if len({Path(name).stem for name in names}) != frames or any(Path(name).name != name for name in names):
         raise OutputPathError(f"{', '.join(names)}: expected different file names without folders; change --name")
+    if len(set(files)) != len(files):
+        raise OutputPathError(f"{', '.join(names)}: expected no image named as the depth of another; change --name")
     for name in names:
         image_suffix(Path(name))
 
 
-def _check_folder(folder: Path, overwrite: bool) -> None:
-    """Refuse to replace what exists; with ``overwrite`` still refuse what does not look like a scene."""
-    from omnisyn_cli.errors import OutputPathError
-
-    if not folder.exists() and not folder.is_symlink():
-        return
-    if not overwrite:
-        raise OutputPathError(
-            f"{folder}: expected a new folder, got one that exists; choose another name or --overwrite"
-        )
-    if folder.is_symlink() or not folder.is_dir() or (any(folder.iterdir()) and not (folder / POSES_NAME).is_file()):
-        raise OutputPathError(
-            f"{folder}: expected a scene to overwrite, got something without {POSES_NAME}; remove it yourself"
-        )
-
-
-@contextmanager
-def _complete_folder(folder: Path) -> Iterator[Path]:
-    """Give a hidden folder beside ``folder``; put it in place at the end, remove it after any failure."""
+def _make_folder(folder: Path) -> None:
     from omnisyn_cli.errors import WriteError
-    from omnisyn_cli.io.paths import temporary_name
 
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        unfinished, replaced = temporary_name(folder.parent), temporary_name(folder.parent)
-        unfinished.mkdir()
-        try:
-            yield unfinished
-            if folder.exists():
-                folder.rename(replaced)
-            unfinished.rename(folder)
-        finally:
-            shutil.rmtree(unfinished, ignore_errors=True)
-            shutil.rmtree(replaced, ignore_errors=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WriteError(
-            f"{folder}: expected to write a scene, got '{error.strerror}'; free some space or choose another place"
-        ) from error
+        raise WriteError(f"{folder}: expected to make it, got '{error.strerror}'; choose another place") from error
+
+
+def _depth_name(name: str) -> str:
+    return f"{Path(name).stem}_depth.exr"
+
+
+def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
+    """Refuse a folder that the files could not be put into, or that has one of them unless ``overwrite``."""
+    from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.staging import check_staged_folder
+
+    check_staged_folder(next(path for path in (folder, *folder.parents) if path.exists()))
+    if folder.is_dir():
+        for file in files:
+            check_output(folder / file, overwrite)

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.scenes import KINDS
+
 __all__ = ["train"]
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -23,7 +25,9 @@ def train() -> None:
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
 @click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
 @click.option("--views", default=3, show_default=True, type=click.IntRange(2, 9), help="Views per scene, on a line.")
-@click.option("--kind", "kinds", multiple=True, help="Kind of scene; may be given several times. [default: all]")
+@click.option(
+    "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
+)
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
 def pool(folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int) -> None:
     """Render procedural scenes into FOLDER; those that are there already stay."""
@@ -61,9 +65,29 @@ def depth(folder: Path, threads: int, minutes: float, steps: int | None, **optio
     variant, height = options.pop("variant"), options.pop("height")
     if variant not in VARIANTS:
         raise click.BadParameter(f"expected one of {', '.join(VARIANTS)}, got {variant!r}", param_hint="--variant")
+    multiple = VARIANTS[variant].size_multiple
+    if height % multiple:
+        raise click.BadParameter(
+            f"expected a multiple of {multiple} for the {variant} network, got {height}", param_hint="--height"
+        )
     folders: dict[str, Any] = {name: str(options.pop(name)) for name in ("pool", "validation_pool")}
     config = TrainConfig(**folders, **options, size=(height, 2 * height))
     run(VARIANTS[variant], config, folder, minutes=minutes, steps=steps, report=_show)
+
+
+@train.command("compact")
+@click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="File to write.")
+def compact_checkpoint(checkpoint: Path, output: Path) -> None:
+    """Keep only the averaged weights of CHECKPOINT, in half precision.
+
+    The result is an eighth of the size. It can be exported, and put into a new folder as checkpoint.pt to train on.
+    """
+    from omnisyn_cli.io import check_output
+    from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
+
+    check_output(output)
+    save_checkpoint(output, compact(load_checkpoint(checkpoint)))
 
 
 def _show(row: dict[str, Any]) -> None:

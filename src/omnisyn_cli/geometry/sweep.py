@@ -33,7 +33,6 @@ __all__ = [
 Array = Any  # numpy.ndarray or torch.Tensor
 
 UP = np.array([0.0, 1.0, 0.0])
-FORWARD = np.array([0.0, 0.0, -1.0])
 
 
 def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:

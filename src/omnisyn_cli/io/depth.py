@@ -17,6 +17,9 @@ __all__ = ["DEPTH_CHANNEL", "is_depth_header", "read_depth", "read_inverse_depth
 
 DEPTH_CHANNEL = "Z"
 
+LEAST_DEPTH = 1e-6
+"""Metres; what is nearer is taken to be here, so that inverse depths stay finite."""
+
 BEYOND_EVERYTHING = 1e9
 """Metres; renderers write such numbers (Blender: 1e10) where their rays hit nothing."""
 
@@ -43,7 +46,8 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.nd
 
 def read_inverse_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.ndarray, "height width"]:
     """As :func:`read_depth`, in 1/metre: zero where there is nothing."""
-    inverse: np.ndarray = np.float32(1) / read_depth(path, max_pixels=max_pixels)
+    depth = np.maximum(read_depth(path, max_pixels=max_pixels), np.float32(LEAST_DEPTH))
+    inverse: np.ndarray = np.float32(1) / depth
     return inverse
 
 

@@ -63,13 +63,20 @@ def read_panorama(path: Path | str, *, allow_aspect: bool = False, max_pixels: i
     return panorama if _is_two_to_one(panorama.image) else _resampled(panorama)
 
 
-def read_mask(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Bool[np.ndarray, "height width"]:
+def read_mask(
+    path: Path | str, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS
+) -> Bool[np.ndarray, "height width"]:
     """Read a mask ``(height, width)``: True (usable) where the first channel is at least half of white.
+
+    Args:
+        path: as for :func:`read_panorama`.
+        allow_aspect: likewise.
+        max_pixels: likewise.
 
     Raises:
         ImageError: as :func:`read_panorama`.
     """
-    panorama = read_panorama(path, max_pixels=max_pixels)
+    panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
     bright = panorama.image[..., 0] >= 0.5
     return bright if panorama.mask is None else bright & panorama.mask
 

@@ -38,10 +38,14 @@ class ImageSequence:
 
     def existing(self) -> list[Path]:
         """Files in the folder that have names of this sequence."""
-        numbered = re.compile(re.escape(self.before) + r"\d+" + re.escape(self.after))
+        numbered = re.compile(re.escape(self.before) + r"(\d+)" + re.escape(self.after))
         if not self.folder.is_dir():
             return []
-        return [file for file in self.folder.iterdir() if numbered.fullmatch(file.name)]
+        return [file for file in self.folder.iterdir() if self._has_name(file, numbered.fullmatch(file.name))]
+
+    def _has_name(self, file: Path, match: re.Match[str] | None) -> bool:
+        """Whether a file is called exactly as one of the frames: with as many zeros, not just with any number."""
+        return match is not None and self.name(int(match.group(1))) == file.name
 
 
 class SequenceWriter:
@@ -134,7 +138,10 @@ def open_sequence(
 
 def _publish(temporary: Path, sequence: ImageSequence) -> None:
     sequence.folder.mkdir(exist_ok=True)
-    for stale in sequence.existing():
-        stale.unlink()
-    for frame in sorted(temporary.iterdir()):
+    frames = sorted(temporary.iterdir())
+    for frame in frames:
         frame.replace(sequence.folder / frame.name)
+    index = len(frames)  # what follows without a gap is the rest of a longer sequence that this one replaces
+    while (stale := sequence.folder / sequence.name(index)).exists():
+        stale.unlink()
+        index += 1

@@ -99,6 +99,11 @@ class DepthConfig:
     refined_widths: tuple[int, ...]
     reach: int
 
+    @property
+    def size_multiple(self) -> int:
+        """Image heights have to be a multiple of this."""
+        return 8 * self.coarse_stride
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a checkpoint."""
         return asdict(self)
@@ -267,7 +272,7 @@ class DepthNetwork(nn.Module):
             ValueError: the size is not 1:2 or not a multiple of eight times the coarse stride.
         """
         height, width = sizes(first)[-2:]
-        multiple = 8 * self.config.coarse_stride
+        multiple = self.config.size_multiple
         if height % multiple or width != 2 * height:
             raise ValueError(f"expected images 1:2 with multiples of {multiple} rows, got {height}×{width}")
         both = self.encoder(torch.cat([first, second]))

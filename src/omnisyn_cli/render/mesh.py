@@ -61,13 +61,10 @@ class Cut:
     Attributes:
         relative: largest step of inverse depth relative to the nearer vertex, in (0, 1]. None switches the test off.
         metres: largest step of depth (the paper's criterion, there 2 m). None switches the test off.
-        planar: an edge is spared if its step is at most this many times one of the steps before and after it, as on a
-            surface seen at a grazing angle. 0 spares none.
     """
 
     relative: float | None = 0.05
     metres: float | None = None
-    planar: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -212,16 +209,20 @@ def build_mesh(
     if mask is not None:
         beside |= mask != np.roll(mask, -1, axis=1)
         below |= mask[:-1] != mask[1:]
-    quads = TOP * beside[:-1] + BOTTOM * beside[1:] + LEFT * below + RIGHT * np.roll(below, -1, axis=1)
+    quads = _flag(TOP, beside[:-1]) | _flag(BOTTOM, beside[1:]) | _flag(LEFT, below)
+    quads |= _flag(RIGHT, np.roll(below, -1, axis=1))
     right = np.roll(rho, -1, axis=1)
     falling, rising = np.abs(rho[:-1] - right[1:]), np.abs(rho[1:] - right[:-1])
-    quads = quads + DIAGONAL * (rising < falling)
+    quads |= _flag(DIAGONAL, rising < falling)
     caps = _caps(rho, beside, mask)
     if mask is not None:
-        quads = quads + REMOVED * ~_any_corner(mask)
+        quads |= _flag(REMOVED, ~_any_corner(mask))
         rho = np.where(mask, rho, np.float32(NO_SURFACE))
-    quads = quads.astype(np.uint8)
     return Mesh(rho, quads, caps, _trust(quads, confidence))
+
+
+def _flag(bit: int, where: np.ndarray) -> np.ndarray:
+    return np.where(where, np.uint8(bit), np.uint8(0))
 
 
 def mask_of_vertices(
@@ -260,17 +261,7 @@ def _cut_edges(rho: np.ndarray, cut: Cut, axis: int) -> np.ndarray:
         is_cut |= np.abs(step) > cut.relative * np.maximum(np.maximum(rho, following), _TINY)
     if cut.metres is not None:
         is_cut |= np.abs(step) > cut.metres * rho * following
-    if cut.planar > 0:
-        is_cut &= ~_is_grazing(step, cut.planar, axis)
     return is_cut
-
-
-def _is_grazing(step: np.ndarray, planar: float, axis: int) -> np.ndarray:
-    before, after = np.roll(step, 1, axis=axis), np.roll(step, -1, axis=axis)
-    if axis == 0:
-        before[0], after[-1] = 0.0, 0.0
-    same_way = np.maximum(before * np.sign(step), after * np.sign(step))
-    return np.asarray(np.abs(step) <= planar * same_way)
 
 
 def _caps(rho: np.ndarray, beside: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
@@ -280,7 +271,7 @@ def _caps(rho: np.ndarray, beside: np.ndarray, mask: np.ndarray | None) -> np.nd
         first, second = rho[row], np.roll(rho[row], -1)
         farther = np.minimum(first, second)
         smooth = np.stack([np.full_like(first, np.median(first)), first, second], axis=-1)
-        caps[cap] = np.where(beside[row][:, None] | beside[row].any(), farther[:, None], smooth)
+        caps[cap] = farther[:, None] if beside[row].any() else smooth
         if mask is not None:
             caps[cap, ~(mask[row] & np.roll(mask[row], -1))] = NO_SURFACE
     return caps

@@ -36,7 +36,7 @@ class Texture:
     Attributes:
         size: height and width of the full resolution.
         texels: all levels one after the other, float32, each ``(height + 4, width + 4, 4)`` with a border of two
-            pixels; level k is half the size of level k − 1, averaged over 2×2 pixels.
+            pixels; level k is half the size of level k − 1 (rounded down), averaged.
         layout: per level: offset in ``texels``, numbers per row, and (row, col) of an angle as scale and offset.
     """
 
@@ -48,19 +48,46 @@ class Texture:
 def make_texture(
     image: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "height width"] | None = None
 ) -> Texture:
-    """Mip levels of a panorama, down to 8 rows or an odd size; alpha is 1, or 0 where ``mask`` is False."""
-    height, width = image.shape[:2]
-    alpha = np.ones((height, width, 1), np.float32) if mask is None else mask[..., None].astype(np.float32)
-    level = np.concatenate([image.astype(np.float32), alpha], axis=-1)
-    levels, layout, offset = [], [], 0
-    while True:
-        padded = _with_border(level)
-        levels.append(padded.ravel())
-        layout.append((offset, padded.shape[1] * CHANNELS, *_angle_to_texel(level.shape[:2])))
-        offset += padded.size
-        if level.shape[0] % 2 or level.shape[1] % 4 or level.shape[0] <= SMALLEST_LEVEL:
-            return Texture((height, width), np.concatenate(levels), np.array(layout))
-        level = 0.25 * (level[0::2, 0::2] + level[1::2, 0::2] + level[0::2, 1::2] + level[1::2, 1::2])
+    """Mip levels of a panorama, down to 8 rows; alpha is 1, or 0 where ``mask`` is False. The width has to be even."""
+    sizes = _level_sizes(*image.shape[:2])
+    counts = [(rows + 2 * BORDER) * (cols + 2 * BORDER) * CHANNELS for rows, cols in sizes]
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    texels = np.empty(offsets[-1], np.float32)
+    layout = []
+    level = np.empty((0, 0, CHANNELS), np.float32)
+    for (rows, cols), offset, count in zip(sizes, offsets, counts, strict=False):
+        bordered = texels[offset : offset + count].reshape(rows + 2 * BORDER, cols + 2 * BORDER, CHANNELS)
+        inside = bordered[BORDER:-BORDER, BORDER:-BORDER]
+        if offset == 0:
+            inside[..., :3] = image
+            inside[..., 3] = 1.0 if mask is None else mask
+        else:
+            inside[:] = _shrunk(_shrunk(level, rows, axis=0), cols, axis=1)
+        _repeat_border(bordered)
+        layout.append((offset, bordered.shape[1] * CHANNELS, *_angle_to_texel((rows, cols))))
+        level = inside
+    return Texture(sizes[0], texels, np.array(layout, np.float64))
+
+
+def _level_sizes(height: int, width: int) -> list[tuple[int, int]]:
+    """Each half of the one before, widths even, so that the other side of a pole is a whole number of columns away."""
+    sizes = [(height, width)]
+    while sizes[-1][0] > SMALLEST_LEVEL and sizes[-1][1] >= 8:
+        rows, cols = sizes[-1]
+        sizes.append((rows // 2, 2 * (cols // 4)))
+    return sizes
+
+
+def _shrunk(image: np.ndarray, count: int, axis: int) -> np.ndarray:
+    """Mean over equal parts of one axis; the parts need not be whole numbers of pixels."""
+    pixels = np.moveaxis(image, axis, 0)
+    if len(pixels) == 2 * count:
+        return np.moveaxis(np.float32(0.5) * (pixels[0::2] + pixels[1::2]), 0, axis)
+    edges = np.arange(count + 1) * (len(pixels) / count)
+    whole = np.minimum(edges.astype(np.intp), len(pixels) - 1)
+    sums = np.concatenate([np.zeros((1, *pixels.shape[1:])), np.cumsum(pixels, axis=0, dtype=np.float64)])
+    up_to_edge = sums[whole] + (edges - whole)[:, None, None] * pixels[whole]
+    return np.moveaxis(np.diff(up_to_edge, axis=0) * (count / len(pixels)), 0, axis)
 
 
 def _angle_to_texel(size: tuple[int, int]) -> tuple[float, float, float, float]:
@@ -69,11 +96,14 @@ def _angle_to_texel(size: tuple[int, int]) -> tuple[float, float, float, float]:
     return row_scale, row_offset + BORDER, col_scale, col_offset + BORDER
 
 
-def _with_border(image: np.ndarray) -> np.ndarray:
-    """Two more pixels on every side: beyond a pole the image goes on half a turn away."""
-    over = np.roll(image, image.shape[1] // 2, axis=1)
-    tall = np.concatenate([over[:BORDER][::-1], image, over[-BORDER:][::-1]], axis=0)
-    return np.ascontiguousarray(np.concatenate([tall[:, -BORDER:], tall, tall[:, :BORDER]], axis=1))
+def _repeat_border(bordered: np.ndarray) -> None:
+    """Fill two pixels on every side: beyond a pole the image goes on half a turn away."""
+    inside = bordered[BORDER:-BORDER, BORDER:-BORDER]
+    half_turn = inside.shape[1] // 2
+    bordered[:BORDER, BORDER:-BORDER] = np.roll(inside[:BORDER], half_turn, axis=1)[::-1]
+    bordered[-BORDER:, BORDER:-BORDER] = np.roll(inside[-BORDER:], half_turn, axis=1)[::-1]
+    bordered[:, :BORDER] = bordered[:, -2 * BORDER : -BORDER]
+    bordered[:, -BORDER:] = bordered[:, BORDER : 2 * BORDER]
 
 
 class Shader:

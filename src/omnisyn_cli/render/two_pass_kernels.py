@@ -10,8 +10,6 @@ from omnisyn_cli.jit import kernel
 
 __all__ = ["draw_flat_triangles", "flatten_triangles"]
 
-NOTHING = -1
-
 
 @kernel()
 def flatten_triangles(direction, rho, rotation, t, scale, corners, begin, end):

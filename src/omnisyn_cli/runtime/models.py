@@ -90,9 +90,7 @@ def find_model(name: str, folder: Path | None = None) -> Path:
     """
     if name.endswith(".onnx"):
         if not Path(name).is_file():
-            raise InputError(
-                f"expected an ONNX file at {name}, found none; `omnisyn models` lists those that come along"
-            )
+            raise InputError(f"expected an ONNX file at {name}, found none; check the path")
         return Path(name)
     folder = folder or models_folder()
     entries = read_manifest(folder)

@@ -19,6 +19,7 @@ from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, flip, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
+from omnisyn_cli.stereo.thread_limit import limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["MatchingDepthEstimator", "MatchingOptions"]
@@ -37,9 +38,14 @@ class MatchingDepthEstimator:
     Estimates have ``options.size`` whatever the size of the images. The sky is 0. Near the two epipoles, where nothing
     can be measured, and wherever only one view sees, values are carried on from the surroundings with a confidence
     near 0. Panoramas from one position have no parallax: everything is then 0 with confidence 0.
+
+    Attributes:
+        options: what may be believed.
+        threads: at most this many; None = as many as numba and OpenCV are set to. The result does not depend on it.
     """
 
     options: MatchingOptions = field(default_factory=MatchingOptions)
+    threads: int | None = None
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -48,9 +54,10 @@ class MatchingDepthEstimator:
         if np.array_equal(first.pose.position, second.pose.position):
             return self._nothing(), self._nothing()
         height, width = self.options.size
-        pair = rectify(first, second, (height // 2, width // 2))
-        there, back = self._match(pair)
-        return self._finish(first, pair, there), self._finish(second, pair.reversed(), back)
+        with limited_threads(self.threads):
+            pair = rectify(first, second, (height // 2, width // 2))
+            there, back = self._match(pair)
+            return self._finish(first, pair, there), self._finish(second, pair.reversed(), back)
 
     def _match(self, pair: RectifiedPair) -> tuple[Matches, Matches]:
         """Both directions; ``seen`` is what they agree on."""

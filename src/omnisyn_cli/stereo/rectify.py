@@ -83,10 +83,13 @@ def flip(values: np.ndarray) -> np.ndarray:
 
 
 def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Averages over the source pixels when shrinking, bilinear when growing; seam and poles need no care."""
+    """Averages over the area that a new pixel covers; growing by a whole factor repeats pixels.
+
+    No new pixel covers anything beyond the border, so seam and poles need no care.
+    """
     if image.shape[:2] == size:
         return np.asarray(image, np.float32)
-    return np.asarray(cv2.resize(image.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA))
+    return np.asarray(cv2.resize(np.ascontiguousarray(image, np.float32), size[::-1], interpolation=cv2.INTER_AREA))
 
 
 def _turn(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:

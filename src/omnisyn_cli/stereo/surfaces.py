@@ -211,8 +211,9 @@ def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> tuple[n
 def _nearness(mask: np.ndarray) -> np.ndarray:
     """1 among pixels of a mask, falling to 0 some 10° away."""
     height, width = mask.shape
-    wide = np.concatenate([mask[:, -width // 8 :], mask, mask[:, : width // 8]], axis=1).astype(np.float32)
-    density = cv2.GaussianBlur(wide, (0, 0), height / 24.0)[:, width // 8 : width // 8 + width]
+    margin = max(1, width // 8)
+    wide = np.concatenate([mask[:, -margin:], mask, mask[:, :margin]], axis=1).astype(np.float32)
+    density = cv2.GaussianBlur(wide, (0, 0), height / 24.0)[:, margin:-margin]
     return np.asarray(np.minimum(density / 0.05, 1.0))
 
 

@@ -10,7 +10,7 @@ import torch
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["load_checkpoint", "save_checkpoint"]
+__all__ = ["compact", "load_checkpoint", "save_checkpoint"]
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -22,6 +22,16 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     partial.replace(path)
+
+
+def compact(state: dict[str, Any]) -> dict[str, Any]:
+    """The averaged weights in half precision and what is known about them: an eighth of the checkpoint, to be kept.
+
+    It can be exported, and a run that starts from it goes on with these weights and a fresh optimiser.
+    """
+    kept = {key: state[key] for key in ("kind", "network", "training", "step", "scores")}
+    average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
+    return {**kept, "average": average}
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:

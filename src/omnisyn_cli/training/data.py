@@ -28,6 +28,9 @@ from omnisyn_cli.geometry.sampling import wrap_pixel
 
 __all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "load_scene", "save_scene"]
 
+ONE_SURFACE = 0.1
+"""Relative difference of inverse depth between neighbouring pixels that still belong together."""
+
 
 @dataclass(frozen=True)
 class PoolScene:
@@ -118,6 +121,9 @@ def draw_batch(
     """Random pairs of random scenes at ``size`` (a whole fraction of the pool's size).
 
     Without an augmentation the colours stay as they are; pairs are still read from either end and mirrored at random.
+
+    Raises:
+        InputError: the pool's size is not a multiple of ``size``.
     """
     pairs = [_draw_pair(load_scene(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(batch)]
     first, second, inverse_depth, baseline = (np.stack(column) for column in zip(*pairs, strict=True))
@@ -133,6 +139,10 @@ def draw_batch(
 def _draw_pair(
     scene: PoolScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.float32]:
+    if scene.images.shape[1] % size[0]:
+        raise InputError(
+            f"expected a pool of a multiple of {size[0]} rows, got {scene.images.shape[1]}; render another"
+        )
     near, far = sorted(rng.choice(len(scene.along), 2, replace=False))
     baseline = np.float32(scene.along[far] - scene.along[near])
     first, second, inverse_depth = scene.images[near], scene.images[far], scene.inverse_depth[near]
@@ -143,8 +153,7 @@ def _draw_pair(
     colours = np.stack([_shrink(first, size), _shrink(second, size)])
     if augmentation is not None:
         colours = vary_colours(colours, rng, augmentation)
-    stride = inverse_depth.shape[0] // size[0]
-    return colours[0], colours[1], inverse_depth[stride // 2 :: stride, stride // 2 :: stride], baseline
+    return colours[0], colours[1], _at_block_centres(inverse_depth, size), baseline
 
 
 def _shrink(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -> Float32[np.ndarray, "h w 3"]:
@@ -152,6 +161,20 @@ def _shrink(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -
     if image.shape[0] != size[0]:
         image = cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(image, dtype=np.float32) / np.float32(255.0)
+
+
+def _at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
+    """Values at the centres of the blocks that :func:`_shrink` averages over.
+
+    The centre of an even block lies between four pixels: it has their mean if they are of one surface, else the
+    nearest of them, because a mean of two surfaces lies on neither.
+    """
+    stride = inverse_depth.shape[0] // size[0]
+    sides = ((stride - 1) // 2, stride // 2)
+    around = np.stack([inverse_depth[row::stride, col::stride] for row in sides for col in sides])
+    nearest = around.max(axis=0)
+    one_surface = around.min(axis=0) >= (1.0 - ONE_SURFACE) * nearest
+    return np.asarray(np.where(one_surface, around.mean(axis=0), nearest))
 
 
 def vary_colours(

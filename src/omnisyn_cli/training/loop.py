@@ -94,12 +94,14 @@ class Trainer:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint; the rates come from this trainer's own configuration."""
-        self.network.load_state_dict(state["weights"])
-        self.average = {name: value.clone() for name, value in state["average"].items()}
-        self.optimizer.load_state_dict(state["optimizer"])
+        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""
+        self.network.load_state_dict(state.get("weights", state["average"]))
+        own = self.network.state_dict()
+        self.average = {name: value.to(own[name].dtype, copy=True) for name, value in state["average"].items()}
+        if "optimizer" in state:
+            self.optimizer.load_state_dict(state["optimizer"])
         self.step = state["step"]
-        self.cooldown_start = state["cooldown_start"]
+        self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
 
     def rate(self) -> float:

@@ -7,7 +7,7 @@ poses (each view is turned by a fraction of a degree that nobody is told).
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sweep import epipole_frame
-from omnisyn_cli.scenes import generate_scene, render_views, sample_path
+from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
 __all__ = ["PoolConfig", "fill_pool", "render_pool_scene"]
@@ -51,11 +51,14 @@ def render_pool_scene(seed: int, config: PoolConfig) -> PoolScene:
     """The scene of a seed, seen from a few positions along a line; equal seeds give equal scenes.
 
     Raises:
-        ValueError: the scene has no room for a path.
+        ValueError: the scene has no room for a path, or there is no such kind.
     """
-    rng = np.random.default_rng([7, seed])
     scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
-    path = sample_path(scene, seed, STOPS)
+    return _render_along(scene, sample_path(scene, seed, STOPS), seed, config)
+
+
+def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolConfig) -> PoolScene:
+    rng = np.random.default_rng([7, seed])
     between = np.sort(rng.choice(np.arange(1, STOPS - 1), config.views - 2, replace=False))
     chosen = [path[0], *(path[i] for i in between), path[-1]]
     frame = epipole_frame(path[0], path[-1])[0].rotation
@@ -97,10 +100,11 @@ def _give_way() -> None:
 
 
 def _render_to_file(folder: Path, seed: int, config: PoolConfig) -> Path | None:
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
     try:
-        scene = render_pool_scene(seed, config)
-    except ValueError:
+        path = sample_path(scene, seed, STOPS)
+    except ValueError:  # no room
         return None
-    path = scene_path(folder, seed)
-    save_scene(path, scene)
-    return path
+    file = scene_path(folder, seed)
+    save_scene(file, _render_along(scene, path, seed, config))
+    return file

@@ -1,0 +1,59 @@
+"""The limit holds inside, is gone afterwards, and changes no result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numba
+import numpy as np
+import pytest
+from stereo_samples import OPENINGS, room
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.stereo import matching
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.thread_limit import limited_threads
+
+SMALL = MatchingOptions(size=(96, 192))
+
+
+def counts() -> tuple[int, int]:
+    return numba.get_num_threads(), cv2.getNumThreads()
+
+
+def test_the_limit_holds_inside_and_is_gone_after_a_failure() -> None:
+    before = counts()
+
+    def fail() -> None:
+        with limited_threads(1):
+            assert counts() == (1, 1)
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert counts() == before
+
+
+@pytest.mark.parametrize("threads", [None, 10_000])
+def test_a_limit_above_what_there_is_changes_nothing(threads: int | None) -> None:
+    before = counts()
+    with limited_threads(threads):
+        assert counts() == before
+
+
+def test_there_is_at_least_one_thread() -> None:
+    with pytest.raises(ValueError, match="got 0"), limited_threads(0):
+        pass
+
+
+def test_an_estimate_keeps_to_its_threads_and_does_not_depend_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    views = room(Pose.identity(), SMALL.size)[0], room(OPENINGS["level"], SMALL.size)[0]
+    seen = []
+    plain = matching.fill
+    monkeypatch.setattr(matching, "fill", lambda *a: seen.append(counts()) or plain(*a))
+    many = MatchingDepthEstimator(SMALL)
+    for free, limited in zip(many(*views), replace(many, threads=1)(*views), strict=True):
+        np.testing.assert_array_equal(free.inverse_depth, limited.inverse_depth)
+        np.testing.assert_array_equal(free.confidence, limited.confidence)
+    assert seen == [counts()] * 2 + [(1, 1)] * 2
