@@ -1,5 +1,6 @@
 """From files to frames: the photographs at the ends, every kind of input, and all of it or nothing."""
 
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -255,7 +256,6 @@ def test_frames_follow_from_duration_and_rate(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN)
     assert len(plan_interpolation(job_of(tmp_path, images, frames=None)).path) == 180
     assert len(plan_interpolation(job_of(tmp_path, images, frames=None, duration=2.0, fps=12.5)).path) == 25
-    assert len(plan_interpolation(job_of(tmp_path, images, frames=9, duration=2.0)).path) == 9
 
 
 REFUSED = {
@@ -381,3 +381,30 @@ def test_the_encoder_is_named_after_the_pattern(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
     plan = plan_interpolation(job_of(tmp_path, images, output=tmp_path / "frame_%05d.jpg"))
     assert plan.describe()["encoder"] == "jpg images"
+
+
+def test_what_headers_tell_is_refused_before_anything_is_decoded(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    with pytest.raises(InputError, match="either frames or a duration"):
+        plan_interpolation(job_of(tmp_path, images, duration=2.0))
+    with pytest.raises(InputError, match="at most"):
+        plan_interpolation(job_of(tmp_path, images, size=(50_000, 100_000)))
+    write_image(tmp_path / "p0_depth.png", as_bytes(hall_image(CHAIN[0])))
+    text = (tmp_path / "poses.json").read_text().replace("p0_depth.exr", "p0_depth.png")
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(ImageError, match="expected depth as EXR"):
+        plan_interpolation(job_of(tmp_path, images))
+    write_image(images[0], np.zeros((1, 2, 3), np.uint8))
+    with pytest.raises(ImageError, match="at least 4×2"):
+        plan_interpolation(job_of(tmp_path, images))
+
+
+def test_depth_of_some_panoramas_only_is_said_not_to_be_used(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    text = (tmp_path / "poses.json").read_text()
+    entries = json.loads(text)
+    del entries["panoramas"][images[1].name]["depth"]
+    (tmp_path / "poses.json").write_text(json.dumps(entries))
+    (note,) = plan_interpolation(job_of(tmp_path, images)).notes
+    assert images[0].name in note
+    assert "matching" in note

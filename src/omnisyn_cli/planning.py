@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
-from omnisyn_cli.io import PosedPanorama, check_output, check_video, read_header, read_poses, sample_type
+from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, check_output, check_video, read_header, read_poses, sample_type
+from omnisyn_cli.io.depth import check_depth_header
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
@@ -32,6 +33,9 @@ DEPTH_METHODS = ("auto", "matching", "file", "network")
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
+
+LEAST_HEIGHT = 2
+"""Rows of the smallest panorama that a surface can be made of."""
 
 MOST_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
@@ -155,7 +159,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
     memory = _memory(size, source_sizes, _depth_sizes(entries, depth), job.renderer)
     return InterpolationPlan(
-        job, entries, source_sizes, size, path, depth, path_length(poses), memory, tuple(_notes(job, entries))
+        job, entries, source_sizes, size, path, depth, path_length(poses), memory, tuple(_notes(job, entries, depth))
     )
 
 
@@ -176,12 +180,17 @@ def _size_of(image: Path, allow_aspect: bool) -> tuple[int, int]:
     """Height and width of the panorama that :func:`omnisyn_cli.io.read_panorama` will make of a file."""
     placement = placement_of(read_header(image))
     height, width = placement.full_height, placement.full_width
+    if min(height, width // 2) < LEAST_HEIGHT:
+        raise ImageError(
+            f"{image}: expected a panorama of at least {2 * LEAST_HEIGHT}×{LEAST_HEIGHT} pixels, got {width}×{height}; "
+            "choose a larger image"
+        )
     if width == 2 * height:
         return height, width
     if not allow_aspect:
         raise ImageError(
             f"{image}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
-            "stitch it to 2:1, or allow other aspect ratios if the image does cover the whole sphere"
+            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
         )
     return width // 2, width // 2 * 2
 
@@ -193,6 +202,11 @@ def _even(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _frame_count(job: InterpolationJob) -> int:
+    if job.frames is not None and job.duration is not None:
+        raise InputError(
+            f"expected either frames or a duration, got {job.frames} frames and {job.duration:g} s; name one, and the "
+            "frames per second"
+        )
     seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
     count = job.frames if job.frames is not None else seconds * job.fps
     if not math.isfinite(count) or count > MOST_FRAMES:
@@ -244,12 +258,14 @@ def _check_companions(entries: Sequence[PosedPanorama], depth: str) -> None:
         if entry.mask is not None:
             read_header(entry.mask)
         if entry.depth is not None and depth == "file":
-            read_header(entry.depth)
+            check_depth_header(read_header(entry.depth))
 
 
 def _check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
     if size[1] != 2 * size[0]:
         raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise InputError(f"expected a size of at most {MAX_PIXELS:,} pixels, got {size[1]}x{size[0]}; ask for less")
     check_video(
         job.output,
         size=size,
@@ -307,7 +323,10 @@ def _encoder(job: InterpolationJob) -> str:
     return f"{job.codec or 'h264'}{quality} preset {job.preset or codec.preset}"
 
 
-def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
+def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) -> Iterator[str]:
+    named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
+    if job.depth == "auto" and depth == "matching" and named:
+        yield f"{job.poses.name} names depth for {', '.join(named)} only: depth of all comes from matching"
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
             same = second.pose.almost_equals(first.pose)

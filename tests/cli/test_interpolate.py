@@ -338,6 +338,6 @@ def test_panoramas_of_16_bits_may_become_any_kind_of_frame(tmp_path: Path, pair:
     images = [pair[0], deep]
     for codec in ("png", "jpg", "exr", "tif"):
         result = run_cli(capsys, "interpolate", *images, "--poses", tmp_path / "poses.json", "-o", tmp_path / codec,
-                         "--frames", 2, "--codec", codec)  # fmt: skip
+                         "--frames", 2, "--codec", codec, "-q")  # fmt: skip
         assert (result.code, result.err) == (0, "")
         assert sorted(file.name for file in (tmp_path / codec).iterdir()) == [f"000000.{codec}", f"000001.{codec}"]

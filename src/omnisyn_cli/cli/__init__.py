@@ -108,6 +108,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
         return 1
+    except OSError as error:
+        return _failed(f"expected to print the result, got '{error.strerror or error}'; check where it is sent", 1)
     return result if isinstance(result, int) else 0
 
 

@@ -166,5 +166,5 @@ def _progress(plan: InterpolationPlan, *, is_shown: bool) -> Iterator[Callable[[
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("frames", total=len(plan.path))
-        yield lambda done: progress.update(task, completed=done)
+        task = progress.add_task("depth (compiles for a minute after installation)", total=len(plan.path))
+        yield lambda done: progress.update(task, completed=done, description="frames" if done > 1 else None)

@@ -13,7 +13,7 @@ from omnisyn_cli.io.encode import write_channels
 from omnisyn_cli.io.images import upright
 from omnisyn_cli.io.paths import check_output, replaced_when_complete
 
-__all__ = ["DEPTH_CHANNEL", "is_depth_header", "read_depth", "read_inverse_depth", "write_depth"]
+__all__ = ["DEPTH_CHANNEL", "check_depth_header", "is_depth_header", "read_depth", "read_inverse_depth", "write_depth"]
 
 DEPTH_CHANNEL = "Z"
 
@@ -71,6 +71,16 @@ def write_depth(path: Path | str, depth: Float[np.ndarray, "height width"]) -> N
         write_channels(temporary, depth.astype(np.float32), (DEPTH_CHANNEL,), target)
 
 
+def check_depth_header(header: ImageHeader) -> None:
+    """Refuse a file that :func:`read_depth` would refuse for what its header says, before it is decoded.
+
+    Raises:
+        ImageError: of another kind than depth, or not 2:1.
+    """
+    _depth_channel(header)
+    _check_aspect(header.path, header.height, header.width)
+
+
 def is_depth_header(header: ImageHeader) -> bool:
     """Whether a file is meant as depth: EXR with a ``Z`` or only one channel and no colours, or a 16-bit grey PNG."""
     if header.format == "openexr":
@@ -106,12 +116,15 @@ def _depth_channel(header: ImageHeader) -> int:
 
 
 def _check_depth(path: Path, depth: np.ndarray) -> None:
-    height, width = depth.shape
-    if width != 2 * height:
-        raise ImageError(f"{path}: expected depth twice as wide as high, got {width}×{height}; render it to 2:1")
+    _check_aspect(path, *depth.shape)
     undefined, negative = np.count_nonzero(np.isnan(depth)), np.count_nonzero(depth < 0)
     if undefined or negative:
         raise ImageError(
             f"{path}: expected depths in metres or infinity, got {undefined} NaN and {negative} negative of "
             f"{depth.size} pixels; write infinity where nothing is there"
         )
+
+
+def _check_aspect(path: Path, height: int, width: int) -> None:
+    if width != 2 * height:
+        raise ImageError(f"{path}: expected depth twice as wide as high, got {width}×{height}; render it to 2:1")

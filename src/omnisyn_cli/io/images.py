@@ -184,7 +184,7 @@ def _check_aspect(header: ImageHeader, placement: Placement, allow_aspect: bool)
     if not (allow_aspect and width >= 2) and width != 2 * height:
         raise ImageError(
             f"{header.path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
-            "stitch it to 2:1, or allow other aspect ratios if the image does cover the whole sphere"
+            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
         )
 
 

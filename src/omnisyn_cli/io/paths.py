@@ -25,7 +25,7 @@ def check_output(path: Path | str, overwrite: bool = False) -> None:
         raise OutputPathError(f"{target}: expected a file name, got a folder; add a file name to it")
     if not overwrite and (target.exists() or target.is_symlink()):
         raise OutputPathError(
-            f"{target}: expected a new file, got one that exists; choose another name or allow overwriting"
+            f"{target}: expected a new file, got one that exists; choose another or allow overwriting (--overwrite)"
         )
 
 

@@ -105,7 +105,7 @@ def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
     if not overwrite and (existing := sequence.existing()):
         raise OutputPathError(
             f"{folder}: expected a folder without such frames, got {len(existing)} (e.g. {min(existing).name}); "
-            "choose another folder or allow overwriting"
+            "choose another folder or allow overwriting (--overwrite)"
         )
 
 
