@@ -109,8 +109,12 @@ class Rasterizer:
             )
 
         run_bands(transform, height, self.threads)
-        run_bands(find_cut, len(cut_quads), self.threads)
-        run_bands(block, height - 1, self.threads)
+        if self.threads == 1:  # one band takes everything: nothing has to be sorted into bands
+            self._block_rows[..., 0], self._block_rows[..., 1] = 0, self.size[0]
+            cut_rows[:, 0], cut_rows[:, 1] = 0, self.size[0]
+        else:
+            run_bands(find_cut, len(cut_quads), self.threads)
+            run_bands(block, height - 1, self.threads)
         run_bands(fill, self.size[0], self.threads)
         return self._fragments
 
