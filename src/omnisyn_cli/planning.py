@@ -338,7 +338,7 @@ PROGRAM = 450e6
 """Bytes of the interpreter, its libraries, compiled kernels and matching."""
 
 BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
-"""Measured: mesh and buffers; splats; explicit triangles."""
+"""Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
 
 
 def _memory(
