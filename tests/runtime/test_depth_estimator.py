@@ -8,8 +8,8 @@ import pytest
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame
-from omnisyn_cli.runtime.depth import LearnedDepthEstimator, free_space_agreement, turn
+from omnisyn_cli.geometry.sweep import epipole_frame, free_space_agreement
+from omnisyn_cli.runtime.depth import LearnedDepthEstimator, turn
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.types import View
 
@@ -96,7 +96,7 @@ def test_panoramas_that_are_not_two_to_one_are_refused():
 def test_who_looks_through_a_surface_contradicts_it_and_who_is_blocked_does_not():
     frame, other, baseline = epipole_frame(FIRST, SECOND)
     there, back = ball(frame)[0] * baseline, ball(other)[0] * baseline
-    up = np.array([0.0, -1.0, 0.0])
+    up = Pose(np.eye(3), np.array([0.0, -1.0, 0.0]))
     assert free_space_agreement(there, back, up).min() > 0.9
     assert free_space_agreement(there, 2 * back, up).min() > 0.9  # something nearer hides it
     assert free_space_agreement(there, 0.5 * back, up).max() < 0.1

@@ -9,7 +9,7 @@ SMALL = PoolConfig(size=(16, 32), views=2, supersample=1)
 
 def test_a_kind_that_does_not_exist_is_not_skipped(tmp_path):
     with pytest.raises(ValueError, match="streets"):
-        pool._render_to_file(tmp_path, 0, PoolConfig(kinds=("streets",)))
+        pool.render_to_pool(tmp_path, 0, PoolConfig(kinds=("streets",)))
 
 
 def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypatch):
@@ -19,13 +19,13 @@ def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(pool, "render_views", no_room)
         with pytest.raises(ValueError, match="no room"):
-            pool._render_to_file(tmp_path, 0, SMALL)
+            pool.render_to_pool(tmp_path, 0, SMALL)
     monkeypatch.setattr(pool, "sample_path", no_room)
-    assert pool._render_to_file(tmp_path, 0, SMALL) is None
+    assert pool.render_to_pool(tmp_path, 0, SMALL) is None
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_file_of_a_seed_is_its_scene(tmp_path):
-    path = pool._render_to_file(tmp_path, 4, SMALL)
+    path = pool.render_to_pool(tmp_path, 4, SMALL)
     assert path == tmp_path / "00000004.npz"
     assert (load_scene(path).images == render_pool_scene(4, SMALL).images).all()

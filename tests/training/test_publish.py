@@ -19,7 +19,7 @@ def options(**changes):
 
 
 def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
-    entry, difference = publish.publish_depth(checkpoint, tmp_path / "models", **options(pool=tmp_path / "pool"))
+    entry, difference = publish.publish(checkpoint, tmp_path / "models", **options(pool=tmp_path / "pool"))
     assert difference < 1e-4
     assert (entry.name, entry.role, entry.size, entry.training) == ("depth-tiny", "depth", (64, 128), "1 steps")
     assert read_manifest(tmp_path / "models") == {"depth-tiny": entry}
@@ -29,7 +29,7 @@ def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
 def test_a_model_that_says_something_else_is_refused(tmp_path, checkpoint, monkeypatch):
     monkeypatch.setattr(publish, "largest_difference", lambda *_: 0.01)
     with pytest.raises(OmnisynError, match="not exported"):
-        publish.publish_depth(checkpoint, tmp_path / "models", **options())
+        publish.publish(checkpoint, tmp_path / "models", **options())
     assert list((tmp_path / "models").iterdir()) == []
 
 

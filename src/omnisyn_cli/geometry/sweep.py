@@ -21,10 +21,13 @@ from array_api_compat import array_namespace
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
 
 __all__ = [
     "epipole_frame",
     "forward_frame",
+    "free_space_agreement",
     "inverse_depth_from_parallax",
     "parallax_from_inverse_depth",
     "sweep_directions",
@@ -33,6 +36,12 @@ __all__ = [
 Array = Any  # numpy.ndarray or torch.Tensor
 
 UP = np.array([0.0, 1.0, 0.0])
+
+TOLERANCE = 0.1
+"""Relative error in inverse depth that counts as agreement between two views."""
+
+INFINITE = 1e-3
+"""Inverse depth × baseline below which two values need not agree."""
 
 
 def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
@@ -107,6 +116,28 @@ def sweep_directions(
     translation = xp.asarray(second_from_first.position, dtype=directions.dtype)
     turned = directions @ rotation.T
     return turned + inverse_depth[..., None] * translation
+
+
+def free_space_agreement(
+    inverse_depth: Float[np.ndarray, "height width"],
+    other: Float[np.ndarray, "height width"],
+    other_from_this: Pose,
+) -> Float[np.ndarray, "height width"]:
+    """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
+
+    Where the other camera sees something nearer the surface is merely hidden from it, which contradicts nothing.
+
+    Args:
+        inverse_depth: in baselines, of one panorama.
+        other: of the other panorama, in its own frame.
+        other_from_this: rigid transform with its translation in baselines.
+    """
+    directions = pixel_directions(*inverse_depth.shape)
+    moved = sweep_directions(directions, inverse_depth.astype(np.float64), other_from_this)
+    expected = inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+    seen = sample_nearest(other, moved)
+    too_far = np.maximum(expected - seen - INFINITE, 0.0) / np.maximum(expected, INFINITE)
+    return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)
 
 
 def _baseline(first: Pose, second: Pose) -> tuple[np.ndarray, float]:

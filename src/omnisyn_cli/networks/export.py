@@ -10,28 +10,31 @@ import numpy as np
 import onnx
 import onnxruntime
 import torch
-from jaxtyping import Float
+from jaxtyping import Float32
 from torch import Tensor, nn
 
 from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.refine import RefineNetwork
 
-__all__ = ["OPSET", "PARITY", "export_depth", "largest_difference"]
+__all__ = ["OPSET", "PARITY", "export_depth", "export_refine", "largest_difference"]
 
 OPSET = 18
+
+OUTPUTS = ("inverse_depth", "confidence")
 
 PARITY = 1e-4
 """Largest difference between torch and ONNX Runtime, relative to the largest value, that is accepted."""
 
 
 class _DepthOutputs(nn.Module):
-    """The network with the outputs that leave the program: inverse depth × baseline, and confidence."""
+    """A depth network with the outputs that leave the program: inverse depth × baseline, and confidence."""
 
-    def __init__(self, network: DepthNetwork) -> None:
+    def __init__(self, network: DepthNetwork | RefineNetwork) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
-        prediction = self.network(first, second)
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, Tensor]:
+        prediction = self.network(*inputs)
         return prediction.inverse_depth(), prediction.confidence()
 
 
@@ -43,14 +46,37 @@ def export_depth(network: DepthNetwork, path: Path) -> None:
     """
     height, width = network.config.size
     image = torch.rand(1, 3, height, width)
+    _export(network, (image, image), path, ["first", "second"])
+
+
+def export_refine(network: RefineNetwork, path: Path) -> None:
+    """Write ``network``, weights inside; the file is checked by ONNX.
+
+    Input ``planes``, ``(1, planes, height, width)``; outputs as :func:`export_depth`. Height and width are free,
+    multiples of ``network.config.size_multiple``.
+    """
+    side = 2 * network.config.size_multiple
+    planes = torch.rand(1, network.config.planes, side, 2 * side)
+    axes = {name: {2: "height", 3: "width"} for name in ("planes", *OUTPUTS)}
+    _export(network, (planes,), path, ["planes"], axes)
+
+
+def _export(
+    network: DepthNetwork | RefineNetwork,
+    example: tuple[Tensor, ...],
+    path: Path,
+    inputs: list[str],
+    dynamic_axes: dict[str, dict[int, str]] | None = None,
+) -> None:
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the tracer's remarks on sizes, which are meant to be fixed
         torch.onnx.export(
             _DepthOutputs(network).eval(),
-            (image, image),
+            example,
             str(path),
-            input_names=["first", "second"],
-            output_names=["inverse_depth", "confidence"],
+            input_names=inputs,
+            output_names=list(OUTPUTS),
+            dynamic_axes=dynamic_axes,
             opset_version=OPSET,
             external_data=False,
             dynamo=False,
@@ -59,16 +85,22 @@ def export_depth(network: DepthNetwork, path: Path) -> None:
 
 
 def largest_difference(
-    network: DepthNetwork, path: Path, pairs: Iterable[Float[np.ndarray, "2 3 height width"]]
+    network: DepthNetwork | RefineNetwork, path: Path, examples: Iterable[tuple[Float32[np.ndarray, ...], ...]]
 ) -> float:
-    """Between torch and ONNX Runtime over all outputs of all pairs, relative to the largest value of each output."""
+    """Between torch and ONNX Runtime over all outputs of all examples, relative to the largest value of each output.
+
+    Args:
+        network: that was exported.
+        path: of the file.
+        examples: the inputs of one run each, as the network takes them.
+    """
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    names = [entry.name for entry in session.get_inputs()]
     outputs, worst = _DepthOutputs(network).eval(), 0.0
-    for pair in pairs:
-        images = [image[None].astype(np.float32) for image in pair]
+    for example in examples:
         with torch.no_grad():
-            expected = [output.numpy() for output in outputs(*(torch.from_numpy(image) for image in images))]
-        found = session.run(None, {"first": images[0], "second": images[1]})
+            expected = [output.numpy() for output in outputs(*(torch.from_numpy(array) for array in example))]
+        found = session.run(None, dict(zip(names, example, strict=True)))
         for one, other in zip(expected, found, strict=True):
             worst = max(worst, float(np.abs(one - other).max() / max(np.abs(one).max(), 1e-6)))
     return worst

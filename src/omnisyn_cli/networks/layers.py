@@ -39,7 +39,7 @@ PATCH_FLOOR = 0.03
 
 def wrap_columns(x: Float[Tensor, "*batch height width"], left: int, right: int) -> Tensor:
     """Columns continued around the seam: ``left`` of them before the first and ``right`` after the last."""
-    pieces = [x[..., sizes(x)[-1] - left :]] if left else []
+    pieces = [x[..., -left:]] if left else []
     pieces += [x, x[..., :right]] if right else [x]
     return torch.cat(pieces, dim=-1) if len(pieces) > 1 else x
 

@@ -12,19 +12,13 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame, sweep_directions
+from omnisyn_cli.geometry.sweep import epipole_frame, free_space_agreement
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["LearnedDepthEstimator", "free_space_agreement"]
+__all__ = ["LearnedDepthEstimator"]
 
 EDGE = 0.05
 """Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
-
-TOLERANCE = 0.1
-"""Relative error in inverse depth that counts as agreement between both directions."""
-
-INFINITE = 1e-3
-"""Inverse depth × baseline below which two values need not agree."""
 
 
 class LearnedDepthEstimator:
@@ -52,8 +46,8 @@ class LearnedDepthEstimator:
         images = [self._rectified(view, frame) for view in (first, second)]
         there, trust_there = self._run(images[0], images[1])
         back, trust_back = (turn(x) for x in self._run(turn(images[1]), turn(images[0])))
-        trust_there = trust_there * free_space_agreement(there, back, np.array([0.0, -1.0, 0.0]))
-        trust_back = trust_back * free_space_agreement(back, there, np.array([0.0, 1.0, 0.0]))
+        trust_there = trust_there * free_space_agreement(there, back, Pose(np.eye(3), np.array([0.0, -1.0, 0.0])))
+        trust_back = trust_back * free_space_agreement(back, there, Pose(np.eye(3), np.array([0.0, 1.0, 0.0])))
         return (
             self._estimate(first, frame, there / np.float32(baseline), trust_there),
             self._estimate(second, frame, back / np.float32(baseline), trust_back),
@@ -90,28 +84,6 @@ class LearnedDepthEstimator:
 def turn(image: np.ndarray) -> np.ndarray:
     """An image in the epipole frame as it looks when the roles of both cameras are exchanged, and back."""
     return np.ascontiguousarray(image[::-1, ::-1])
-
-
-def free_space_agreement(
-    inverse_depth: Float[np.ndarray, "height width"],
-    other: Float[np.ndarray, "height width"],
-    translation: Float[np.ndarray, 3],
-) -> Float[np.ndarray, "height width"]:
-    """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
-
-    Where the other camera sees something nearer the surface is merely hidden from it, which contradicts nothing.
-
-    Args:
-        inverse_depth: in baselines, of one panorama.
-        other: of the other panorama, in a frame of equal orientation.
-        translation: other-from-this, in baselines.
-    """
-    directions = pixel_directions(*inverse_depth.shape)
-    moved = sweep_directions(directions, inverse_depth.astype(np.float64), Pose(np.eye(3), translation))
-    expected = inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
-    seen = sample_nearest(other, moved)
-    too_far = np.maximum(expected - seen - INFINITE, 0.0) / np.maximum(expected, INFINITE)
-    return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)
 
 
 def _sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarray:

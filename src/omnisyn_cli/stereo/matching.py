@@ -14,7 +14,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.stereo.evidence import Evidence
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, flip, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
@@ -53,11 +55,21 @@ class MatchingDepthEstimator:
             _check(view)
         if np.array_equal(first.pose.position, second.pose.position):
             return self._nothing(), self._nothing()
+        baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
+        there, back = self.evidence(first, second)
+        with limited_threads(self.threads):
+            return self._finish(first, there, baseline), self._finish(second, back, baseline)
+
+    def evidence(self, first: View, second: View) -> tuple[Evidence, Evidence]:
+        """What is known about both before edges are moved to where the image has them, at half of ``options.size``.
+
+        The panoramas must not stand at one position.
+        """
         height, width = self.options.size
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
             there, back = self._match(pair)
-            return self._finish(first, pair, there), self._finish(second, pair.reversed(), back)
+            return _evidence(first, second, pair, there), _evidence(second, first, pair.reversed(), back)
 
     def _match(self, pair: RectifiedPair) -> tuple[Matches, Matches]:
         """Both directions; ``seen`` is what they agree on."""
@@ -68,19 +80,33 @@ class MatchingDepthEstimator:
         there, back = _agreeing(surfaces, self.options)
         return there, back
 
-    def _finish(self, view: View, pair: RectifiedPair, matches: Matches) -> DepthEstimate:
-        """From disparity in the frame of the pair to inverse depth in the frame of the camera, at full size."""
-        low_guide, guide = resize_area(view.image, pair.size), resize_area(view.image, self.options.size)
-        inverse_depth, agreed, sky = _in_camera(view, pair, matches)
-        usable = usable_pixels(view, pair.size)
-        weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
-        whole = fill(inverse_depth, weight, low_guide, usable)
-        whole = upsample(np.where(sky, 0.0, whole), low_guide, guide)
-        confidence = resize_area((agreed | sky).astype(np.float32), self.options.size)
-        return DepthEstimate(whole / np.float32(pair.baseline), confidence)
+    def _finish(self, view: View, evidence: Evidence, baseline: float) -> DepthEstimate:
+        """At full size, with the edges of the image, in 1/metre."""
+        guide = resize_area(view.image, self.options.size)
+        whole = upsample(np.where(evidence.sky, 0.0, evidence.filled), evidence.image, guide)
+        confidence = resize_area((evidence.agreed | evidence.sky).astype(np.float32), self.options.size)
+        return DepthEstimate(whole / np.float32(baseline), confidence)
 
     def _nothing(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
+
+
+def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) -> Evidence:
+    """From disparity in the frame of the pair to inverse depth in the frame of the camera, filled."""
+    image, usable = resize_area(view.image, pair.size), usable_pixels(view, pair.size)
+    inverse_depth, agreed, sky = _in_camera(view, pair, matches)
+    weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
+    motion = other.pose.inverse() @ view.pose
+    return Evidence(
+        image=image,
+        matched=inverse_depth,
+        agreed=agreed,
+        sky=sky,
+        filled=np.where(sky, 0.0, fill(inverse_depth, weight, image, usable)),
+        usable=usable,
+        second_from_first=Pose(motion.rotation, motion.position / pair.baseline),
+        up=np.asarray(view.pose.rotation[1]),
+    )
 
 
 def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

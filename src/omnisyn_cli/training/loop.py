@@ -1,4 +1,4 @@
-"""The training loop of the depth network: constant rate after a warm-up, an average of the weights, a short cool-down.
+"""The training loop: constant rate after a warm-up, an average of the weights, a short cool-down.
 
 How long a run may last is rarely known, so the rate stays constant and the exponential average (EMA) is the model; when
 time is up, :attr:`TrainConfig.cooldown_steps` more steps take the rate to zero along a cosine. Everything is counted in
@@ -11,66 +11,29 @@ import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from omnisyn_cli.errors import InputError
-from omnisyn_cli.networks.depth import DepthConfig, DepthNetwork
 from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
-from omnisyn_cli.training.data import Augmentation, draw_batch, list_pool
-from omnisyn_cli.training.losses import DepthScores, depth_loss, depth_scores
+from omnisyn_cli.training.data import list_pool
+from omnisyn_cli.training.tasks import TASKS, NetworkConfig, TrainConfig, task_named, task_of
 
 __all__ = ["TrainConfig", "Trainer", "load_network", "train"]
-
-VALIDATION_SEED = 1
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """One stage of training; a later stage may change any of it.
-
-    Attributes:
-        pool, validation_pool: folders of scenes, see :mod:`omnisyn_cli.training.data`.
-        size: of the images, a whole fraction of the pool's.
-        batch: pairs per step.
-        rate: learning rate after the warm-up.
-        warmup_steps: steps over which the rate rises from zero.
-        cooldown_steps: 0, or the number of steps over which the rate falls to zero, counted from the first step of this
-            call; then training ends.
-        weight_decay, clip: of AdamW, and the greatest norm of a gradient.
-        ema: decay of the average per step (smaller at the beginning).
-        seed: of the weights and of all batches.
-        validate_every, save_every: in steps.
-        validation_pairs: how many pairs are scored.
-    """
-
-    pool: str
-    validation_pool: str
-    size: tuple[int, int] = (256, 512)
-    batch: int = 4
-    rate: float = 6e-4
-    warmup_steps: int = 200
-    cooldown_steps: int = 0
-    weight_decay: float = 1e-4
-    clip: float = 1.0
-    ema: float = 0.998
-    seed: int = 0
-    validate_every: int = 250
-    save_every: int = 50
-    validation_pairs: int = 32
 
 
 class Trainer:
     """Network, average, optimiser and step: what a checkpoint holds."""
 
-    def __init__(self, network: DepthConfig, config: TrainConfig) -> None:
+    def __init__(self, network: NetworkConfig, config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
         self.config = config
-        self.network = DepthNetwork(network)
+        self.kind = task_of(network)
+        self.task = TASKS[self.kind]
+        self.network = self.task.build(network)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
@@ -82,7 +45,7 @@ class Trainer:
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
         return {
-            "kind": "depth",
+            "kind": self.kind,
             "network": self.network.config.as_dict(),
             "training": asdict(self.config),
             "step": self.step,
@@ -121,10 +84,9 @@ class Trainer:
         """One step; returns the loss. The batch depends on the seed and the step alone."""
         config = self.config
         rng = np.random.default_rng([config.seed, self.step])
-        batch = draw_batch(pool, rng, config.batch, config.size, Augmentation(), self.network.config.greatest_root)
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate()
-        loss = depth_loss(self.network(batch.first, batch.second), batch.root)
+        loss = self.task.loss(self.network, pool, rng, config)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
@@ -140,42 +102,28 @@ class Trainer:
         for name, value in self.network.state_dict().items():
             self.average[name].lerp_(value, 1.0 - decay)
 
-    def averaged_network(self) -> DepthNetwork:
+    def averaged_network(self) -> Any:
         """The network with averaged weights, for use."""
-        network = DepthNetwork(self.network.config)
+        network = self.task.build(self.network.config)
         network.load_state_dict(self.average)
         return network.eval()
 
 
-def load_network(path: Path) -> tuple[DepthNetwork, dict[str, Any]]:
-    """The averaged network of a checkpoint, and the checkpoint.
+def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
+    """The averaged network of a checkpoint, and the checkpoint; its ``"kind"`` says what it is.
 
     Raises:
-        InputError: no file, or another kind of checkpoint.
+        InputError: no file, or no checkpoint of a known kind.
     """
     state = load_checkpoint(path)
-    if state.get("kind") != "depth":
-        raise InputError(f"expected a checkpoint of a depth network in {path}, got kind {state.get('kind')!r}")
-    network = DepthNetwork(DepthConfig.from_dict(state["network"]))
+    task = task_named(state.get("kind"), path)
+    network = task.build(task.config.from_dict(state["network"]))
     network.load_state_dict(state["average"])
     return network.eval(), state
 
 
-@torch.no_grad()
-def validate(network: DepthNetwork, config: TrainConfig) -> DepthScores:
-    """Scores of fixed pairs without augmentation, the mean over pairs (NaN, as of pairs without sky, left out)."""
-    pool = list_pool(Path(config.validation_pool))
-    rows = []
-    for index in range(config.validation_pairs):
-        rng = np.random.default_rng([VALIDATION_SEED, index])
-        scene = pool[index % len(pool)]
-        batch = draw_batch([scene], rng, 1, config.size, greatest_root=network.config.greatest_root)
-        rows.append(list(asdict(depth_scores(network(batch.first, batch.second), batch.root, batch.baseline)).values()))
-    return DepthScores(*torch.tensor(rows).nanmean(dim=0).tolist())
-
-
 def train(
-    network: DepthConfig,
+    network: NetworkConfig,
     config: TrainConfig,
     folder: Path,
     *,
@@ -215,13 +163,13 @@ def train(
     return trainer
 
 
-def open_trainer(network: DepthConfig, config: TrainConfig, path: Path) -> Trainer:
+def open_trainer(network: NetworkConfig, config: TrainConfig, path: Path) -> Trainer:
     """A fresh trainer, or the one of the checkpoint at ``path``; a cool-down asked for begins at its step."""
     if not path.exists():
         trainer = Trainer(network, config)
     else:
         state = load_checkpoint(path)
-        trainer = Trainer(DepthConfig.from_dict(state["network"]), config)
+        trainer = Trainer(task_named(state.get("kind"), path).config.from_dict(state["network"]), config)
         trainer.restore(state)
     if config.cooldown_steps == 0:
         trainer.cooldown_start = None
@@ -231,7 +179,7 @@ def open_trainer(network: DepthConfig, config: TrainConfig, path: Path) -> Train
 
 
 def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> dict[str, Any]:
-    scores = asdict(validate(trainer.averaged_network(), trainer.config))
+    scores = trainer.task.validate(trainer.averaged_network(), trainer.config)
     trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
     row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate(), "loss": float(np.mean(losses))}
     return row | trainer.scores

@@ -7,6 +7,7 @@ pixels is weighted by the sine of the polar angle, that is, by solid angle.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import torch
 from jaxtyping import Float
@@ -15,8 +16,9 @@ from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.networks.refine import RefinePrediction
 
-__all__ = ["DepthScores", "depth_loss", "depth_scores", "polar_weights"]
+__all__ = ["DepthScores", "Prediction", "depth_loss", "depth_scores", "polar_weights", "refine_loss"]
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
@@ -35,6 +37,26 @@ FARTHEST = 1e-3
 
 SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
+
+
+LIKELIHOOD_WEIGHT = 0.1
+CHOSEN_WEIGHT = 2.0
+REFINED_CONFIDENCE_WEIGHT = 0.1
+
+SURPRISE = 8.0
+"""Negative log-likelihoods of a root above this are outliers that teach nothing."""
+
+
+class Prediction(Protocol):
+    """What every depth network answers."""
+
+    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
+        """Inverse depth × baseline."""
+        ...
+
+    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
+        """Probability that the depth is within 10 %."""
+        ...
 
 
 def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
@@ -63,10 +85,29 @@ def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 heigh
     return loss + CONFIDENCE_WEIGHT * (confidence * polar_weights(target)).mean()
 
 
+def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
+    """Negative log-likelihood of the mixture, L1 of the mode that is chosen, log-loss of the confidence; a scalar.
+
+    The likelihood makes both modes sharp, the L1 makes large mistakes of the choice expensive.
+    """
+    error = _beyond_zero(prediction.roots, target)
+    density = prediction.log_shares() - prediction.log_scales - error * torch.exp(-prediction.log_scales)
+    surprise = (-torch.logsumexp(density, dim=1, keepdim=True)).clamp(max=SURPRISE)
+    chosen = _beyond_zero(prediction.root(), target)
+    right = _is_right(prediction.inverse_depth(), target.square())
+    confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right)
+    weighted = (LIKELIHOOD_WEIGHT * surprise + CHOSEN_WEIGHT * chosen) * polar_weights(target)
+    return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * confidence
+
+
+def _beyond_zero(root: Tensor, target: Tensor) -> Tensor:
+    """Absolute error; an estimate below zero is right where the target is zero."""
+    return torch.where(target > 0, (root - target).abs(), root.clamp(min=0.0))
+
+
 def _root_error(root: Tensor, target: Tensor) -> Tensor:
-    """Weighted L1; an estimate below zero is right where the target is zero."""
-    error = torch.where(target > 0, (root - target).abs(), root.clamp(min=0.0))
-    return error * (1.0 + 0.25 / (RELATIVE_FLOOR + target)) * polar_weights(target)
+    """Weighted L1."""
+    return _beyond_zero(root, target) * (1.0 + 0.25 / (RELATIVE_FLOOR + target)) * polar_weights(target)
 
 
 def _gradient_error(root: Tensor, target: Tensor) -> Tensor:
@@ -114,7 +155,7 @@ class DepthScores:
 
 @torch.no_grad()
 def depth_scores(
-    prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
+    prediction: Prediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
 ) -> DepthScores:
     """Compare an estimate with true roots; ``baseline`` in metres."""
     scale = baseline.view(-1, 1, 1, 1)

@@ -7,7 +7,7 @@ poses (each view is turned by a fraction of a degree that nobody is told).
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -20,7 +20,7 @@ from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
-__all__ = ["PoolConfig", "fill_pool", "render_pool_scene"]
+__all__ = ["STOPS", "PoolConfig", "fill_pool", "render_pool_scene", "render_to_pool", "scene_path"]
 
 STOPS = 9
 """Positions along a path that views are chosen from; the ends are always taken."""
@@ -75,14 +75,22 @@ def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolCon
     return PoolScene(np.stack(images), 1.0 / np.stack(depths), np.array(along, dtype=np.float32))
 
 
-def fill_pool(folder: Path, seeds: range, config: PoolConfig, *, workers: int = 1) -> Iterator[Path]:
-    """Render the scenes that are not there yet, in worker processes that give way to everything else.
+def fill_pool(
+    folder: Path, seeds: range, make: Callable[[Path, int], Path | None], *, workers: int = 1
+) -> Iterator[Path]:
+    """Make the scenes that are not there yet, in worker processes that give way to everything else.
 
     Yields each file as it is finished, in any order. Seeds whose scene has no room for a path are skipped.
+
+    Args:
+        folder: of the pool.
+        seeds: of the scenes.
+        make: writes the file of a seed, or returns None where there is no room; a function that can be pickled.
+        workers: processes.
     """
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_give_way) as executor:
-        futures = [executor.submit(_render_to_file, folder, seed, config) for seed in missing]
+        futures = [executor.submit(make, folder, seed) for seed in missing]
         for future in as_completed(futures):
             path = future.result()
             if path is not None:
@@ -99,7 +107,8 @@ def _give_way() -> None:
         os.nice(19)
 
 
-def _render_to_file(folder: Path, seed: int, config: PoolConfig) -> Path | None:
+def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
+    """Render the scene of a seed into a pool; None if the scene has no room for a path."""
     scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
     try:
         path = sample_path(scene, seed, STOPS)

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-import torch
 
 from omnisyn_cli.errors import OmnisynError
-from omnisyn_cli.networks.export import PARITY, export_depth, largest_difference
+from omnisyn_cli.networks.depth import DepthConfig
+from omnisyn_cli.networks.export import PARITY, export_depth, export_refine, largest_difference
+from omnisyn_cli.networks.refine import RefineConfig
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
 from omnisyn_cli.training.data import draw_batch, list_pool
+from omnisyn_cli.training.evidence import draw_evidence
 from omnisyn_cli.training.loop import load_network
 
-__all__ = ["publish_depth", "write_manifest"]
+__all__ = ["publish", "write_manifest"]
 
 COMPARED = 3
-"""Pairs of each kind that torch and ONNX Runtime are compared on."""
+"""Examples of each kind that torch and ONNX Runtime are compared on."""
 
 
-def publish_depth(
+def publish(
     checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
 ) -> tuple[ModelEntry, float]:
     """Write the averaged network of a checkpoint into a folder of models.
@@ -30,8 +34,8 @@ def publish_depth(
     Args:
         checkpoint: of :func:`omnisyn_cli.training.loop.train`.
         folder: gets ``NAME.onnx`` and a new manifest.
-        name: ``depth-VARIANT`` unless given.
-        pool: scenes to compare on, besides random images.
+        name: ``KIND-VARIANT`` unless given.
+        pool: scenes to compare on, besides random inputs.
         training: on what and for how long, for the manifest.
         licence: of the weights.
 
@@ -43,11 +47,14 @@ def publish_depth(
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
     network, state = load_network(checkpoint)
-    name = name or f"depth-{network.config.name}"
+    kind = state["kind"]
+    name = name or f"{kind}-{network.config.name}"
     folder.mkdir(parents=True, exist_ok=True)
     path, partial = folder / f"{name}.onnx", folder / f"{name}.partial.onnx"
-    export_depth(network, partial)
-    difference = largest_difference(network, partial, _pairs(network.config.size, pool))
+    export, examples = EXPORTS[kind]
+    export(network, partial)
+    size = network.config.size if kind == "depth" else tuple(state["training"]["size"])
+    difference = largest_difference(network, partial, examples(network.config, size, pool))
     if not difference <= PARITY:
         partial.unlink()
         raise OmnisynError(
@@ -56,11 +63,11 @@ def publish_depth(
     partial.replace(path)
     entry = ModelEntry(
         name=name,
-        role="depth",
+        role=kind,
         variant=network.config.name,
         file=path.name,
         sha256=sha256_of(path),
-        size=network.config.size,
+        size=(size[0], size[1]),
         parameters=sum(parameter.numel() for parameter in network.parameters()),
         training=training or f"{state['step']} steps",
         licence=licence,
@@ -82,10 +89,24 @@ def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
     (folder / MANIFEST).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _pairs(size: tuple[int, int], pool: Path | None) -> Iterator[np.ndarray]:
+def _pairs(_config: DepthConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
     rng = np.random.default_rng(0)
     for _ in range(COMPARED):
-        yield rng.random((2, 3, *size), dtype=np.float32)
+        yield tuple(rng.random((2, 1, 3, *size), dtype=np.float32))
     for _ in range(COMPARED if pool is not None else 0):
         batch = draw_batch(list_pool(pool or Path()), rng, 1, size)
-        yield torch.cat([batch.first, batch.second]).numpy()
+        yield batch.first.numpy(), batch.second.numpy()
+
+
+def _planes(config: RefineConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
+    rng = np.random.default_rng(0)
+    for _ in range(COMPARED):
+        yield (rng.random((1, config.planes, *size), dtype=np.float32),)
+    for _ in range(COMPARED if pool is not None else 0):
+        yield (draw_evidence(list_pool(pool or Path()), rng, 1).planes.numpy(),)
+
+
+EXPORTS: Mapping[str, tuple[Callable[[Any, Path], None], Callable[..., Iterator[tuple[np.ndarray, ...]]]]] = (
+    MappingProxyType({"depth": (export_depth, _pairs), "refine": (export_refine, _planes)})
+)
+"""By the kind of network: how it is written, and what it is compared on."""

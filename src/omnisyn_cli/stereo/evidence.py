@@ -1,0 +1,87 @@
+"""What matching found out about a panorama, and how a network that knows rooms and streets is told about it.
+
+Everything is dimensionless: distances count in baselines, and inverse depth enters the network as its square root,
+even steps of which are nearly even steps of parallax.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import sweep_directions
+
+__all__ = ["GREATEST_ROOT", "PLANES", "Evidence", "evidence_planes"]
+
+GREATEST_ROOT = 2.0
+"""Roots are clipped here: a quarter of a baseline away."""
+
+PLANES = 19
+"""Channels of :func:`evidence_planes`."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One panorama of a pair as matching sees it, in the frame of its own camera; inverse depths in 1/baselines.
+
+    Attributes:
+        image: ``(height, width, 3)`` RGB in [0, 1].
+        matched: ``(height, width)`` the best match of every pixel, right or wrong.
+        agreed: ``(height, width)`` where both directions found the same.
+        sky: ``(height, width)`` infinitely far.
+        filled: ``(height, width)`` what agreed or is sky, carried on into the rest.
+        usable: ``(height, width)`` False where a mask forbids the image.
+        second_from_first: where the other camera stands, as seen from this one, in baselines.
+        up: ``(3,)`` the world's up in this camera's frame.
+    """
+
+    image: Float32[np.ndarray, "height width 3"]
+    matched: Float[np.ndarray, "height width"]
+    agreed: Bool[np.ndarray, "height width"]
+    sky: Bool[np.ndarray, "height width"]
+    filled: Float[np.ndarray, "height width"]
+    usable: Bool[np.ndarray, "height width"]
+    second_from_first: Pose
+    up: Float[np.ndarray, " 3"]
+
+
+def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, "planes height width"]:
+    """The input of a refinement network for one panorama, given the evidence of both.
+
+    In order: the image (3); roots of the filled and of the matched map; agreed, sky, usable; the other image where the
+    filled (3) and where the matched map (3) says that it shows the same point; how much farther (roots) the other
+    panorama's own map is at the former place than expected, and whether it is sure there; cosine to the direction of
+    the other camera; sine of the elevation; root of the matched map where both directions agreed.
+    """
+    directions = pixel_directions(*evidence.filled.shape)
+    moved = sweep_directions(directions, evidence.filled.astype(np.float64), evidence.second_from_first)
+    moved_matched = sweep_directions(directions, evidence.matched.astype(np.float64), evidence.second_from_first)
+    expected = evidence.filled / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+    towards = evidence.second_from_first.inverse().position
+    sure = (other.agreed | other.sky).astype(np.float32)
+    matched = _root(evidence.matched)
+    planes = [
+        *np.moveaxis(evidence.image, -1, 0),
+        _root(evidence.filled),
+        matched,
+        evidence.agreed,
+        evidence.sky,
+        evidence.usable,
+        *np.moveaxis(sample_bilinear(other.image, moved), -1, 0),
+        *np.moveaxis(sample_bilinear(other.image, moved_matched), -1, 0),
+        _root(expected) - _root(sample_nearest(other.filled, moved)),
+        sample_nearest(sure, moved),
+        directions @ (towards / np.linalg.norm(towards)),
+        directions @ evidence.up,
+        matched * evidence.agreed,
+    ]
+    return np.stack(planes).astype(np.float32)
+
+
+def _root(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    return np.asarray(np.sqrt(np.clip(inverse_depth, 0.0, GREATEST_ROOT**2)))

@@ -1,0 +1,181 @@
+"""Training data for the refinement network: what matching makes of procedural scenes, with the truth beside it.
+
+A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
+for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
+
+* ``planes_k`` ``(planes, height, width)`` float16, see :func:`omnisyn_cli.stereo.evidence.evidence_planes`,
+* ``root_k`` ``(height, width)`` float16, true square root of inverse depth × baseline,
+* ``baseline_k`` metres.
+
+The colours are varied before matching, and some poses are a little wrong, as in life. Where a pixel covers two surfaces
+the truth is the nearer one: a mesh of that size then shows the least of what is wrong at silhouettes.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator
+from omnisyn_cli.training.data import Augmentation, vary_colours
+from omnisyn_cli.training.pool import STOPS, scene_path
+from omnisyn_cli.types import View
+
+__all__ = ["EvidenceBatch", "EvidenceConfig", "EvidencePair", "draw_evidence", "load_evidence", "make_evidence"]
+
+PAIRS = 4
+"""Ordered pairs per scene."""
+
+COLOURED = (0, 8, 11)
+"""First of three planes that hold a picture."""
+
+
+@dataclass(frozen=True)
+class EvidenceConfig:
+    """How scenes are rendered and matched.
+
+    Attributes:
+        size: ``(height, width)`` of the evidence.
+        kinds: of scenes, in turn by seed.
+        tilts: standard deviations of pitch and roll that a scene draws one of, radians.
+        turned: share of scenes with pose errors.
+        turned_by: standard deviation of those, radians.
+    """
+
+    size: tuple[int, int] = (256, 512)
+    kinds: tuple[str, ...] = ("room", "street")
+    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
+    turned: float = 0.3
+    turned_by: float = 0.002
+
+
+@dataclass(frozen=True)
+class EvidencePair:
+    """One panorama of a matched pair: input planes, true roots, metres."""
+
+    planes: Float32[np.ndarray, "planes height width"]
+    root: Float32[np.ndarray, "height width"]
+    baseline: float
+
+
+@dataclass(frozen=True)
+class EvidenceBatch:
+    """Some of them for one step: ``(batch, planes, height, width)`` and ``(batch, 1, height, width)``."""
+
+    planes: Float[Tensor, "batch planes height width"]
+    root: Float[Tensor, "batch 1 height width"]
+
+
+def make_evidence(folder: Path, seed: int, config: EvidenceConfig) -> Path | None:
+    """Render and match the scene of a seed into a pool; None if the scene has no room for a path."""
+    rng = np.random.default_rng([21, seed])
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    try:
+        path = sample_path(scene, seed, STOPS)
+    except ValueError:
+        return None
+    tilt = float(rng.choice(config.tilts))
+    spread = config.turned_by if rng.random() < config.turned else 0.0
+    shown = []
+    for stop in (0, int(rng.integers(2, STOPS - 2)), STOPS - 1):
+        pose = Pose(_attitude(rng, tilt), path[stop].position)
+        image, inverse_depth = _photograph(scene, pose, config.size)
+        told = Pose(pose.rotation @ rotation_from_rotation_vector(spread * rng.standard_normal(3)), pose.position)
+        shown.append((image, inverse_depth, told))
+    inner = ((0, 1), (1, 2))[int(rng.integers(2))]
+    estimator = MatchingDepthEstimator(threads=1)
+    ends = ((0, 2), inner)
+    pairs = [pair for i, j in ends for pair in _matched(shown[i], shown[j], estimator, rng)]
+    file = scene_path(folder, seed)
+    _save(file, pairs)
+    return file
+
+
+def _attitude(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
+    return rotation_from_heading(rng.uniform(-np.pi, np.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
+
+
+def _photograph(scene: object, pose: Pose, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """The picture, and the inverse depth of the nearest surface in each pixel."""
+    height, width = size
+    image, depth = render_panorama(scene, pose, (2 * height, 2 * width), supersample=1, threads=1)  # type: ignore[arg-type]
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return small, (1.0 / depth).reshape(height, 2, width, 2).max(axis=(1, 3))
+
+
+def _matched(
+    one: tuple[np.ndarray, np.ndarray, Pose],
+    other: tuple[np.ndarray, np.ndarray, Pose],
+    estimator: MatchingDepthEstimator,
+    rng: np.random.Generator,
+) -> list[EvidencePair]:
+    """Both panoramas of a pair, photographed with different cameras."""
+    colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
+    first, second = estimator.evidence(View(colours[0], one[2]), View(colours[1], other[2]))
+    baseline = float(np.linalg.norm(one[2].position - other[2].position))
+    roots = [np.sqrt(np.clip(x[1] * baseline, 0.0, GREATEST_ROOT**2)) for x in (one, other)]
+    return [
+        EvidencePair(evidence_planes(first, second), roots[0], baseline),
+        EvidencePair(evidence_planes(second, first), roots[1], baseline),
+    ]
+
+
+def _save(path: Path, pairs: list[EvidencePair]) -> None:
+    """A kill leaves no partial file under its name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {
+        f"{name}_{k}": np.asarray(getattr(pair, name), np.float32 if name == "baseline" else np.float16)
+        for k, pair in enumerate(pairs)
+        for name in ("planes", "root", "baseline")
+    }
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    with partial.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+    partial.replace(path)
+
+
+def load_evidence(path: Path, which: int | None = None) -> list[EvidencePair]:
+    """All pairs of one scene, or the one at ``which``."""
+    with np.load(path) as file:
+        return [
+            EvidencePair(
+                file[f"planes_{k}"].astype(np.float32),
+                file[f"root_{k}"].astype(np.float32),
+                float(file[f"baseline_{k}"]),
+            )
+            for k in (range(PAIRS) if which is None else (which,))
+        ]
+
+
+def draw_evidence(pool: list[Path], rng: np.random.Generator, batch: int) -> EvidenceBatch:
+    """Random pairs of random scenes, mirrored and recoloured at random (all pictures of a pair alike)."""
+    drawn = [
+        _varied(load_evidence(pool[rng.integers(len(pool))], int(rng.integers(PAIRS)))[0], rng) for _ in range(batch)
+    ]
+    return EvidenceBatch(
+        planes=torch.from_numpy(np.stack([planes for planes, _ in drawn])),
+        root=torch.from_numpy(np.stack([root for _, root in drawn])).unsqueeze(1),
+    )
+
+
+def _varied(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    planes, root = pair.planes, pair.root
+    gain, gamma = np.float32(rng.uniform(0.8, 1.2)), np.float32(rng.uniform(0.8, 1.2))
+    tint = rng.uniform(0.95, 1.05, (3, 1, 1)).astype(np.float32)
+    order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
+    for begin in COLOURED:
+        colour = np.clip(planes[begin : begin + 3] * gain, 1e-4, 1.0) ** gamma
+        planes[begin : begin + 3] = (colour * tint if begin else colour)[order]
+    if rng.random() < 0.5:
+        planes, root = planes[..., ::-1], root[..., ::-1]
+    return np.ascontiguousarray(planes), np.ascontiguousarray(root)

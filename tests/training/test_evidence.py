@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+import torch
+
+from omnisyn_cli.networks.refine import RefineConfig, RefinePrediction
+from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.stereo.evidence import PLANES
+from omnisyn_cli.training import evidence
+from omnisyn_cli.training.evidence import EvidenceConfig, draw_evidence, load_evidence, make_evidence
+from omnisyn_cli.training.loop import TrainConfig, load_network, train
+from omnisyn_cli.training.losses import refine_loss
+from omnisyn_cli.training.publish import publish
+
+TINY = RefineConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
+SIZE = (32, 64)
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    """Two scenes; matching is run at the size of its default, as in life, from small pictures."""
+    folder = tmp_path_factory.mktemp("evidence")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evidence, "MatchingDepthEstimator", small_matching)
+        paths = [make_evidence(folder, seed, EvidenceConfig(size=SIZE)) for seed in (0, 1)]
+    return [path for path in paths if path is not None]
+
+
+def small_matching(threads):
+    from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+
+    return MatchingDepthEstimator(MatchingOptions(size=(2 * SIZE[0], 2 * SIZE[1])), threads)
+
+
+def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
+    for path in pool:
+        for pair in load_evidence(path):
+            assert pair.planes.shape == (PLANES, *SIZE)
+            assert pair.root.shape == SIZE
+            assert pair.baseline > 0.05
+            assert np.isfinite(pair.planes).all()
+            agreed, sky = pair.planes[5] > 0, pair.planes[6] > 0
+            # what both directions agree on is right more often than not
+            if (agreed & ~sky).sum() > 50:
+                assert np.median(np.abs(pair.planes[3] - pair.root)[agreed & ~sky]) < 0.1
+        assert load_evidence(path, 2)[0].baseline == load_evidence(path)[2].baseline
+
+
+def test_a_batch_is_the_same_for_the_same_seed_and_mirrors_planes_with_the_truth(pool):
+    one, same = (draw_evidence(pool, np.random.default_rng(3), 4) for _ in range(2))
+    assert torch.equal(one.planes, same.planes)
+    assert one.planes.shape == (4, PLANES, *SIZE)
+    assert one.root.shape == (4, 1, *SIZE)
+    stored = [pair for path in pool for pair in load_evidence(path)]
+    for planes, root in zip(one.planes.numpy(), one.root.numpy(), strict=True):
+        matches = [
+            flip
+            for pair in stored
+            for flip in (1, -1)
+            if np.array_equal(root[0], pair.root[:, ::flip]) and np.array_equal(planes[3], pair.planes[3][:, ::flip])
+        ]
+        assert matches
+
+
+def test_the_loss_is_least_for_the_truth_and_counts_nothing_below_zero_in_the_sky():
+    target = torch.tensor([0.0, 0.4, 0.8]).reshape(1, 1, 1, 3).expand(1, 1, 2, 3)
+
+    def loss(roots):
+        both = torch.as_tensor(roots).reshape(1, 1, 1, 3).expand(1, 2, 2, 3)
+        flat = torch.zeros((1, 1, 2, 3))
+        return float(refine_loss(RefinePrediction(both, torch.full_like(both, -3.0), flat, flat), target))
+
+    assert loss([0.0, 0.4, 0.8]) == pytest.approx(loss([-0.3, 0.4, 0.8]))
+    assert loss([0.0, 0.4, 0.8]) < min(loss([0.1, 0.4, 0.8]), loss([0.0, 0.5, 0.8]), loss([0.0, 0.4, 0.7]))
+
+
+def test_a_network_is_trained_and_published(tmp_path, pool):
+    folder = str(pool[0].parent)
+    config = TrainConfig(folder, folder, size=SIZE, batch=8, rate=1e-3, validate_every=20, validation_pairs=4, ema=0.8)
+    rows = []
+    train(TINY, config, tmp_path / "run", steps=40, report=rows.append)
+    assert rows[-1]["loss"] < rows[0]["loss"]
+    network, state = load_network(tmp_path / "run" / "checkpoint.pt")
+    assert (state["kind"], state["step"], network.config) == ("refine", 40, TINY)
+    entry, difference = publish(
+        tmp_path / "run" / "checkpoint.pt",
+        tmp_path / "models",
+        name=None,
+        pool=pool[0].parent,
+        training="",
+        licence="MIT",
+    )
+    assert difference < 1e-4
+    assert (entry.role, entry.size) == ("refine", SIZE)
+    assert read_manifest(tmp_path / "models") == {"refine-tiny": entry}
