@@ -1,0 +1,51 @@
+"""``omnisyn poses export``: a pose file as another program wants it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from omnisyn_cli.cli.interpolate import Size
+
+__all__ = ["export"]
+
+FORMATS = ("colmap", "nerfstudio", "tum")
+""":data:`omnisyn_cli.io.pose_formats.EXPORT_FORMATS`, written out because ``--help`` should not load them."""
+
+
+@click.command()
+@click.argument("poses", metavar="POSES", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write; for colmap a folder."
+)
+@click.option("--format", "format_name", type=click.Choice(FORMATS), required=True)
+@click.option("--images", type=click.Path(path_type=Path), help="Folder of the panoramas.  [default: that of POSES]")
+@click.option("--size", type=Size(), help="Of all panoramas.  [default: read from their files]")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def export(
+    poses: Path,
+    output: Path,
+    format_name: str,
+    images: Path | None,
+    size: tuple[int, int] | None,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
+    """Write poses.json as another program wants it.
+
+    \b
+    colmap      cameras.txt, images.txt, points3D.txt in a folder; EQUIRECTANGULAR cameras
+    nerfstudio  transforms.json; EQUIRECTANGULAR cameras, z up
+    tum         a trajectory in OpenCV axes; names in comments
+    """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.io import read_poses
+    from omnisyn_cli.io.pose_formats import export_poses
+
+    pose_file = read_poses(poses)
+    notes = export_poses(pose_file, output, format_name, images=images, size=size, overwrite=overwrite)
+    if not quiet:
+        for note in notes:
+            click.echo(note, err=True)
+        click.echo(f"{output}: {len(pose_file.panoramas)} panoramas for {format_name}", err=True)

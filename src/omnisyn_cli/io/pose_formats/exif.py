@@ -1,0 +1,121 @@
+"""Panoramas that carry their own place: EXIF GPS and the GPano pose that cameras and stitchers write.
+
+``PoseHeadingDegrees`` is the compass heading of the image centre, ``PosePitchDegrees`` its height above the horizon,
+``PoseRollDegrees`` the roll at which the horizon turns counter-clockwise as it grows; where heading is missing, EXIF's
+``GPSImgDirection`` stands in for it.
+
+Source: Google, "Photo Sphere XMP Metadata"; Exif 2.32 and 3.0, GPS attribute information.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.io.decode import ImageHeader, read_header
+from omnisyn_cli.io.pose_formats.files import images_in, listed
+from omnisyn_cli.io.pose_formats.geographic import (
+    Place,
+    altitudes_note,
+    origin_note,
+    poses_from_places,
+    unit_problem,
+    with_altitudes,
+)
+from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions
+
+__all__ = ["read_exif"]
+
+BELOW = (1, 3)
+"""Values of GPSAltitudeRef for depths below the sea level and below the ellipsoid."""
+
+ELLIPSOID = (2, 3)
+
+
+def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
+    """Poses of image files, or of the images in a folder; images without any place are left out and named.
+
+    Raises:
+        PoseError: no image has a place, one has no heading, or values contradict each other.
+        ImageError: a file that is not an image.
+    """
+    paths = [path for source in sources for path in (images_in(source) if source.is_dir() else [source])]
+    headers = {path: read_header(path) for path in paths}
+    placed = {path: header for path, header in headers.items() if "GPS:Latitude" in header.attributes}
+    where = str(sources[0])
+    if not placed:
+        raise PoseError(
+            f"{where}: expected images with EXIF GPS, got none in {len(paths)} images; give a table of places (CSV), "
+            "or let 'omnisyn poses estimate' find the poses"
+        )
+    places = {path.name: _place(header) for path, header in placed.items()}
+    complete, notes = with_altitudes(where, places)
+    poses, origin = poses_from_places(complete, options.origin)
+    views = tuple(ImportedView(path.name, pose, path) for path, pose in zip(placed, poses, strict=True))
+    skipped = [path.name for path in paths if path not in placed]
+    return ImportedPoses(views, (origin_note(origin), *notes, *_notes(list(placed.values()), skipped)))
+
+
+def _place(header: ImageHeader) -> Place:
+    heading = header.number("GPano:PoseHeadingDegrees")
+    if heading is None:
+        heading = header.number("GPS:ImgDirection")
+    if heading is None:
+        raise PoseError(
+            f"{header.path}: expected a compass heading (GPano:PoseHeadingDegrees or GPSImgDirection), got none; "
+            "add the tag, or give a table of places (CSV) with headings"
+        )
+    place = Place(
+        _angle(header, "Latitude", "S"),
+        _angle(header, "Longitude", "W"),
+        heading,
+        header.number("GPano:PosePitchDegrees") or 0.0,
+        header.number("GPano:PoseRollDegrees") or 0.0,
+        _altitude(header),
+    )
+    if problem := unit_problem(place):
+        raise PoseError(f"{header.path}: {problem}; correct the tag")
+    return place
+
+
+def _angle(header: ImageHeader, name: str, negative: str) -> float:
+    """Degrees of an EXIF triple of degrees, minutes and seconds."""
+    value = header.attributes.get(f"GPS:{name}")
+    try:
+        degrees, minutes, seconds = (float(part) for part in value or ())
+    except (TypeError, ValueError) as error:
+        raise PoseError(
+            f"{header.path}: expected GPS {name} as degrees, minutes and seconds, got {value!r}; correct the tag"
+        ) from error
+    angle = degrees + minutes / 60.0 + seconds / 3600.0
+    reference = str(header.attributes.get(f"GPS:{name}Ref", "")).strip().upper()[:1]
+    return -angle if reference == negative else angle
+
+
+def _altitude(header: ImageHeader) -> float | None:
+    altitude = header.number("GPS:Altitude")
+    if altitude is None:
+        return None
+    return -altitude if header.number("GPS:AltitudeRef") in BELOW else altitude
+
+
+def _notes(headers: list[ImageHeader], skipped: list[str]) -> list[str]:
+    notes = []
+    if any(h.number("GPS:Altitude") is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID for h in headers):
+        notes.append(altitudes_note("EXIF"))
+    by_compass = [h for h in headers if h.number("GPano:PoseHeadingDegrees") is None]
+    if by_compass:
+        names = listed([header.path.name for header in by_compass])
+        notes.append(f"headings: no GPano heading in {names}; GPSImgDirection is taken as that of the image centre")
+    magnetic = [h for h in by_compass if str(h.attributes.get("GPS:ImgDirectionRef", "")).strip().upper() == "M"]
+    if magnetic:
+        names = listed([header.path.name for header in magnetic])
+        notes.append(f"headings: magnetic north in {names}, taken as true north; the declination is not corrected")
+    if any(h.number("GPano:PosePitchDegrees") is None for h in headers):
+        notes.append("pitch and roll: taken as 0 where GPano does not say")
+    if any(float(h.attributes["GPS:Latitude"][0]) % 1 for h in headers):
+        notes.append("positions: written as fractions of degrees, which OpenImageIO reads to about half a metre only")
+    if skipped:
+        notes.append(f"left out: {listed(skipped)} without GPS")
+    return notes

@@ -1,0 +1,128 @@
+"""Text, JSON and NumPy files of other programs, read whole, with errors that name the file and the line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any, Never, TypeVar
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.io.pose_models import explain
+
+__all__ = ["ForeignModel", "data_lines", "numbers", "read_array", "read_json", "read_text", "validated"]
+
+LARGEST_FILE = 1 << 30
+"""Bytes; reconstructions carry their point clouds along."""
+
+UNREADABLE_ARRAY = (
+    ValueError, EOFError, SyntaxError, TokenError, BadZipFile, RecursionError, MemoryError, TypeError,
+    OverflowError,
+)  # fmt: skip
+"""What NumPy raises for broken headers, sizes beyond all memory and archives."""
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class ForeignModel(BaseModel):
+    """Part of another program's file: what is not needed here is ignored."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        PoseError: missing, unreadable, too large, or no UTF-8.
+    """
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise PoseError(f"{path}: expected at most {LARGEST_FILE:,} bytes, got {size:,}; split the file")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise PoseError(f"{path}: expected a readable file, got '{error.strerror}'; check the name") from error
+    except ValueError as error:
+        raise PoseError(f"{path}: expected UTF-8 text, got '{error}'; save it as UTF-8 text") from error
+
+
+def data_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Number (from 1) and text of every line that is neither empty nor a comment (``#``)."""
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if (text := line.strip()) and not text.startswith("#"):
+            yield number, text
+
+
+def numbers(where: str, fields: Sequence[str], count: int, what: str) -> Float[np.ndarray, " count"]:
+    """``count`` finite numbers.
+
+    Raises:
+        PoseError: more, fewer, or something else; ``where`` (file and line) begins the message.
+    """
+    if len(fields) != count:
+        raise PoseError(f"{where}: expected {count} numbers ({what}), got {len(fields)} fields; correct the line")
+    try:
+        values = [float(field) for field in fields]
+    except ValueError as error:
+        raise PoseError(f"{where}: expected numbers ({what}), got '{error!s:.200}'; correct the line") from error
+    if not all(math.isfinite(value) for value in values):
+        raise PoseError(f"{where}: expected finite numbers ({what}), got {' '.join(fields):.200}; correct the line")
+    return np.array(values)
+
+
+def read_json(path: Path) -> Any:
+    """The JSON of a file.
+
+    Raises:
+        PoseError: as :func:`read_text`, or no JSON (with line and column), or NaN and infinity in it.
+    """
+
+    def refuse(constant: str) -> Never:
+        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
+
+    text = read_text(path)
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
+
+
+def validated(path: Path, model: type[Model], value: Any, *where: str) -> Model:
+    """``value`` as a ``model``.
+
+    Raises:
+        PoseError: the first thing that is wrong, with its place in the file.
+    """
+    try:
+        return model.model_validate(value)
+    except ValidationError as error:
+        raise PoseError(f"{path}: {explain(error, model, where)}") from error
+
+
+def read_array(path: Path) -> Float[np.ndarray, "*shape"]:
+    """A ``.npy`` file of finite numbers as float64; pickled objects are refused.
+
+    Raises:
+        PoseError: missing, no NumPy array, pickled, no numbers, or NaN and infinity among them.
+    """
+    try:
+        array = np.load(path, allow_pickle=False)
+    except OSError as error:
+        raise PoseError(f"{path}: expected a NumPy array, got '{error.strerror or error}'; check the name") from error
+    except UNREADABLE_ARRAY as error:
+        reason = " ".join(f"{error!s:.200}".split())
+        raise PoseError(f"{path}: expected a plain NumPy array, got '{reason}'; save it with numpy.save") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        found = f"type {array.dtype}" if isinstance(array, np.ndarray) else "an archive"
+        raise PoseError(f"{path}: expected a NumPy array of numbers, got {found}; save it with numpy.save")
+    if not np.isfinite(array).all():
+        raise PoseError(f"{path}: expected finite numbers, got NaN or infinity; repair it")
+    return array.astype(np.float64)

@@ -1,0 +1,1 @@
+"""Where two panoramas were taken relative to each other, found in the pictures alone."""

@@ -1,0 +1,189 @@
+"""``omnisyn poses check``, ``refine``, ``estimate``, and ``interpolate`` with poses from the pictures."""
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import listing, run_cli
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.io import PosedPanorama, read_poses, write_image, write_poses
+from omnisyn_cli.registration.epipolar import direction_error, relative_pose, rotation_error
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+
+Capture = pytest.CaptureFixture[str]
+
+NAMES = ("a.png", "b.png", "c.png")
+
+
+@pytest.fixture(scope="module")
+def tour(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Three panoramas along a street, tilted and looking different ways, with their poses."""
+    folder = tmp_path_factory.mktemp("tour")
+    scene = generate_scene("street", 101)
+    poses = sample_path(scene, 101, 3, tilt=0.1)
+    for name, pose in zip(NAMES, poses, strict=True):
+        image, _ = render_panorama(scene, pose, (192, 384), threads=2)
+        write_image(folder / name, np.rint(image * 255).astype(np.uint8))
+    write_poses(folder / "poses.json", dict(zip(NAMES, map(PosedPanorama, poses), strict=True)))
+    write_image(folder / "blank.png", np.full((192, 384, 3), 128, np.uint8))
+    before = listing(folder)
+    yield folder
+    assert listing(folder) == before  # no command writes beside its inputs
+
+
+def images(folder: Path, count: int = 2) -> list[Path]:
+    return [folder / name for name in NAMES[:count]]
+
+
+def poses_of(path: Path, count: int = 2) -> list[Pose]:
+    return [read_poses(path).of(name).pose for name in NAMES[:count]]
+
+
+def changed_file(tour: Path, path: Path, change: object) -> Path:
+    panoramas = read_poses(tour / "poses.json").panoramas
+    write_poses(path, {name: PosedPanorama(change(entry.pose)) for name, entry in panoramas.items()})  # type: ignore[operator]
+    return path
+
+
+def test_right_poses_fit_pair_by_pair(tour: Path, capsys: Capture) -> None:
+    result = run_cli(capsys, "poses", "check", *images(tour, 3), "--poses", tour / "poses.json", "--threads", 2)
+    assert (result.code, result.err) == (0, "")
+    assert "a.png and b.png: the poses fit\n" in result.out
+    assert "b.png and c.png: the poses fit\n" in result.out
+
+
+def test_inverted_poses_are_named_with_figures_and_a_remedy(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    inverted = changed_file(tour, tmp_path / "inverted.json", lambda pose: pose.inverse())
+    result = run_cli(capsys, "poses", "check", *images(tour), "--poses", inverted)
+    assert result.code == 3
+    assert "the poses do not fit" in result.out
+    assert "world-to-camera transforms, given as camera-to-world" in result.out
+    assert "to do: invert every transform" in result.out
+    result = run_cli(capsys, "poses", "check", *images(tour), "--poses", inverted, "--json")
+    (pair,) = json.loads(result.out)
+    assert (result.code, pair["verdict"], pair["mistakes"][0]["name"]) == (3, "mistake", "world-to-camera")
+    relative, wrong = relative_pose(*poses_of(tour / "poses.json")), relative_pose(*poses_of(inverted))
+    assert pair["given"]["rotation_off_deg"] == pytest.approx(math.degrees(rotation_error(wrong, relative)), abs=0.5)
+    assert pair["given"]["direction_off_deg"] == pytest.approx(math.degrees(direction_error(wrong, relative)), abs=1.0)
+    assert pair["mistakes"][0]["corrected"]["residual_deg"] < 0.3 < pair["given"]["residual_deg"]
+
+
+def test_refining_brings_a_disturbed_tour_back(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    turns = iter(([0.0, 0.0, 0.0], [0.03, 0.03, 0.03], [-0.03, 0.02, 0.04]))
+    disturbed = changed_file(
+        tour,
+        tmp_path / "disturbed.json",
+        lambda pose: Pose(rotation_from_rotation_vector(np.array(next(turns))) @ pose.rotation, pose.position),
+    )
+    output = tmp_path / "refined.json"
+    arguments = ("poses", "refine", *images(tour, 3), "--poses", disturbed, "-o", output)
+    result = run_cli(capsys, *arguments)
+    assert result.code == 0
+    assert "2 of 2 pairs refined" in result.err
+    truth, refined = poses_of(tour / "poses.json", 3), poses_of(output, 3)
+    assert refined[0].almost_equals(truth[0])
+    for k in range(2):
+        found, right = relative_pose(refined[k], refined[k + 1]), relative_pose(truth[k], truth[k + 1])
+        assert math.degrees(rotation_error(found, right)) < 0.3
+        assert math.degrees(direction_error(found, right)) < 2.0
+        lengths = [np.linalg.norm(poses[k + 1].position - poses[k].position) for poses in (refined, truth)]
+        assert lengths[0] == pytest.approx(lengths[1])
+    again = run_cli(capsys, *arguments)
+    assert again.code == 3
+    assert "--overwrite" in again.err
+    assert run_cli(capsys, *arguments, "--overwrite", "-q").err == ""
+
+
+def test_what_contradicts_the_pictures_is_left_alone_and_said(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    inverted = changed_file(tour, tmp_path / "inverted.json", lambda pose: pose.inverse())
+    output = tmp_path / "out.json"
+    result = run_cli(capsys, "poses", "refine", *images(tour), "--poses", inverted, "-o", output)
+    assert result.code == 0
+    assert "it looks as if the poses are world-to-camera" in result.err
+    assert "0 of 1 pairs refined" in result.err
+    assert all(a.almost_equals(b) for a, b in zip(poses_of(inverted), poses_of(output), strict=True))
+
+
+def test_poses_are_estimated_without_any(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    output, truth = tmp_path / "found.json", poses_of(tour / "poses.json", 3)
+    lengths = [float(np.linalg.norm(truth[k + 1].position - truth[k].position)) for k in range(2)]
+    options = ("--baseline", lengths[0], "--baseline", lengths[1], "-o", output)
+    result = run_cli(capsys, "poses", "estimate", *images(tour, 3), *options)
+    assert result.code == 0
+    assert "taken for level" in result.err
+    found = poses_of(output, 3)
+    assert found[0].almost_equals(Pose.identity())
+    for k in (1, 2):
+        right = truth[0].inverse() @ truth[k]
+        assert math.degrees(rotation_error(found[k], right)) < 0.6
+        assert np.linalg.norm(found[k].position - right.position) < 0.05 * sum(lengths[:k])
+
+
+REFUSED = {
+    "too few matches": (("estimate", "a.png", "blank.png", "--baseline", 1), "expected at least 24 matches"),
+    "one panorama": (("estimate", "a.png", "--baseline", 1), "expected two or more panoramas"),
+    "one twice": (("estimate", "a.png", "a.png", "--baseline", 1), "expected every panorama once"),
+    "baselines": (("estimate", "a.png", "b.png", "--baseline", 1, "--baseline", 2), "expected one baseline"),
+    "no entry": (("refine", "a.png", "blank.png", "--poses", "poses.json"), "expected an entry for 'blank.png'"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_done_is_refused_and_nothing_is_written(
+    tour: Path, tmp_path: Path, capsys: Capture, case: str
+) -> None:
+    (command, *arguments), words = REFUSED[case]
+    paths = [tour / str(a) if str(a).endswith((".png", ".json")) else a for a in arguments]
+    result = run_cli(capsys, "poses", command, *paths, "-o", tmp_path / "out.json")
+    assert (result.code, result.out) == (3, "")
+    assert words in result.err
+    assert listing(tmp_path) == {}
+
+
+def test_inputs_are_not_overwritten(tour: Path, capsys: Capture) -> None:
+    file = tour / "poses.json"
+    result = run_cli(capsys, "poses", "refine", *images(tour), "--poses", file, "-o", file, "--overwrite")
+    assert result.code == 3
+    assert "not overwritten" in result.err
+
+
+def test_with_too_few_matches_refine_keeps_what_was_given(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    write_poses(tmp_path / "p.json", {name: PosedPanorama(Pose.identity()) for name in ("a.png", "blank.png")})
+    arguments = (tour / "a.png", tour / "blank.png", "--poses", tmp_path / "p.json")
+    result = run_cli(capsys, "poses", "refine", *arguments, "-o", tmp_path / "out.json")
+    assert result.code == 0
+    assert "too few of 0 matches agree; the poses stay as they are" in result.err
+    assert read_poses(tmp_path / "out.json").of("blank.png").pose.almost_equals(Pose.identity())
+    result = run_cli(capsys, "poses", "check", *arguments)
+    assert result.code == 0
+    assert "too few matches to judge the poses" in result.out
+
+
+def test_interpolating_with_poses_from_the_pictures(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    arguments = ("interpolate", *images(tour), "-o", tmp_path / "out", "--dry-run", "--json")
+    result = run_cli(capsys, *arguments, "--poses", "auto")
+    assert result.code == 0
+    assert "taken to be 1 m apart" in result.err
+    assert json.loads(result.out)["path_metres"] == pytest.approx(1.0)
+    result = run_cli(capsys, *arguments, "--poses", "auto", "--baseline", 2.5)
+    assert json.loads(result.out)["path_metres"] == pytest.approx(2.5)
+    result = run_cli(capsys, *arguments, "--poses", tour / "poses.json", "--baseline", 2.5)
+    assert result.code == 3
+    assert "expected a baseline only where poses are found" in result.err
+
+
+def test_interpolating_with_refined_poses(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    turns = iter(([0.0, 0.0, 0.0], [0.03, 0.03, 0.03], [0.0, 0.0, 0.0]))
+    disturbed = changed_file(
+        tour,
+        tmp_path / "disturbed.json",
+        lambda pose: Pose(rotation_from_rotation_vector(np.array(next(turns))) @ pose.rotation, pose.position),
+    )
+    arguments = ("interpolate", *images(tour), "-o", tmp_path / "out", "--dry-run", "--poses", disturbed, "--refine")
+    result = run_cli(capsys, *arguments)
+    assert result.code == 0
+    assert "a.png and b.png: rotation corrected by " in result.err

@@ -1,0 +1,155 @@
+"""``omnisyn poses import`` and ``export``: what was assumed is said, nothing is overwritten, help is instant."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import listing, pair_arguments, run_cli, write_pair
+
+from omnisyn_cli.cli import poses_export, poses_import
+from omnisyn_cli.cli.poses import COMMANDS
+from omnisyn_cli.cli.poses import poses as group
+from omnisyn_cli.io import read_poses
+from omnisyn_cli.io.pose_formats import CAMERA_AXES, EXPORT_FORMATS, IMPORT_FORMATS, WORLD_UP
+
+TABLE = "image,lat,lng,heading\na.png,48.1,11.5,0\nb.png,48.10001,11.5,90\n"
+
+
+def table(folder: Path) -> Path:
+    path = folder / "walk.csv"
+    path.write_text(TABLE, encoding="utf-8")
+    return path
+
+
+def test_choices_are_those_of_the_library() -> None:
+    """They are written out twice, because help should not load the library."""
+    assert set(poses_import.FORMATS) == {"auto", *IMPORT_FORMATS}
+    assert set(poses_import.CAMERA_AXES) == set(CAMERA_AXES)
+    assert set(poses_import.UP) == {*WORLD_UP, "cameras"}
+    assert poses_export.FORMATS == EXPORT_FORMATS
+
+
+def test_every_subcommand_is_listed_and_loads(capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_cli(capsys, "poses", "--help")
+    for name, (_, line) in COMMANDS.items():
+        assert f"  {name}" in result.out
+        assert line.split()[0] in result.out
+        command = group.get_command(None, name)  # type: ignore[arg-type]
+        assert command is not None
+        assert command.name == name
+
+
+@pytest.mark.parametrize("arguments", [["poses", "--help"], ["poses", "import", "-h"], ["poses", "export", "-h"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    program = (
+        "import sys\nfrom omnisyn_cli.cli import main\n"
+        f"try:\n    main({arguments})\nexcept SystemExit as left:\n    print(left.code, *sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    code, *modules = done.stderr.split()
+    assert code == "0"
+    assert not {"numpy", "pydantic", "OpenImageIO", "torch"} & {module.partition(".")[0] for module in modules}
+
+
+def test_import_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_cli(capsys, "poses", "import", table(tmp_path), "-o", tmp_path / "poses.json")
+    assert (result.code, result.out) == (0, "")
+    assert "altitudes: none given" in result.err
+    assert "images: 'a.png', 'b.png' not found" in result.err
+    assert result.err.splitlines()[-1] == f"{tmp_path / 'poses.json'}: 2 panoramas from table"
+    second = read_poses(tmp_path / "poses.json").of("b.png").pose
+    np.testing.assert_allclose(second.rotation @ [0, 0, -1], [1, 0, 0], atol=1e-6)
+    assert second.position[2] == pytest.approx(-1.112, abs=1e-3)
+
+
+def test_values_may_begin_with_a_minus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["poses", "import", table(tmp_path), "-o", tmp_path / "poses.json"]
+    result = run_cli(capsys, *arguments, "--origin", "-48.1,-11.5,-3")
+    assert result.code == 0
+    assert "origin: latitude -48.1, longitude -11.5, altitude -3 m" in result.err
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 -2 1 a.png\n\n", encoding="utf-8")
+    arguments = ["poses", "import", tmp_path / "images.txt", "-o", tmp_path / "up.json"]
+    assert run_cli(capsys, *arguments, "--up", "-z").code == 0
+    np.testing.assert_allclose(read_poses(tmp_path / "up.json").of("a.png").pose.position, [0, -2, 0])
+
+
+def test_quiet_is_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_cli(capsys, "poses", "import", table(tmp_path), "-q", "-o", tmp_path / "poses.json")
+    assert (result.code, result.out, result.err) == (0, "", "")
+
+
+def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "poses.json"
+    output.write_text("mine", encoding="utf-8")
+    arguments = ["poses", "import", table(tmp_path), "-o", output]
+    result = run_cli(capsys, *arguments)
+    assert result.code == 3
+    assert "--overwrite" in result.err
+    assert output.read_text(encoding="utf-8") == "mine"
+    assert run_cli(capsys, *arguments, "--overwrite").code == 0
+    assert json.loads(output.read_text(encoding="utf-8"))["version"] == 1
+
+
+def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "walk.csv"
+    source.write_text(TABLE + "c.png,1,2,north\n", encoding="utf-8")
+    result = run_cli(capsys, "poses", "import", source, "-o", tmp_path / "poses.json")
+    assert result.code == 3
+    assert result.err.count("\n") == 1
+    assert f"{source}:4: expected numbers (heading)" in result.err
+    assert list(listing(tmp_path)) == ["walk.csv"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--origin", "north"],
+        ["--origin", "91,0"],
+        ["--origin", "1,2,inf"],
+        ["--origin", "1"],
+        ["--up", "x"],
+        ["--format", "bundler"],
+    ],
+)
+def test_wrong_usage_is_2(tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    result = run_cli(capsys, "poses", "import", table(tmp_path), "-o", tmp_path / "poses.json", *arguments)
+    assert result.code == 2
+    assert "Error: " in result.err
+
+
+def test_exported_and_imported_poses_make_the_same_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A whole way round, through a COLMAP model, to a command that uses the result."""
+    images = write_pair(tmp_path)
+    poses = tmp_path / "poses.json"
+    exported = run_cli(capsys, "poses", "export", poses, "--format", "colmap", "-o", tmp_path / "model")
+    assert exported.code == 0, exported.err
+    arguments = pair_arguments(tmp_path, images, "out.mp4", "--dry-run", "--depth", "matching")
+    before = run_cli(capsys, *arguments)
+    again = run_cli(capsys, "poses", "import", tmp_path / "model", "-o", poses, "--overwrite")
+    assert again.code == 0, again.err
+    assert "COLMAP knows no scale" in again.err
+    after = run_cli(capsys, *arguments)
+    assert (before.code, after.code) == (0, 0)
+    assert before.out == after.out
+
+
+def test_the_documentation_knows_every_format_and_option() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "poses.md").read_text(encoding="utf-8")
+    for name in (*IMPORT_FORMATS, *EXPORT_FORMATS):
+        assert f"`{name}`" in text
+    for command in (poses_import.import_, poses_export.export):
+        for parameter in command.params:
+            long = parameter.opts[-1]
+            assert not long.startswith("--") or long in text or long in {"--quiet", "--output"}, long
+
+
+def test_the_table_of_the_documentation_is_understood(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "poses.md").read_text(encoding="utf-8")
+    start = text.index("image,lat,lng")
+    source = tmp_path / "walk.csv"
+    source.write_text(text[start : text.index("```", start)], encoding="utf-8")
+    assert run_cli(capsys, "poses", "import", source, "-o", tmp_path / "poses.json").code == 0
+    assert list(read_poses(tmp_path / "poses.json").panoramas) == ["a.jpg", "b.jpg"]
