@@ -106,14 +106,15 @@ def _rolled(depth: DepthEstimate | None, columns: int) -> DepthEstimate:
 
 def test_from_one_place_it_is_a_turn_and_a_cross_fade_without_depth() -> None:
     poses = (posed((1, 0, 0), 0.0), posed((1, 0, 0), 1.0))
-    first, second = (hall_view(pose) for pose in poses)
-    second = View(1 - second.image, second.pose)
+    elsewhere = np.array([-1.0, 0.3, 0.5])
+    first = View(hall_image(poses[0]), poses[0])
+    second = View(hall_image(Pose(poses[1].rotation, elsewhere)), poses[1])  # other things at the same place
     path = plan_path(poses, 5)
-    made = synthesize([View(first.image, first.pose), second], path, refuse, SynthesisOptions(SIZE, threads=1))
+    made = synthesize([first, second], path, refuse, SynthesisOptions(SIZE, threads=1))
     for frame in [Frame(m.image.copy(), m.waypoint, None) for m in made if isinstance(m, Frame)]:
-        seen = hall_image(frame.waypoint.pose)
+        seen = hall_image(frame.waypoint.pose), hall_image(Pose(frame.waypoint.pose.rotation, elsewhere))
         t = frame.waypoint.t
-        np.testing.assert_allclose(frame.image, (1 - t) * seen + t * (1 - seen), atol=0.02)
+        np.testing.assert_allclose(frame.image, (1 - t) * seen[0] + t * seen[1], atol=0.02)
 
 
 def garbled(view: View, hole: np.ndarray) -> View:
@@ -197,7 +198,7 @@ def test_the_clock_counts_every_stage() -> None:
     poses, clock = BASELINES["forward"], Stopwatch()
     views = [hall_view(pose) for pose in poses]
     list(synthesize(views, plan_path(poses, 3), KnownDepth(), SynthesisOptions(SIZE, threads=1), clock=clock))
-    assert set(clock.seconds) == {"depth", "mesh", "render", "fuse"}
+    assert set(clock.seconds) == {"depth", "check", "mesh", "render", "fuse"}
     assert all(seconds >= 0 for seconds in clock.seconds.values())
 
 

@@ -15,9 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.confidence import LEAST_SCORE, confidence_of_frame
+from omnisyn_cli.crosscheck import CrossCheck, cross_check
+from omnisyn_cli.fallback import CrossFade
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.photometry import ExposureMatcher, equalized
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
 from omnisyn_cli.render.shade import Shader, make_texture
@@ -36,12 +40,16 @@ class SynthesisOptions:
         renderer: ``mesh``, ``points`` or ``two-pass``.
         cut: where meshes are cut.
         threads: at most this many; None is one per core.
+        cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
+        confidence: give every frame a map of its confidence.
     """
 
     size: tuple[int, int]
     renderer: str = "mesh"
     cut: Cut = field(default_factory=Cut)
     threads: int | None = None
+    cross_fade: bool = False
+    confidence: bool = False
 
 
 class Stopwatch:
@@ -62,12 +70,23 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Segment:
-    """Two neighbouring views with their depth, ready to be rendered; ``index`` is that of the first."""
+    """Two neighbouring views with their depth, ready to be rendered.
+
+    Attributes:
+        index: of the first view.
+        views: both.
+        depths: of both.
+        renderers: of both.
+        check: how differently they are exposed, and how far what is made of them can be relied on.
+        cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
+    """
 
     index: int
     views: tuple[View, View]
     depths: tuple[DepthEstimate, DepthEstimate]
     renderers: tuple[Renderer, Renderer]
+    check: CrossCheck
+    cross_fade: CrossFade | None = None
 
 
 @dataclass(frozen=True)
@@ -78,20 +97,31 @@ class Frame:
         image: ``(height, width, 3)`` RGB, >= 0; a buffer that the next frame overwrites.
         waypoint: where it was taken.
         panorama: index of the panorama that is shown unchanged, if it is shown unchanged and unturned, else None.
+        confidence: ``(height, width)`` in [0, 1], if asked for; 1 everywhere in a photograph.
     """
 
     image: Float32[np.ndarray, "height width 3"]
     waypoint: Waypoint
     panorama: int | None
+    confidence: Float32[np.ndarray, "height width"] | None = None
 
 
 def prepare_segment(
     index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch
 ) -> Segment:
-    """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for."""
+    """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for.
+
+    Depth is found in pictures of one exposure; the surfaces keep the photographs' own.
+    """
     with clock("depth"):
         is_moving = np.linalg.norm(second.pose.position - first.pose.position) > STILL
-        depths = estimator(first, second) if is_moving else _depths_in_place(first, second, options)
+        depths = (
+            estimator(*equalized(first, second, options.threads))
+            if is_moving
+            else _depths_in_place(first, second, options)
+        )
+    with clock("check"):
+        check = cross_check((first, second), depths, options.cut, options.threads)
     with clock("mesh"):
         renderers = [
             make_renderer(
@@ -100,7 +130,9 @@ def prepare_segment(
             )
             for view, depth in zip((first, second), depths, strict=True)
         ]  # fmt: skip
-    return Segment(index, (first, second), depths, (renderers[0], renderers[1]))
+    is_doubtful = options.cross_fade and check.confidence.score < LEAST_SCORE
+    cross_fade = CrossFade((first, second), options.size, options.threads) if is_doubtful else None
+    return Segment(index, (first, second), depths, (renderers[0], renderers[1]), check, cross_fade)
 
 
 def _usable_image(view: View, threads: int | None) -> np.ndarray:
@@ -152,7 +184,7 @@ def synthesize(
             current, segment = waypoint.segment, None  # the former one's memory is free before the next takes its own
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
             yield segment
-        yield Frame(_fused(segment, waypoint, fuser, clock), waypoint, None)
+        yield _fused(segment, waypoint, fuser, options, clock)
 
 
 def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:
@@ -168,13 +200,14 @@ def _is_complete(view: View) -> bool:
 
 def _photograph(view: View, waypoint: Waypoint, index: int, options: SynthesisOptions, clock: Stopwatch) -> Frame:
     """The panorama itself; resampled only where size or orientation differ."""
+    confidence = np.ones(options.size, np.float32) if options.confidence else None
     is_turned = not np.array_equal(view.pose.rotation, waypoint.pose.rotation)
     if not is_turned and view.image.shape[:2] == options.size:
-        return Frame(view.image, waypoint, index)
+        return Frame(view.image, waypoint, index, confidence)
     with clock("render"):
         turn = Pose(waypoint.pose.rotation.T @ view.pose.rotation, np.zeros(3))
         image = turned_panorama(view.image, turn, options.size, options.threads)
-    return Frame(image, waypoint, None)
+    return Frame(image, waypoint, None, confidence)
 
 
 def turned_panorama(
@@ -185,9 +218,8 @@ def turned_panorama(
     return np.asarray(np.maximum(colour, np.float32(0.0)))
 
 
-def _fused(
-    segment: Segment, waypoint: Waypoint, fuser: Fuser, clock: Stopwatch
-) -> Float32[np.ndarray, "height width 3"]:
+def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> Frame:
+    """The frame of two renderings that were given one exposure."""
     world_to_target = waypoint.pose.inverse()
     renderings = []
     with clock("render"):
@@ -195,4 +227,11 @@ def _fused(
             target_from_source = world_to_target @ view.pose
             renderings.append(Rendering(*renderer(target_from_source), target_from_source))
     with clock("fuse"):
-        return fuser(renderings[0], renderings[1], waypoint.t)
+        first, second = renderings
+        ExposureMatcher(segment.check.curve, options.threads)(first, second, waypoint.t)
+        is_judged = options.confidence or segment.cross_fade is not None
+        confidence = confidence_of_frame(first, second, options.threads) if is_judged else None
+        image = fuser(first, second, waypoint.t)
+        if segment.cross_fade is not None and confidence is not None:
+            segment.cross_fade(image, confidence, waypoint.pose, waypoint.t)
+    return Frame(image, waypoint, None, confidence)

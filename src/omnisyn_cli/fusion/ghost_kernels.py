@@ -1,0 +1,79 @@
+"""The loops that find and remove ghosts, in numba."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from omnisyn_cli.jit import fast_kernel
+
+__all__ = ["gather_cells", "silence_rows"]
+
+UNSEEN = np.float32(1e-4)
+"""A colour worth less than this is none, as in fusion."""
+
+
+@fast_kernel()
+def gather_cells(first, first_rho, second, second_rho, cell, step, sums, begin, end):
+    """Sums over the pixels of each cell that both views see, for rows of cells ``begin`` to ``end``.
+
+    Args:
+        first: ``(height, width, 4)`` RGB and worth.
+        first_rho: its inverse depth.
+        second: as ``first``.
+        second_rho: as ``first_rho``.
+        cell: pixels along the side of a cell.
+        step: every so many-th pixel of a row and of a column is read.
+        sums: ``(rows, cols, 11)``: count; RGB of the first, of the second; worth of both; inverse depth of both.
+        begin: first row of cells.
+        end: the row after the last.
+    """
+    height, width = first_rho.shape
+    for i in range(begin, end):
+        for j in range(sums.shape[1]):
+            for k in range(sums.shape[2]):
+                sums[i, j, k] = np.float32(0.0)
+            for row in range(i * cell, min((i + 1) * cell, height), step):
+                for col in range(j * cell, min((j + 1) * cell, width), step):
+                    if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+                        sums[i, j, 0] += np.float32(1.0)
+                        for k in range(3):
+                            sums[i, j, 1 + k] += first[row, col, k]
+                            sums[i, j, 4 + k] += second[row, col, k]
+                        sums[i, j, 7] += first[row, col, 3]
+                        sums[i, j, 8] += second[row, col, 3]
+                        sums[i, j, 9] += max(first_rho[row, col], np.float32(0.0))
+                        sums[i, j, 10] += max(second_rho[row, col], np.float32(0.0))
+
+
+@fast_kernel()
+def silence_rows(first, second, loser, cell, begin, end):
+    """Take the worth of the losing view away where both see something, gradually at the border of a region.
+
+    Args:
+        first: ``(height, width, 4)`` RGB and worth; the worth is changed in place.
+        second: likewise.
+        loser: ``(rows, cols)`` by cell: from −1 (the first loses all of its worth) to 1 (the second does).
+        cell: pixels along the side of a cell.
+        begin: first row of pixels.
+        end: the row after the last.
+    """
+    rows, cols = loser.shape
+    width, size, half = first.shape[1], np.float32(cell), np.float32(0.5)
+    for row in range(begin, end):
+        y = (np.float32(row) + half) / size - half
+        i = int(np.floor(y))
+        down = y - np.float32(i)
+        upper, lower = min(max(i, 0), rows - 1), min(max(i + 1, 0), rows - 1)
+        for col in range(width):
+            x = (np.float32(col) + half) / size - half
+            j = int(np.floor(x))
+            right = x - np.float32(j)
+            left, beyond = j % cols, (j + 1) % cols
+            top = loser[upper, left] + right * (loser[upper, beyond] - loser[upper, left])
+            bottom = loser[lower, left] + right * (loser[lower, beyond] - loser[lower, left])
+            value = top + down * (bottom - top)
+            if value != np.float32(0.0) and first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+                if value > np.float32(0.0):
+                    second[row, col, 3] *= np.float32(1.0) - value
+                else:
+                    first[row, col, 3] *= np.float32(1.0) + value

@@ -1,0 +1,157 @@
+"""What moved is shown by one view alone, wholly; what stayed is blended as if nobody looked for ghosts."""
+
+import numpy as np
+import pytest
+
+from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.types import Rendering
+
+SIZE = (256, 512)
+RED = np.array([0.85, 0.1, 0.1], np.float32)
+
+
+def wall(shift: float = 0.0) -> np.ndarray:
+    """A finely textured picture; ``shift`` columns displaced."""
+    row, col = np.mgrid[0 : SIZE[0], 0 : SIZE[1]]
+    angle = (col - shift) * (2 * np.pi / SIZE[1])
+    waves = [np.sin(40 * angle + row / 5), np.sin(61 * angle - row / 7), np.sin(23 * angle + row / 11)]
+    return (0.5 + 0.25 * np.stack(waves, axis=-1)).astype(np.float32)
+
+
+def rendering(image: np.ndarray, rho: float | np.ndarray = 0.3, z: float = 0.0) -> Rendering:
+    colour = np.dstack([image, np.ones(SIZE, np.float32)]).astype(np.float32)
+    return Rendering(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array([0.0, 0.0, z])))
+
+
+def ball(azimuth_col: int, radius: float = 0.16) -> np.ndarray:
+    """Pixels within a cone around a column of the equator."""
+    towards = pixel_directions(*SIZE)[SIZE[0] // 2, azimuth_col % SIZE[1]]
+    return pixel_directions(*SIZE) @ towards > np.cos(radius)
+
+
+def with_ball(image: np.ndarray, where: np.ndarray) -> np.ndarray:
+    return np.where(where[..., None], RED, image)
+
+
+def border(where: np.ndarray, reach: int) -> np.ndarray:
+    """Pixels near the outline."""
+    near = [np.roll(where, (i, j), (0, 1)) for i in range(-reach, reach + 1) for j in (-reach, 0, reach)]
+    near += [np.roll(where, (i, j), (0, 1)) for i in (-reach, 0, reach) for j in range(-reach, reach + 1)]
+    return np.any(near, axis=0) & ~np.all(near, axis=0)
+
+
+def fuse(first: Rendering, second: Rendering, t: float, threads: int | None = 1) -> np.ndarray:
+    return GeometricFuser(SIZE, threads=threads)(first, second, t).copy()
+
+
+def share_of(found: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How much of ``one`` against ``other`` is in a picture, by least squares over the channels."""
+    step = one - other
+    return ((found - other) * step).sum(-1) / np.maximum((step * step).sum(-1), 1e-9)
+
+
+@pytest.mark.parametrize("column", [256, 100, 0], ids=["centre", "aside", "on the seam"])
+@pytest.mark.parametrize("object_rho", [0.3, 0.5], ids=["depth of the wall", "nearer"])
+def test_a_thing_in_one_picture_only_is_there_or_not_but_never_half(column: int, object_rho: float) -> None:
+    where, background = ball(column), wall()
+    picture, rho = with_ball(background, where), np.where(where, object_rho, 0.3)
+    for t in (0.03, 0.07, 0.2, 0.4, 0.6, 0.8, 0.93, 0.97):
+        found = fuse(rendering(picture, rho, z=-1e-3), rendering(background, z=1e-3), t)
+        share = share_of(found, picture, background)[where & ~border(where, 8)]
+        assert ((share < 0.03) | (share > 0.97)).all(), t
+        assert share.max() - share.min() < 0.1, "one view for the whole of it"
+        if object_rho == 0.3:
+            assert (share > 0.5).all() == (t < 0.5)
+
+
+def test_outside_of_what_moved_nothing_changes() -> None:
+    where, background = ball(200), wall()
+    picture = with_ball(background, where)
+    far = ~where & ~border(where, 14)
+    found = fuse(rendering(picture, z=-1e-5), rendering(wall(0.5), z=1e-5), 0.4)
+    without = 0.6 * background + 0.4 * wall(0.5)
+    np.testing.assert_allclose(found[far], without[far], atol=1e-4)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.5, 1.0])
+def test_texture_that_is_a_little_displaced_is_no_ghost(shift: float) -> None:
+    first, second = rendering(wall()), rendering(wall(shift))
+    GhostRemover(SIZE, threads=1)(first, second, 0.5)
+    assert (first.colour[..., 3] == 1).all()
+    assert (second.colour[..., 3] == 1).all()
+
+
+def test_light_that_differs_widely_is_no_ghost() -> None:
+    """A quarter of the range from one side of the panorama to the other: vignetting, another sky."""
+    slope = 0.125 * np.cos(np.arange(SIZE[1]) * (2 * np.pi / SIZE[1]))[None, :, None]
+    first, second = rendering(wall() + slope), rendering(wall() - slope)
+    GhostRemover(SIZE, threads=1)(first, second, 0.5)
+    assert (first.colour[..., 3] == 1).all()
+    assert (second.colour[..., 3] == 1).all()
+
+
+def test_a_thin_line_is_an_edge_and_no_thing() -> None:
+    line = np.abs(np.arange(SIZE[1]) - 150)[None, :] * np.ones(SIZE) < 2
+    first, second = rendering(with_ball(wall(), line)), rendering(wall())
+    GhostRemover(SIZE, threads=1)(first, second, 0.5)
+    assert (first.colour[..., 3] == 1).all()
+
+
+def test_exchanging_the_views_exchanges_who_loses() -> None:
+    a, b = with_ball(wall(), ball(130)), with_ball(wall(), ball(300))
+    there, back = (rendering(a, z=-0.4), rendering(b, z=0.6)), (rendering(b, z=0.6), rendering(a, z=-0.4))
+    GhostRemover(SIZE, threads=1)(*there, 0.3)
+    GhostRemover(SIZE, threads=1)(*back, 0.7)
+    np.testing.assert_allclose(there[0].colour, back[1].colour, atol=1e-6)
+    np.testing.assert_allclose(there[1].colour, back[0].colour, atol=1e-6)
+    assert (there[0].colour[..., 3] == 0).any() or (there[1].colour[..., 3] == 0).any()
+
+
+def test_turning_everything_by_whole_cells_turns_the_result() -> None:
+    picture = with_ball(wall(), ball(500))
+    plain, turned = (rendering(picture), rendering(wall())), (
+        rendering(np.roll(picture, 40, axis=1)), rendering(np.roll(wall(), 40, axis=1))
+    )  # fmt: skip
+    for pair in (plain, turned):
+        GhostRemover(SIZE, threads=1)(*pair, 0.7)
+    np.testing.assert_allclose(np.roll(plain[0].colour, 40, axis=1), turned[0].colour, atol=1e-6)
+    assert (plain[0].colour[..., 3] == 0).any()
+
+
+def test_from_one_place_everything_cross_fades() -> None:
+    picture = with_ball(wall(), ball(256))
+    found = fuse(rendering(picture), rendering(wall()), 0.4)
+    np.testing.assert_allclose(found, 0.6 * picture + 0.4 * wall(), atol=1e-6)
+
+
+def test_what_only_one_view_shows_keeps_its_worth() -> None:
+    where = ball(256)
+    picture = with_ball(wall(), where)
+    first, second = rendering(picture), rendering(wall())
+    alone = np.zeros(SIZE, bool)
+    alone[:, 250:260] = True
+    second.colour[alone] = 0
+    second.inverse_depth[alone] = -1
+    GhostRemover(SIZE, threads=1)(first, second, 0.8)
+    assert (first.colour[alone, 3] == 1).all()
+    assert (first.colour[where & ~alone & ~border(where, 8), 3] < 0.01).all()
+
+
+@pytest.mark.parametrize("size", [(2, 4), (16, 32), (50, 100), (130, 260), (300, 600)])
+def test_any_size_works(size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(1)
+    colour = [np.ones((*size, 4), np.float32) for _ in range(2)]
+    for c in colour:
+        c[..., :3] = rng.random((*size, 3))
+    views = [Rendering(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
+    GhostRemover(size, GhostOptions(difference=0.01), threads=1)(views[0], views[1], 0.5)
+    assert all(np.isfinite(c).all() and (c >= 0).all() for c in colour)
+
+
+def test_the_number_of_threads_does_not_show() -> None:
+    first, second = rendering(with_ball(wall(), ball(90))), rendering(wall(0.5), z=0.3)
+    again = rendering(with_ball(wall(), ball(90))), rendering(wall(0.5), z=0.3)
+    np.testing.assert_array_equal(fuse(first, second, 0.4, 1), fuse(*again, 0.4, 3))
