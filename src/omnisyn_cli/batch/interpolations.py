@@ -1,0 +1,91 @@
+"""The work function of ``omnisyn batch``: one line of a manifest becomes one interpolation."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from omnisyn_cli.batch.manifest import BatchJob
+from omnisyn_cli.batch.memory import DepthMemory, PanoramaMemory
+from omnisyn_cli.batch.places import attempt_folder, measure, pack, publish, workshop_is_seen
+from omnisyn_cli.batch.provenance import sources
+from omnisyn_cli.interpolation import InterpolationPlan, make_estimator, plan_interpolation, run_interpolation
+
+__all__ = ["Settings", "make_interpolator"]
+
+OF_ONE_VIDEO: dict[str, Any] = {
+    "images": (), "poses": Path(), "output": Path(), "save_depth": None, "save_frames": None, "frames": None,
+    "duration": None, "fps": 30.0, "ease": "linear", "heading": "panoramas", "codec": None, "crf": None,
+    "encoder_preset": None, "overwrite": False, "allow_aspect": False,
+}  # fmt: skip
+"""Fields of a job that have nothing to do with how depth is found."""
+
+MOST_ESTIMATORS = 4
+"""Kept at a time by a worker; jobs that want depth found in more ways than that load networks again."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all jobs of a run have in common.
+
+    Attributes:
+        folder: of the batch, absolute.
+        token: of the batch's workshop, see :func:`~omnisyn_cli.batch.places.workshop_is_seen`.
+        threads: of each interpolation.
+    """
+
+    folder: Path
+    token: str
+    threads: int
+
+
+def make_interpolator(settings: Settings) -> Callable[[BatchJob], dict[str, Any]]:
+    """The work function for a worker."""
+    return _Interpolator(settings)
+
+
+class _Interpolator:
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._panoramas = PanoramaMemory()
+        self._estimators: OrderedDict[Hashable, DepthMemory] = OrderedDict()
+
+    def __call__(self, job: BatchJob) -> dict[str, Any]:
+        """Make the outputs of a job; what there is to say about it, and the files if they could not be put in place."""
+        begin, made_of, folder = time.perf_counter(), sources(job), self._settings.folder
+        is_shared = workshop_is_seen(folder, self._settings.token)
+        with attempt_folder(folder if is_shared else None) as attempt:
+            for place in job.places:
+                (attempt / place).parent.mkdir(parents=True, exist_ok=True)
+            made = self._interpolate(job, attempt)
+            outputs = measure(attempt, job.places)
+            files = None if is_shared else pack(attempt, job.places)
+            if is_shared:
+                publish(attempt, folder, job.places)
+        seconds = round(time.perf_counter() - begin, 3)
+        return {"seconds": seconds, "outputs": outputs, **made, "sources": made_of, "files": files}
+
+    def _interpolate(self, job: BatchJob, attempt: Path) -> dict[str, Any]:
+        plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
+        memory = None if plan.depth == "file" else self._memory(plan)
+        decoded, found = self._panoramas.decoded, memory.found if memory else 0
+        summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
+        return {
+            "panoramas_decoded": self._panoramas.decoded - decoded,
+            "pairs_matched": memory.found - found if memory else 0,
+            "summary": {key: value for key, value in summary.items() if key not in ("inputs", "output")},
+        }
+
+    def _memory(self, plan: InterpolationPlan) -> DepthMemory:
+        """The estimator that jobs with the same wishes for depth share; a network is loaded once."""
+        key = (replace(plan.job, **OF_ONE_VIDEO), plan.depth, plan.size)
+        if key not in self._estimators:
+            while len(self._estimators) >= MOST_ESTIMATORS:
+                self._estimators.popitem(last=False)
+            self._estimators[key] = DepthMemory(make_estimator(plan))
+        self._estimators.move_to_end(key)
+        return self._estimators[key]

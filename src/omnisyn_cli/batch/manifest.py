@@ -1,0 +1,316 @@
+"""The manifest of a batch: one job a line, JSONL or CSV, checked whole before anything starts.
+
+A line has an ``id``, the panoramas, and any option of ``omnisyn interpolate`` under its long name with underscores::
+
+    {"id": "a-b", "inputs": ["a.jpg", "b.jpg"], "poses": "poses.json", "frames": 60, "size": "2048x1024"}
+    {"id": "hall", "scene": "scenes/hall", "output": "hall.mov", "codec": "prores"}
+
+File names are relative to the manifest, outputs to the folder of the batch. In CSV the first line names the columns,
+empty cells are left out and ``inputs`` are separated by ``;``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal, Self, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model, model_validator
+
+from omnisyn_cli.batch.lines import read_lines
+from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.io import MAX_PIXELS, PoseFile, read_poses
+from omnisyn_cli.io.sequence import NUMBER
+from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, InterpolationJob
+from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.render.renderer import RENDERERS
+from omnisyn_cli.runtime.session import DEVICES
+
+__all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "read_manifest"]
+
+RECORDS = "results.jsonl"
+"""File in the folder of a batch that says what became of every job."""
+
+WORKSHOP = ".omnisyn-batch"
+"""Hidden folder for what is not finished yet."""
+
+OUTPUTS = ("output", "save_depth", "save_frames")
+"""What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
+
+PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
+"""What a line says beside the options of its interpolation."""
+
+Fraction = Annotated[float, Field(gt=0, le=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Name = Annotated[str, StringConstraints(min_length=1)]
+
+
+class _Places(BaseModel):
+    """The part of a line that is about files."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    id: Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$", max_length=120)]
+    inputs: Annotated[list[Name], Field(min_length=2)] | None = None
+    scene: Name | None = None
+    poses: Name | None = None
+    group: Name | None = None
+    output: Name | None = None
+    save_depth: Name | None = None
+    save_frames: Name | None = None
+
+    @model_validator(mode="after")
+    def _has_panoramas(self) -> Self:
+        if self.scene is None and (self.inputs is None or self.poses is None):
+            raise ValueError("expected inputs with poses, or a scene; name one of them")
+        return self
+
+
+CONSTRAINED: dict[str, Any] = {
+    "frames": (Annotated[int, Field(ge=2)] | None, None),
+    "duration": (Positive | None, None),
+    "fps": (Annotated[float, Field(gt=0, le=1000)], 30.0),
+    "size": (Annotated[str, StringConstraints(pattern=r"^[1-9]\d{0,5}x[1-9]\d{0,5}$")] | None, None),
+    "preset": (Literal[tuple(PRESETS)], DEFAULT_PRESET),
+    "depth": (Literal[DEPTH_METHODS], "auto"),
+    "device": (Literal[DEVICES], "auto"),
+    "renderer": (Literal[RENDERERS], "mesh"),
+    "cut": (Fraction | None, None),
+    "cut_metres": (Positive | None, None),
+    "encoder_preset": (Name | None, None),
+    "max_pixels": (Annotated[int, Field(ge=1)], MAX_PIXELS),
+}
+"""Options whose values can be checked more closely than the types of :class:`InterpolationJob` say."""
+
+OF_THE_RUN = {"images", "threads", "overwrite"}
+"""Fields of :class:`InterpolationJob` that a line does not choose."""
+
+
+def _options() -> dict[str, Any]:
+    """Type and default of every option that a line may have."""
+    hints = get_type_hints(InterpolationJob)
+    known = {
+        field.name: (hints[field.name], field.default)
+        for field in fields(InterpolationJob)
+        if field.name not in OF_THE_RUN | set(PLACES)
+    }
+    return {**known, **CONSTRAINED}
+
+
+Line: Any = create_model("Line", __base__=_Places, **_options())
+"""One line of a manifest."""
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """One line that has been checked.
+
+    Attributes:
+        id: unique in the manifest.
+        images: panoramas, in walking order.
+        poses: pose file that names them all, or ``auto`` where they are found in the pictures.
+        outputs: by kind (``output``, ``save_depth``, ``save_frames``) the place below the folder of the batch.
+        options: of the interpolation, as the manifest names and writes them; defaults are left out.
+        group: jobs that share panoramas.
+    """
+
+    id: str
+    images: tuple[Path, ...]
+    poses: Path
+    outputs: dict[str, str]
+    options: dict[str, Any]
+    group: str | None = None
+
+    @property
+    def places(self) -> list[str]:
+        """Files and folders below the folder of the batch that the job makes; for numbered images their folder."""
+        return [str(_inside(place)) for place in self.outputs.values()]
+
+    def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
+        """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
+        options = dict(self.options)
+        cut, metres = options.pop("cut", None), options.pop("cut_metres", None)
+        if metres is not None:
+            options["cut"] = Cut(relative=None, metres=metres)
+        elif cut is not None:
+            options["cut"] = Cut(relative=cut)
+        if "size" in options:
+            width, _, height = options["size"].partition("x")
+            options["size"] = int(height), int(width)
+        places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
+        return InterpolationJob(images=self.images, poses=self.poses, threads=threads, **places, **options)
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a manifest says.
+
+    Attributes:
+        path: the file.
+        jobs: in the order of the file.
+        problems: one line each, with the number of the line in the file; no job may be started if there are any.
+    """
+
+    path: Path
+    jobs: tuple[BatchJob, ...]
+    problems: tuple[str, ...]
+
+
+def read_manifest(path: Path) -> Manifest:
+    """Read and check a manifest: its lines, the files they name, and that no two jobs write to one place.
+
+    Pictures are not opened; what is wrong with them fails the job that needs them.
+
+    Raises:
+        InputError: the file cannot be read, or it is empty.
+    """
+    reader = _Reader(path)
+    for number, value in read_lines(path):
+        reader.take(number, value)
+    if not reader.jobs and not reader.problems:
+        raise InputError(f"{path}: expected at least one job, got none; write one a line")
+    return Manifest(path, tuple(reader.jobs), tuple(reader.problems))
+
+
+class _Reader:
+    """Takes lines one after another; what is wrong goes to ``problems``, what is right to ``jobs``."""
+
+    def __init__(self, path: Path) -> None:
+        self.jobs: list[BatchJob] = []
+        self.problems: list[str] = []
+        self._folder = path.parent
+        self._ids: dict[str, int] = {}
+        self._places: dict[PurePosixPath, int] = {}
+        self._parents: dict[PurePosixPath, int] = {}
+        self._exists = lru_cache(maxsize=None)(_is_file)
+        self._resolved = lru_cache(maxsize=4096)(Path.resolve)
+        self._poses = lru_cache(maxsize=256)(_poses_or_problem)
+
+    def take(self, number: int, value: dict[str, Any] | str) -> None:
+        """Check one line."""
+        try:
+            line = _refusing(value)
+            job = self._job(line)
+            self._check_unique(job, number)
+        except ValidationError as error:
+            self.problems.extend(f"line {number}: {problem}" for problem in _explained(error))
+        except InputError as error:
+            self.problems.append(f"line {number}: {error}")
+        else:
+            self.jobs.append(job)
+
+    def _job(self, line: Any) -> BatchJob:
+        base = self._folder if line.scene is None else self._folder / line.scene
+        poses = self._pose_path(line, base)
+        pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses)
+        if isinstance(pose_file, str):
+            raise InputError(pose_file)
+        names = line.inputs or _ends(pose_file)
+        images = tuple(self._place(base / name) for name in names)
+        for image in images:
+            if not self._exists(image):
+                raise InputError(f"expected a panorama, got no file {image}; check the name")
+            if pose_file is not None:
+                pose_file.of(image)
+        options = line.model_dump(exclude=set(PLACES), exclude_defaults=True)
+        _check_together(options)
+        if (model := options.get("model")) is not None and self._exists(self._folder / model):
+            options["model"] = str(self._place(self._folder / model))
+        outputs = {kind: place for kind in OUTPUTS if (place := getattr(line, kind)) is not None}
+        outputs.setdefault("output", f"{line.id}.mp4")
+        return BatchJob(line.id, images, poses, outputs, options, line.group)
+
+    def _pose_path(self, line: Any, base: Path) -> Path:
+        if line.poses is None:
+            return self._place(base / "poses.json")
+        given = Path(line.poses)
+        return given if given == POSES_FROM_PICTURES else self._place(self._folder / given)
+
+    def _place(self, path: Path) -> Path:
+        """Absolute and without dots; the name itself may be that of a link."""
+        try:
+            return Path(self._resolved(path.parent), path.name)
+        except (OSError, ValueError) as error:
+            raise InputError(f"expected a file name, got '{path!s:.60}' ({error!s:.60}); correct it") from error
+
+    def _check_unique(self, job: BatchJob, number: int) -> None:
+        if (former := self._ids.setdefault(job.id, number)) != number:
+            raise InputError(f"expected a new id, got {job.id!r} as in line {former}; ids are unique")
+        for place in map(PurePosixPath, job.places):
+            claims = [self._places.get(place), self._parents.get(place)]
+            claims += [self._places.get(parent) for parent in place.parents]
+            if (former_line := next((claim for claim in claims if claim is not None), None)) is not None:
+                raise InputError(
+                    f"expected a place of its own for {place}, got one that line {former_line} writes to; name another"
+                )
+            self._places[place] = number
+            for parent in place.parents:
+                if parent.name:
+                    self._parents.setdefault(parent, number)
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is a file; no file has a name that the system refuses."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _refusing(value: dict[str, Any] | str) -> Any:
+    if isinstance(value, str):
+        raise InputError(f"{value}; correct it there")
+    return Line.model_validate(value)
+
+
+def _poses_or_problem(path: Path) -> PoseFile | str:
+    try:
+        return read_poses(path)
+    except PoseError as error:
+        return str(error)
+
+
+def _ends(poses: PoseFile | None) -> list[str]:
+    """The first and the last panorama of a scene."""
+    if poses is None:
+        raise InputError("expected inputs where poses are found in the pictures, got none; name them")
+    names = list(poses.panoramas)
+    if len(names) < 2:
+        raise InputError(f"{poses.path}: expected a scene of two or more panoramas, got {len(names)}; add one")
+    return [names[0], names[-1]]
+
+
+def _check_together(options: dict[str, Any]) -> None:
+    """What options say together."""
+    if "frames" in options and "duration" in options:
+        raise InputError("expected either frames or a duration, got both; name one")
+    if "cut" in options and "cut_metres" in options:
+        raise InputError("expected either cut or cut_metres, got both; name one")
+    if "size" in options:
+        width, _, height = options["size"].partition("x")
+        if int(width) != 2 * int(height):
+            raise InputError(f"expected a size twice as wide as high, got {options['size']}; try 2048x1024")
+
+
+def _inside(place: str) -> PurePosixPath:
+    """A file or folder below the folder of the batch."""
+    path = PurePosixPath(place.replace("\\", "/"))
+    if path.is_absolute() or ".." in path.parts or not path.name or ":" in place:
+        raise InputError(f"expected a place inside the folder of the batch, got {place!r}; write a relative name")
+    if NUMBER.search(path.name):
+        if len(path.parts) < 2:
+            raise InputError(f"expected a folder for numbered images, got {place!r}; write one such as a/{place}")
+        path = path.parent
+    if path.parts[0] in (RECORDS, WORKSHOP):
+        raise InputError(f"expected another name than {path.parts[0]}, which the batch itself uses; choose one")
+    return path
+
+
+def _explained(error: ValidationError) -> Iterator[str]:
+    for detail in error.errors(include_url=False):
+        where = ".".join(str(part) for part in detail["loc"])
+        given = "" if detail["type"] in ("missing", "value_error") else f", got {detail['input']!r:.80}"
+        yield f"{where + ': ' if where else ''}{detail['msg'].removeprefix('Value error, ')}{given}"

@@ -1,0 +1,142 @@
+"""The folder of a batch: work in progress in a hidden folder of it, what is finished under its final name.
+
+A worker that cannot see the folder (on another machine) works in a temporary one and sends the files.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from omnisyn_cli.batch.manifest import RECORDS, WORKSHOP
+from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
+
+__all__ = [
+    "attempt_folder",
+    "measure",
+    "open_workshop",
+    "pack",
+    "prepare_folder",
+    "publish",
+    "unpack",
+    "workshop_is_seen",
+]
+
+Files = Mapping[str, bytes]
+
+
+def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
+    """Refuse a folder in which a batch would destroy something, and make it if there is none.
+
+    Raises:
+        OutputPathError: an output would replace an input, or a file that no batch has written.
+    """
+    if not folder.exists():
+        check_folder(folder.parent)
+        folder.mkdir()
+    check_folder(folder)
+    root, sources = folder.resolve(), {path.resolve() for path in inputs}
+    places = [root / place for place in outputs]
+    targets = set(places)
+    for source in sources:
+        if source in targets or targets & set(source.parents):
+            raise OutputPathError(f"{source}: expected inputs that are not overwritten, got this one; write elsewhere")
+    if overwrite or (folder / RECORDS).exists():
+        return
+    if existing := [place for place in places if place.exists()]:
+        raise OutputPathError(
+            f"{existing[0]}: expected new outputs, got {len(existing)} that exist and no {RECORDS} that says they are "
+            "ours; choose another folder or allow overwriting (--overwrite)"
+        )
+
+
+@contextmanager
+def open_workshop(folder: Path) -> Iterator[str]:
+    """Make the hidden folder for work in progress, without what a run that was killed left there; remove it again.
+
+    Yields a token by which a worker can tell whether it sees this folder: :func:`workshop_is_seen`.
+    """
+    workshop, token = folder / WORKSHOP, secrets.token_hex(16)
+    shutil.rmtree(workshop, ignore_errors=True)
+    try:
+        with write_errors(workshop):
+            workshop.mkdir()
+            (workshop / token).touch()
+        yield token
+    finally:
+        shutil.rmtree(workshop, ignore_errors=True)
+
+
+def workshop_is_seen(folder: Path, token: str) -> bool:
+    """Whether this is the folder in which somebody, maybe on another machine, called :func:`open_workshop`."""
+    return (folder / WORKSHOP / token).exists()
+
+
+@contextmanager
+def attempt_folder(folder: Path | None) -> Iterator[Path]:
+    """An empty folder for one attempt at a job, gone afterwards; None is the system's place for such folders."""
+    if folder is None:
+        with tempfile.TemporaryDirectory(prefix="omnisyn-batch-") as name:
+            yield Path(name)
+        return
+    attempt = temporary_name(folder / WORKSHOP)
+    try:
+        with write_errors(attempt):
+            attempt.mkdir()
+        yield attempt
+    finally:
+        shutil.rmtree(attempt, ignore_errors=True)
+
+
+def measure(folder: Path, places: Iterable[str]) -> dict[str, dict[str, int]]:
+    """Number of files and bytes of every place below a folder; 0 files where there is nothing."""
+    return {place: _measured(folder / place) for place in places}
+
+
+def publish(attempt: Path, folder: Path, places: Iterable[str]) -> None:
+    """Move what an attempt has made to its final name; a file is replaced at once, a folder is removed before.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
+    for place in places:
+        target = folder / place
+        with write_errors(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if target.is_dir():
+                shutil.rmtree(target)
+            (attempt / place).replace(target)
+
+
+def pack(attempt: Path, places: Iterable[str]) -> dict[str, bytes]:
+    """All files that an attempt has made, by their place."""
+    return {
+        file.relative_to(attempt).as_posix(): file.read_bytes() for place in places for file in _files(attempt / place)
+    }
+
+
+def unpack(files: Files, folder: Path, places: Iterable[str]) -> None:
+    """Write what :func:`pack` took, under final names."""
+    with attempt_folder(folder) as attempt:
+        for name, content in files.items():
+            target = attempt / name
+            with write_errors(folder / name):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
+        publish(attempt, folder, places)
+
+
+def _measured(place: Path) -> dict[str, int]:
+    sizes = [file.stat().st_size for file in _files(place)]
+    return {"files": len(sizes), "bytes": sum(sizes)}
+
+
+def _files(place: Path) -> list[Path]:
+    if place.is_dir():
+        return sorted(file for file in place.rglob("*") if file.is_file())
+    return [place] if place.is_file() else []

@@ -1,0 +1,104 @@
+"""What a result was made of: the files with their hashes, the poses, the options."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from omnisyn_cli.batch.manifest import BatchJob
+from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.io import PosedPanorama, PoseFile, read_poses
+from omnisyn_cli.runtime.models import find_model
+
+__all__ = ["has_same_sources", "hash_file", "sources", "stamp"]
+
+Stamp = tuple[str, int, int]
+
+
+def stamp(path: Path) -> Stamp:
+    """Name, bytes and time of the last change (nanoseconds): where these are equal the content is taken to be."""
+    status = path.stat()
+    return str(path), status.st_size, status.st_mtime_ns
+
+
+def hash_file(path: Path) -> dict[str, Any]:
+    """Hash of a file with the stamp that it belongs to; hashes of None if the file cannot be read."""
+    try:
+        _, size, changed = mark = stamp(path)
+        return {"sha256": _hash(mark), "bytes": size, "changed": changed}
+    except OSError:
+        return {"sha256": None, "bytes": None, "changed": None}
+
+
+def sources(job: BatchJob) -> dict[str, Any]:
+    """What the result of a job depends on, as plain values for JSON."""
+    files = {str(path): hash_file(path) for path in _files(job)}
+    return {**_settings(job), "files": files}
+
+
+def has_same_sources(job: BatchJob, recorded: Any) -> bool:
+    """Whether a job would be made of the same as a recorded one; files are only read if they have been touched."""
+    if not isinstance(recorded, dict):
+        return False
+    known = recorded.get("files")
+    if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in _settings(job).items()):
+        return False
+    paths = list(_files(job))
+    return {str(path) for path in paths} == set(known) and all(_is_same(path, known[str(path)]) for path in paths)
+
+
+def _settings(job: BatchJob) -> dict[str, Any]:
+    entries = _entries(job)
+    return {
+        "inputs": [str(image) for image in job.images],
+        "outputs": job.outputs,
+        "options": json.loads(json.dumps(job.options, default=str)),
+        "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
+    }
+
+
+def _files(job: BatchJob) -> Iterator[Path]:
+    """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count."""
+    yield from dict.fromkeys(job.images)
+    companions = [file for entry in _entries(job) for file in (entry.depth, entry.mask) if file is not None]
+    yield from dict.fromkeys(companions)
+    if (model := job.options.get("model")) is not None:
+        try:
+            yield find_model(model)
+        except OmnisynError:
+            yield Path(model)
+
+
+def _entries(job: BatchJob) -> list[PosedPanorama]:
+    try:
+        poses = _poses(stamp(job.poses))
+        return [poses.of(image) for image in job.images]
+    except (OmnisynError, OSError):  # gone since the manifest was read: the job itself says why it cannot be done
+        return []
+
+
+@lru_cache(maxsize=64)
+def _poses(mark: Stamp) -> PoseFile:
+    return read_poses(Path(mark[0]))
+
+
+@lru_cache(maxsize=4096)
+def _hash(mark: Stamp) -> str:
+    with Path(mark[0]).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _is_same(path: Path, recorded: Any) -> bool:
+    if not isinstance(recorded, dict) or not {"sha256", "bytes", "changed"} <= recorded.keys():
+        return False
+    try:
+        _, size, changed = stamp(path)
+    except OSError:
+        return recorded["sha256"] is None
+    if (size, changed) == (recorded["bytes"], recorded["changed"]):
+        return True
+    return bool(size == recorded["bytes"] and hash_file(path)["sha256"] == recorded["sha256"])

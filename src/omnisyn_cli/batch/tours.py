@@ -1,0 +1,183 @@
+"""Manifests from tours and trajectories: which panoramas are neighbours, and which jobs share work."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.io import check_output, read_poses
+from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.trajectory import STILL
+
+__all__ = ["TourOptions", "neighbours", "plan_tours", "walks", "write_manifest"]
+
+
+@dataclass(frozen=True)
+class TourOptions:
+    """Which pairs are interpolated.
+
+    Attributes:
+        max_baseline: metres; panoramas farther apart are no neighbours.
+        neighbours: each panorama is paired with so many of the nearest.
+        both_directions: a job for the way there and one for the way back.
+        share: pairs in a group, whose jobs one worker does one after another; more share more panoramas, fewer spread
+            better over workers.
+        options: of every job, as in a manifest.
+    """
+
+    max_baseline: float = 10.0
+    neighbours: int = 2
+    both_directions: bool = True
+    share: int = 8
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
+    """Lines of a manifest for a tour.
+
+    Args:
+        source: a pose file, a folder with ``poses.json``, or a folder of such folders.
+        options: which pairs.
+
+    Returns:
+        One line per job; file names are relative to the working directory or absolute, as ``source`` is.
+
+    Raises:
+        InputError: no pose file, a damaged one, or no two panoramas that are near enough.
+    """
+    lines = [line for file in _pose_files(source) for line in _tour(file, source, options)]
+    if not lines:
+        raise InputError(
+            f"{source}: expected two panoramas at most {options.max_baseline:g} m apart, got none; "
+            "allow more (--max-baseline)"
+        )
+    return _with_unique_ids(lines)
+
+
+def write_manifest(path: Path, lines: Iterable[Mapping[str, Any]], *, overwrite: bool = False) -> None:
+    """Write lines as JSONL, file names relative to the manifest's folder.
+
+    Raises:
+        OutputPathError: the file exists and ``overwrite`` is off, or it has no folder.
+        WriteError: the disk is full.
+    """
+    check_output(path, overwrite)
+    text = "".join(json.dumps(_relative(line, path.parent), ensure_ascii=False) + "\n" for line in lines)
+    with replaced_when_complete(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def neighbours(positions: Float[np.ndarray, "count 3"], count: int, farthest: float) -> list[tuple[int, int]]:
+    """Pairs ``(a, b)``, a < b, in which one is among the ``count`` nearest of the other, at most ``farthest`` apart.
+
+    Panoramas at one place are no neighbours. Positions are looked up in cubes of side ``farthest``, so the time grows
+    with their number times how many lie near each other.
+    """
+    cubes: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    cells = np.floor(positions / farthest).astype(np.int64)
+    for index, cell in enumerate(cells):
+        cubes[tuple(cell)].append(index)
+    around = np.array(list(product((-1, 0, 1), repeat=3)))
+    pairs = set()
+    for index, cell in enumerate(cells):
+        near = np.array([other for shift in around for other in cubes.get(tuple(cell + shift), ())])
+        distance = np.linalg.norm(positions[near] - positions[index], axis=1)
+        is_neighbour = (distance > STILL) & (distance <= farthest)
+        for other in near[is_neighbour][np.argsort(distance[is_neighbour], kind="stable")][:count]:
+            pairs.add((min(index, int(other)), max(index, int(other))))
+    return sorted(pairs)
+
+
+def walks(pairs: Sequence[tuple[int, int]], share: int) -> list[list[tuple[int, int]]]:
+    """Pairs in groups of at most ``share``; in each, a pair follows one that it shares a panorama with if it can."""
+    open_pairs: dict[int, set[int]] = defaultdict(set)
+    for a, b in pairs:
+        open_pairs[a].add(b)
+        open_pairs[b].add(a)
+    groups: list[list[tuple[int, int]]] = []
+    for start in sorted(open_pairs, key=lambda place: (len(open_pairs[place]) != 1, place)):  # dead ends first
+        walk = list(_walk(start, open_pairs))
+        groups.extend(walk[begin : begin + share] for begin in range(0, len(walk), share))
+    return groups
+
+
+def _walk(start: int, open_pairs: dict[int, set[int]]) -> Iterator[tuple[int, int]]:
+    """Pairs from a place on, each used once; from a place with none left back to the last one that has some."""
+    stack = [start]
+    while stack:
+        here = stack[-1]
+        if not open_pairs[here]:
+            stack.pop()
+            continue
+        there = min(open_pairs[here])
+        open_pairs[here].discard(there)
+        open_pairs[there].discard(here)
+        yield here, there
+        stack.append(there)
+
+
+def _pose_files(source: Path) -> list[Path]:
+    if not source.is_dir():
+        return [source]
+    here = source / "poses.json"
+    if here.is_file():
+        return [here]
+    below = sorted(folder / "poses.json" for folder in source.iterdir() if (folder / "poses.json").is_file())
+    if not below:
+        raise InputError(f"{source}: expected poses.json in the folder or in folders inside it, got none; add one")
+    return below
+
+
+def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, Any]]:
+    poses = read_poses(file)
+    names = list(poses.panoramas)
+    positions = np.array([entry.pose.position for entry in poses.panoramas.values()]).reshape(-1, 3)
+    scene = "" if file.parent == source or file == source else f"{_plain(file.parent.name)}-"
+    for number, group in enumerate(
+        walks(neighbours(positions, options.neighbours, options.max_baseline), options.share)
+    ):
+        for a, b in group:
+            for first, second in ((a, b), (b, a))[: 1 + options.both_directions]:
+                pair = [names[first], names[second]]
+                yield {
+                    "id": scene + "-".join(_plain(Path(name).stem) for name in pair),
+                    "inputs": [file.parent / name for name in pair],
+                    "poses": file,
+                    "group": f"{scene}walk-{number}",
+                    **options.options,
+                }
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^\w.-]+", "_", name).lstrip(".-") or "_"
+
+
+def _with_unique_ids(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    taken: set[str] = set()
+    for line in lines:
+        name, number = line["id"], 2
+        while line["id"] in taken:
+            line["id"], number = f"{name}-{number}", number + 1
+        taken.add(line["id"])
+    return lines
+
+
+def _relative(line: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    def name(path: Path) -> str:
+        try:
+            return Path(os.path.relpath(path, folder)).as_posix()
+        except ValueError:  # another drive
+            return path.absolute().as_posix()
+
+    return {**line, "inputs": [name(path) for path in line["inputs"]], "poses": name(line["poses"])}

@@ -1,0 +1,194 @@
+"""``omnisyn batch``: every pair of a manifest, on this machine or on a Ray cluster."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from omnisyn_cli.errors import InputError
+
+if TYPE_CHECKING:
+    from omnisyn_cli.batch.manifest import Manifest
+    from omnisyn_cli.batch.run import BatchReport, Progress
+
+__all__ = ["batch", "plan"]
+
+FilePath = click.Path(path_type=Path)
+
+MOST_SHOWN = 20
+"""Failures in the table at the end; all of them are in results.jsonl and in --json."""
+
+
+class _BatchCommand(click.Command):
+    """A command whose first argument ``plan`` is another command."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """That of ``plan`` if it is named."""
+        if args[:1] == [plan.name]:
+            return plan.make_context(f"{info_name} {plan.name}", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
+
+
+@click.command(
+    cls=_BatchCommand,
+    epilog="Exit codes: 0 all jobs done, 1 some failed, 2 wrong usage, 3 unusable input, 130 interrupted.",
+)
+@click.argument("manifest", type=FilePath)
+@click.option("-o", "--output", required=True, metavar="FOLDER", type=FilePath, help="For all outputs and the records.")
+@click.option(
+    "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
+    help="Processes of this machine, or actors of a Ray cluster.",
+)  # fmt: skip
+@click.option("--workers", type=click.IntRange(1), help="How many.  [default: one per core; all that Ray has room for]")
+@click.option(
+    "--threads", type=click.IntRange(1), help="Of each worker.  [default: the cores divided by the workers; 1 with Ray]"
+)
+@click.option("--ray-address", metavar="ADDRESS", help="Of the cluster, such as auto.  [default: what Ray finds]")
+@click.option(
+    "--gpus", type=click.FloatRange(0), default=0.0, show_default=True,
+    help="GPUs, or a share of one, for each Ray worker.",
+)  # fmt: skip
+@click.option("--retry-failed", is_flag=True, help="Try jobs again that failed in a former run.")
+@click.option("--overwrite", is_flag=True, help="Replace files in FOLDER that no batch has written.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.pass_context
+def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool, quiet: bool, **options: Any) -> None:
+    """Interpolate every pair of MANIFEST, a JSONL or CSV file with one job a line.
+
+    \b
+    omnisyn batch plan tour/ -o jobs.jsonl --set frames=30
+    omnisyn batch jobs.jsonl -o out/
+    omnisyn batch jobs.jsonl -o out/ --engine ray --ray-address auto
+
+    A line has an id, inputs and poses (or a scene folder) and any option of interpolate. FOLDER/results.jsonl says what
+    became of every job; started again, the command does what is missing or has changed, and nothing else.
+    `omnisyn batch plan --help` says how a manifest is made.
+    """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.batch.manifest import read_manifest
+    from omnisyn_cli.batch.run import BatchOptions, run_batch
+
+    checked = read_manifest(manifest)
+    _refuse_problems(checked)
+    with _progress(is_shown=not quiet and sys.stderr.isatty()) as on_progress:
+        report = run_batch(checked, output, BatchOptions(**options), on_progress)
+    _print_report(report, output, as_json=as_json, quiet=quiet)
+    if report.failed:
+        context.exit(1)
+
+
+@click.command("plan")
+@click.argument("source", metavar="FOLDER|POSES", type=FilePath)
+@click.option("-o", "--output", required=True, type=FilePath, help="Manifest to write (.jsonl).")
+@click.option(
+    "--max-baseline", type=click.FloatRange(0, min_open=True), default=10.0, show_default=True,
+    help="Metres; panoramas farther apart are no neighbours.",
+)  # fmt: skip
+@click.option(
+    "--neighbours", type=click.IntRange(1), default=2, show_default=True,
+    help="Each panorama is paired with so many of the nearest.",
+)  # fmt: skip
+@click.option("--one-way", is_flag=True, help="No job for the way back.")
+@click.option(
+    "--share", type=click.IntRange(1), default=8, show_default=True,
+    help="Pairs that one worker does one after another, so that panoramas are decoded once for all of them.",
+)  # fmt: skip
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="An option for every job; repeatable.")
+@click.option("--overwrite", is_flag=True, help="Replace the manifest if it exists.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def plan(
+    source: Path, output: Path, one_way: bool, settings: tuple[str, ...], overwrite: bool, quiet: bool, **options: Any
+) -> None:
+    """Write a manifest of all neighbours in a tour: a pose file, a folder with poses.json, or a folder of such folders.
+
+    Both directions of a pair stand next to each other: its depth is found once and each panorama is decoded once for
+    all pairs that one worker does in a row (--share).
+    """
+    from omnisyn_cli.batch.tours import TourOptions, plan_tours, write_manifest
+
+    if output.suffix != ".jsonl":
+        raise InputError(f"{output}: expected a name that ends in .jsonl, got {output.suffix or 'no ending'}; add it")
+    chosen = TourOptions(both_directions=not one_way, options=dict(map(_setting, settings)), **options)
+    lines = plan_tours(source, chosen)
+    write_manifest(output, lines, overwrite=overwrite)
+    if not quiet:
+        click.echo(f"{output}: {len(lines)} jobs")
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """Name and value; numbers, true and false are what they are in JSON."""
+    import json
+
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise click.BadParameter(f"expected NAME=VALUE such as frames=30, got {text!r}", param_hint="--set")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
+
+
+def _refuse_problems(manifest: Manifest) -> None:
+    for problem in manifest.problems:
+        click.echo(f"{manifest.path}: {' '.join(problem.splitlines())}", err=True)
+    if manifest.problems:
+        raise InputError(
+            f"{manifest.path}: expected lines without problems, got {len(manifest.problems)} (see above); mend them, "
+            "nothing was started"
+        )
+
+
+def _print_report(report: BatchReport, folder: Path, *, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        import json
+
+        click.echo(json.dumps(report.describe(), indent=2, ensure_ascii=False))
+    elif not quiet:
+        total = len(report.done) + len(report.kept) + len(report.failed)
+        click.echo(
+            f"{folder}: {total} jobs, {len(report.done)} done in {report.seconds:.1f} s, {len(report.kept)} done "
+            f"before, {len(report.failed)} failed"
+        )
+        for version in report.describe()["kept_from_versions"]:
+            click.echo(f"note: some were done by version {version}; remove their outputs to have them again", err=True)
+    if report.failed:
+        _print_failures(report)
+
+
+def _print_failures(report: BatchReport) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("job", "attempts", "error", title=f"{len(report.failed)} failed")
+    for record in report.failed[:MOST_SHOWN]:
+        table.add_row(str(record["id"]), str(record.get("attempts", "")), str(record.get("error", "")))
+    if len(report.failed) > MOST_SHOWN:
+        table.add_row("…", "", f"{len(report.failed) - MOST_SHOWN} more in results.jsonl")
+    Console(stderr=True, markup=False).print(table)
+
+
+@contextmanager
+def _progress(*, is_shown: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """A bar over all jobs with the time left on stderr; nothing where stderr is no terminal."""
+    if not is_shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), speed_estimate_period=3600) as bar:
+        task = bar.add_task("jobs", total=None)
+
+        def show(now: Any) -> None:
+            text = f"{now.done + now.failed}/{now.jobs} jobs" + (f", {now.failed} failed" if now.failed else "")
+            bar.update(task, total=now.cost, completed=now.cost_done, description=text)
+
+        yield show

@@ -1,0 +1,93 @@
+"""The same batch on Ray: two nodes on this machine, one of them killed midway, and the same bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from batch_samples import contents, line, records, write_lines, write_row
+
+import omnisyn_cli
+from omnisyn_cli.batch.engine import Work
+from omnisyn_cli.batch.ray_crew import RayCrew
+from omnisyn_cli.errors import InputError
+
+pytest.importorskip("ray", reason="Ray is not installed (omnisyn-cli[ray])")
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+SECONDS = 240
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A head without processors, which the command connects to, and nodes to be added and killed."""
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(omnisyn_cli.__file__).parents[1]), *sys.path]))
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    store = {"object_store_memory": 80 << 20}
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False, **store})
+    made.small_node = lambda: made.add_node(num_cpus=1, **store)
+    yield made
+    made.shutdown()
+
+
+def start(folder: Path, output: Path, *more: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "omnisyn_cli", "batch", folder / "jobs.jsonl", "-o", output, "--threads", "1"]
+    return subprocess.Popen(
+        [*map(str, command), *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
+    )
+
+
+def leave(process: subprocess.Popen[str]) -> tuple[int, str]:
+    out, err = process.communicate(timeout=SECONDS)
+    return process.returncode, out + err
+
+
+def workers(folder: Path) -> set[str]:
+    """Those that have ended a job."""
+    return {record["worker"] for record in records(folder)} if (folder / "results.jsonl").exists() else set()
+
+
+def test_a_node_that_dies_midway_takes_nothing_with_it(tmp_path: Path, cluster: Any) -> None:
+    """The other node's worker does what the lost one had begun, without waiting for a node to replace it."""
+    write_row(tmp_path, 4, size=(64, 128))
+    pairs = [(a, b) for a in range(4) for b in range(4) if a != b]
+    write_lines(tmp_path / "jobs.jsonl", [line(a, b, frames=20, size="512x256") for a, b in pairs])
+    calm = start(tmp_path, tmp_path / "calm", "--workers", "1")
+    nodes = [cluster.small_node() for _ in range(2)]
+    assert leave(calm)[0] == 0
+    process = start(tmp_path, tmp_path / "out", "--engine", "ray", "--ray-address", cluster.address, "--json")
+    end = time.monotonic() + SECONDS
+    while len(workers(tmp_path / "out")) < 2:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    cluster.remove_node(nodes[0], allow_graceful=False)
+    assert len(records(tmp_path / "out")) < len(pairs), "it was too fast for a node to be killed in the middle"
+    code, words = leave(process)
+    assert code == 0, words
+    assert json.loads(words[words.index("{") :])["done"] == len(pairs)
+    assert contents(tmp_path / "out") == contents(tmp_path / "calm")
+    assert sorted(record["id"] for record in records(tmp_path / "out")) == sorted(f"{a}-{b}" for a, b in pairs)
+    assert max(record["attempts"] for record in records(tmp_path / "out")) == 2, "nothing was lost with the node"
+
+
+def test_a_cluster_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray itself takes a minute and a half to find that out, so its words are put in its mouth."""
+
+    def init(**arguments: Any) -> None:
+        raise RuntimeError(f"nobody at {arguments['address']}\nmore of it")
+
+    monkeypatch.setattr("ray.init", init)
+    with pytest.raises(InputError) as raised, RayCrew(Work("nothing:at_all"), 1, 1, address="127.0.0.1:1"):
+        pass
+    message = "expected a Ray cluster at 127.0.0.1:1, got 'nobody at 127.0.0.1:1'; check --ray-address"
+    assert str(raised.value) == message

@@ -1,0 +1,231 @@
+"""A batch does what interpolating one pair after another does, and started again it does only what is missing."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from batch_samples import SIZE, InlineCrew, contents, line, records, write_lines, write_row
+
+from omnisyn_cli.batch import interpolations, run
+from omnisyn_cli.batch.engine import Work
+from omnisyn_cli.batch.interpolations import Settings, make_interpolator
+from omnisyn_cli.batch.manifest import read_manifest
+from omnisyn_cli.batch.places import WORKSHOP, open_workshop, unpack
+from omnisyn_cli.batch.run import BatchOptions, BatchReport, Progress, run_batch
+from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation import plan_interpolation, run_interpolation
+from omnisyn_cli.io import read_poses, write_image, write_poses
+from omnisyn_cli.types import DepthEstimate, View
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No processes: what they add is tested with the engine and with the command."""
+
+    def crew(work: Work, settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineCrew:
+        return InlineCrew(Work(work.factory, settings(1)))
+
+    monkeypatch.setattr(run, "make_crew", crew)
+
+
+def batch(folder: Path, *lines: Any, **options: Any) -> BatchReport:
+    path = write_lines(folder / "jobs.jsonl", list(lines))
+    return run_batch(read_manifest(path), folder / "out", BatchOptions(**options))
+
+
+def ids(found: list[dict[str, Any]]) -> list[str]:
+    return sorted(record["id"] for record in found)
+
+
+def test_a_batch_makes_what_interpolating_makes(tmp_path: Path) -> None:
+    write_row(tmp_path, 3)
+    lines = [line(0, 1, group="a"), line(1, 0, group="a", save_depth="depth/1-0"), line(0, 2, output="f/v_%03d.png")]
+    report = batch(tmp_path, *lines)
+    assert (ids(report.done), report.failed, report.kept) == (["0-1", "0-2", "1-0"], [], [])
+    (tmp_path / "alone" / "depth").mkdir(parents=True)
+    for job in read_manifest(tmp_path / "jobs.jsonl").jobs:
+        run_interpolation(plan_interpolation(job.interpolation(tmp_path / "alone", threads=1)))
+    assert contents(tmp_path / "out") == contents(tmp_path / "alone")
+    assert "f/v_001.png" in contents(tmp_path / "out")
+    assert not (tmp_path / "out" / WORKSHOP).exists()
+
+
+def test_a_record_says_what_a_result_was_made_of(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    batch(tmp_path, line(0, 1))
+    (record,) = records(tmp_path / "out")
+    assert (record["id"], record["status"], record["attempts"], record["panoramas_decoded"]) == ("0-1", "done", 1, 2)
+    made = [file.stat().st_size for file in (tmp_path / "out" / "0-1").iterdir()]
+    assert record["outputs"] == {"0-1": {"files": 3, "bytes": sum(made)}}
+    assert record["sources"]["options"] == {"frames": 3}
+    assert {Path(name).name for name in record["sources"]["files"]} == {"p0.png", "p1.png", "depth0.exr", "depth1.exr"}
+    assert {"decode", "mesh", "render", "fuse", "total"} <= set(record["summary"]["stages"])
+    assert record["summary"]["depth"] == "file"
+
+
+def test_shared_panoramas_are_decoded_and_their_depth_found_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four panoramas, three pairs, both ways: four pictures decoded, three pairs matched, the bytes of six jobs.
+
+    The estimator gives the first of a pair another depth than the second, so that asking the other way round shows.
+    """
+    monkeypatch.setattr(interpolations, "make_estimator", lambda plan: lopsided)
+    write_row(tmp_path, 4)
+    both = [pair for k in range(3) for pair in ((k, k + 1), (k + 1, k))]
+    lines = [line(a, b, group="walk", depth="matching", frames=3) for a, b in both]
+    batch(tmp_path, *lines)
+    done = records(tmp_path / "out")
+    assert sum(record["panoramas_decoded"] for record in done) == 4
+    assert [record["pairs_matched"] for record in done] == [1, 0] * 3
+    shared = contents(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    for one in reversed(lines):
+        batch(tmp_path, one | {"group": one["id"]})
+    assert contents(tmp_path / "out") == shared
+
+
+def lopsided(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+    near, far = (DepthEstimate(np.full(SIZE, value, np.float32), np.ones(SIZE, np.float32)) for value in (0.5, 0.25))
+    return near, far
+
+
+def test_a_second_run_does_nothing(tmp_path: Path) -> None:
+    write_row(tmp_path, 3)
+    lines = [line(0, 1), line(1, 2)]
+    batch(tmp_path, *lines)
+    before = {file: file.stat().st_mtime_ns for file in (tmp_path / "out").rglob("*")}
+    os.utime(tmp_path / "p0.png", ns=(1, 1))  # touched, not changed
+    report = batch(tmp_path, *lines)
+    assert (report.done, ids(report.kept)) == ([], ["0-1", "1-2"])
+    assert {file: file.stat().st_mtime_ns for file in (tmp_path / "out").rglob("*")} == before
+
+
+def change_picture(folder: Path) -> None:
+    write_image(folder / "p2.png", np.zeros((*SIZE, 3), np.uint8))
+
+
+def change_depth(folder: Path) -> None:
+    (folder / "depth2.exr").write_bytes((folder / "depth0.exr").read_bytes()[:-1] + b"\0")
+
+
+def change_pose(folder: Path) -> None:
+    entries = dict(read_poses(folder / "poses.json").panoramas)
+    entries["p2.png"] = replace(entries["p2.png"], pose=Pose(np.eye(3), np.array([0.0, 0.0, -2.5])))
+    write_poses(folder / "poses.json", entries)
+
+
+def change_output(folder: Path) -> None:
+    (folder / "out" / "1-2" / "000001.png").unlink()
+
+
+@pytest.mark.parametrize("change", [change_picture, change_depth, change_pose, change_output, None])
+def test_only_what_changed_is_done_again(tmp_path: Path, change: Callable[[Path], None] | None) -> None:
+    """A picture, a depth file, a pose, an output that went away, and an option (None)."""
+    write_row(tmp_path, 3)
+    batch(tmp_path, line(0, 1), line(1, 2))
+    if change:
+        change(tmp_path)
+    report = batch(tmp_path, line(0, 1), line(1, 2, **({} if change else {"ease": "smooth"})), line(1, 0))
+    assert (ids([*report.done, *report.failed]), ids(report.kept)) == (["1-0", "1-2"], ["0-1"])
+    assert len(list((tmp_path / "out" / "1-2").iterdir())) == 3
+
+
+def test_fewer_frames_leave_none_of_the_former_ones(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    batch(tmp_path, line(0, 1, frames=5))
+    batch(tmp_path, line(0, 1, frames=3))
+    assert len(contents(tmp_path / "out")) == 3
+
+
+def test_a_bad_pair_stops_nothing_and_is_tried_again_when_told_or_mended(tmp_path: Path) -> None:
+    write_row(tmp_path, 3)
+    good = (tmp_path / "p2.png").read_bytes()
+    (tmp_path / "p2.png").write_bytes(good[:200])
+    lines = [line(1, 2), line(0, 1)]
+    first = batch(tmp_path, *lines)
+    assert (ids(first.done), ids(first.failed)) == (["0-1"], ["1-2"])
+    assert "p2.png" in first.failed[0]["error"]
+    assert "1-2/000000.png" not in contents(tmp_path / "out")
+    second = batch(tmp_path, *lines)
+    assert (second.done, ids(second.kept), ids(second.failed)) == ([], ["0-1"], ["1-2"])
+    assert len(records(tmp_path / "out")) == 2, "nothing was tried"
+    third = batch(tmp_path, *lines, retry_failed=True)
+    assert (ids(third.failed), len(records(tmp_path / "out"))) == (["1-2"], 3)
+    (tmp_path / "p2.png").write_bytes(good)
+    fourth = batch(tmp_path, *lines)
+    assert (ids(fourth.done), ids(fourth.kept), fourth.failed) == (["1-2"], ["0-1"], [])
+
+
+def test_files_that_no_batch_has_written_are_safe(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    (tmp_path / "out" / "0-1").mkdir(parents=True)
+    (tmp_path / "out" / "0-1" / "mine.txt").write_text("mine")
+    with pytest.raises(OutputPathError, match="overwrite"):
+        batch(tmp_path, line(0, 1))
+    assert (tmp_path / "out" / "0-1" / "mine.txt").exists()
+    assert len(batch(tmp_path, line(0, 1), overwrite=True).done) == 1
+
+
+@pytest.mark.parametrize("output", ["p1.png", "poses.json", "jobs.jsonl"])
+def test_inputs_are_never_outputs(tmp_path: Path, output: str) -> None:
+    write_row(tmp_path, 2)
+    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1, output=output)])
+    before = contents(tmp_path)
+    with pytest.raises(OutputPathError, match="expected inputs"):
+        run_batch(read_manifest(path), tmp_path, BatchOptions(overwrite=True))
+    assert contents(tmp_path) == before
+
+
+def test_a_folder_with_inputs_in_it_is_never_replaced(tmp_path: Path) -> None:
+    (tmp_path / "tour").mkdir()
+    write_row(tmp_path / "tour", 2)
+    one = {"id": "a", "scene": "tour", "output": "tour", "frames": 3}
+    path = write_lines(tmp_path / "jobs.jsonl", [one])
+    with pytest.raises(OutputPathError, match="expected inputs"):
+        run_batch(read_manifest(path), tmp_path, BatchOptions(overwrite=True))
+
+
+def test_a_manifest_with_problems_is_not_begun(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    with pytest.raises(InputError, match="got 1"):
+        batch(tmp_path, line(0, 1), "{")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1, save_depth="depth", output="f/v_%02d.png")])
+    (job,) = read_manifest(path).jobs
+    there, elsewhere = tmp_path / "there", tmp_path / "elsewhere"
+    there.mkdir()
+    with open_workshop(there) as token:
+        seen = make_interpolator(Settings(there, token, 1))(job)
+        sent = make_interpolator(Settings(elsewhere, token, 1))(job)
+        other = make_interpolator(Settings(there, "another token", 1))(job)
+    assert seen["files"] is None
+    assert not elsewhere.exists()
+    assert set(sent["files"]) == set(contents(there)) == set(other["files"])
+    elsewhere.mkdir()
+    with open_workshop(elsewhere):
+        unpack(sent["files"], elsewhere, job.places)
+    assert contents(elsewhere) == contents(there)
+    assert sent["outputs"] == seen["outputs"]
+
+
+def test_progress_counts_jobs_and_their_costs(tmp_path: Path) -> None:
+    write_row(tmp_path, 3)
+    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1), line(1, 2, frames=300, output="x.nosuch"), line(0, 2)])
+    seen: list[Progress] = []
+    report = run_batch(read_manifest(path), tmp_path / "out", BatchOptions(), seen.append)
+    assert [(p.done, p.failed, p.jobs) for p in seen] == [(0, 0, 3), (0, 1, 3), (1, 1, 3), (2, 1, 3)]
+    assert seen[0].cost_done == 0
+    assert seen[-1].cost_done == pytest.approx(seen[-1].cost)
+    json.dumps(report.describe())
