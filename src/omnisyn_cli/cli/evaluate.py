@@ -1,0 +1,158 @@
+"""``omnisyn eval``: methods compared with true frames and true depth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from omnisyn_cli.cli.interpolate import Size
+
+if TYPE_CHECKING:
+    from omnisyn_cli.evaluation.engine import EvaluationPlan
+    from omnisyn_cli.evaluation.records import UnitRecord
+
+__all__ = ["eval_"]
+
+FilePath = click.Path(path_type=Path)
+
+LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
+"""Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
+
+WIDTH = 160
+"""Characters of a table that no terminal limits."""
+
+
+def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) -> None:
+    if not is_asked:
+        return
+    from omnisyn_cli.evaluation.methods import METHODS
+
+    width = max(map(len, METHODS))
+    for method in METHODS.values():
+        click.echo(f"{method.name:{width}}  {method.description}")
+    context.exit()
+
+
+@click.command(
+    "eval", epilog="Exit codes: 0 done, 1 something is broken, 2 wrong usage, 3 unusable input, 130 interrupted."
+)
+@click.argument("dataset", metavar="DATASET_DIR", type=FilePath)
+@click.option(
+    "--report", metavar="DIR", type=FilePath,
+    help="Keep results, pictures and the report here; a run that was interrupted goes on from them.",
+)  # fmt: skip
+@click.option(
+    "--methods", metavar="all|LIST", default="all", show_default=True,
+    help="Names separated by commas, see --list-methods; a name may have parameters: matching:cut=0.02.",
+)  # fmt: skip
+@click.option(
+    "--list-methods", is_flag=True, is_eager=True, expose_value=False, callback=_list_methods,
+    help="Print all methods and what they do.",
+)  # fmt: skip
+@click.option(
+    "--format", "layout", type=click.Choice(LAYOUTS), default="auto", show_default=True,
+    help="Layout of the data: that of this program, the authors' CARLA, Habitat renders (PanoGRF), ZInD tours.",
+)  # fmt: skip
+@click.option(
+    "--pairs", metavar="0:4,1:3|every:N|FILE",
+    help="Frames that are inputs, by index in every scene; every:4 takes 0:4, 4:8 and so on; a text file has one pair "
+    "a line: scene, first, second.  [default: the first and the last]",
+)  # fmt: skip
+@click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
+@click.option("--lpips", metavar="FILE.onnx", type=FilePath, help="Measure LPIPS with this network as well.")
+@click.option("--no-pictures", is_flag=True, help="Keep no frames, error maps and depth as pictures.")
+@click.option(
+    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
+    help="Where networks run; everything else runs on the processor.",
+)  # fmt: skip
+@click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
+@click.option("--json", "as_json", is_flag=True, help="Print all results as JSON on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **options: Any) -> int:
+    """Compare methods on scenes with true frames between two panoramas.
+
+    \b
+    omnisyn eval scenes/ --report report/
+    omnisyn eval scenes/ --methods matching,crossfade,oracle-depth --size 512x256
+    omnisyn eval Town06/ --format carla --pairs every:5 --report report/
+
+    A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, those between
+    are the truth; true depth is compared where there is some.
+    """  # noqa: D301 - click's \b is a backspace
+    import tempfile
+
+    from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
+
+    with ExitStack() as stack:
+        folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-eval-")))
+        job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
+        plan = plan_evaluation(job)
+        with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_unit:
+            records = evaluate(plan, on_unit)
+    if as_json:
+        _print_json(plan, records, report)
+    elif not quiet:
+        _print_table(records)
+        if report is not None:
+            click.echo(f"{report / 'report.html'}: {len(records)} results")
+    return int(any(record.status == "failed" for record in records))
+
+
+def _print_json(plan: EvaluationPlan, records: Sequence[UnitRecord], report: Path | None) -> None:
+    import json
+
+    from omnisyn_cli import __version__
+
+    values = {
+        "version": __version__,
+        "dataset": str(plan.job.dataset),
+        "report": None if report is None else str(report),
+        "units": [record.to_json() for record in records],
+    }
+    click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _print_table(records: Sequence[UnitRecord]) -> None:
+    """The means per method, and why others have none."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from omnisyn_cli.evaluation.tables import format_value, report_tables
+
+    for means in report_tables(records)[:1]:
+        table = Table(box=box.SIMPLE)
+        table.add_column(means.corner, no_wrap=True)
+        for column in means.columns:
+            table.add_column(column.title, justify="right")
+        for row in means.rows:
+            cells = [format_value(c.value, column.digits) for c, column in zip(row.cells, means.columns, strict=False)]
+            table.add_row(f"{row.name} (upper bound)" if row.is_bound else row.name, *cells)
+        Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
+        for row in means.rows:
+            if not row.cells:
+                click.echo(f"{row.name}: {row.reason}")
+    for record in records:
+        if record.status == "failed" or not record.method:
+            name = " ".join(part for part in (record.scene, record.method) if part)
+            click.echo(f"{name}: {record.status}: {record.reason}")
+
+
+@contextmanager
+def _progress(plan: EvaluationPlan, *, is_shown: bool) -> Iterator[Callable[[int, UnitRecord], None] | None]:
+    """A progress bar over the units with the time left on stderr; nothing where stderr is no terminal."""
+    if not is_shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("depth and frames", total=plan.units)
+        yield lambda done, record: progress.update(task, completed=done, description=f"{record.scene} {record.method}")

@@ -1,0 +1,1 @@
+"""How good the synthesis is: data sets with true frames, methods to compare, records of what was measured, reports."""

@@ -1,0 +1,221 @@
+"""Settings measured one after the other, each in a process of its own, each written down when it is finished.
+
+Interrupted and started again with the same folder, a run goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import platform
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
+from omnisyn_cli.evaluation.fingerprint import Fingerprints
+from omnisyn_cli.evaluation.pareto import Figures, Setting
+from omnisyn_cli.evaluation.suite import suite_scenes, write_suite_scene
+from omnisyn_cli.evaluation.trial import Trial, run_trial
+from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.io.staging import staged_folder
+from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.scenes.suite import SEEDS
+from omnisyn_cli.threads import available_threads
+
+__all__ = ["BenchJob", "BenchPlan", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
+
+RESULTS_NAME = "bench.jsonl"
+
+GENERATED = {"street": 2.0, "room": 1.0}
+"""Scenes of the standard set that are measured where no others are given: the kind and its baseline in metres."""
+
+
+@dataclass(frozen=True)
+class BenchJob:
+    """What a user asks for.
+
+    Attributes:
+        dataset: folder of scenes; figures without true frames have no accuracy.
+        report: folder for results; made if it is not there.
+        presets: names of :data:`omnisyn_cli.presets.PRESETS`.
+        depth_rows: that depth is looked for at; empty means those of each preset.
+        sizes: (height, width) of the frames.
+        threads: empty means one per core.
+        frames: that are rendered of every clip.
+        layout: of the data set.
+        pairs: which frames are inputs.
+        device: where networks run.
+    """
+
+    dataset: Path
+    report: Path
+    presets: tuple[str, ...] = tuple(PRESETS)
+    depth_rows: tuple[int, ...] = ()
+    sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048))
+    threads: tuple[int, ...] = ()
+    frames: int = 24
+    layout: str = "auto"
+    pairs: str | None = None
+    device: str = "auto"
+
+
+@dataclass(frozen=True)
+class BenchPlan:
+    """A job with its settings and pairs."""
+
+    job: BenchJob
+    settings: tuple[Setting, ...]
+    pairs: tuple[Pair, ...]
+
+
+def make_scenes(folder: Path, size: tuple[int, int], threads: int | None = None) -> None:
+    """Write the scenes of :data:`GENERATED` into a folder; those that are there already stay.
+
+    Raises:
+        OutputPathError, WriteError: the folder cannot be written.
+    """
+    _make_folder(folder)
+    for kind, baseline in GENERATED.items():
+        for walk in suite_scenes((kind,), SEEDS[:1]):
+            if walk.baseline == baseline and walk.path and not (folder / walk.name).exists():
+                with staged_folder(folder / walk.name) as staged:
+                    write_suite_scene(staged, walk, size, threads)
+
+
+def plan_bench(job: BenchJob) -> BenchPlan:
+    """All settings, the fastest preset first; nothing is measured yet.
+
+    Raises:
+        InputError: no such preset, no scenes, or poses that cannot be read.
+    """
+    unknown = [name for name in job.presets if name not in PRESETS]
+    if unknown:
+        raise InputError(f"expected presets of {', '.join(PRESETS)}, got {', '.join(unknown)}; choose some of these")
+    choose = choose_pairs(job.pairs)
+    pairs = tuple(pair for source in find_scenes(job.dataset, job.layout) for pair in choose(source.read()))
+    if not pairs:
+        raise InputError(f"{job.dataset}: expected two panoramas in a scene, got fewer; choose another data set")
+    return BenchPlan(job, tuple(_settings(job)), pairs)
+
+
+def _settings(job: BenchJob) -> Sequence[Setting]:
+    axes = product(job.sizes, job.threads or (available_threads(),), job.presets)
+    return [
+        Setting(preset, rows, size, threads)
+        for size, threads, preset in axes
+        for rows in job.depth_rows or (PRESETS[preset].depth_rows,)
+    ]
+
+
+def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None = None) -> list[Figures]:
+    """Measure what is not measured yet; the figures of all settings in their order.
+
+    Args:
+        plan: from :func:`plan_bench`.
+        on_setting: called with the number of finished settings and the figures of the last one.
+
+    Raises:
+        InputError: the results of an earlier run cannot be read, or a file of the data set is missing.
+        OutputPathError, WriteError: the folder of the report cannot be written.
+    """
+    _make_folder(plan.job.report)
+    path = plan.job.report / RESULTS_NAME
+    known = {figures.key: figures for figures in _read(path) if figures.status == "done"}
+    files = Fingerprints()
+    measured: list[Figures] = []
+    for setting in plan.settings:
+        key = _key(plan, setting, files)
+        figures = known.get(key)
+        if figures is None:
+            figures = _in_child(Trial(setting, plan.pairs, plan.job.frames, plan.job.device, key))
+            _append(path, figures)
+        measured.append(figures)
+        if on_setting:
+            on_setting(len(measured), figures)
+    return measured
+
+
+def machine_in_words() -> str:
+    """System, processor and number of cores."""
+    return f"{platform.system()} {platform.machine()}, {available_threads()} cores"
+
+
+def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
+    model = PRESETS[setting.preset].model
+    entry = read_manifest().get(model) if model else None
+    ingredients = [setting.name, repr(PRESETS[setting.preset]), entry.sha256 if entry else ""]
+    options = {"frames": plan.job.frames, "device": plan.job.device}
+    return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputPathError(f"{folder}: expected a folder for results, got '{error.strerror}'") from error
+
+
+def _read(path: Path) -> list[Figures]:
+    """All complete lines of an earlier run."""
+    if not path.exists():
+        return []
+    try:
+        lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+        return [Figures.from_json(json.loads(line)) for line in lines]
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
+
+
+def _append(path: Path, figures: Figures) -> None:
+    """Add a line; what an interrupted run left of one is replaced."""
+    complete, newline, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
+    line = json.dumps(figures.to_json(), ensure_ascii=False, allow_nan=False) + "\n"
+    with replaced_when_complete(path) as temporary:
+        temporary.write_bytes(complete + newline + line.encode("utf-8", "backslashreplace"))
+
+
+def _in_child(trial: Trial) -> Figures:
+    """A trial in a process of its own; whatever ends it is written down, and the others go on."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    with tempfile.TemporaryDirectory(prefix="omnisyn-bench-", ignore_cleanup_errors=True) as folder:
+        process = context.Process(target=_serve, args=(theirs, trial, Path(folder), time.time()), daemon=True)
+        process.start()
+        theirs.close()
+        try:
+            figures = ours.recv()
+        except EOFError:
+            process.join()
+            figures = f"the process ended with exit code {process.exitcode}"
+        finally:
+            process.kill()
+            process.join()
+            ours.close()
+    return figures if isinstance(figures, Figures) else Figures(trial.setting, "failed", str(figures), trial.key)
+
+
+def _serve(connection: Connection, trial: Trial, folder: Path, launched: float) -> None:
+    """Send figures, or the message of what went wrong."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        connection.send(run_trial(trial, folder, launched))
+    except Exception as error:  # noqa: BLE001 - one broken setting must not end a comparison of many
+        connection.send(" ".join(f"{type(error).__name__}: {error}".split()))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)  # nobody wants the figures any more

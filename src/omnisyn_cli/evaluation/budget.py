@@ -1,0 +1,118 @@
+"""Which preset fits into a number of seconds on this machine, from figures that were measured on another one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.calibration import calibrate
+from omnisyn_cli.evaluation.pareto import Figures, ParetoTable, Workload, expected_seconds, read_table
+from omnisyn_cli.planning import InterpolationPlan, with_preset
+from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.threads import available_threads
+
+__all__ = ["Choice", "apply_budget", "choose_preset", "shipped_table"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A preset for a job.
+
+    Attributes:
+        preset: its name.
+        expected: seconds that the job is expected to take with each preset that was measured.
+        budget: seconds that it may take.
+    """
+
+    preset: str
+    expected: dict[str, float]
+    budget: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether the job is expected to be done in time."""
+        return self.expected[self.preset] <= self.budget
+
+    def __str__(self) -> str:
+        own = f"{self.expected[self.preset]:.1f} s"
+        if not self.fits:
+            return (
+                f"even the fastest preset, {self.preset}, is expected to take {own}, more than the budget of "
+                f"{self.budget:g} s; it is taken (fewer frames or a smaller --size help)"
+            )
+        others = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in self.expected.items() if name != self.preset)
+        rest = f" ({others})" if others else ""
+        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own}{rest}"
+
+
+def shipped_table() -> ParetoTable:
+    """The figures that came with the program.
+
+    Raises:
+        InputError: they are missing or damaged.
+    """
+    return read_table(Path(str(files("omnisyn_cli"))) / "data" / "pareto.json")
+
+
+def apply_budget(
+    plan: InterpolationPlan, budget: float, table: ParetoTable | None = None, calibration: float | None = None
+) -> InterpolationPlan:
+    """The plan with the most accurate preset that is expected to be done in time, and a note that says so.
+
+    Args:
+        plan: of the job; its preset does not matter.
+        budget: seconds that the whole run may take.
+        table: figures to choose by; by default those that came with the program.
+        calibration: see :func:`omnisyn_cli.evaluation.calibration.calibrate`; measured now by default.
+
+    Raises:
+        InputError: the renderer is one that was not measured, or no preset was.
+    """
+    if plan.job.renderer != "mesh":
+        raise InputError(
+            f"expected the renderer 'mesh' with a budget, got {plan.job.renderer!r}, whose times were not measured; "
+            "leave one of them out"
+        )
+    work = Workload(
+        len(plan.entries), len(plan.path), plan.size, max(plan.source_sizes),
+        calibrate(plan.job.threads) if calibration is None else calibration, plan.depth != "file",
+    )  # fmt: skip
+    choice = choose_preset(table or shipped_table(), work, plan.job.threads or available_threads(), budget)
+    if plan.depth == "file":
+        return replace(plan, notes=(*plan.notes, _without_choice(choice)))
+    chosen = with_preset(plan, choice.preset)
+    return replace(chosen, notes=(*chosen.notes, str(choice)))
+
+
+def _without_choice(choice: Choice) -> str:
+    seconds = min(choice.expected.values())
+    verdict = "within" if seconds <= choice.budget else "more than"
+    return (
+        f"depth comes from files, so presets make no difference: expected to take {seconds:.1f} s, {verdict} the "
+        f"budget of {choice.budget:g} s"
+    )
+
+
+def choose_preset(table: ParetoTable, work: Workload, threads: int, budget: float) -> Choice:
+    """The most accurate preset that fits into ``budget`` seconds, or the fastest where none does.
+
+    Raises:
+        InputError: no preset of this version was measured.
+    """
+    measured = {
+        name: figures
+        for name, preset in PRESETS.items()
+        if (figures := table.of_preset(name, preset.depth_rows, work.size, threads)) is not None
+    }
+    if not measured:
+        raise InputError(f"expected figures of {', '.join(PRESETS)} in the table, got none; run omnisyn bench --store")
+    expected = {name: expected_seconds(figures, work) for name, figures in measured.items()}
+    fitting = [name for name, seconds in expected.items() if seconds <= budget]
+    best = max(fitting, key=lambda name: _worth(measured[name])) if fitting else min(expected, key=expected.__getitem__)
+    return Choice(best, expected, budget)
+
+
+def _worth(figures: Figures) -> float:
+    return float("-inf") if figures.ws_psnr is None else figures.ws_psnr

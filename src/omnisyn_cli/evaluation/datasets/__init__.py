@@ -1,0 +1,48 @@
+"""Data sets: folders of scenes in the layouts that are around, read as posed panoramas in walking order."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.datasets import carla, habitat, own, zind
+from omnisyn_cli.evaluation.datasets.pairs import Pair, PairChooser, choose_pairs
+from omnisyn_cli.evaluation.datasets.scene import NoScaleError, Scene, SceneFrame, SceneSource
+
+__all__ = [
+    "FORMATS",
+    "NoScaleError",
+    "Pair",
+    "PairChooser",
+    "Scene",
+    "SceneFrame",
+    "SceneSource",
+    "choose_pairs",
+    "find_scenes",
+]
+
+FORMATS: Mapping[str, Callable[[Path], list[SceneSource]]] = MappingProxyType(
+    {"omnisyn": own.find_scenes, "carla": carla.find_scenes, "m3d": habitat.find_scenes, "zind": zind.find_scenes}
+)
+"""What finds the scenes of a folder, by the name of the layout; tried in this order."""
+
+EXPECTED = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
+
+
+def find_scenes(folder: Path, layout: str = "auto") -> list[SceneSource]:
+    """The scenes of a folder.
+
+    Args:
+        folder: of scenes, or a single scene.
+        layout: a key of :data:`FORMATS`, or ``auto``: the first one that finds something.
+
+    Raises:
+        InputError: there is no such folder, or no scene in it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: expected a folder of scenes, got none; check the name")
+    for name in FORMATS if layout == "auto" else (layout,):
+        if scenes := FORMATS[name](folder):
+            return scenes
+    wanted = EXPECTED if layout == "auto" else f"the layout '{layout}'"
+    raise InputError(f"{folder}: expected scenes with {wanted}, got none; check the folder and --format")

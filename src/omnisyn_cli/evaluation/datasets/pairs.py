@@ -1,0 +1,114 @@
+"""Which frames of a scene are inputs, and which are the truth between them.
+
+By default the first and the last frame are the inputs. ``0:4,1:3`` names others by their index in every scene;
+``every:4`` takes frames 0 and 4, 4 and 8 and so on, which suits long drives. Otherwise the text is the name of a file
+with one pair a line: scene, first and second frame, separated by white space; frames are names or indices, ``#`` begins
+a comment. Scenes that such a file does not name are not evaluated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.datasets.scene import Scene, SceneFrame
+
+__all__ = ["Pair", "PairChooser", "choose_pairs"]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two frames of a scene and what lies strictly between them, in walking order."""
+
+    scene: str
+    first: SceneFrame
+    second: SceneFrame
+    between: tuple[SceneFrame, ...]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Everything that is read of it."""
+        return tuple(path for frame in (self.first, self.second, *self.between) for path in frame.files)
+
+
+PairChooser = Callable[[Scene], list[Pair]]
+"""Takes a scene to its pairs; raises InputError where a frame that was asked for is not there."""
+
+
+def choose_pairs(text: str | None) -> PairChooser:
+    """What ``--pairs`` means, see the module's docstring.
+
+    Raises:
+        InputError: neither a list of pairs nor a readable file of them.
+    """
+    if text is None:
+        return lambda scene: [_pair(scene, 0, len(scene.frames) - 1)] if len(scene.frames) > 1 else []
+    if text.startswith("every:"):
+        step = _index(text.removeprefix("every:"), text)
+        if step < 1:
+            raise InputError(f"expected a step of at least 1 in {text!r}; write every:4, for example")
+        return lambda scene: [_pair(scene, at, at + step) for at in range(0, len(scene.frames) - step, step)]
+    if Path(text).is_file():
+        return _from_file(Path(text))
+    wanted = [_indices(part, text) for part in text.split(",")]
+    return lambda scene: [_pair(scene, first, second) for first, second in wanted]
+
+
+def _indices(part: str, text: str) -> tuple[int, int]:
+    first, _, second = part.partition(":")
+    return _index(first, text), _index(second, text)
+
+
+def _index(word: str, text: str) -> int:
+    if not word.strip().isdecimal():
+        raise InputError(
+            f"expected pairs such as 0:4,1:3, or every:4, or the name of a file with pairs, got {text!r}; correct it"
+        )
+    return int(word)
+
+
+def _from_file(path: Path) -> PairChooser:
+    wanted = list(_lines(path))
+
+    def choose(scene: Scene) -> list[Pair]:
+        names = [frame.name for frame in scene.frames]
+        return [
+            _pair(scene, _number(first, names, scene), _number(second, names, scene))
+            for name, first, second in wanted
+            if name == scene.name
+        ]
+
+    return choose
+
+
+def _lines(path: Path) -> Iterator[tuple[str, str, str]]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected a text file with pairs, got '{error}'; check the file") from error
+    for number, line in enumerate(lines, start=1):
+        words = line.partition("#")[0].split()
+        if words and len(words) != 3:
+            raise InputError(
+                f"{path}: expected scene, first and second frame in line {number}, got {line!r}; correct it"
+            )
+        if words:
+            yield words[0], words[1], words[2]
+
+
+def _number(word: str, names: list[str], scene: Scene) -> int:
+    if word in names:
+        return names.index(word)
+    if word.isdecimal():
+        return int(word)
+    raise InputError(f"expected a frame of {scene.name} ({', '.join(names[:4])}, …), got {word!r}; correct the pairs")
+
+
+def _pair(scene: Scene, first: int, second: int) -> Pair:
+    last = len(scene.frames) - 1
+    if not 0 <= first < second <= last:
+        raise InputError(f"expected two frames in ascending order between 0 and {last}, got {first}:{second}")
+    frames = scene.frames
+    return Pair(scene.name, frames[first], frames[second], frames[first + 1 : second])

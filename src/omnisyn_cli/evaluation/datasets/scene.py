@@ -1,0 +1,91 @@
+"""A scene as the evaluation sees it, whatever layout it has on disk: posed panoramas in walking order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import TypeAdapter, ValidationError
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.io import read_inverse_depth
+
+__all__ = ["NoScaleError", "Scene", "SceneFrame", "SceneSource", "read_json"]
+
+Model = TypeVar("Model")
+
+
+class NoScaleError(PoseError):
+    """The poses of a scene are known up to an unknown scale only, so it cannot be used; nothing is broken."""
+
+
+@dataclass(frozen=True)
+class SceneFrame:
+    """One panorama of a scene; its files are not read yet.
+
+    Attributes:
+        name: what the data set calls it.
+        image: its picture.
+        pose: camera-to-world in the axes of :mod:`omnisyn_cli.geometry.sphere`, metres.
+        depth: its depth file, or None.
+        mask: its mask, or None.
+        read_depth: takes the depth file to inverse Euclidean distances in 1/metre, 0 where there is nothing.
+        has_holes: no depth means that a scan has a hole there, not that it is infinitely far to anything.
+    """
+
+    name: str
+    image: Path
+    pose: Pose
+    depth: Path | None = None
+    mask: Path | None = None
+    read_depth: Callable[[Path], Float[np.ndarray, "height width"]] = read_inverse_depth
+    has_holes: bool = False
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Everything that is read of it."""
+        return tuple(path for path in (self.image, self.depth, self.mask) if path is not None)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Panoramas in walking order."""
+
+    name: str
+    frames: tuple[SceneFrame, ...]
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Where a scene can be had from.
+
+    Attributes:
+        name: of the scene, unique in its data set.
+        read: reads the poses; raises an :class:`~omnisyn_cli.errors.InputError` where they are damaged.
+    """
+
+    name: str
+    read: Callable[[], Scene]
+
+
+def read_json(path: Path, adapter: TypeAdapter[Model]) -> Model:
+    """A JSON file whose content has the shape that ``adapter`` describes.
+
+    Raises:
+        PoseError: missing, not readable, no JSON, or of another shape.
+    """
+    try:
+        return adapter.validate_json(path.read_bytes())
+    except OSError as error:
+        raise PoseError(f"{path}: expected poses, got '{error.strerror}'; check the folder") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the file"
+        raise PoseError(
+            f"{path}: {where}: expected the layout of its format, got '{first['msg']}'; repair it"
+        ) from error

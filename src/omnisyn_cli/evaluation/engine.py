@@ -1,0 +1,259 @@
+"""All methods on all pairs of a data set, one unit of work after the other, each written down when it is finished.
+
+Interrupted and started again, a run goes on where it was: units whose inputs, options and version are those of a line
+in ``results.jsonl`` are not done again. What is broken or unavailable is tried again, for it may have been repaired.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from omnisyn_cli.errors import InputError, OmnisynError, OutputPathError
+from omnisyn_cli.evaluation.album import Album, has_all_pictures
+from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes
+from omnisyn_cli.evaluation.fingerprint import Fingerprints
+from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
+from omnisyn_cli.evaluation.methods import Method, MethodOptions, find_methods
+from omnisyn_cli.evaluation.records import (
+    FrameRecord,
+    Status,
+    UnitRecord,
+    append_record,
+    latest_records,
+    read_records,
+)
+from omnisyn_cli.evaluation.synthesizers import DepthMemory, MethodUnavailableError
+from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
+
+__all__ = ["EvaluationJob", "EvaluationPlan", "evaluate", "plan_evaluation", "run_evaluation"]
+
+NO_TRUTH = "expected true frames between the two panoramas, got none"
+
+
+@dataclass(frozen=True)
+class EvaluationJob:
+    """What a user asks for.
+
+    Attributes:
+        dataset: folder of scenes, or a scene.
+        report: folder for results and pictures; made if it is not there.
+        methods: ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
+        layout: of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``.
+        pairs: which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.pairs`.
+        size: (height, width) of the comparison; None means that of the true frames.
+        lpips: ONNX file for a perceptual distance.
+        pictures: keep frames, error maps and depth as pictures.
+        device: where networks run.
+        threads: at most this many; None is one per core.
+    """
+
+    dataset: Path
+    report: Path
+    methods: str = "all"
+    layout: str = "auto"
+    pairs: str | None = None
+    size: tuple[int, int] | None = None
+    lpips: Path | None = None
+    pictures: bool = True
+    device: str = "auto"
+    threads: int | None = None
+
+
+@dataclass(frozen=True)
+class EvaluationPlan:
+    """A job with the pairs and methods it is about.
+
+    Attributes:
+        job: what was asked for.
+        methods: to be compared.
+        pairs: that have true frames.
+        findings: records of scenes and pairs that cannot be evaluated, with the reason.
+    """
+
+    job: EvaluationJob
+    methods: tuple[Method, ...]
+    pairs: tuple[Pair, ...]
+    findings: tuple[UnitRecord, ...]
+
+    @property
+    def units(self) -> int:
+        """The number of units of work."""
+        return len(self.methods) * len(self.pairs)
+
+
+def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
+    """Read the poses of all scenes; no picture is read and nothing is written.
+
+    Raises:
+        InputError: no scenes, no such method, pairs that cannot be understood, or a size that is not 2:1.
+    """
+    if job.size is not None and job.size[1] != 2 * job.size[0]:
+        raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
+    methods, choose = find_methods(job.methods), choose_pairs(job.pairs)
+    pairs: list[Pair] = []
+    findings: list[UnitRecord] = []
+    for source in find_scenes(job.dataset, job.layout):
+        try:
+            found = choose(source.read())
+        except NoScaleError as error:
+            findings.append(_finding(source, "skipped", str(error)))
+        except InputError as error:
+            findings.append(_finding(source, "failed", str(error)))
+        else:
+            pairs += [pair for pair in found if pair.between]
+            findings += [_without_truth(pair) for pair in found if not pair.between]
+            if not found and job.pairs is None:
+                findings.append(_finding(source, "skipped", "expected two or more panoramas, got fewer"))
+    return EvaluationPlan(job, tuple(methods), tuple(pairs), tuple(findings))
+
+
+def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
+    """:func:`run_evaluation` with a report of its records at the end, see :mod:`omnisyn_cli.evaluation.report`."""
+    from omnisyn_cli.evaluation.report import write_report  # matplotlib takes a while to import
+
+    records = run_evaluation(plan, on_unit)
+    write_report(plan.job.report, records)
+    return records
+
+
+def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
+    """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
+
+    Args:
+        plan: from :func:`plan_evaluation`.
+        on_unit: called with the number of finished units and the record of the last one.
+
+    Raises:
+        InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one.
+        OutputPathError, WriteError: the folder of the report cannot be written.
+    """
+    report = plan.job.report
+    _make_folder(report)
+    known = {record.unit: record for record in latest_records(read_records(report))}
+    records: list[UnitRecord] = []
+    units = 0
+    for record in _records(plan, known):
+        if not _is_same(known.get(record.unit), record):
+            append_record(report, record)
+            known[record.unit] = record
+        records.append(record)
+        units += bool(record.method)
+        if on_unit and record.method:
+            on_unit(units, record)
+    return records
+
+
+def _is_same(known: UnitRecord | None, record: UnitRecord) -> bool:
+    """Whether a line says the same already; undefined numbers count as equal."""
+    return known is not None and known.to_json() == record.to_json()
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputPathError(f"{folder}: expected a folder for the report, got '{error.strerror}'") from error
+
+
+def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
+    return UnitRecord("", source.name, "", "", "", status, reason)
+
+
+def _without_truth(pair: Pair) -> UnitRecord:
+    names = (pair.first.name, pair.second.name)
+    return UnitRecord("", pair.scene, *names, "", "skipped", NO_TRUTH, baseline=baseline_of(pair))
+
+
+Known = dict[tuple[str, str, str, str], UnitRecord]
+
+
+def _records(plan: EvaluationPlan, known: Known) -> Iterator[UnitRecord]:
+    yield from plan.findings
+    worker = _Worker(plan.job)
+    for pair in plan.pairs:
+        yield from worker.records(pair, plan.methods, known)
+
+
+class _Worker:
+    """Does units of work; holds the pictures of one pair."""
+
+    def __init__(self, job: EvaluationJob) -> None:
+        self._job, self._fingerprints = job, Fingerprints()
+        self._perceptual: Perceptual | None = None
+        self._options: dict[str, Any] = {"size": job.size, "pictures": job.pictures, "device": job.device}
+        if job.lpips is not None:
+            from omnisyn_cli.metrics.lpips import Lpips
+
+            self._perceptual = Lpips(job.lpips, threads=job.threads)
+            self._options["lpips"] = self._fingerprints.of_file(job.lpips)
+
+    def records(self, pair: Pair, methods: tuple[Method, ...], known: Known) -> Iterator[UnitRecord]:
+        """One record for every method, the known one where nothing has changed."""
+        loaded: LoadedPair | None = None
+        options = MethodOptions(self._job.threads, self._job.device, DepthMemory())
+        for method in methods:
+            blank = UnitRecord(
+                "", pair.scene, pair.first.name, pair.second.name, method.name, "failed", baseline=baseline_of(pair)
+            )
+            try:
+                blank = replace(
+                    blank, key=self._fingerprints.of(pair, [method.name, *method.ingredients()], self._options)
+                )
+                if self._is_done(known.get(blank.unit), blank.key):
+                    yield known[blank.unit]
+                    continue
+                loaded = loaded or load_pair(pair, self._job.size, self._job.threads)
+            except InputError as error:
+                yield replace(blank, reason=_one_line(error))
+            else:
+                yield self._unit(blank, pair, loaded, method, options)
+
+    def _is_done(self, record: UnitRecord | None, key: str) -> bool:
+        return (
+            record is not None
+            and record.key == key
+            and record.status == "done"
+            and has_all_pictures(self._job.report, record)
+        )
+
+    def _unit(
+        self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, method: Method, options: MethodOptions
+    ) -> UnitRecord:
+        """Measure one method; whatever breaks in it is written down, and the others go on."""
+        try:
+            made = measure(
+                method.make(loaded.views, options),
+                loaded,
+                (blank.first, blank.second),
+                self._perceptual,
+                options.threads,
+            )
+        except MethodUnavailableError as error:
+            return replace(blank, status="unavailable", reason=_one_line(error))
+        except Exception as error:  # noqa: BLE001 - one broken method must not end a comparison of many
+            return replace(blank, reason=_one_line(error))
+        return self._done(blank, pair, loaded, made)
+
+    def _done(self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, made: Measurement) -> UnitRecord:
+        pictures: list[dict[str, str]] = [{} for _ in loaded.truths]
+        depths = made.depths
+        if self._job.pictures:
+            album = Album(self._job.report, pair, blank.method)
+            pictures, depths = album.of_frames(loaded, made), album.of_depths(loaded, made)
+        frames = tuple(
+            FrameRecord(truth.name, truth.waypoint.t, truth.distance, scores, shown)
+            for truth, scores, shown in zip(loaded.truths, made.scores, pictures, strict=True)
+        )
+        return replace(
+            blank, status="done", size=loaded.size, frames=frames, depths=depths,
+            temporal=made.temporal, seconds=made.seconds,
+        )  # fmt: skip
+
+
+def _one_line(error: Exception) -> str:
+    """The message of an error; for those that this package did not expect, with their kind."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}"

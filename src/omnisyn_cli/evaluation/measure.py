@@ -1,0 +1,175 @@
+"""One unit of work: what a method makes of a pair, compared with everything that is known about it.
+
+The temporal measures need a clip: :data:`CLIP_FRAMES` frames around the middle of the way on the straight line between
+both panoramas, :data:`CLIP_STEP` of the way apart (two seconds of video at 30 frames a second), at most
+:data:`CLIP_HEIGHT` rows high. They follow the method's own geometry, so methods without geometry have none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.evaluation.records import DepthRecord
+from omnisyn_cli.evaluation.synthesizers import Picture, Synthesizer
+from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.geometry.pose import Pose, interpolate_pose
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.metrics import depth_metrics, lrce, psnr, row_weights, scored_pixels, ssim, ws_psnr, ws_ssim
+from omnisyn_cli.metrics.temporal import flicker, warping_error
+from omnisyn_cli.synthesis import Stopwatch, turned_panorama
+from omnisyn_cli.trajectory import STILL, Waypoint
+from omnisyn_cli.types import DepthEstimate, View
+
+__all__ = ["Measurement", "Perceptual", "depth_records", "frame_scores", "measure"]
+
+CLIP_FRAMES = 9
+
+CLIP_STEP = 1 / 60
+
+CLIP_HEIGHT = 256
+
+END = 1e-6
+"""Share of the way from a panorama at which a frame is rendered rather than the photograph shown."""
+
+WINDOW = 11
+"""Rows that structural similarity needs."""
+
+Perceptual = Callable[[np.ndarray, np.ndarray], float]
+"""A distance of two equirectangular pictures, such as :class:`omnisyn_cli.metrics.lpips.Lpips`."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was made and measured.
+
+    Attributes:
+        images: a picture for every true frame.
+        scores: of every picture.
+        depths: of both views; empty for methods without.
+        found: the depth that the method found, or None.
+        temporal: see :class:`omnisyn_cli.evaluation.records.UnitRecord`.
+        seconds: for the true frames, by stage, with their ``total``; clips and ends are not counted.
+    """
+
+    images: tuple[Float[np.ndarray, "height width 3"], ...]
+    scores: tuple[dict[str, float], ...]
+    depths: tuple[DepthRecord, ...]
+    found: tuple[DepthEstimate, DepthEstimate] | None
+    temporal: dict[str, float]
+    seconds: dict[str, float]
+
+
+def measure(
+    method: Synthesizer,
+    pair: LoadedPair,
+    names: tuple[str, str],
+    perceptual: Perceptual | None = None,
+    threads: int | None = None,
+) -> Measurement:
+    """Let a method make the true frames of a pair, a clip and both ends, and measure them.
+
+    Args:
+        method: at work on this pair.
+        pair: with at least one true frame.
+        names: of the two panoramas.
+        perceptual: a further distance of pictures, ``lpips`` in the scores.
+        threads: at most this many.
+    """
+    clock = Stopwatch()
+    path = [truth.waypoint for truth in pair.truths]
+    images = tuple(np.clip(picture.image, 0, 1) for picture in method.pictures(path, pair.size, clock))
+    seconds = dict(clock.seconds)
+    scores = tuple(
+        frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
+    )
+    temporal = {**_clip_measures(method, pair), **_end_errors(method, pair, threads)}
+    depths = () if method.depths is None else depth_records(method.depths, pair.views, names)
+    return Measurement(
+        images, scores, depths, method.depths, temporal, {**seconds, "total": math.fsum(seconds.values())}
+    )
+
+
+def frame_scores(
+    image: Float[np.ndarray, "height width 3"],
+    truth: Float[np.ndarray, "height width 3"],
+    perceptual: Perceptual | None = None,
+) -> dict[str, float]:
+    """All measures of one picture, by the names of :data:`omnisyn_cli.evaluation.records.SCORES`.
+
+    Pictures of fewer than 11 rows have no structural similarity.
+    """
+    scores = {"ws_psnr": ws_psnr(image, truth), "psnr": psnr(image, truth), "lrce": lrce(image, truth)}
+    if len(truth) >= WINDOW:
+        scores.update(ws_ssim=ws_ssim(image, truth), ssim=ssim(image, truth))
+    if perceptual is not None:
+        scores["lpips"] = perceptual(image, truth)
+    return scores
+
+
+def depth_records(
+    found: tuple[DepthEstimate, DepthEstimate], views: tuple[View, View], names: tuple[str, str]
+) -> tuple[DepthRecord, ...]:
+    """Errors of the depth of both views where the truth is known, at the resolution of the truth."""
+    return tuple(_depth_record(*each) for each in zip(found, views, names, strict=True))
+
+
+def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
+    if view.known_depth is None:
+        return DepthRecord(name)
+    known = view.known_depth
+    truth = np.where(known.confidence > 0, known.inverse_depth, np.nan).astype(np.float64)
+    if not scored_pixels(truth).any():
+        return DepthRecord(name)
+    estimate = found.inverse_depth.astype(np.float64)
+    if estimate.shape != truth.shape:
+        estimate = sample_bilinear(estimate, pixel_directions(*truth.shape))
+    plain, weighted = (asdict(depth_metrics(estimate, truth, weighted=weighted)) for weighted in (False, True))
+    return DepthRecord(name, plain, weighted)
+
+
+def _clip_measures(method: Synthesizer, pair: LoadedPair) -> dict[str, float]:
+    poses = [view.pose for view in pair.views]
+    if np.linalg.norm(poses[1].position - poses[0].position) <= STILL:
+        return {}
+    height = min(CLIP_HEIGHT, pair.size[0])
+    times = 0.5 + CLIP_STEP * (np.arange(CLIP_FRAMES) - CLIP_FRAMES // 2)
+    path = [Waypoint(0, float(t), interpolate_pose(poses[0], poses[1], float(t))) for t in times]
+    clip = []
+    for picture in method.pictures(path, (height, 2 * height), Stopwatch()):
+        if picture.inverse_depth is None:
+            return {}
+        clip.append(picture)
+    return _followed(clip, [waypoint.pose for waypoint in path])
+
+
+def _followed(clip: Sequence[Picture], poses: Sequence[Pose]) -> dict[str, float]:
+    """Both measures along the geometry of the clip; none where neighbouring frames show nothing in common."""
+    frames = [picture.image for picture in clip]
+    inverse_depths = [picture.inverse_depth for picture in clip if picture.inverse_depth is not None]
+    try:
+        return {
+            "warping_error": warping_error(frames, inverse_depths, poses),
+            "flicker": flicker(frames, inverse_depths, poses),
+        }
+    except ValueError:
+        return {}
+
+
+def _end_errors(method: Synthesizer, pair: LoadedPair, threads: int | None) -> dict[str, float]:
+    """How far both ends are from the photographs that are shown there: what would pop."""
+    path = [Waypoint(0, t, view.pose) for t, view in zip((END, 1 - END), pair.views, strict=True)]
+    errors = []
+    for picture, view in zip(method.pictures(path, pair.size, Stopwatch()), pair.views, strict=True):
+        truth = view.image
+        if truth.shape[:2] != pair.size:
+            truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
+        weights = row_weights(pair.size[0])
+        squared = ((picture.image.astype(np.float64) - truth) ** 2).mean(axis=(1, 2))
+        errors.append(math.sqrt(float(np.average(squared, weights=weights))))
+    return {"end_first": errors[0], "end_second": errors[1]}

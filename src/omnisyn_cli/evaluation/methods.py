@@ -1,0 +1,262 @@
+"""The methods that are compared, by name: what is measured, upper bounds, baselines and ablations.
+
+Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
+changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
+estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``) and ``views=1`` (only the first
+panorama is shown): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``, ``oracle-depth:renderer=points``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from types import MappingProxyType
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.estimators import make_estimator
+from omnisyn_cli.evaluation.flow import CrossFade, FlowFade
+from omnisyn_cli.evaluation.synthesizers import (
+    DepthMemory,
+    GeometricSynthesizer,
+    MethodUnavailableError,
+    Recipe,
+    Synthesizer,
+    first_view_only,
+    geometric_fuser,
+)
+from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.render.renderer import RENDERERS
+from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.types import KnownDepth, View
+
+__all__ = ["METHODS", "Method", "MethodOptions", "find_method", "find_methods"]
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """What all methods are made with.
+
+    Attributes:
+        threads: at most this many; None is one per core.
+        device: where networks run: ``auto``, ``cpu`` or ``cuda``.
+        memory: depth of the pair that another method has found already; None: there is none.
+    """
+
+    threads: int | None = None
+    device: str = "auto"
+    memory: DepthMemory | None = None
+
+
+Factory = Callable[[tuple[View, View], MethodOptions], Synthesizer]
+"""Sets a method to work on a pair; raises MethodUnavailableError where it cannot."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method that can be compared.
+
+    Attributes:
+        name: as it is chosen and listed.
+        description: what it does, in a few words.
+        make: sets it to work.
+        ingredients: tells what its results depend on besides its name, such as the networks that are installed.
+    """
+
+    name: str
+    description: str
+    make: Factory
+    ingredients: Callable[[], tuple[str, ...]] = tuple
+
+
+RecipeFactory = Callable[[MethodOptions], Recipe]
+
+
+def _matching(options: MethodOptions) -> Recipe:
+    return Recipe("matching", make_estimator("matching", threads=options.threads))
+
+
+def _oracle(_: MethodOptions) -> Recipe:
+    return Recipe("truth", KnownDepth(), sees_truth=True)
+
+
+def _preset(name: str) -> RecipeFactory:
+    """The recipe of a preset of the product; unavailable where there is no such preset or its network is missing."""
+
+    def make(options: MethodOptions) -> Recipe:
+        if name not in PRESETS:
+            raise MethodUnavailableError(f"expected the preset '{name}', this version of omnisyn has none of that name")
+        preset = PRESETS[name]
+        try:
+            estimator = make_estimator(
+                preset.depth, rows=preset.depth_rows, model=preset.model, device=options.device, threads=options.threads
+            )
+        except InputError as error:
+            raise MethodUnavailableError(str(error)) from error
+        return Recipe(f"preset {name}", estimator)
+
+    return make
+
+
+def _default(options: MethodOptions) -> Recipe:
+    """The default preset, or matching alone where its network is not installed."""
+    try:
+        return _preset(DEFAULT_PRESET)(options)
+    except MethodUnavailableError:
+        return _matching(options)
+
+
+def _installed(name: str) -> tuple[str, ...]:
+    """A preset and the digest of its network, as far as they are there."""
+    if name not in PRESETS:
+        return ()
+    model = PRESETS[name].model
+    entry = read_manifest().get(model) if model else None
+    return repr(PRESETS[name]), entry.sha256 if entry else ""
+
+
+def _changed(base: RecipeFactory, **changes: object) -> RecipeFactory:
+    return lambda options: replace(base(options), **changes)  # type: ignore[arg-type]
+
+
+def _missing(what: str) -> RecipeFactory:
+    def make(_: MethodOptions) -> Recipe:
+        raise MethodUnavailableError(f"expected {what}, this version of omnisyn has none")
+
+    return make
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A geometric method: description, recipe, and the preset that the recipe looks at."""
+
+    description: str
+    recipe: RecipeFactory
+    preset: str = ""
+
+
+RECIPES: Mapping[str, _Entry] = MappingProxyType(
+    {
+        "matching": _Entry("depth by matching, mesh, geometric fusion", _matching),
+        "omnisyn-fast": _Entry("the preset fast", _preset("fast"), "fast"),
+        "omnisyn-balanced": _Entry("the preset balanced", _preset("balanced"), "balanced"),
+        "omnisyn-accurate": _Entry("the preset accurate", _preset("accurate"), "accurate"),
+        "omnisyn-paper": _Entry("the preset paper: the networks of the paper", _preset("paper"), "paper"),
+        "omnisyn-points": _Entry(
+            "the default preset with a cloud of points instead of the mesh",
+            _changed(_default, renderer="points"), DEFAULT_PRESET,
+        ),
+        "omnisyn-two-pass": _Entry(
+            "the default preset with the paper's two-pass rasteriser",
+            _changed(_default, renderer="two-pass"), DEFAULT_PRESET,
+        ),
+        "blend": _Entry(
+            "the default preset's depth with geometric fusion, no fusion network",
+            _changed(_default, fuser=geometric_fuser), DEFAULT_PRESET,
+        ),
+        "first-view-only": _Entry(
+            "the default preset's depth, only the first panorama is shown",
+            _changed(_default, fuser=first_view_only), DEFAULT_PRESET,
+        ),
+        "monocular": _Entry("depth from each panorama alone", _missing("a trained monocular depth network")),
+        "synsin": _Entry("SynSin from the nearer panorama", _missing("a trained SynSin network")),
+        "synsin-2view": _Entry("SynSin from both panoramas", _missing("a trained SynSin network")),
+        "oracle-depth": _Entry("the true depth: an upper bound", _oracle),
+    }
+)  # fmt: skip
+"""Geometric methods by name. Where the network of the default preset is not installed, those that change one part of it
+have depth by matching."""
+
+PLAIN: Mapping[str, tuple[str, Callable[[tuple[View, View], int | None], Synthesizer]]] = MappingProxyType(
+    {
+        "crossfade": ("both panoramas, turned, averaged by time", CrossFade),
+        "flow": ("both panoramas moved along optical flow (DIS), averaged by time", FlowFade),
+    }
+)
+"""Methods without geometry."""
+
+VARIANTS = (
+    "matching:metres=2",
+    "matching:cut=0.02",
+    "matching:cut=0.1",
+    "matching:depth=512x256",
+    "matching:depth=256x128",
+)
+"""Ablations that are part of ``all``."""
+
+
+def find_method(name: str) -> Method:
+    """The method of a name.
+
+    Raises:
+        InputError: there is none, or it has no such parameter.
+    """
+    base, *parameters = name.split(":")
+    if base in PLAIN and not parameters:
+        description, make = PLAIN[base]
+        return Method(name, description, lambda views, options: make(views, options.threads))
+    if base not in RECIPES:
+        raise InputError(
+            f"expected one of {', '.join((*PLAIN, *RECIPES))} as method, got {name!r}; choose one of these"
+        )
+    entry = RECIPES[base]
+    description = entry.description
+    changes = [_change(parameter, name) for parameter in parameters]
+    if parameters:
+        description = f"{description}; {', '.join(parameters)}"
+
+    def make_geometric(views: tuple[View, View], options: MethodOptions) -> Synthesizer:
+        made = entry.recipe(options)
+        for change in changes:
+            made = change(made)
+        _check_truth(made, views)
+        return GeometricSynthesizer(made, views, options.threads, options.memory)
+
+    return Method(name, description, make_geometric, partial(_installed, entry.preset))
+
+
+def _change(parameter: str, name: str) -> Callable[[Recipe], Recipe]:
+    key, _, value = parameter.partition("=")
+    try:
+        if key == "cut" and 0 < float(value) <= 1:
+            return lambda recipe: replace(recipe, cut=Cut(relative=float(value)))
+        if key == "metres" and float(value) > 0:
+            return lambda recipe: replace(recipe, cut=Cut(relative=None, metres=float(value)))
+        if key == "renderer" and value in RENDERERS:
+            return lambda recipe: replace(recipe, renderer=value)
+        if (key, value) == ("views", "1"):
+            return lambda recipe: replace(recipe, fuser=first_view_only)
+        if key == "depth":
+            width, height = (int(number) for number in value.lower().split("x"))
+            if width == 2 * height > 0:
+                return lambda recipe: replace(recipe, depth_size=(height, width))
+    except ValueError:
+        pass
+    raise InputError(
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points or views=1 after the colon, got {parameter!r} in "
+        f"{name!r}"
+    )
+
+
+def _check_truth(recipe: Recipe, views: tuple[View, View]) -> None:
+    if recipe.sees_truth and any(view.known_depth is None for view in views):
+        raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
+
+
+METHODS: Mapping[str, Method] = MappingProxyType({name: find_method(name) for name in (*PLAIN, *RECIPES, *VARIANTS)})
+"""What ``all`` stands for, by name."""
+
+
+def find_methods(text: str) -> list[Method]:
+    """``all``, or names separated by commas, each once.
+
+    Raises:
+        InputError: a name that there is no method of, or no name.
+    """
+    if text == "all":
+        return list(METHODS.values())
+    names = dict.fromkeys(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise InputError(f"expected 'all' or names of methods, got {text!r}; choose some of {', '.join(METHODS)}")
+    return [find_method(name) for name in names]

@@ -1,0 +1,187 @@
+"""The diagrams of a report, as PNG files in memory; matplotlib is loaded when the first one is drawn."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from omnisyn_cli.evaluation.grouping import (
+    distance_band,
+    finished,
+    frames_of,
+    mean,
+    ranked_methods,
+    stages_of,
+    time_band,
+)
+from omnisyn_cli.evaluation.records import FrameRecord, UnitRecord
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["report_plots"]
+
+WIDTH = 6.4
+HEIGHT = 3.8
+LEGEND_LINE = 0.22
+"""Inches; the writing is large enough for a telephone."""
+
+LEGEND_COLUMNS = 3
+
+DOTS_PER_INCH = 160
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+"""Okabe and Ito's colours, which the colour-blind can tell apart, without yellow; markers change when they repeat."""
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+
+MOST_POINTS = 2000
+"""Single frames are drawn only up to this many; beyond, the means say it better."""
+
+
+def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:
+    """Every diagram that there are figures for: name without extension -> PNG file."""
+    figures = {
+        "ws-psnr-by-distance": _quality_by_distance(records),
+        "ws-psnr-by-share": _quality_by_share(records),
+        "ws-psnr-by-seconds": _quality_by_seconds(records),
+        "seconds-by-stage": _seconds_by_stage(records),
+    }
+    return {name: _png(figure) for name, figure in figures.items() if figure is not None}
+
+
+def _quality_by_distance(records: Sequence[UnitRecord]) -> Figure | None:
+    """The paper's diagram: WS-PSNR against the distance from the nearer panorama."""
+
+    def coordinates(frame: FrameRecord) -> tuple[float, float]:
+        return frame.distance, float(distance_band(frame.distance))
+
+    return _quality_by(records, coordinates, "Distance from the nearer panorama, m")
+
+
+def _quality_by_share(records: Sequence[UnitRecord]) -> Figure | None:
+    return _quality_by(records, lambda frame: (frame.t, time_band(frame.t)[0]), "Share of the way, t")
+
+
+def _quality_by(records: Sequence[UnitRecord], coordinates: Any, title: str) -> Figure | None:
+    """Frames as points, means over bands as lines, one colour for each method.
+
+    Args:
+        records: of all methods.
+        coordinates: of a frame, its place on the axis and the number of its band.
+        title: of the axis.
+    """
+    drawn = {
+        method: [(*coordinates(frame), score) for score, frame in frames_of(records, method) if math.isfinite(score)]
+        for method in ranked_methods(records)
+    }
+    drawn = {method: points for method, points in drawn.items() if points}
+    if not drawn:
+        return None
+    figure, axes = _new_figure(len(drawn))
+    shows_points = sum(map(len, drawn.values())) <= MOST_POINTS
+    for index, (method, points) in enumerate(drawn.items()):
+        style = _style(index)
+        if shows_points:
+            axes.scatter([x for x, _, _ in points], [y for _, _, y in points], s=9, alpha=0.3, color=style["color"])
+        axes.plot(*_band_means(points), linewidth=1.6, markersize=5, label=_plain(method), **style)
+    axes.set_xlim(left=0.0)
+    _finish(figure, axes, title, "WS-PSNR, dB")
+    return figure
+
+
+def _band_means(points: Sequence[tuple[float, float, float]]) -> tuple[list[float], list[float]]:
+    """Mean place and mean score of every band, in the order of the bands."""
+    bands: defaultdict[float, list[tuple[float, float]]] = defaultdict(list)
+    for place, band, score in points:
+        bands[band].append((place, score))
+    ordered = [bands[band] for band in sorted(bands)]
+    return [mean(x for x, _ in band) for band in ordered], [mean(y for _, y in band) for band in ordered]
+
+
+def _quality_by_seconds(records: Sequence[UnitRecord]) -> Figure | None:
+    """What a method's quality costs: mean WS-PSNR against mean seconds per pair."""
+    points = {}
+    for method in ranked_methods(records):
+        units = [record for record in finished(records) if record.method == method and record.seconds]
+        score = mean(value for value, _ in frames_of(records, method))
+        seconds = mean(record.seconds.get("total", math.fsum(record.seconds.values())) for record in units)
+        if math.isfinite(score) and seconds > 0:
+            points[method] = (seconds, score)
+    if not points:
+        return None
+    from matplotlib.ticker import LogLocator
+
+    figure, axes = _new_figure(len(points))
+    for index, (method, (seconds, score)) in enumerate(points.items()):
+        axes.plot([seconds], [score], linestyle="none", markersize=8, label=_plain(method), **_style(index))
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    axes.xaxis.set_minor_formatter("{x:g}")
+    _finish(figure, axes, "Seconds per pair", "WS-PSNR, dB")
+    return figure
+
+
+def _seconds_by_stage(records: Sequence[UnitRecord]) -> Figure | None:
+    """Mean wall time of a pair as bars that are made of the stages."""
+    units = [record for record in finished(records) if record.seconds]
+    if not units:
+        return None
+    methods = [method for method in ranked_methods(records) if any(unit.method == method for unit in units)]
+    stages = stages_of(units)
+    figure, axes = _new_figure(len(stages), height=0.9 + 0.3 * len(methods))
+    left = [0.0] * len(methods)
+    for index, stage in enumerate(stages):
+        widths = [mean(u.seconds.get(stage, 0.0) for u in units if u.method == method) for method in methods]
+        axes.barh([_plain(method) for method in methods], widths, left=left, label=_plain(stage), color=_colour(index))
+        left = [edge + width for edge, width in zip(left, widths, strict=True)]
+    axes.invert_yaxis()
+    axes.set_xlim(left=0.0, right=1.03 * max(left))
+    _finish(figure, axes, "Seconds per pair", "")
+    return figure
+
+
+def _new_figure(entries: int, height: float = HEIGHT) -> tuple[Figure, Axes]:
+    """A diagram with room for a legend of so many entries below it."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(
+        figsize=(WIDTH, height + LEGEND_LINE * math.ceil(entries / LEGEND_COLUMNS)),
+        dpi=DOTS_PER_INCH,
+        layout="constrained",
+    )
+    return figure, figure.add_subplot()
+
+
+def _finish(figure: Figure, axes: Axes, x_title: str, y_title: str) -> None:
+    axes.set_xlabel(x_title)
+    axes.set_ylabel(y_title)
+    axes.grid(alpha=0.25)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS, frameon=False, fontsize="small")
+
+
+def _png(figure: Figure) -> bytes:
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return file.getvalue()
+
+
+def _style(index: int) -> dict[str, Any]:
+    return {"color": _colour(index), "marker": MARKERS[index // len(COLOURS) % len(MARKERS)]}
+
+
+def _colour(index: int) -> str:
+    return COLOURS[index % len(COLOURS)]
+
+
+def _plain(name: str) -> str:
+    """A name as it is: no formulas, and no leading underscore, which would hide it from a legend."""
+    shown = name.replace("$", r"\$")
+    return f"\u200b{shown}" if shown.startswith("_") else shown

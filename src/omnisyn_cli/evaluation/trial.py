@@ -1,0 +1,191 @@
+"""One setting at work: the product's own pipeline from two files to a video, timed, weighed, compared with the truth.
+
+A trial wants a process of its own, started for it alone: peak memory and the time to load are facts about processes.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from omnisyn_cli.estimators import make_estimator
+from omnisyn_cli.evaluation.calibration import calibrate
+from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
+from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
+from omnisyn_cli.evaluation.views import load_pair
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation import InterpolationJob, InterpolationPlan, plan_interpolation, run_interpolation
+from omnisyn_cli.io import PosedPanorama, write_poses
+from omnisyn_cli.metrics import ws_psnr
+from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize, turned_panorama
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+
+__all__ = ["Trial", "run_trial"]
+
+PHOTOGRAPHS = 2
+"""The first and the last frame of a clip, which are not rendered."""
+
+MEASURED_PEAK = "VmHWM:"
+
+PROCESS_STATUS = Path("/proc/self/status")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What to do.
+
+    Attributes:
+        setting: with these settings.
+        pairs: between these panoramas, one clip each.
+        frames: that are rendered of every clip.
+        device: where networks run.
+        key: goes into the figures.
+    """
+
+    setting: Setting
+    pairs: tuple[Pair, ...]
+    frames: int
+    device: str = "auto"
+    key: str = ""
+
+
+def run_trial(trial: Trial, folder: Path, launched: float) -> Figures:
+    """Measure a setting.
+
+    The first clip is made twice: what it takes longer the first time is ``start``.
+
+    Args:
+        trial: what to do.
+        folder: an empty one for copies and clips.
+        launched: when the process was started, in the seconds of ``time.time()``.
+
+    Raises:
+        InputError: a picture cannot be read, or a network is missing.
+        EncodingError, WriteError: a clip cannot be written.
+    """
+    setting, estimator = trial.setting, _Remembering(_estimator(trial))
+    plans = list(_plans(trial, folder))
+    _clip(_with_frames(plans[0], 1), estimator)
+    started = time.time() - launched
+    clips, found = [], []
+    for plan in plans:
+        clips.append(_per_pair_and_frame(_clip(plan, estimator), trial.frames))
+        found.append(estimator.found)
+    memory = _peak_memory()
+    start = max(0.0, started - sum(clips[0].values()))
+    seconds = {"start": start, **{stage: _mean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
+    scores = list(chain.from_iterable(_scores(*each, setting) for each in zip(trial.pairs, found, strict=True)))
+    return Figures(
+        setting, key=trial.key, source=plans[0].source_sizes[0], seconds=seconds,
+        calibration=calibrate(setting.threads), memory=memory, ws_psnr=_mean(scores) if scores else None,
+        pairs=len(clips),
+    )  # fmt: skip
+
+
+class _Remembering:
+    """An estimator that keeps what it found last."""
+
+    def __init__(self, estimator: DepthEstimator) -> None:
+        self._estimator = estimator
+        self.found: tuple[DepthEstimate, DepthEstimate] | None = None
+
+    def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        self.found = self._estimator(first, second)
+        return self.found
+
+
+def _estimator(trial: Trial) -> DepthEstimator:
+    preset, setting = PRESETS[trial.setting.preset], trial.setting
+    return make_estimator(
+        preset.depth, rows=setting.depth_rows, model=preset.model, device=trial.device, threads=setting.threads
+    )
+
+
+def _plans(trial: Trial, folder: Path) -> Iterator[InterpolationPlan]:
+    """A clip for each pair; pictures are copied, so that those of any data set get names of their own."""
+    for index, pair in enumerate(trial.pairs):
+        place = folder / str(index)
+        place.mkdir()
+        entries = dict(_copied(frame, place, name) for name, frame in (("first", pair.first), ("second", pair.second)))
+        write_poses(place / "poses.json", entries)
+        job = InterpolationJob(
+            tuple(place / name for name in entries), place / "poses.json", place / "clip.mp4",
+            frames=trial.frames + PHOTOGRAPHS, size=trial.setting.size, preset=trial.setting.preset,
+            device=trial.device, threads=trial.setting.threads, overwrite=True,
+        )  # fmt: skip
+        yield plan_interpolation(job)
+
+
+def _with_frames(plan: InterpolationPlan, frames: int) -> InterpolationPlan:
+    """The same clip with another number of rendered frames."""
+    return plan_interpolation(replace(plan.job, frames=frames + PHOTOGRAPHS))
+
+
+def _copied(frame: SceneFrame, place: Path, name: str) -> tuple[str, PosedPanorama]:
+    image = place / f"{name}{frame.image.suffix}"
+    shutil.copyfile(frame.image, image)
+    mask = None if frame.mask is None else place / f"{name}_mask{frame.mask.suffix}"
+    if frame.mask is not None and mask is not None:
+        shutil.copyfile(frame.mask, mask)
+    return image.name, PosedPanorama(frame.pose, mask=mask)
+
+
+def _clip(plan: InterpolationPlan, estimator: DepthEstimator) -> dict[str, float]:
+    """Seconds by stage; whatever is in no other stage is ``convert``."""
+    seconds = run_interpolation(plan, estimator=estimator).seconds
+    staged = {**dict.fromkeys(FRAME_STAGES, 0.0), **seconds}
+    total = staged.pop("total")
+    order = [*(stage for stage in staged if stage not in FRAME_STAGES), *FRAME_STAGES]
+    return {stage: staged[stage] for stage in order} | {"convert": max(0.0, total - math.fsum(staged.values()))}
+
+
+def _per_pair_and_frame(seconds: dict[str, float], frames: int) -> dict[str, float]:
+    return {stage: value / frames if stage in FRAME_STAGES else value for stage, value in seconds.items()}
+
+
+def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, setting: Setting) -> list[float]:
+    """WS-PSNR of the true frames between, at their own size: frames of another size are resampled to it."""
+    if depths is None or not pair.between:
+        return []
+    loaded = load_pair(pair, None, setting.threads)
+    options = SynthesisOptions(setting.size, threads=setting.threads)
+    path = [truth.waypoint for truth in loaded.truths]
+    made = synthesize(loaded.views, path, lambda first, second: depths, options)
+    images = (_resized(each.image, loaded.size, setting.threads) for each in made if isinstance(each, Frame))
+    return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]
+
+
+def _resized(image: np.ndarray, size: tuple[int, int], threads: int) -> np.ndarray:
+    return image if image.shape[:2] == size else turned_panorama(image, Pose.identity(), size, threads)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return math.fsum(values) / len(values)
+
+
+def _peak_memory() -> int | None:
+    """Bytes that this process has held at most.
+
+    What ``getrusage`` says is no less than what the parent held when it started this process, so Linux is asked
+    directly.
+    """
+    if PROCESS_STATUS.exists():
+        lines = PROCESS_STATUS.read_text(encoding="ascii", errors="replace").splitlines()
+        peaks = [line.split() for line in lines if line.startswith(MEASURED_PEAK)]
+        if peaks:
+            return int(peaks[0][1]) * 1024
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

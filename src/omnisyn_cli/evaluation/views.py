@@ -1,0 +1,110 @@
+"""The pictures of a pair read into memory: two views, the true frames between, where and when they were taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.errors import ImageError
+from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.io import Panorama, read_mask, read_panorama
+from omnisyn_cli.synthesis import turned_panorama
+from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimate, View
+
+__all__ = ["LoadedPair", "TrueFrame", "baseline_of", "load_pair", "share_of_way"]
+
+UNTURNED = Pose.identity()
+
+
+@dataclass(frozen=True)
+class TrueFrame:
+    """What a camera saw between the two views.
+
+    Attributes:
+        name: of the frame.
+        waypoint: its pose, and the share of the way by distance.
+        distance: metres to the nearer view.
+        image: ``(height, width, 3)`` RGB in [0, 1], at the size of the comparison.
+    """
+
+    name: str
+    waypoint: Waypoint
+    distance: float
+    image: Float[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class LoadedPair:
+    """A pair with everything that is known about it.
+
+    Attributes:
+        views: both panoramas at their own resolution, with true depth as ``known_depth`` where there is any.
+        truths: of the frames between.
+        size: height and width at which frames are compared.
+    """
+
+    views: tuple[View, View]
+    truths: tuple[TrueFrame, ...]
+    size: tuple[int, int]
+
+
+def baseline_of(pair: Pair) -> float:
+    """Metres from the first to the second panorama."""
+    return float(np.linalg.norm(pair.second.pose.position - pair.first.pose.position))
+
+
+def share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
+    """The share of the way by distance, d₁/(d₁ + d₂), and metres to the nearer panorama; ½ where both are here."""
+    d1, d2 = (float(np.linalg.norm(pose.position - end.pose.position)) for end in (pair.first, pair.second))
+    return (d1 / (d1 + d2) if d1 + d2 > 0 else 0.5), min(d1, d2)
+
+
+def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | None = None) -> LoadedPair:
+    """Read all pictures, masks and depth of a pair.
+
+    Args:
+        pair: from :func:`omnisyn_cli.evaluation.datasets.choose_pairs`.
+        size: height and width of the comparison; by default that of the first true frame.
+        threads: at most this many.
+
+    Raises:
+        ImageError: a file is missing or damaged.
+    """
+    truths = []
+    for frame in pair.between:
+        image = read_panorama(frame.image).image
+        size = size or (image.shape[0], image.shape[1])
+        t, distance = share_of_way(pair, frame.pose)
+        image = turned_panorama(image, UNTURNED, size, threads) if image.shape[:2] != size else image
+        truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
+    views = (_view(pair.first), _view(pair.second))
+    height, width = views[0].image.shape[:2]
+    return LoadedPair(views, tuple(truths), size or (height, width))
+
+
+def _view(frame: SceneFrame) -> View:
+    panorama = read_panorama(frame.image)
+    mask = panorama.mask if frame.mask is None else _both(panorama, read_mask(frame.mask), frame)
+    return View(panorama.image, frame.pose, mask, _depth(frame))
+
+
+def _both(panorama: Panorama, mask: np.ndarray, frame: SceneFrame) -> np.ndarray:
+    if mask.shape != panorama.image.shape[:2]:
+        (rows, columns), (height, width) = mask.shape, panorama.image.shape[:2]
+        raise ImageError(
+            f"{frame.mask}: expected a mask of {width}×{height} pixels, got {columns}×{rows}; "
+            "give it the size of its panorama"
+        )
+    return mask if panorama.mask is None else panorama.mask & mask
+
+
+def _depth(frame: SceneFrame) -> DepthEstimate | None:
+    if frame.depth is None:
+        return None
+    inverse_depth = frame.read_depth(frame.depth)
+    known = inverse_depth > 0 if frame.has_holes else np.ones(inverse_depth.shape, bool)
+    return DepthEstimate(inverse_depth, known.astype(np.float32))

@@ -1,0 +1,113 @@
+"""``omnisyn eval``: tables, JSON, exit codes, and a report that an interrupted run can go on from."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from cli_samples import listing, run_cli
+
+from omnisyn_cli.evaluation.records import read_records
+from synthesis_samples import posed, write_hall
+
+POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> Path:
+    """One scene with a true frame, one without."""
+    for name, poses in (("hall", POSES), ("pair", POSES[::2])):
+        folder = tmp_path / "scenes" / name
+        folder.mkdir(parents=True)
+        write_hall(folder, poses, (32, 64))
+    return tmp_path / "scenes"
+
+
+def arguments(scenes: Path, *more: object) -> list[object]:
+    return ["eval", scenes, "--methods", "crossfade,oracle-depth,synsin", "--threads", 1, *more]
+
+
+def test_the_table_has_the_means_and_every_reason(capsys: pytest.CaptureFixture[str], scenes: Path) -> None:
+    before = listing(scenes)
+    result = run_cli(capsys, *arguments(scenes))
+    assert result.code == 0
+    for expected in ("crossfade", "oracle-depth (upper bound)", "WS-PSNR", "synsin: unavailable: ", "pair: skipped: "):
+        assert expected in result.out
+    assert listing(scenes) == before
+
+
+def test_json_is_everything_that_was_measured(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:
+    result = run_cli(capsys, *arguments(scenes, "--json", "--report", tmp_path / "report"))
+    values = json.loads(result.out)
+    assert (result.code, result.err) == (0, "")
+    assert [(unit["scene"], unit["method"], unit["status"]) for unit in values["units"]] == [
+        ("pair", "", "skipped"), ("hall", "crossfade", "done"), ("hall", "oracle-depth", "done"),
+        ("hall", "synsin", "unavailable"),
+    ]  # fmt: skip
+    assert values["units"] == [record.to_json() for record in read_records(tmp_path / "report")]
+
+
+def test_the_report_and_its_pictures_are_kept(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:
+    result = run_cli(capsys, *arguments(scenes, "--report", tmp_path / "report"))
+    assert "report.html" in result.out
+    kept = listing(tmp_path / "report")
+    assert {"results.jsonl", "report.html", "report.md", "report.csv", "report.json"} <= set(kept)
+    assert any(name.startswith("pictures/") and name.endswith(".jpg") for name in kept)
+    bare = run_cli(capsys, *arguments(scenes, "--report", tmp_path / "bare", "--no-pictures", "-q"))
+    assert (bare.code, bare.out) == (0, "")
+    assert not any(name.startswith("pictures/") for name in listing(tmp_path / "bare"))
+
+
+def test_what_is_broken_is_named_and_the_exit_code_is_1(capsys: pytest.CaptureFixture[str], scenes: Path) -> None:
+    (scenes / "pair" / "poses.json").write_text("{")
+    result = run_cli(capsys, *arguments(scenes))
+    assert result.code == 1
+    assert "pair: failed: " in result.out
+    assert "crossfade" in result.out
+
+
+def test_pairs_can_be_chosen(capsys: pytest.CaptureFixture[str], scenes: Path) -> None:
+    result = run_cli(capsys, *arguments(scenes / "hall", "--pairs", "0:1", "--json"))
+    (unit,) = json.loads(result.out)["units"]
+    assert (unit["first"], unit["second"], unit["status"]) == ("p0.png", "p1.png", "skipped")
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "message"),
+    [
+        (["--methods", "nosuch"], 3, "expected one of crossfade"),
+        (["--format", "zind"], 3, "the layout 'zind'"),
+        (["--format", "nosuch"], 2, "nosuch"),
+        (["--pairs", "x"], 3, "expected pairs"),
+        (["--size", "64x64"], 2, "twice as wide"),
+        (["--lpips", "nosuch.onnx"], 3, "nosuch.onnx"),
+        (["--report", "/dev/null/report"], 3, "expected a folder for the report"),
+    ],
+)
+def test_wrong_options_are_explained(
+    capsys: pytest.CaptureFixture[str], scenes: Path, more: list[str], code: int, message: str
+) -> None:
+    result = run_cli(capsys, "eval", scenes, "--threads", 1, *more)
+    assert (result.code, result.out) == (code, "")
+    assert message in result.err
+
+
+def test_methods_are_listed_without_a_data_set(capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_cli(capsys, "eval", "--list-methods")
+    assert result.code == 0
+    for name in ("crossfade", "flow", "matching", "omnisyn-balanced", "synsin-2view", "oracle-depth"):
+        assert f"{name} " in result.out
+
+
+def test_help_loads_nothing_heavy(capsys: pytest.CaptureFixture[str]) -> None:
+    before = set(sys.modules)
+    assert run_cli(capsys, "eval", "--help").code == 0
+    new = {name.partition(".")[0] for name in set(sys.modules) - before}
+    assert not new & {"torch", "onnxruntime", "numba", "cv2", "matplotlib", "pydantic"}
+
+
+def test_layouts_and_formats_are_the_same_names() -> None:
+    from omnisyn_cli.cli.evaluate import LAYOUTS
+    from omnisyn_cli.evaluation.datasets import FORMATS
+
+    assert ("auto", *FORMATS) == LAYOUTS

@@ -1,0 +1,212 @@
+"""Units of work: measured right, written down once, done again only when something changed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hall_samples import PATH, SIZE, damage, repaint, run, scores_of, write_halls
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation import engine
+from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
+from omnisyn_cli.evaluation.methods import Method
+from omnisyn_cli.evaluation.records import RESULTS_NAME, UnitRecord, read_records
+from omnisyn_cli.io import read_panorama
+from synthesis_samples import ws_psnr
+
+METHODS = "crossfade,oracle-depth"
+
+
+@pytest.fixture
+def halls(tmp_path: Path) -> Path:
+    return write_halls(tmp_path / "data", "a", "b")
+
+
+def lines(folder: Path) -> list[tuple[str, str]]:
+    """Scene and method of every line of the results."""
+    return [(record.scene, record.method) for record in read_records(folder.parent / "report")]
+
+
+def test_frames_between_are_compared_where_they_were_taken(tmp_path: Path) -> None:
+    """The true depth makes nearly the true frame, though these are off the line and turned; a cross-fade does not."""
+    data = write_halls(tmp_path / "data", "hall")
+    records = run(data, METHODS)
+    oracle = next(record for record in records if record.method == "oracle-depth")
+    assert [frame.name for frame in oracle.frames] == ["p1.png", "p2.png"]
+    assert scores_of(records, "oracle-depth").min() > 45
+    assert scores_of(records, "crossfade").max() < 30
+    assert (oracle.first, oracle.second, oracle.size) == ("p0.png", "p3.png", SIZE)
+    assert oracle.baseline == pytest.approx(1.2)
+    for frame, pose in zip(oracle.frames, PATH[1:-1], strict=True):
+        d0, d1 = (float(np.linalg.norm(pose.position - end.position)) for end in (PATH[0], PATH[-1]))
+        assert frame.t == pytest.approx(d0 / (d0 + d1))
+        assert frame.distance == pytest.approx(min(d0, d1))
+
+
+def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path: Path) -> None:
+    data = write_halls(tmp_path / "data", "hall")
+    oracle, fade = run(data, "oracle-depth,crossfade")
+    assert [depth.view for depth in oracle.depths] == ["p0.png", "p3.png"]
+    for depth in oracle.depths:
+        for figures in (depth.plain, depth.weighted):
+            assert figures["imae"] == pytest.approx(0, abs=1e-6)
+            assert figures["delta_105"] == 1
+    assert oracle.temporal["warping_error"] < 0.01
+    assert oracle.temporal["flicker"] < 0.01
+    assert max(oracle.temporal["end_first"], oracle.temporal["end_second"]) < 0.01
+    assert fade.depths == ()
+    assert set(fade.temporal) == {"end_first", "end_second"}
+    assert oracle.seconds["total"] == pytest.approx(sum(s for stage, s in oracle.seconds.items() if stage != "total"))
+
+
+def test_a_size_is_that_of_the_comparison_and_not_of_the_inputs(tmp_path: Path) -> None:
+    data = write_halls(tmp_path / "data", "hall")
+    (small,) = run(data, "oracle-depth", size=(32, 64))
+    assert small.size == (32, 64)
+    assert min(frame.scores["ws_psnr"] for frame in small.frames) > 40
+
+
+def test_nothing_is_done_twice(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = run(halls, METHODS)
+    written = (halls.parent / "report" / RESULTS_NAME).read_bytes()
+    monkeypatch.setattr(engine, "measure", None)
+    assert run(halls, METHODS) == first
+    assert run(halls, METHODS, pairs="0:3,0:3") == [*first[:2], *first[:2], *first[2:], *first[2:]]
+    assert (halls.parent / "report" / RESULTS_NAME).read_bytes() == written
+
+
+def test_an_interrupted_run_goes_on_where_it_was(halls: Path) -> None:
+    def interrupt(done: int, _: UnitRecord) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(halls, METHODS, interrupt)
+    assert len(lines(halls)) == 3
+    path = halls.parent / "report" / RESULTS_NAME
+    path.write_bytes(path.read_bytes() + b'{"key": "what was being writ')
+    run(halls, METHODS)
+    everything = [("a", "crossfade"), ("a", "oracle-depth"), ("b", "crossfade"), ("b", "oracle-depth")]
+    assert lines(halls) == everything
+
+
+def test_only_what_changed_is_done_again(halls: Path) -> None:
+    run(halls, METHODS)
+    repaint(halls / "b" / "p1.png")
+    run(halls, METHODS)
+    assert lines(halls)[4:] == [("b", "crossfade"), ("b", "oracle-depth")]
+    run(halls, "crossfade,flow")
+    assert lines(halls)[6:] == [("a", "flow"), ("b", "flow")]
+    run(halls, "crossfade", size=(32, 64))
+    assert lines(halls)[8:] == [("a", "crossfade"), ("b", "crossfade")]
+    run(halls, "crossfade", size=(32, 64), threads=2)
+    assert len(lines(halls)) == 10
+
+
+def test_a_moved_camera_is_a_change(halls: Path) -> None:
+    run(halls, "crossfade")
+    poses = halls / "a" / "poses.json"
+    poses.write_text(poses.read_text().replace("[0.25, 0.1, 0.3]", "[0.25, 0.1, 0.31]"))
+    run(halls, "crossfade")
+    assert lines(halls)[2:] == [("a", "crossfade")]
+
+
+@pytest.mark.parametrize("name", ["p0.png", "p1.png", "p3_depth.exr"])
+def test_a_broken_scene_is_reported_and_the_rest_goes_on(halls: Path, name: str) -> None:
+    damage(halls / "a" / name)
+    records = run(halls, METHODS)
+    assert [(r.scene, r.status) for r in records] == [("a", "failed")] * 2 + [("b", "done")] * 2
+    assert name in records[0].reason
+    write_halls(halls.parent / "new", "a")
+    (halls.parent / "new" / "a" / name).replace(halls / "a" / name)
+    assert [r.status for r in run(halls, METHODS)] == ["done"] * 4
+
+
+def test_broken_poses_and_missing_files_are_reported_too(halls: Path) -> None:
+    (halls / "a" / "poses.json").write_text("{")
+    (halls / "b" / "p2.png").unlink()
+    broken, missing = run(halls, "crossfade")
+    assert (broken.scene, broken.method, broken.status) == ("a", "", "failed")
+    assert "expected JSON" in broken.reason
+    assert (missing.scene, missing.method, missing.status) == ("b", "crossfade", "failed")
+    assert "p2.png" in missing.reason
+
+
+def test_a_method_that_breaks_does_not_end_the_others(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def explode(*_: object) -> None:
+        raise ZeroDivisionError("by\nzero")
+
+    original = engine.find_methods
+    monkeypatch.setattr(engine, "find_methods", lambda text: [Method("bad", "", explode), *original(text)])
+    records = run(halls, "crossfade")
+    assert [(r.method, r.status) for r in records] == [("bad", "failed"), ("crossfade", "done")] * 2
+    assert records[0].reason == "ZeroDivisionError: by zero"
+
+
+def test_scenes_without_truth_are_listed_with_the_reason(tmp_path: Path) -> None:
+    data = write_halls(tmp_path / "data", "pair", frames=2)
+    write_halls(data, "full")
+    skipped, done = run(data, "crossfade")
+    assert (skipped.scene, skipped.status, skipped.method) == ("pair", "skipped", "")
+    assert "got none" in skipped.reason
+    assert (done.scene, done.status) == ("full", "done")
+    (data / "none").mkdir()
+    (data / "none" / "poses.json").write_text('{"version": 1, "panoramas": {}}')
+    for _ in range(2):
+        run(data, "crossfade")
+    assert sorted(lines(data)) == [("full", "crossfade"), ("none", ""), ("pair", "")]
+
+
+def test_what_cannot_run_says_why(tmp_path: Path) -> None:
+    data = write_halls(tmp_path / "data", "hall", with_depth=False)
+    records = run(data, "oracle-depth,synsin,omnisyn-paper")
+    assert [record.status for record in records] == ["unavailable"] * 3
+    assert "true depth" in records[0].reason
+    assert "SynSin" in records[1].reason
+    assert "'paper'" in records[2].reason
+
+
+def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> None:
+    data = write_halls(tmp_path / "data", "hall")
+    (record,) = run(data, "oracle-depth", pictures=True)
+    report = tmp_path / "report"
+    for frame in record.frames:
+        assert set(frame.pictures) == {"frame", "truth", "error"}
+        shown, truth, error = (read_panorama(report / frame.pictures[key]).image for key in ("frame", "truth", "error"))
+        assert ws_psnr(shown, truth) > 30
+        assert error.max() < 0.3
+    for depth in record.depths:
+        found, truth = (read_panorama(report / depth.pictures[key]).image for key in ("depth", "truth"))
+        np.testing.assert_allclose(found, truth, atol=0.05)
+    (report / record.frames[0].pictures["error"]).unlink()
+    (again,) = run(data, "oracle-depth", pictures=True)
+    assert (report / again.frames[0].pictures["error"]).is_file()
+    assert len(lines(data)) == 2
+
+
+def test_the_report_is_written_at_the_end(tmp_path: Path) -> None:
+    data = write_halls(tmp_path / "data", "hall")
+    job = EvaluationJob(data, tmp_path / "deep" / "report", "crossfade,synsin", pictures=False, threads=1)
+    evaluate(plan_evaluation(job))
+    page = (tmp_path / "deep" / "report" / "report.html").read_text(encoding="utf-8")
+    assert "crossfade" in page
+    assert "SynSin" in page
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"methods": "nosuch"}, "expected one of"),
+        ({"methods": ","}, "expected 'all' or names"),
+        ({"size": (64, 64)}, "twice as wide"),
+        ({"pairs": "0"}, "expected pairs"),
+        ({"layout": "carla"}, "layout 'carla'"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_any_work(
+    tmp_path: Path, options: dict[str, object], message: str
+) -> None:
+    data = write_halls(tmp_path / "data", "hall")
+    with pytest.raises(InputError, match=message):
+        plan_evaluation(EvaluationJob(data, tmp_path / "report", **options))
+    assert not (tmp_path / "report").exists()

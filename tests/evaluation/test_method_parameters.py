@@ -1,0 +1,57 @@
+"""Parameters after a colon: each changes what its name says and nothing else."""
+
+import numpy as np
+import pytest
+from hall_samples import loaded_hall
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.methods import MethodOptions, find_method
+from omnisyn_cli.evaluation.synthesizers import GeometricSynthesizer, MethodUnavailableError, Recipe, first_view_only
+from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.render.renderer import RENDERERS
+from omnisyn_cli.synthesis import Stopwatch
+from omnisyn_cli.types import KnownDepth, View
+from synthesis_samples import ws_psnr
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> LoadedPair:
+    return loaded_hall(tmp_path_factory.mktemp("data"))
+
+
+def images(name: str, pair: LoadedPair, views: tuple[View, View] | None = None) -> np.ndarray:
+    made = find_method(name).make(views or pair.views, MethodOptions(threads=1))
+    path = [truth.waypoint for truth in pair.truths]
+    return np.stack([picture.image for picture in made.pictures(path, pair.size, Stopwatch())])
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_renderer_can_be_chosen_for_any_method(hall: LoadedPair, renderer: str) -> None:
+    recipe = Recipe("truth", KnownDepth(), sees_truth=True, renderer=renderer)
+    path = [truth.waypoint for truth in hall.truths]
+    expected = [p.image for p in GeometricSynthesizer(recipe, hall.views, 1).pictures(path, hall.size, Stopwatch())]
+    np.testing.assert_array_equal(images(f"oracle-depth:renderer={renderer}", hall), expected)
+
+
+def test_with_one_view_the_picture_of_the_second_is_never_seen(hall: LoadedPair) -> None:
+    first, second = hall.views
+    inverted = View(1 - second.image, second.pose, second.mask, second.known_depth)
+    recipe = Recipe("truth", KnownDepth(), sees_truth=True, fuser=first_view_only)
+    path = [truth.waypoint for truth in hall.truths]
+    expected = [p.image for p in GeometricSynthesizer(recipe, hall.views, 1).pictures(path, hall.size, Stopwatch())]
+    one = images("oracle-depth:views=1", hall)
+    np.testing.assert_array_equal(one, expected)
+    two, other = images("oracle-depth", hall), images("oracle-depth", hall, (first, inverted))
+    assert ws_psnr(two[0], hall.truths[0].image) > ws_psnr(one[0], hall.truths[0].image)
+    assert np.abs(two - other).max() > 0.1
+
+
+@pytest.mark.parametrize("parameter", ["renderer=nosuch", "renderer=", "views=2", "views=", "view=1"])
+def test_what_is_no_parameter_is_refused(parameter: str) -> None:
+    with pytest.raises(InputError, match="renderer=points or views=1"):
+        find_method(f"oracle-depth:{parameter}")
+
+
+def test_a_method_that_is_not_there_says_what_is_missing(hall: LoadedPair) -> None:
+    with pytest.raises(MethodUnavailableError, match="a trained monocular depth network"):
+        images("monocular", hall)

@@ -1,0 +1,184 @@
+"""The methods: what they are by definition, on pictures where the answer is known."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hall_samples import SIZE, loaded_hall
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.flow import optical_flow
+from omnisyn_cli.evaluation.methods import METHODS, MethodOptions, find_method, find_methods
+from omnisyn_cli.evaluation.synthesizers import (
+    DepthMemory,
+    GeometricSynthesizer,
+    MethodUnavailableError,
+    Picture,
+    Recipe,
+    first_view_only,
+)
+from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.runtime import models
+from omnisyn_cli.synthesis import Stopwatch
+from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimate, KnownDepth, View
+from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr
+
+OPTIONS = MethodOptions(threads=1)
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> LoadedPair:
+    return loaded_hall(tmp_path_factory.mktemp("data"))
+
+
+def pictures(name: str, pair: LoadedPair, path: list[Waypoint] | None = None) -> list[Picture]:
+    path = path or [truth.waypoint for truth in pair.truths]
+    return list(find_method(name).make(pair.views, OPTIONS).pictures(path, pair.size, Stopwatch()))
+
+
+def score(name: str, pair: LoadedPair) -> float:
+    return float(np.mean([ws_psnr(p.image, t.image) for p, t in zip(pictures(name, pair), pair.truths, strict=True)]))
+
+
+def turned_views(columns: int) -> tuple[View, View]:
+    """One place, the second camera turned so that everything is ``columns`` further right in its picture."""
+    size = (128, 256)
+    first = hall_image(posed((0.5, 0.2, 0)), size)
+    second = np.roll(first, columns, axis=1)
+    return View(first, Pose.identity()), View(second, Pose.identity())
+
+
+def test_a_cross_fade_is_the_average_of_turned_pictures() -> None:
+    first, second = turned_views(0)
+    quarter = Pose(rotation_from_heading(np.pi / 2), np.zeros(3))
+    pair = LoadedPair((first, View(1 - second.image, second.pose)), (), (128, 256))
+    (picture,) = pictures("crossfade", pair, [Waypoint(0, 0.25, quarter)])
+    expected = np.roll(0.75 * first.image + 0.25 * (1 - second.image), -64, axis=1)
+    np.testing.assert_allclose(picture.image, expected, atol=1e-3)
+    assert picture.inverse_depth is None
+
+
+@pytest.mark.parametrize("columns", [6, -6])
+def test_optical_flow_knows_neither_seam_nor_poles(columns: int) -> None:
+    first, second = turned_views(columns)
+    flow = optical_flow(first.image, second.image)[16:-16]
+    np.testing.assert_allclose(flow[..., 1], columns, atol=0.5)
+    np.testing.assert_allclose(flow[..., 0], 0, atol=0.5)
+
+
+def test_the_fade_along_flow_is_half_way_where_both_moved() -> None:
+    views = turned_views(8)
+    pair = LoadedPair(views, (), (128, 256))
+    (picture,) = pictures("flow", pair, [Waypoint(0, 0.5, Pose.identity())])
+    half_way = np.roll(views[0].image, 4, axis=1)
+    (fade,) = pictures("crossfade", pair, [Waypoint(0, 0.5, Pose.identity())])
+    assert ws_psnr(picture.image, half_way) > ws_psnr(fade.image, half_way) + 10
+
+
+def test_pictures_too_small_for_flow_are_faded() -> None:
+    first = hall_image(posed((0, 0, 0)), (16, 32))
+    pair = LoadedPair((View(first, Pose.identity()), View(1 - first, Pose.identity())), (), (16, 32))
+    (picture,) = pictures("flow", pair, [Waypoint(0, 0.5, Pose.identity())])
+    np.testing.assert_allclose(picture.image, 0.5, atol=1e-5)
+
+
+def test_the_first_view_alone_does_not_depend_on_the_second(hall: LoadedPair) -> None:
+    first, second = hall.views
+    other = replace(hall, views=(first, replace(second, image=1 - second.image)))
+    recipe = Recipe("truth", KnownDepth(), sees_truth=True, fuser=first_view_only)
+    path = [truth.waypoint for truth in hall.truths]
+    made = [
+        list(GeometricSynthesizer(recipe, pair.views, 1).pictures(path, pair.size, Stopwatch()))
+        for pair in (hall, other)
+    ]
+    for mine, others, truth in zip(*made, hall.truths, strict=True):
+        np.testing.assert_array_equal(mine.image, others.image)
+        assert ws_psnr(mine.image, truth.image) > 40
+
+
+def test_only_the_oracle_sees_the_true_depth(hall: LoadedPair) -> None:
+    """Estimators get views without it, and what is made of lies about it is a worse picture."""
+    lies = tuple(
+        replace(v, known_depth=replace(v.known_depth, inverse_depth=3 * v.known_depth.inverse_depth))
+        for v in hall.views
+    )
+    assert score("oracle-depth", replace(hall, views=lies)) < score("oracle-depth", hall) - 10
+    seen = []
+
+    def estimator(first: View, second: View) -> None:
+        seen.extend([first.known_depth, second.known_depth])
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        next(GeometricSynthesizer(Recipe("lies", estimator), hall.views).pictures(
+            [hall.truths[0].waypoint], SIZE, Stopwatch()))  # fmt: skip
+    assert seen == [None, None]
+
+
+def test_pictures_know_how_far_the_hall_is(hall: LoadedPair) -> None:
+    """Their geometry is that of the wall from where they are."""
+    for picture, truth in zip(pictures("oracle-depth", hall), hall.truths, strict=True):
+        expected = 1 / distance_to_wall(truth.waypoint.pose, SIZE)
+        assert picture.inverse_depth is not None
+        np.testing.assert_allclose(picture.inverse_depth, expected, rtol=0.02)
+
+
+def test_parameters_change_what_they_name(hall: LoadedPair) -> None:
+    oracle = find_method("oracle-depth:depth=32x16").make(hall.views, OPTIONS)
+    list(oracle.pictures([hall.truths[0].waypoint], SIZE, Stopwatch()))
+    assert oracle.depths is not None
+    assert oracle.depths[0].inverse_depth.shape == (16, 32)
+    scores = {rest: score(f"oracle-depth{rest}", hall) for rest in ("", ":depth=8x4", ":cut=0.0001", ":metres=0.0001")}
+    finest = scores.pop("")
+    assert scores[":depth=8x4"] < finest - 3
+    assert max(scores.values()) < finest
+    assert score("oracle-depth:metres=2", hall) == pytest.approx(finest, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["nosuch", "crossfade:cut=0.1", "matching:cut=0", "matching:cut=2", "matching:metres=-1", "matching:depth=5x5",
+     "matching:depth=x", "matching:cut", "matching:speed=1", "matching:cut=0.1:x", ""],
+)  # fmt: skip
+def test_names_that_mean_nothing_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="expected"):
+        find_method(name)
+
+
+def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
+    assert [method.name for method in find_methods("all")] == list(METHODS)
+    assert len(METHODS) == len(set(METHODS))
+    assert [method.name for method in find_methods("flow, matching:cut=0.3,flow")] == ["flow", "matching:cut=0.3"]
+    assert all(method.description for method in METHODS.values())
+
+
+def test_a_preset_without_its_network_is_unavailable_and_says_which(
+    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
+    with pytest.raises(MethodUnavailableError, match="none installed"):
+        find_method("omnisyn-balanced").make(hall.views, OPTIONS)
+    with pytest.raises(MethodUnavailableError, match="'paper'"):
+        find_method("omnisyn-paper").make(hall.views, OPTIONS)
+
+
+def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(hall: LoadedPair) -> None:
+    calls = []
+
+    def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        calls.append((first, second))
+        time.sleep(0.2)
+        return KnownDepth()(first, second)
+
+    memory, path = DepthMemory(), [truth.waypoint for truth in hall.truths]
+    recipe = Recipe("slow", estimator, sees_truth=True)
+    for changed in (recipe, replace(recipe, renderer="points"), replace(recipe, depth_size=(16, 32))):
+        clock = Stopwatch()
+        list(GeometricSynthesizer(changed, hall.views, 1, memory).pictures(path, hall.size, clock))
+        assert clock.seconds["depth"] == pytest.approx(0.2, abs=0.15)
+    assert len(calls) == 1
+    list(GeometricSynthesizer(replace(recipe, source="other"), hall.views, 1, memory).pictures(path, SIZE, clock))
+    assert len(calls) == 2

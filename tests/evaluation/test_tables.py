@@ -1,0 +1,185 @@
+"""Tables against means computed by hand, and who is called the best."""
+
+import math
+
+import numpy as np
+import pytest
+from report_samples import absent, depth, frame, some_records, unit
+
+from omnisyn_cli.evaluation.grouping import (
+    band_name,
+    distance_band,
+    gaps,
+    is_bound,
+    pair_names,
+    ranked_methods,
+    time_band,
+)
+from omnisyn_cli.evaluation.tables import Table, format_value, mean_table, report_tables
+
+
+def table(title: str, records=None) -> Table:
+    return next(t for t in report_tables(some_records() if records is None else records) if t.title == title)
+
+
+def figures(shown: Table) -> dict[str, dict[str, float]]:
+    titles = [column.title for column in shown.columns]
+    return {row.name: dict(zip(titles, (c.value for c in row.cells), strict=True)) for row in shown.rows if row.cells}
+
+
+def best(shown: Table) -> set[tuple[str, str]]:
+    return {
+        (row.name, column.title)
+        for row in shown.rows
+        for cell, column in zip(row.cells, shown.columns, strict=False)
+        if cell.is_best
+    }
+
+
+def test_methods_are_averaged_over_all_their_frames_and_ranked() -> None:
+    shown = table("Means per method")
+    assert [row.name for row in shown.rows] == ["oracle-depth", "matching", "crossfade", "synsin"]
+    matching = figures(shown)["matching"]
+    assert matching["WS-PSNR, dB"] == pytest.approx(np.mean([26, 24, 28, 22, 20, 24]))
+    assert matching["PSNR, dB"] == pytest.approx(matching["WS-PSNR, dB"] + 0.5)
+    assert matching["Frames"] == 6
+    assert "LPIPS" not in matching
+
+
+def test_a_mean_over_frames_is_not_one_over_scenes() -> None:
+    records = [unit("a", "matching", (10.0,)), unit("b", "matching", (20.0, 30.0, 40.0))]
+    assert figures(table("Means per method", records))["matching"]["WS-PSNR, dB"] == 25.0
+
+
+def test_a_method_that_measured_nothing_is_listed_with_its_reasons() -> None:
+    row = table("Means per method").rows[-1]
+    assert (row.name, row.cells) == ("synsin", ())
+    assert row.reason == "unavailable: expected the network 'synsin', this version has none"
+    several = [
+        absent("a", "flow", "failed", "x"),
+        absent("b", "flow", "failed", "y"),
+        absent("c", "flow", "failed", "y"),
+    ]
+    assert mean_table(several).rows[0].reason == "failed: y; failed: x"
+
+
+def test_the_best_is_marked_in_the_direction_of_the_column() -> None:
+    quick = {"fuse": 1.0, "total": 1.0}
+    records = [
+        unit("hall", "one", (20.0,), seconds=quick, depths=(depth("a", 0.2),)),
+        unit("hall", "two", (30.0,), depths=(depth("a", 0.1),)),
+    ]
+    assert {("two", "WS-PSNR, dB"), ("two", "PSNR, dB")} <= best(table("Means per method", records))
+    assert ("one", "LRCE") in best(table("Means per method", records)), "equal ones are both the best"
+    assert ("two", "LRCE") in best(table("Means per method", records))
+    depths = best(table("Depth, every pixel counts alike", records))
+    assert {("two", "IMAE, 1/m"), ("two", "δ < 1.05")} <= depths
+    assert not any(name == "one" for name, _ in depths)
+    assert best(table("Seconds per pair", records)) == {("one", "Total")}
+    assert best(table("Scenes", records)) == {("hall", "two")}
+
+
+def test_who_is_told_the_truth_or_measured_less_is_not_called_the_best() -> None:
+    shown = table("Means per method")
+    assert {name for name, _ in best(shown)} == {"matching", "crossfade"}
+    assert ("matching", "WS-PSNR, dB") in best(shown)
+    lazy = [unit("a", "lazy", (40.0,)), *(unit(s, m) for s in "abc" for m in ("one", "two"))]
+    assert not any(name == "lazy" for name, _ in best(table("Means per method", lazy)))
+    half = [unit("a", "half", (40.0, 40.0, 40.0)), *(unit(s, m) for s in "ab" for m in ("one", "two"))]
+    assert ("half", "WS-PSNR, dB") in best(table("Means per method", half))
+    assert is_bound("oracle-depth:metres=2")
+    assert not is_bound("oracle")
+
+
+def test_a_single_method_is_not_compared_with_anything() -> None:
+    assert not best(table("Means per method", [unit("hall", "matching")]))
+
+
+def test_groups_by_scene_time_distance_and_baseline() -> None:
+    assert figures(table("Scenes"))["street"]["matching"] == 22.0
+    assert math.isnan(figures(table("Scenes"))["street"]["oracle-depth"])
+    times = figures(table("Share of the way"))
+    assert times["0.4 to 0.6"]["matching"] == np.mean([24, 20])
+    assert list(times) == ["0.2 to 0.4", "0.4 to 0.6", "0.6 to 0.8"]
+    distances = figures(table("Distance to the nearer panorama"))
+    assert distances["0.75 to 1 m"]["crossfade"] == np.mean([16, 17, 15, 16])
+    assert distances["1.5 to 2 m"]["crossfade"] == np.mean([15, 14])
+    baselines = figures(table("Baseline"))
+    assert baselines["3 to 5 m"]["matching"] == 26.0
+    assert baselines["5 to 10 m"]["matching"] == 22.0
+
+
+def test_depth_is_averaged_over_panoramas_plain_and_weighted() -> None:
+    plain = figures(table("Depth, every pixel counts alike"))["matching"]
+    weighted = figures(table("Depth, weighted by solid angle"))["matching"]
+    assert plain["IMAE, 1/m"] == pytest.approx(np.mean([0.1, 0.3, 0.2]))
+    assert plain["δ < 1.25³"] == pytest.approx(np.mean([0.9, 0.7, 0.8]))
+    assert weighted["RMSE, m"] == pytest.approx(0.1)
+    assert plain["Panoramas"] == 3
+
+
+def test_seconds_are_averaged_over_pairs_and_missing_stages_took_none() -> None:
+    seconds = figures(table("Seconds per pair"))
+    assert seconds["crossfade"] == pytest.approx(
+        {"depth": 0, "mesh": 0, "render": 0, "fuse": 0.6, "Total": 0.6, "Pairs": 2}
+    )
+    without_total = [unit("hall", "matching", seconds={"depth": 1.0, "fuse": 2.0})]
+    assert figures(table("Seconds per pair", without_total))["matching"]["Total"] == 3.0
+
+
+def test_pairs_of_one_scene_are_told_apart() -> None:
+    records = [unit("hall", "m"), unit("hall", "m", first="c.jpg"), unit("street", "m")]
+    assert [row.name for row in table("Scenes", records).rows] == [
+        "hall: a.jpg → b.jpg",
+        "hall: c.jpg → b.jpg",
+        "street",
+    ]
+    assert list(pair_names(records).values()) == [row.name for row in table("Scenes", records).rows]
+
+
+def test_equal_pictures_are_infinitely_good() -> None:
+    records = [unit("hall", "one", (math.inf, 20.0)), unit("hall", "two", (30.0, 20.0))]
+    assert ranked_methods(records) == ["one", "two"]
+    assert format_value(figures(table("Means per method", records))["one"]["WS-PSNR, dB"], 2) == "∞"
+
+
+def test_figures_as_text() -> None:
+    assert [format_value(value, 2) for value in (math.nan, -math.inf, 1.005, 12.0)] == ["–", "−∞", "1.00", "12.00"]
+
+
+def test_nothing_gives_no_tables() -> None:
+    assert report_tables([]) == []
+    assert [t.title for t in report_tables([absent("a", "flow", "failed", "x")])] == ["Means per method"]
+    assert report_tables([absent("a", "", "skipped", "x")]) == []
+
+
+@pytest.mark.parametrize(
+    ("metres", "name"),
+    [(0.0, "0 to 0.25 m"), (0.25, "0 to 0.25 m"), (1.0, "0.75 to 1 m"), (1.004, "0.75 to 1 m"), (1.01, "1 to 1.5 m"),
+     (50.0, "20 to 50 m"), (1e6, "more than 50 m")],
+)  # fmt: skip
+def test_every_distance_has_one_band(metres: float, name: str) -> None:
+    assert band_name(distance_band(metres)) == name
+
+
+def test_every_share_of_the_way_has_one_part() -> None:
+    assert time_band(0.0) == (0.0, 0.2)
+    assert time_band(0.6) == (0.6, 0.8), "although 0.6 · 5 is less than 3 in binary"
+    assert time_band(1.0) == (0.8, 1.0)
+
+
+def test_equal_reasons_are_told_once_and_scenes_come_first() -> None:
+    found = gaps(some_records())
+    assert [(gap.method, gap.pairs) for gap in found] == [
+        ("", ("campus",)),
+        ("oracle-depth", ("street",)),
+        ("synsin", ("hall", "street")),
+    ]
+    assert found[0].status == "skipped"
+
+
+def test_a_score_that_some_frames_lack_is_averaged_over_the_others() -> None:
+    frames = (frame(0.25, 20.0), frame(0.75, 30.0))
+    with_lpips = frames[0].scores | {"lpips": 0.3}
+    record = unit("hall", "matching", (), frames=(type(frames[0])("x", 0.25, 1.0, with_lpips), frames[1]))
+    assert figures(table("Means per method", [record]))["matching"]["LPIPS"] == 0.3
