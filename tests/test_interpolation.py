@@ -12,6 +12,7 @@ import pytest
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError, PoseError
 from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
 from omnisyn_cli.io import PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
+from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
@@ -138,7 +139,9 @@ def test_depth_is_kept_on_request_for_every_pair(tmp_path: Path) -> None:
 
 def test_frames_are_kept_besides_the_video_on_request(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
-    job = job_of(tmp_path, images, output=tmp_path / "a.mp4", save_frames=tmp_path / "frames", preset="ultrafast")
+    job = job_of(
+        tmp_path, images, output=tmp_path / "a.mp4", save_frames=tmp_path / "frames", encoder_preset="ultrafast"
+    )
     seen: list[int] = []
     summary = run_interpolation(plan_interpolation(job), seen.append)
     assert seen == [1, 2, 3]
@@ -208,7 +211,8 @@ def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
     assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
     entries = {path.name: PosedPanorama(pose) for path, pose in zip(images, CHAIN, strict=False)}
     write_poses(tmp_path / "poses.json", entries)
-    assert plan_interpolation(job_of(tmp_path, images)).depth == "matching"
+    plan = plan_interpolation(job_of(tmp_path, images))
+    assert (plan.depth, plan.model) == (PRESETS[DEFAULT_PRESET].depth, PRESETS[DEFAULT_PRESET].model)
     with pytest.raises(PoseError, match=r"'depth' file for every panorama, got none for p0\.png, p1\.png"):
         plan_interpolation(job_of(tmp_path, images, depth="file"))
 
@@ -360,11 +364,19 @@ def test_overwriting_frames_spares_files_that_only_look_numbered(tmp_path: Path)
 
 def test_a_model_without_a_network_and_unknown_choices_are_refused(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
-    with pytest.raises(InputError, match="both or neither"):
+    with pytest.raises(InputError, match="found none"):
         plan_interpolation(job_of(tmp_path, images, model="some.onnx"))
-    with pytest.raises(InputError, match="both or neither"):
+    with pytest.raises(InputError, match="only for depth refined or network"):
+        plan_interpolation(job_of(tmp_path, images, depth="matching", model="some.onnx"))
+    with pytest.raises(InputError, match="name one"):
         plan_interpolation(job_of(tmp_path, images, depth="network"))
-    for wrong in ({"depth": "nonsense"}, {"renderer": "wires"}, {"heading": "north"}, {"ease": "fast"}):
+    for wrong in (
+        {"preset": "hasty"},
+        {"depth": "nonsense"},
+        {"renderer": "wires"},
+        {"heading": "north"},
+        {"ease": "fast"},
+    ):
         with pytest.raises(InputError, match="expected one of"):
             plan_interpolation(job_of(tmp_path, images, **wrong))
 

@@ -7,18 +7,22 @@ picture; :func:`run_interpolation` does the work. Nothing appears under its fina
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
 
+from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.estimators import make_estimator as estimator_named
 from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.geometry.cap import outside_nadir
 from omnisyn_cli.io import (
     FrameSink,
     Panorama,
@@ -33,15 +37,18 @@ from omnisyn_cli.io import (
 from omnisyn_cli.io.background import BackgroundSink
 from omnisyn_cli.io.staging import staged_folder
 from omnisyn_cli.planning import DEPTH_METHODS, InterpolationJob, InterpolationPlan, depth_name, plan_interpolation
+from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize
 from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = [
     "DEPTH_METHODS",
     "InterpolationJob",
     "InterpolationPlan",
+    "PanoramaReader",
     "Summary",
+    "make_estimator",
     "plan_interpolation",
     "run_interpolation",
 ]
@@ -55,57 +62,116 @@ class Summary:
         plan: what was planned.
         seconds: wall time by stage; ``total`` is all of it. Encoding runs beside the other stages: ``encode`` is the
             time that they waited for it.
+        pairs: how far the frames between two panoramas can be relied on, by the index of the first; pairs without a
+            frame of their own are left out.
     """
 
     plan: InterpolationPlan
     seconds: dict[str, float]
+    pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
         """The summary as plain values, for people and for JSON."""
-        return {**self.plan.describe(), "stages": {stage: round(value, 3) for stage, value in self.seconds.items()}}
+        stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
+        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence()}
+
+    def warnings(self) -> list[str]:
+        """A line for every pair that scores too low to be relied on."""
+        return [_warning(self.plan, index, pair) for index, pair in self.pairs.items() if pair.score < LEAST_SCORE]
+
+    def _confidence(self) -> dict[str, Any]:
+        """The clip's score is that of its worst pair; its shares are the means."""
+        if not self.pairs:
+            return {"score": 1.0, "pairs": []}
+        described = [pair.describe() for pair in self.pairs.values()]
+        shares = {key: round(fmean(pair[key] for pair in described), 4) for key in described[0] if key != "score"}
+        return {
+            "score": min(pair["score"] for pair in described),
+            **shares,
+            "pairs": [{"first": index, **pair} for index, pair in zip(self.pairs, described, strict=True)],
+        }
 
 
-def run_interpolation(plan: InterpolationPlan, on_frame: Callable[[int], None] | None = None) -> Summary:
+PanoramaReader = Callable[..., Panorama]
+"""Called as :func:`omnisyn_cli.io.read_panorama` is: with a path, ``allow_aspect`` and ``max_pixels``."""
+
+
+def run_interpolation(
+    plan: InterpolationPlan,
+    on_frame: Callable[[int], None] | None = None,
+    *,
+    read: PanoramaReader = read_panorama,
+    estimator: DepthEstimator | None = None,
+) -> Summary:
     """Make the video.
 
     Args:
         plan: from :func:`plan_interpolation`.
         on_frame: called with the number of finished frames, after each.
+        read: decodes a panorama; one that remembers what it has read serves several videos.
+        estimator: finds depth; None makes the one that the plan asks for (:func:`make_estimator`).
 
     Raises:
         InputError: a picture, mask or depth file turns out to be damaged.
         EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
     begin, clock = time.perf_counter(), Stopwatch()
-    loader = _Loader(plan, clock)
+    loader = _Loader(plan, clock, read)
     with clock("decode"):
         loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
     kinds = [sample_type(path, codec) for path, codec in _targets(plan.job)]
-    with _depth_keeper(plan) as keep_depth, _sinks(plan) as sinks:
-        for done, frame in enumerate(_frames(plan, loader, clock, keep_depth), start=1):
+    pairs: dict[int, PairConfidence] = {}
+    with _depth_keeper(plan) as keep_depth, _sinks(plan) as sinks, _confidence_sink(plan) as keep_confidence:
+        frames = _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs)
+        for done, frame in enumerate(frames, start=1):
             samples = {kind: _as_samples(frame, kind, loader, plan.job.threads) for kind in kinds}
             with clock("encode"):
                 for sink, kind in zip(sinks, kinds, strict=True):
                     sink.write(samples[kind])
+                keep_confidence(frame)
             if on_frame:
                 on_frame(done)
         with clock("encode"):
             for sink in sinks:
                 sink.finish()
-    return Summary(plan, {**clock.seconds, "total": time.perf_counter() - begin})
+    return Summary(plan, {**clock.seconds, "total": time.perf_counter() - begin}, pairs)
+
+
+def _warning(plan: InterpolationPlan, index: int, pair: PairConfidence) -> str:
+    """What is wrong with a pair and what to do about it, in one line."""
+    first, second = plan.job.images[index : index + 2]
+    return (
+        f"{first.name} and {second.name}: expected a confidence of at least {LEAST_SCORE:g}, got {pair.score:.2f} "
+        f"({pair.unseen:.0%} unseen, {pair.disagreement:.0%} in disagreement); check the poses, take panoramas that "
+        "are closer together, or show a cross-fade there (--fallback crossfade)"
+    )
+
+
+def _refuse_doubtful(plan: InterpolationPlan, index: int, pair: PairConfidence) -> None:
+    if plan.job.fallback == "fail" and pair.score < LEAST_SCORE:
+        raise InputError(_warning(plan, index, pair))
 
 
 KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 """Called with the index of a pair and the depth of its two panoramas."""
 
 
-def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_depth: KeepDepth) -> Iterator[Frame]:
-    """All frames; the depth of every pair is handed to ``keep_depth``."""
-    options = SynthesisOptions(plan.size, plan.job.renderer, plan.job.cut, plan.job.threads)
-    views, estimator, prepared = loader.views(), _estimator(plan), set()
+def _frames(
+    plan: InterpolationPlan, loader: _Loader, estimator: DepthEstimator, clock: Stopwatch, keep_depth: KeepDepth,
+    pairs: dict[int, PairConfidence],
+) -> Iterator[Frame]:  # fmt: skip
+    """All frames; the depth of every pair is handed to ``keep_depth``, what to think of it is put into ``pairs``."""
+    job = plan.job
+    options = SynthesisOptions(
+        plan.size, job.renderer, job.cut, job.threads,
+        cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None,
+    )  # fmt: skip
+    views, prepared = loader.views(), set()
     for made in synthesize(views, plan.path, estimator, options, clock=clock):
         if isinstance(made, Segment):
             prepared.add(made.index)
+            pairs[made.index] = made.check.confidence
+            _refuse_doubtful(plan, made.index, made.check.confidence)
             keep_depth(made.index, made.depths)
         else:
             yield made
@@ -114,32 +180,21 @@ def _frames(plan: InterpolationPlan, loader: _Loader, clock: Stopwatch, keep_dep
             keep_depth(pair, estimator(views[pair], views[pair + 1]))
 
 
-def _estimator(plan: InterpolationPlan) -> DepthEstimator:
-    if plan.depth == "file":
-        return KnownDepth()
-    if plan.depth == "network":
-        return _network(plan.job)
-    from omnisyn_cli.stereo.matching import MatchingDepthEstimator
+def make_estimator(plan: InterpolationPlan) -> DepthEstimator:
+    """What finds depth as a plan asks for; it may serve all plans with the same preset, depth, model, device, threads.
 
-    estimator: DepthEstimator = MatchingDepthEstimator(threads=plan.job.threads)
-    return estimator
-
-
-def _network(job: InterpolationJob) -> DepthEstimator:
-    from omnisyn_cli.runtime.depth import LearnedDepthEstimator
-    from omnisyn_cli.runtime.models import find_model
-    from omnisyn_cli.runtime.session import open_session
-
-    session = open_session(find_model(job.model or ""), device=job.device, threads=job.threads)
-    estimator: DepthEstimator = LearnedDepthEstimator(session)
-    return estimator
+    Raises:
+        InputError: the model cannot be loaded, or not on that device.
+    """
+    rows = PRESETS[plan.job.preset].depth_rows
+    return estimator_named(plan.depth, rows=rows, model=plan.model, device=plan.job.device, threads=plan.job.threads)
 
 
 class _Loader:
     """Panoramas from their files when they are needed; the last two are kept."""
 
-    def __init__(self, plan: InterpolationPlan, clock: Stopwatch) -> None:
-        self._plan, self._clock = plan, clock
+    def __init__(self, plan: InterpolationPlan, clock: Stopwatch, read: PanoramaReader) -> None:
+        self._plan, self._clock, self._read = plan, clock, read
         self.panorama = lru_cache(maxsize=2)(self._read_panorama)
         self.view = lru_cache(maxsize=2)(self._read_view)
 
@@ -148,25 +203,36 @@ class _Loader:
         return _LazySequence(len(self._plan.entries), self.view)
 
     def _read_panorama(self, index: int) -> Panorama:
-        return read_panorama(self._plan.job.images[index], allow_aspect=self._plan.job.allow_aspect)
+        job = self._plan.job
+        return self._read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
 
     def _read_view(self, index: int) -> View:
         with self._clock("decode"):
             entry, panorama = self._plan.entries[index], self.panorama(index)
             mask = panorama.mask
             if entry.mask is not None:
-                mask = _combined(
-                    mask,
-                    read_mask(entry.mask, allow_aspect=self._plan.job.allow_aspect),
-                    panorama.image.shape[:2],
-                    entry.mask,
-                )
-            return View(panorama.image, entry.pose, mask, self._known_depth(entry))
+                mask = _combined(mask, self._mask(entry.mask), panorama.image.shape[:2], entry.mask)
+            return View(panorama.image, entry.pose, self._usable(index, mask), self._known_depth(entry))
+
+    def _usable(self, index: int, mask: np.ndarray | None) -> np.ndarray | None:
+        """A panorama's mask with what the job forbids besides."""
+        job, size = self._plan.job, self.panorama(index).image.shape[:2]
+        if job.masks:
+            path = job.masks[index]
+            mask = _combined(mask, self._mask(path), size, path)
+        if job.nadir > 0.0:
+            cap = outside_nadir((size[0], size[1]), job.nadir)
+            mask = cap if mask is None else mask & cap
+        return mask
+
+    def _mask(self, path: Path) -> np.ndarray:
+        job = self._plan.job
+        return read_mask(path, allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
 
     def _known_depth(self, entry: PosedPanorama) -> DepthEstimate | None:
         if self._plan.depth != "file" or entry.depth is None:
             return None
-        inverse_depth = read_inverse_depth(entry.depth)
+        inverse_depth = read_inverse_depth(entry.depth, max_pixels=self._plan.job.max_pixels)
         return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
 
 
@@ -235,6 +301,25 @@ def _targets(job: InterpolationJob) -> list[tuple[Path, str | None]]:
 
 
 @contextmanager
+def _confidence_sink(plan: InterpolationPlan) -> Iterator[Callable[[Frame], None]]:
+    """What writes the confidence of frames to ``job.save_confidence``, in grey: white is sure."""
+    job = plan.job
+    if job.save_confidence is None:
+        yield lambda frame: None
+        return
+    with open_video(
+        job.save_confidence, size=plan.size, fps=job.fps, threads=job.threads or 0, overwrite=job.overwrite
+    ) as sink:
+
+        def keep(frame: Frame) -> None:
+            if frame.confidence is not None:
+                grey = np.rint(255.0 * frame.confidence).astype(np.uint8)
+                sink.write(np.ascontiguousarray(np.repeat(grey[..., None], 3, axis=2)))
+
+        yield keep
+
+
+@contextmanager
 def _sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
     """Where frames go, in the order of :func:`_targets`."""
     job = plan.job
@@ -246,7 +331,7 @@ def _sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
                 stack.enter_context(
                     open_video(
                         path, size=plan.size, fps=job.fps, codec=codec, threads=job.threads or 0,
-                        crf=job.crf if is_output else None, preset=job.preset if is_output else None,
+                        crf=job.crf if is_output else None, preset=job.encoder_preset if is_output else None,
                         dtype=sample_type(path, codec), overwrite=job.overwrite,
                     )
                 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,24 +15,58 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
-from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, check_output, check_video, read_header, read_poses, sample_type
+from omnisyn_cli.estimators import DEPTH_SOURCES
+from omnisyn_cli.io import (
+    MAX_PIXELS,
+    PosedPanorama,
+    PoseFile,
+    check_output,
+    check_video,
+    read_header,
+    read_poses,
+    sample_type,
+)
+from omnisyn_cli.io.decode import check_pixel_count
 from omnisyn_cli.io.depth import check_depth_header
 from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.paths import check_name
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
+from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import DEVICES
 from omnisyn_cli.trajectory import EASES, HEADINGS, STILL, Ease, Heading, Waypoint, path_length, plan_path
 
-__all__ = ["DEPTH_METHODS", "InterpolationJob", "InterpolationPlan", "depth_name", "plan_interpolation"]
+__all__ = [
+    "DEPTH_METHODS",
+    "FALLBACKS",
+    "POSES_FROM_PICTURES",
+    "SECONDS_PER_PAIR",
+    "InterpolationJob",
+    "InterpolationPlan",
+    "depth_name",
+    "plan_interpolation",
+    "with_preset",
+]
 
-DEPTH_METHODS = ("auto", "matching", "file", "network")
+DEPTH_METHODS = ("auto", *DEPTH_SOURCES)
+
+POSES_FROM_PICTURES = Path("auto")
+"""Stands for a pose file where there is none."""
+
+MODELLED = ("refined", "network")
+"""Sources of depth that a network has a part in."""
+
+FALLBACKS = ("none", "crossfade", "fail")
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
+
+MOST_NADIR = math.radians(90.0)
+"""A cap that is no hemisphere yet."""
 
 LEAST_HEIGHT = 2
 """Rows of the smallest panorama that a surface can be made of."""
@@ -47,25 +81,35 @@ class InterpolationJob:
 
     Attributes:
         images: two or more panoramas, in walking order.
-        poses: pose file that names them all.
+        poses: pose file that names them all, or :data:`POSES_FROM_PICTURES` to find them in the pictures.
         output: video file, folder or file name pattern.
         frames: number of frames; None follows from ``duration`` and ``fps``.
         duration: seconds; None means three per pair.
         fps: frames per second.
         size: (height, width) of the video; None means that of the largest panorama.
-        depth: ``matching``, ``file`` (named in the pose file), ``network``, or ``auto``: files where every panorama has
-            one, else matching.
-        model: for ``network``: an ONNX file, or a name in the manifest of installed models.
+        preset: how much time accuracy is worth, one of :data:`omnisyn_cli.presets.PRESETS`.
+        depth: ``matching``, ``refined`` (matching made better by a network), ``file`` (named in the pose file),
+            ``network``, or ``auto``: files where every panorama has one, else what the preset says.
+        model: for ``network`` and ``refined``: an ONNX file, or a name in the manifest of installed models; None is the
+            preset's.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``. All else runs on the processor.
         renderer: ``mesh``, ``points`` or ``two-pass``.
         cut: where meshes are cut.
         ease, heading: see :func:`omnisyn_cli.trajectory.plan_path`.
-        codec, crf, preset: see :func:`omnisyn_cli.io.open_video`.
+        codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.
+        masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
+        nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
+        fallback: what is done about pairs of low confidence: ``none`` warns, ``crossfade`` shows the photographs,
+            cross-faded, in doubtful regions, ``fail`` gives up.
+        save_confidence: video or folder for the confidence of every pixel, in grey; None saves none.
         save_frames: folder or pattern for the frames as images besides the video; None saves none.
         threads: at most this many; None is one per core.
         overwrite: replace what exists.
         allow_aspect: resample panoramas that are not 2:1.
+        max_pixels: refuse panoramas, masks and depth files with more pixels, before they are decoded.
+        baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
+        refine: correct rotations and directions of the given poses where the pictures fit better then.
     """
 
     images: tuple[Path, ...]
@@ -75,6 +119,7 @@ class InterpolationJob:
     duration: float | None = None
     fps: float = 30.0
     size: tuple[int, int] | None = None
+    preset: str = DEFAULT_PRESET
     depth: str = "auto"
     model: str | None = None
     device: str = "auto"
@@ -84,12 +129,19 @@ class InterpolationJob:
     heading: Heading = "panoramas"
     codec: str | None = None
     crf: float | None = None
-    preset: str | None = None
+    encoder_preset: str | None = None
     save_depth: Path | None = None
+    masks: tuple[Path, ...] = ()
+    nadir: float = 0.0
+    fallback: str = "none"
+    save_confidence: Path | None = None
     save_frames: Path | None = None
     threads: int | None = None
     overwrite: bool = False
     allow_aspect: bool = False
+    max_pixels: int = MAX_PIXELS
+    baseline: float | None = None
+    refine: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,7 +154,8 @@ class InterpolationPlan:
         source_sizes: (height, width) of every panorama.
         size: (height, width) of the video.
         path: a waypoint for every frame.
-        depth: the depth method.
+        depth: where depth comes from, one of :data:`omnisyn_cli.estimators.DEPTH_SOURCES`.
+        model: the network that has a part in it; None if none has.
         length: metres from the first panorama to the last.
         memory: bytes that the pictures and buffers will take, estimated.
         notes: what the user should know.
@@ -114,6 +167,7 @@ class InterpolationPlan:
     size: tuple[int, int]
     path: tuple[Waypoint, ...]
     depth: str
+    model: str | None
     length: float
     memory: int
     notes: tuple[str, ...]
@@ -129,7 +183,9 @@ class InterpolationPlan:
             "seconds_of_video": round(len(self.path) / self.job.fps, 3),
             "size": f"{width}x{height}",
             "encoder": _encoder(self.job),
+            "preset": self.job.preset,
             "depth": self.depth,
+            "model": self.model or "",
             "renderer": self.job.renderer,
             "path_metres": round(self.length, 4),
             "memory_mib": round(self.memory / 2**20),
@@ -138,7 +194,7 @@ class InterpolationPlan:
 
 
 def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
-    """Check a job without decoding or writing anything.
+    """Check a job without writing anything; pictures are decoded only to find or to refine poses.
 
     Raises:
         InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
@@ -147,20 +203,37 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
     _check_names(job)
     _check_choices(job)
-    pose_file = read_poses(job.poses)
+    pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
-    source_sizes = tuple(_size_of(image, job.allow_aspect) for image in job.images)
+    source_sizes = tuple(_size_of(image, job) for image in job.images)
     depth = _depth_method(job, entries)
+    model = _model(job, depth)
     _check_companions(entries, depth)
+    for mask in job.masks:
+        read_header(mask)
     size = job.size or _even(max(source_sizes))
     _check_outputs(job, size)
     _check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
-    memory = _memory(size, source_sizes, _depth_sizes(entries, depth), job.renderer)
+    memory = _memory(size, source_sizes, _depth_sizes(entries, depth, PRESETS[job.preset].depth_rows), job.renderer)
     return InterpolationPlan(
-        job, entries, source_sizes, size, path, depth, path_length(poses), memory, tuple(_notes(job, entries, depth))
-    )
+        job, entries, source_sizes, size, path, depth, model, path_length(poses), memory,
+        (*remarks, *_notes(job, entries, depth)),
+    )  # fmt: skip
+
+
+def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
+    """The plan with another preset; its poses are not looked for again.
+
+    Raises:
+        InputError: the preset's network is not installed.
+    """
+    job = replace(plan.job, preset=preset)
+    depth = _depth_method(job, plan.entries)
+    sizes = _depth_sizes(plan.entries, depth, PRESETS[preset].depth_rows)
+    memory = _memory(plan.size, plan.source_sizes, sizes, job.renderer)
+    return replace(plan, job=job, depth=depth, model=_model(job, depth), memory=memory)
 
 
 def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
@@ -168,18 +241,43 @@ def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
     return f"{pair:04d}_{images[index].stem}_depth.exr"
 
 
+def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
+    """The poses, read, refined or found, and what there is to say about them."""
+    is_found = job.poses == POSES_FROM_PICTURES
+    if job.baseline is not None and not is_found:
+        raise InputError(
+            f"expected a baseline only where poses are found in the pictures (--poses auto), got {job.baseline:g} m "
+            f"and {job.poses}; leave out one of them"
+        )
+    if not (is_found or job.refine):
+        return read_poses(job.poses), ()
+    # OpenCV takes a while to import and is needed for poses from pictures only.
+    from omnisyn_cli.posing import PictureOptions, estimate_poses, refine_poses
+
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels)
+    if is_found:
+        found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
+    else:
+        found = refine_poses(job.images, read_poses(job.poses), options)
+    return PoseFile(job.poses, found.panoramas), found.notes
+
+
 def _check_names(job: InterpolationJob) -> None:
     """File names that are not text (bytes from another encoding) cannot be handed to the image libraries."""
-    for path in (*job.images, job.poses, job.output, job.save_depth, job.save_frames):
+    for path in (*job.images, *job.masks, job.poses, job.output, job.save_depth, job.save_frames, job.save_confidence):
         name = str(path)
         if name.encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
             raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
+    for target in (job.output, job.save_depth, job.save_frames, job.save_confidence):
+        if target is not None:
+            check_name(target)
 
 
-def _size_of(image: Path, allow_aspect: bool) -> tuple[int, int]:
+def _size_of(image: Path, job: InterpolationJob) -> tuple[int, int]:
     """Height and width of the panorama that :func:`omnisyn_cli.io.read_panorama` will make of a file."""
     placement = placement_of(read_header(image))
     height, width = placement.full_height, placement.full_width
+    check_pixel_count(image, height, width, job.max_pixels)
     if min(height, width // 2) < LEAST_HEIGHT:
         raise ImageError(
             f"{image}: expected a panorama of at least {2 * LEAST_HEIGHT}×{LEAST_HEIGHT} pixels, got {width}×{height}; "
@@ -187,7 +285,7 @@ def _size_of(image: Path, allow_aspect: bool) -> tuple[int, int]:
         )
     if width == 2 * height:
         return height, width
-    if not allow_aspect:
+    if not job.allow_aspect:
         raise ImageError(
             f"{image}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
             "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
@@ -221,15 +319,8 @@ def _frame_count(job: InterpolationJob) -> int:
 
 def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
-    if (job.depth == "network") != (job.model is not None):
-        raise InputError(
-            f"expected a model if and only if depth comes from a network, got depth {job.depth!r} and model "
-            f"{job.model!r}; name both or neither"
-        )
-    if job.model is not None:
-        find_model(job.model)
     if job.depth == "auto":
-        return "matching" if without else "file"
+        return PRESETS[job.preset].depth if without or job.model is not None else "file"
     if job.depth == "file" and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
@@ -238,18 +329,47 @@ def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> st
     return job.depth
 
 
+def _model(job: InterpolationJob, depth: str) -> str | None:
+    """The network that finds or refines depth, if one does; it has to be there."""
+    preset = PRESETS[job.preset]
+    model = job.model or (preset.model if depth == preset.depth else None)
+    if depth not in MODELLED:
+        if job.model is not None:
+            raise InputError(
+                f"expected a model only for depth {' or '.join(MODELLED)}, got depth {depth!r} and model {job.model!r}; leave "
+                "one of them out"
+            )
+        return None
+    if model is None:
+        raise InputError(f"expected a model for depth {depth!r}, got none; name one (--model)")
+    find_model(model)
+    return model
+
+
 def _check_choices(job: InterpolationJob) -> None:
     """What the command line offers as choices, for those who call the library."""
     choices = {
+        "preset": (job.preset, PRESETS),
         "depth": (job.depth, DEPTH_METHODS),
         "renderer": (job.renderer, RENDERERS),
         "ease": (job.ease, EASES),
         "heading": (job.heading, HEADINGS),
         "device": (job.device, DEVICES),
+        "fallback": (job.fallback, FALLBACKS),
     }
     for name, (value, known) in choices.items():
         if value not in known:
             raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
+    if job.masks and len(job.masks) != len(job.images):
+        raise InputError(
+            f"expected one mask for each of {len(job.images)} panoramas, got {len(job.masks)}; name them in the order "
+            "of the panoramas, or in the pose file"
+        )
+    if not 0.0 <= job.nadir < MOST_NADIR:
+        raise InputError(
+            f"expected a cap around the nadir of at least 0 and less than {math.degrees(MOST_NADIR):g} degrees, got "
+            f"{math.degrees(job.nadir):g}; give the angle from straight down to its edge"
+        )
 
 
 def _check_companions(entries: Sequence[PosedPanorama], depth: str) -> None:
@@ -272,12 +392,16 @@ def _check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         fps=job.fps,
         codec=job.codec,
         crf=job.crf,
-        preset=job.preset,
+        preset=job.encoder_preset,
         dtype=sample_type(job.output, job.codec),
         overwrite=job.overwrite,
     )
     if job.save_frames is not None:
         _check_saved_frames(job, job.save_frames, size)
+    if job.save_confidence is not None:
+        check_video(job.save_confidence, size=size, fps=job.fps, overwrite=job.overwrite)
+        if job.save_confidence.resolve() == job.output.resolve():
+            raise OutputPathError(f"{job.output}: expected another place for the confidence; name another file")
     if job.save_depth is not None:
         check_staged_folder(job.save_depth)
         for file in _depth_files(job):
@@ -303,11 +427,13 @@ def _depth_files(job: InterpolationJob) -> Iterator[Path]:
 def _check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> None:
     """Overwriting must not reach what the video is made of."""
     replaced = {job.output.resolve(), *(file.resolve() for file in _depth_files(job))}
-    for place in (job.output, job.save_frames):
+    if job.save_confidence is not None:
+        replaced.add(job.save_confidence.resolve())
+    for place in (job.output, job.save_frames, job.save_confidence):
         if place is not None and is_sequence(place):
             replaced.update(file.resolve() for file in image_sequence(place).existing())
     companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
-    for file in (*job.images, job.poses, *companions):
+    for file in (*job.images, *job.masks, job.poses, *companions):
         if file.resolve() in replaced:
             raise OutputPathError(f"{file}: expected inputs that are not overwritten, got this one; write elsewhere")
 
@@ -320,12 +446,12 @@ def _encoder(job: InterpolationJob) -> str:
     codec = CODECS[job.codec or "h264"]
     crf = codec.crf if job.crf is None else job.crf
     quality = "" if crf is None else f" crf {crf:g}"
-    return f"{job.codec or 'h264'}{quality} preset {job.preset or codec.preset}"
+    return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
 
 
 def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) -> Iterator[str]:
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
-    if job.depth == "auto" and depth == "matching" and named:
+    if job.depth == "auto" and depth != "file" and named:
         yield f"{job.poses.name} names depth for {', '.join(named)} only: depth of all comes from matching"
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
@@ -353,7 +479,7 @@ def _memory(
     return int(PROGRAM + per_pair + per_pixel * pixels)
 
 
-def _depth_sizes(entries: Sequence[PosedPanorama], depth: str) -> list[tuple[int, int]]:
-    """Rows and columns of the surfaces; estimated depth has 512 rows."""
+def _depth_sizes(entries: Sequence[PosedPanorama], depth: str, rows: int) -> list[tuple[int, int]]:
+    """Rows and columns of the surfaces; estimated depth has at most ``rows``."""
     headers = [read_header(entry.depth) for entry in entries if entry.depth is not None] if depth == "file" else []
-    return [(header.height, header.width) for header in headers] or [(512, 1024)]
+    return [(header.height, header.width) for header in headers] or [(rows, 2 * rows)]

@@ -6,7 +6,6 @@ instant.
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import signal
@@ -19,15 +18,21 @@ from types import FrameType
 import click
 
 from omnisyn_cli import __version__
+from omnisyn_cli.cli.lazy import LazyGroup
 from omnisyn_cli.errors import OmnisynError
 
 __all__ = ["cli", "main"]
 
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make the 360° video between two or more posed panoramas."),
+    "batch": ("omnisyn_cli.cli.batch", "Make the videos of all pairs in a manifest, on one machine or a Ray cluster."),
     "info": ("omnisyn_cli.cli.info", "Show what the program sees in panoramas, depth, pose files and videos."),
-    "train": ("omnisyn_cli.cli.train", "Train the depth network on scenes that the program makes."),
+    "train": ("omnisyn_cli.cli.train", "Train the networks on scenes that the program makes."),
+    "models": ("omnisyn_cli.cli.models", "List the networks that came with the program."),
     "export-onnx": ("omnisyn_cli.cli.export_onnx", "Turn a trained network into an ONNX model for interpolate."),
+    "poses": ("omnisyn_cli.cli.poses", "Import, export, check, refine and estimate poses."),
+    "eval": ("omnisyn_cli.cli.evaluate", "Compare methods on scenes with true frames and depth."),
+    "bench": ("omnisyn_cli.cli.bench", "Measure what settings cost and what they are worth on this machine."),
     "scenes": ("omnisyn_cli.cli.scenes", "Make procedural scenes with exact depth and poses."),
 }
 """Module and one-line help of every command; the command has the name of its key."""
@@ -42,29 +47,7 @@ class Terminated(BaseException):
     """Another process, or the terminal that was closed, asked the program to end; ``args[0]`` is the signal."""
 
 
-class LazyGroup(click.Group):
-    """A group whose commands are imported when they are called."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order in which a newcomer needs them."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The command of that name, imported now."""
-        if cmd_name not in COMMANDS:
-            return None
-        command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), cmd_name.replace("-", "_"))
-        if not isinstance(command, click.Command):
-            raise TypeError(f"expected a command in {COMMANDS[cmd_name][0]}, got {type(command)}")
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list of commands, without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
-
-
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="omnisyn")
 def cli() -> None:
     """The 360° video between two panoramas.

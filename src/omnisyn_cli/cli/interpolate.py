@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation import InterpolationPlan, Summary
@@ -39,7 +42,15 @@ class Size(SizeType):
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
 @click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath)
-@click.option("--poses", required=True, type=FilePath, help="JSON file that says where each panorama was taken.")
+@click.option(
+    "--poses", required=True, type=FilePath,
+    help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
+)  # fmt: skip
+@click.option(
+    "--baseline", metavar="METRES", type=click.FloatRange(0, min_open=True),
+    help="Distance of neighbours, for --poses auto: pictures do not tell it.  [default: 1]",
+)  # fmt: skip
+@click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then.")
 @click.option(
     "-o", "--output", required=True, type=FilePath,
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
@@ -51,11 +62,22 @@ class Size(SizeType):
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
-    "--depth", type=click.Choice(["auto", "matching", "file", "network"]), default="auto", show_default=True,
-    help="Where depth comes from: matching of the two pictures, files named in the poses, or a network (see --model). "
-    "auto takes the files where every panorama has one, else matching.",
+    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
+    help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in PRESETS.values()) + ".",
 )  # fmt: skip
-@click.option("--model", metavar="NAME|PATH", help="The network for --depth network, see `omnisyn export-onnx`.")
+@click.option(
+    "--budget", metavar="SECONDS", type=click.FloatRange(0, min_open=True),
+    help="Take the most accurate preset that is expected to be done in this time; how fast this machine is, is "
+    "measured for a second first.",
+)  # fmt: skip
+@click.option(
+    "--depth", type=click.Choice(["auto", "file", "matching", "refined", "network"]), default="auto", show_default=True,
+    help="Where depth comes from: files named in the poses, matching of the two pictures, matching refined by a "
+    "network, or a network alone. auto takes the files where every panorama has one, else what the preset says.",
+)  # fmt: skip
+@click.option(
+    "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
+)
 @click.option(
     "--renderer", type=click.Choice(["mesh", "points", "two-pass"]), default="mesh", show_default=True,
     help="mesh is exact; points and the paper's two-pass method are there to compare.",
@@ -83,6 +105,19 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--crf", type=float, help="Constant quality of the encoder, lower is better.  [default: 18 for h264]")
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
+@click.option(
+    "--mask", "masks", metavar="FILE", multiple=True, type=FilePath,
+    help="Image that is black where a panorama must not be used; once for each panorama, in their order.",
+)  # fmt: skip
+@click.option(
+    "--nadir", metavar="DEGREES", type=click.FloatRange(0, 90, max_open=True), default=0.0,
+    help="Do not use what is this close to straight down in the panoramas: tripod, roof of a car.",
+)  # fmt: skip
+@click.option(
+    "--fallback", type=click.Choice(["none", "crossfade", "fail"]), default="none", show_default=True,
+    help="Where confidence is low: warn only, show the photographs cross-faded in doubtful regions, or give up.",
+)  # fmt: skip
+@click.option("--save-confidence", metavar="FILE", type=FilePath, help="Keep the confidence of every pixel as a video.")
 @click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
 @click.option("--save-frames", metavar="FOLDER", type=FilePath, help="Keep the frames as PNG besides the video.")
 @click.option(
@@ -91,6 +126,10 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
+@click.option(
+    "--max-pixels", type=click.IntRange(1), default=2 * 16384 * 8192, show_default=True,
+    help="Refuse panoramas, masks and depth files with more, before they are decoded.",
+)  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option("--dry-run", is_flag=True, help="Check everything, print the plan, do nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
@@ -98,7 +137,7 @@ class Size(SizeType):
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def interpolate(
     as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float, cut_metres: float | None,
-    encoder_preset: str | None, **options: Any,
+    budget: float | None, nadir: float, **options: Any,
 ) -> None:  # fmt: skip
     """Make the 360° video between panoramas A and B, and on through C and further ones.
 
@@ -112,8 +151,14 @@ def interpolate(
     from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
     from omnisyn_cli.render.mesh import Cut
 
+    if budget is not None:
+        _check_preset_is_free()
     rule = Cut(relative=cut) if cut_metres is None else Cut(relative=None, metres=cut_metres)
-    plan = plan_interpolation(InterpolationJob(cut=rule, preset=encoder_preset, **options))
+    plan = plan_interpolation(InterpolationJob(cut=rule, nadir=math.radians(nadir), **options))
+    if budget is not None:
+        from omnisyn_cli.evaluation.budget import apply_budget
+
+        plan = apply_budget(plan, budget)
     if not quiet:
         for note in plan.notes:
             click.echo(f"note: {note}", err=True)
@@ -122,7 +167,18 @@ def interpolate(
         return
     with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_frame:
         summary = run_interpolation(plan, on_frame)
+    if not quiet:
+        for warning in summary.warnings():
+            click.echo(f"warning: {warning}", err=True)
     _print_summary(summary, as_json=as_json, verbose=verbose, quiet=quiet)
+
+
+def _check_preset_is_free() -> None:
+    """Refuse a preset beside a budget."""
+    from click.core import ParameterSource
+
+    if click.get_current_context().get_parameter_source("preset") is ParameterSource.COMMANDLINE:
+        raise click.UsageError("expected --preset or --budget, which chooses one, got both; leave one of them out")
 
 
 def _print_plan(plan: InterpolationPlan, as_json: bool) -> None:

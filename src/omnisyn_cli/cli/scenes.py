@@ -12,12 +12,9 @@ import click
 from omnisyn_cli.cli.interpolate import Size
 
 if TYPE_CHECKING:
-    from omnisyn_cli.geometry.pose import Pose
-    from omnisyn_cli.scenes import Scene
+    from omnisyn_cli.scenes.suite import SuiteScene
 
 __all__ = ["scenes"]
-
-POSES_NAME = "poses.json"
 
 KINDS = ("street", "room")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
@@ -28,8 +25,18 @@ def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
 
 
+OF_ONE_SCENE = (
+    "kind", "seed", "count", "frames", "baseline", "tilt", "vertical", "supersample", "names", "no_depth",
+)  # fmt: skip
+"""Parameters that the standard set has fixed."""
+
+
 @scenes.command()
 @click.argument("out", type=click.Path(path_type=Path))
+@click.option(
+    "--suite", is_flag=True,
+    help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, three true frames between.",
+)  # fmt: skip
 @click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="What to build.")
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the first scene; the next ones count on."
@@ -62,8 +69,11 @@ def scenes() -> None:
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.pass_context
 def make(
+    context: click.Context,
     out: Path,
+    suite: bool,
     kind: str,
     seed: int,
     count: int,
@@ -83,13 +93,21 @@ def make(
 
     A scene appears whole or not at all. Equal seeds make equal scenes, whatever the number of threads.
     What else lies in a folder stays there: --overwrite replaces only files of the names that are written.
+
+    With --suite every scene of the standard set gets a folder in OUT, which `omnisyn eval OUT` reads; only --size,
+    --threads, --overwrite and --quiet apply.
     """
     from omnisyn_cli.errors import InputError
+    from omnisyn_cli.evaluation.suite import POSES_NAME, depth_name, write_scene
     from omnisyn_cli.io.staging import staged_folder
     from omnisyn_cli.scenes import generate_scene, sample_path
 
+    if suite:
+        _check_suite_options(context)
+        _make_suite(out, size, threads, overwrite=overwrite, quiet=quiet)
+        return
     names = names or tuple(f"{frame:04d}.png" for frame in range(frames))
-    files = [*names, POSES_NAME] if no_depth else [*names, *map(_depth_name, names), POSES_NAME]
+    files = [*names, POSES_NAME] if no_depth else [*names, *map(depth_name, names), POSES_NAME]
     _check_names(names, files, frames)
     folders = [out] if count == 1 else [out / f"{kind}_{number:04d}" for number in range(1, count + 1)]
     for folder in folders:
@@ -103,34 +121,44 @@ def make(
             raise InputError(f"{kind} of seed {number}: {error}") from error
         _make_folder(folder.parent)
         with staged_folder(folder) as staged:
-            _write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
+            write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
         if not quiet:
             click.echo(f"{folder}: {kind}, seed {number}, {frames} panoramas", err=True)
 
 
-def _write_scene(
-    folder: Path,
-    scene: Scene,
-    path: Sequence[Pose],
-    names: Sequence[str],
-    size: tuple[int, int],
-    supersample: int,
-    threads: int | None,
-    *,
-    with_depth: bool,
-) -> None:
-    from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
-    from omnisyn_cli.scenes import render_panorama
+def _check_suite_options(context: click.Context) -> None:
+    """Refuse options that the standard set has fixed."""
+    from click.core import ParameterSource
 
-    panoramas = {}
-    for name, pose in zip(names, path, strict=True):
-        image, depth = render_panorama(scene, pose, size, supersample=supersample, threads=threads)
-        write_image(folder / name, image)
-        depth_file = folder / _depth_name(name) if with_depth else None
-        if depth_file is not None:
-            write_depth(depth_file, depth)
-        panoramas[name] = PosedPanorama(pose, depth=depth_file)
-    write_poses(folder / POSES_NAME, panoramas)
+    given = [
+        option.opts[0]
+        for option in context.command.params
+        if option.name in OF_ONE_SCENE and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+    ]
+    if given:
+        options = ", ".join(given)
+        raise click.UsageError(f"expected --suite without {options}: its scenes are fixed; leave one of them out")
+
+
+def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
+    """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
+    from omnisyn_cli.evaluation.suite import suite_files, suite_scenes, write_suite_scene
+    from omnisyn_cli.io.staging import staged_folder
+
+    walks = list(suite_scenes())
+    for walk in walks:
+        _check_folder(out / walk.name, suite_files(), overwrite)
+    _make_folder(out)
+    for walk in walks:
+        if walk.path:
+            with staged_folder(out / walk.name) as staged:
+                write_suite_scene(staged, walk, size, threads)
+        if not quiet:
+            click.echo(f"{out / walk.name}: {_described(walk)}", err=True)
+
+
+def _described(walk: SuiteScene) -> str:
+    return f"{len(walk.path)} panoramas" if walk.path else f"not made, the scene has no room for {walk.baseline:g} m"
 
 
 def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> None:
@@ -154,10 +182,6 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise WriteError(f"{folder}: expected to make it, got '{error.strerror}'; choose another place") from error
-
-
-def _depth_name(name: str) -> str:
-    return f"{Path(name).stem}_depth.exr"
 
 
 def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:

@@ -127,7 +127,7 @@ def _train(network: Any, folder: Path, threads: int, minutes: float, steps: int 
 
     if threads:
         torch.set_num_threads(threads)
-    folders = {name: str(options.pop(name)) for name in ("pool", "validation_pool")}
+    folders: dict[str, Any] = {name: str(options.pop(name)) for name in ("pool", "validation_pool")}
     run(network, TrainConfig(**folders, **options), folder, minutes=minutes, steps=steps, report=_show)
 
 

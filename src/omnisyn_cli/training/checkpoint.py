@@ -8,20 +8,32 @@ from typing import Any
 
 import torch
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, WriteError
 
 __all__ = ["compact", "load_checkpoint", "save_checkpoint"]
 
+LONGEST_REASON = 200
+"""Characters of what torch says that are passed on."""
+
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write beside ``path``, then rename over it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write beside ``path``, then rename over it.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
+    """
     partial = path.with_suffix(path.suffix + ".partial")
-    with partial.open("wb") as file:
-        torch.save(state, file)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("wb") as file:
+            torch.save(state, file)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except (OSError, RuntimeError) as error:  # torch's own writer raises the latter on a full disk
+        partial.unlink(missing_ok=True)
+        reason = " ".join(str(error).split())[:LONGEST_REASON]
+        raise WriteError(f"{path}: expected to write it, got '{reason}'; check free space and permissions") from error
 
 
 def compact(state: dict[str, Any]) -> dict[str, Any]:
@@ -45,5 +57,5 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise InputError(f"expected a checkpoint at {path}, found no file; give the path `train` wrote to") from None
     except Exception as error:
-        raise InputError(f"expected a checkpoint in {path}, got a file torch cannot read: {error}") from error
+        raise InputError(f"expected a checkpoint in {path}, got a file torch cannot read: {error!s:.{LONGEST_REASON}}") from error
     return state

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.tasks import TASKS, NetworkConfig, TrainConfig, task_named, task_of
@@ -186,6 +188,11 @@ def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> dict[str,
 
 
 def _append(path: Path, row: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+    """Add a line; what a killed run left of one is ended first, so that it spoils no other."""
+    with write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a+b") as file:
+            if file.seek(0, os.SEEK_END):
+                file.seek(-1, os.SEEK_END)
+                file.write(b"" if file.read(1) == b"\n" else b"\n")
+            file.write(json.dumps(row).encode() + b"\n")

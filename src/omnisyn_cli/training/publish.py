@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.io.paths import replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
 from omnisyn_cli.networks.export import PARITY, export_depth, export_refine, largest_difference
 from omnisyn_cli.networks.refine import RefineConfig
@@ -86,7 +87,8 @@ def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
         lines += [f"{key} = {json.dumps(getattr(entry, key), ensure_ascii=False)}" for key in plain]
         if entry.metrics:
             lines += ["", "[models.metrics]", *(f"{key} = {value!r}" for key, value in entry.metrics.items())]
-    (folder / MANIFEST).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with replaced_when_complete(folder / MANIFEST) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _pairs(_config: DepthConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:

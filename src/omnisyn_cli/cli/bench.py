@@ -1,0 +1,169 @@
+"""``omnisyn bench``: what settings cost in time and memory, and what they are worth."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.presets import PRESETS
+
+if TYPE_CHECKING:
+    from omnisyn_cli.evaluation.bench import BenchPlan
+    from omnisyn_cli.evaluation.pareto import Figures
+
+__all__ = ["bench"]
+
+FilePath = click.Path(path_type=Path)
+
+LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
+"""Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
+
+WIDTH = 160
+"""Characters of a table that no terminal limits."""
+
+QUICK: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512), "frames": 8}
+"""What ``--quick`` stands for."""
+
+
+class ListOf(click.ParamType):  # type: ignore[type-arg]
+    """Values of a type, separated by commas."""
+
+    def __init__(self, of: click.ParamType) -> None:  # type: ignore[type-arg]
+        self._of = of
+        self.name = f"{of.name},..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Any, ...]:
+        """All of them, each once."""
+        if isinstance(value, tuple):
+            return value
+        return tuple(dict.fromkeys(self._of.convert(part.strip(), param, ctx) for part in str(value).split(",")))
+
+
+@click.command(epilog="Exit codes: 0 done, 1 a setting failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.argument("dataset", metavar="[DATASET_DIR]", required=False, type=FilePath)
+@click.option(
+    "--report", metavar="DIR", type=FilePath,
+    help="Keep results, page and diagram here; a run that was interrupted goes on from them.",
+)  # fmt: skip
+@click.option(
+    "--presets", type=ListOf(click.Choice(list(PRESETS))), default=",".join(PRESETS), show_default=True,
+    help="Which ones.",
+)  # fmt: skip
+@click.option(
+    "--depth-rows", metavar="ROWS,...", type=ListOf(click.IntRange(32, 4096)), default=(),
+    help="Rows that depth is looked for at, which is the density of the mesh too.  [default: as each preset says]",
+)  # fmt: skip
+@click.option(
+    "--sizes", metavar="WxH,...", type=ListOf(Size()), default="1024x512,2048x1024", show_default=True,
+    help="Of the frames.",
+)  # fmt: skip
+@click.option("--threads", metavar="N,...", type=ListOf(click.IntRange(1)), default=(), help="[default: one per core]")
+@click.option("--frames", type=click.IntRange(1), default=24, show_default=True, help="That are timed of every clip.")
+@click.option(
+    "--scene-size", metavar="WxH", type=Size(), default="1024x512", show_default=True,
+    help="Of the scenes that are made where no data set is given.",
+)  # fmt: skip
+@click.option("--quick", is_flag=True, help="Frames and scenes of 512x256 only, eight frames: a look, not a figure.")
+@click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
+@click.option("--pairs", metavar="0:4|every:N|FILE", help="Frames that are inputs, see omnisyn eval.")
+@click.option(
+    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True, help="For networks."
+)
+@click.option("--store", metavar="FILE", type=FilePath, help="Write the table that interpolate --budget chooses by.")
+@click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+def bench(
+    dataset: Path | None, report: Path | None, scene_size: tuple[int, int], quick: bool, store: Path | None,
+    as_json: bool, quiet: bool, **options: Any,
+) -> int:  # fmt: skip
+    """Measure what presets cost and what they are worth on this machine.
+
+    \b
+    omnisyn bench --quick
+    omnisyn bench --report bench/ --store pareto.json
+    omnisyn bench scenes/ --presets balanced --depth-rows 256,512,1024 --sizes 2048x1024 --threads 1,2
+
+    Every combination of preset, rows, size and threads makes one clip for each pair of panoramas, in a process of its
+    own. Scenes with true frames between give the accuracy; without a data set, a street and a room are made. No preset
+    has a number of spheres to choose: matching compares all disparities, and a network's spheres are part of it.
+    """  # noqa: D301 - click's \b is a backspace
+    import tempfile
+
+    from omnisyn_cli.evaluation.bench import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
+    from omnisyn_cli.evaluation.bench_report import write_bench_report
+    from omnisyn_cli.evaluation.pareto import write_table
+    from omnisyn_cli.io import check_output
+
+    if quick:
+        scene_size, options = QUICK["scene_size"], {**options, "sizes": QUICK["sizes"], "frames": QUICK["frames"]}
+    if store is not None:
+        check_output(store, overwrite=True)
+    with ExitStack() as stack:
+        folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-bench-")))
+        if dataset is None:
+            dataset = folder / f"scenes-{scene_size[1]}x{scene_size[0]}"
+            make_scenes(dataset, scene_size)
+        plan = plan_bench(BenchJob(dataset, folder, **options))
+        with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_setting:
+            measured = run_bench(plan, on_setting)
+        write_bench_report(folder, measured)
+    if store is not None:
+        write_table(store, machine_in_words(), measured)
+    if as_json:
+        _print_json(measured)
+    elif not quiet:
+        _print_tables(measured)
+    return int(any(figures.status == "failed" for figures in measured))
+
+
+def _print_json(measured: Sequence[Figures]) -> None:
+    import json
+
+    from omnisyn_cli import __version__
+    from omnisyn_cli.evaluation.bench import machine_in_words
+
+    values = {"version": __version__, "machine": machine_in_words(), "settings": [f.to_json() for f in measured]}
+    click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _print_tables(measured: Sequence[Figures]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from omnisyn_cli.evaluation.bench_report import bench_tables
+    from omnisyn_cli.evaluation.tables import format_value
+
+    for found in bench_tables(measured):
+        table = Table(title=found.title, box=box.SIMPLE, title_justify="left")
+        table.add_column(found.corner, no_wrap=True)
+        for column in found.columns:
+            table.add_column(column.title, justify="right")
+        for row in found.rows:
+            cells = zip(row.cells, found.columns, strict=False)
+            table.add_row(row.name, *(format_value(cell.value, column.digits) for cell, column in cells))
+        Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
+        for row in found.rows:
+            if not row.cells:
+                click.echo(f"{row.name}: {row.reason}")
+
+
+@contextmanager
+def _progress(plan: BenchPlan, *, is_shown: bool) -> Iterator[Callable[[int, Figures], None] | None]:
+    """A progress bar over the settings on stderr; nothing where stderr is no terminal."""
+    if not is_shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("settings", total=len(plan.settings))
+        yield lambda done, figures: progress.update(task, completed=done, description=figures.setting.name)

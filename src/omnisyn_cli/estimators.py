@@ -1,0 +1,58 @@
+"""Where depth comes from, by name: what the commands offer as ``--depth``.
+
+``file``: what came with the panoramas. ``matching``: classical stereo. ``refined``: matching made better by a network.
+``network``: a stereo network alone.
+"""
+
+from __future__ import annotations
+
+from omnisyn_cli.types import DepthEstimator, KnownDepth
+
+__all__ = ["DEPTH_SOURCES", "make_estimator"]
+
+DEPTH_SOURCES = ("file", "matching", "refined", "network")
+
+
+def make_estimator(
+    source: str, *, rows: int = 512, model: str | None = None, device: str = "auto", threads: int | None = None
+) -> DepthEstimator:
+    """An estimator that serves any number of pairs.
+
+    Args:
+        source: one of :data:`DEPTH_SOURCES`.
+        rows: that matching works towards; refined estimates have half of them.
+        model: name in the manifest or path of an ONNX file, for ``refined`` and ``network``.
+        device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
+        threads: at most this many; None is one per core.
+
+    Raises:
+        ValueError: an unknown source, or no model where one is needed.
+        InputError: the model cannot be found or loaded, or not on that device.
+    """
+    if source not in DEPTH_SOURCES:
+        raise ValueError(f"expected a depth source of {', '.join(DEPTH_SOURCES)}, got {source!r}")
+    if source == "file":
+        return KnownDepth()
+    if source == "network":
+        from omnisyn_cli.runtime.depth import LearnedDepthEstimator
+
+        learned: DepthEstimator = LearnedDepthEstimator(_session(model, device, threads))
+        return learned
+    from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+
+    matching = MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
+    if source == "matching":
+        return matching
+    from omnisyn_cli.runtime.refinement import SessionRefinement
+    from omnisyn_cli.stereo.refined import RefinedDepthEstimator
+
+    return RefinedDepthEstimator(matching, SessionRefinement(_session(model, device, threads)))
+
+
+def _session(model: str | None, device: str, threads: int | None) -> object:
+    from omnisyn_cli.runtime.models import find_model
+    from omnisyn_cli.runtime.session import open_session
+
+    if model is None:
+        raise ValueError("expected the name or path of a model, got none")
+    return open_session(find_model(model), device=device, threads=threads)

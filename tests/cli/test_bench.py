@@ -1,0 +1,166 @@
+"""``omnisyn bench`` from the command line, and ``interpolate --budget``, which chooses by its figures."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from cli_samples import listing, run_cli, write_pair
+
+from omnisyn_cli.cli.bench import LAYOUTS
+from omnisyn_cli.evaluation import bench
+from omnisyn_cli.evaluation.bench import BenchJob
+from omnisyn_cli.evaluation.datasets import FORMATS
+from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, read_table
+from omnisyn_cli.evaluation.trial import Trial
+from omnisyn_cli.presets import PRESETS
+from synthesis_samples import posed, write_hall
+
+POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
+
+SCORES = {"fast": 25.0, "balanced": 27.0, "accurate": 28.0}
+
+
+@pytest.fixture
+def scenes(tmp_path: Path) -> Path:
+    folder = tmp_path / "scenes" / "hall"
+    folder.mkdir(parents=True)
+    write_hall(folder, POSES, (32, 64))
+    return tmp_path / "scenes"
+
+
+@pytest.fixture
+def trials(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
+    """Every trial that is asked for; none is made."""
+    asked: list[Trial] = []
+
+    def pretend(trial: Trial) -> Figures:
+        asked.append(trial)
+        preset = trial.setting.preset
+        seconds = dict.fromkeys(("start", "decode", "depth", "mesh", *FRAME_STAGES), 1.0 + list(SCORES).index(preset))
+        return Figures(trial.setting, "done", "", trial.key, (32, 64), seconds, 1.0, 10**8, SCORES[preset], 1)
+
+    monkeypatch.setattr(bench, "_in_child", pretend)
+    return asked
+
+
+def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:
+    result = run_cli(
+        capsys, "bench", scenes, "--presets", "fast", "--depth-rows", 64, "--sizes", "64x32", "--frames", 1,
+        "--threads", 1, "--report", tmp_path / "report", "--store", tmp_path / "table.json", "--json",
+    )  # fmt: skip
+    assert (result.code, result.err) == (0, "")
+    (figures,) = json.loads(result.out)["settings"]
+    assert figures["setting"] == {"preset": "fast", "depth_rows": 64, "size": [32, 64], "threads": 1}
+    assert (figures["status"], figures["source"], figures["pairs"]) == ("done", [32, 64], 1)
+    assert figures["ws_psnr"] > 10
+    (stored,) = read_table(tmp_path / "table.json").figures
+    assert stored.to_json() == Figures.from_json(figures).to_json()
+    assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
+
+
+def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Path, trials: list[Trial]) -> None:
+    result = run_cli(capsys, "bench", scenes, "--sizes", "64x32,128x64", "--threads", "1,2")
+    assert result.code == 0
+    assert len(trials) == len(PRESETS) * 2 * 2
+    assert result.out.count("Which setting for which budget") == 2
+    assert "balanced, 512 rows, 64x32, 2 threads" in result.out
+    assert "28.00" in result.out
+
+
+def test_scenes_are_made_where_none_are_given(
+    capsys: pytest.CaptureFixture[str], trials: list[Trial], tmp_path: Path
+) -> None:
+    options = ("--scene-size", "32x16", "--presets", "fast", "--report", tmp_path / "report", "-q")
+    assert run_cli(capsys, "bench", *options).out == ""
+    assert {pair.scene for trial in trials for pair in trial.pairs} == {"street-9000001-2m", "room-9000001-1m"}
+
+
+def test_a_failure_is_named_and_the_exit_code_is_1(
+    capsys: pytest.CaptureFixture[str], scenes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench, "_in_child", lambda trial: Figures(trial.setting, "failed", "no memory", trial.key))
+    result = run_cli(capsys, "bench", scenes, "--presets", "fast", "--sizes", "64x32", "--threads", 1)
+    assert result.code == 1
+    assert "fast, 256 rows, 64x32, 1 thread: no memory" in result.out
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["nosuch"], 3, "expected a folder of scenes"),
+        (["--presets", "nosuch"], 2, "nosuch"),
+        (["--sizes", "64x64"], 2, "twice as wide"),
+        (["--threads", "0"], 2, "--threads"),
+        (["--store", "nosuch/table.json"], 3, "expected an existing folder"),
+    ],
+)
+def test_wrong_options_are_explained(
+    capsys: pytest.CaptureFixture[str], options: list[str], code: int, message: str
+) -> None:
+    result = run_cli(capsys, "bench", *options)
+    assert (result.code, result.out) == (code, "")
+    assert message in result.err
+
+
+def test_help_loads_nothing_heavy(capsys: pytest.CaptureFixture[str]) -> None:
+    before = set(sys.modules)
+    assert run_cli(capsys, "bench", "--help").code == 0
+    new = {name.partition(".")[0] for name in set(sys.modules) - before}
+    assert not new & {"torch", "onnxruntime", "numba", "cv2", "matplotlib", "pydantic"}
+
+
+def test_defaults_and_choices_are_those_of_the_library() -> None:
+    from omnisyn_cli.cli.bench import bench as command
+
+    assert ("auto", *FORMATS) == LAYOUTS
+    values = command.make_context("bench", []).params
+    for name, field in BenchJob.__dataclass_fields__.items():
+        assert name in {"dataset", "report"} or values[name] == field.default, name
+
+
+@pytest.fixture
+def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    monkeypatch.setattr("omnisyn_cli.evaluation.budget.calibrate", lambda threads: 1e-3)
+    return write_pair(tmp_path)
+
+
+def budget_of(seconds: float, images: list[Path], *more: object) -> list[object]:
+    poses, output = images[0].parent / "poses.json", images[0].parent / "out.mp4"
+    return ["interpolate", *images, "--poses", poses, "-o", output, "--frames", 9, "--budget", seconds, *more]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(1e6, "preset {best} for a budget"), (1e-4, "even the fastest preset, fast")]
+)
+def test_a_budget_chooses_the_preset_and_says_so(
+    capsys: pytest.CaptureFixture[str], images: list[Path], seconds: float, words: str
+) -> None:
+    result = run_cli(capsys, *budget_of(seconds, images, "--depth", "refined", "--dry-run", "--json"))
+    plan = json.loads(result.out)
+    best = plan["preset"]
+    assert result.code == 0
+    assert words.format(best=best) in plan["notes"][-1]
+    assert plan["notes"][-1] in result.err
+    assert best == "fast" if seconds < 1 else best != "fast"
+
+
+def test_depth_from_files_leaves_nothing_to_choose(capsys: pytest.CaptureFixture[str], images: list[Path]) -> None:
+    plan = json.loads(run_cli(capsys, *budget_of(60, images, "--dry-run", "--json")).out)
+    assert (plan["depth"], plan["preset"]) == ("file", "balanced")
+    assert "presets make no difference" in plan["notes"][-1]
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "message"),
+    [
+        (["--preset", "fast"], 2, "expected --preset or --budget"),
+        (["--renderer", "points"], 3, "expected the renderer 'mesh' with a budget"),
+    ],
+)
+def test_what_a_budget_does_not_go_with(
+    capsys: pytest.CaptureFixture[str], images: list[Path], more: list[str], code: int, message: str
+) -> None:
+    result = run_cli(capsys, *budget_of(60, images, "--dry-run", *more))
+    assert (result.code, result.out) == (code, "")
+    assert message in result.err

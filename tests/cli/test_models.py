@@ -1,0 +1,36 @@
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from omnisyn_cli.cli.models import models
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.runtime.models import ModelEntry, models_folder, sha256_of
+from omnisyn_cli.training.publish import write_manifest
+
+
+def test_what_the_presets_need_is_shipped_whole():
+    result = CliRunner().invoke(models, ["--json"])
+    assert result.exit_code == 0, result.output
+    entries = {entry["name"]: entry for entry in json.loads(result.stdout)}
+    assert {preset.model for preset in PRESETS.values()} - {None} <= entries.keys()
+    for entry in entries.values():
+        assert (models_folder() / entry["file"]).stat().st_size < 16 * 2**20
+
+
+def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
+    (tmp_path / "a.onnx").write_bytes(b"weights")
+    digest = sha256_of(tmp_path / "a.onnx")
+    entry = ModelEntry("a", "refine", "v", "a.onnx", digest, (2, 4), 7, "scenes", "MIT", {"delta_25": 0.5})
+    write_manifest(tmp_path, {"a": entry})
+    result = CliRunner().invoke(models, [str(tmp_path)])
+    assert "a: refine" in result.output
+    assert "delta_25 0.5" in result.output
+    (tmp_path / "a.onnx").write_bytes(b"other weights")
+    with pytest.raises(InputError, match="sha256"):
+        CliRunner().invoke(models, [str(tmp_path)], catch_exceptions=False)
+
+
+def test_an_empty_folder_says_how_models_are_made(tmp_path):
+    assert "export-onnx" in CliRunner().invoke(models, [str(tmp_path)]).output
