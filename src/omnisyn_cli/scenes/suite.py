@@ -1,0 +1,92 @@
+"""The standard evaluation set: streets and rooms from fixed seeds, each walked 1, 2, 4 and 6 metres.
+
+All baselines of a scene begin at the same first panorama and go the same way, so that figures differ by the distance
+and by nothing else. Poses are rounded so far that they are the same numbers on every machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.scenes.paths import sample_path
+from omnisyn_cli.scenes.scene import Scene
+
+__all__ = ["BASELINES", "FRAMES", "SEEDS", "SuiteScene", "suite_of", "suite_path"]
+
+SEEDS = (9_000_001, 9_000_002)
+"""Far beyond those that networks are trained with."""
+
+BASELINES = (1.0, 2.0, 4.0, 6.0)
+"""Metres from the first to the last panorama, ascending."""
+
+FRAMES = 5
+"""Two inputs, and three true frames at equal distances between them."""
+
+DIGITS = 6
+"""Decimals of the ends in metres: micrometres, far coarser than the arithmetic of two machines may differ."""
+
+
+@dataclass(frozen=True)
+class SuiteScene:
+    """One walk through one scene.
+
+    Attributes:
+        kind: a key of :data:`omnisyn_cli.scenes.GENERATORS`.
+        seed: of scene and path.
+        baseline: metres from the first to the last panorama.
+        path: poses of all panoramas in walking order; empty where the scene has no room for this baseline.
+    """
+
+    kind: str
+    seed: int
+    baseline: float
+    path: tuple[Pose, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its folder."""
+        return f"{self.kind}-{self.seed}-{self.baseline:g}m"
+
+
+def suite_of(kind: str, seed: int, scene: Scene) -> Iterator[SuiteScene]:
+    """The walks through a scene, the shortest first; those that it has no room for have an empty path.
+
+    Args:
+        kind: of the scene.
+        seed: of the scene and of the way through it.
+        scene: made with both.
+    """
+    longest = suite_path(scene, seed)
+    for baseline in BASELINES:
+        yield SuiteScene(kind, seed, baseline, tuple(_beginning(longest, baseline)))
+
+
+def suite_path(scene: Scene, seed: int) -> tuple[Pose, ...]:
+    """Both ends of the longest free way that is one of :data:`BASELINES`; none where even the shortest is not free."""
+    for baseline in reversed(BASELINES):
+        try:
+            first, last = sample_path(scene, seed, 2, baseline=baseline, vertical=0.0)
+        except ValueError:
+            continue
+        return _rounded(first), _rounded(last)
+    return ()
+
+
+def _rounded(pose: Pose) -> Pose:
+    return Pose(np.round(pose.rotation, 12), np.round(pose.position, DIGITS))
+
+
+def _beginning(longest: tuple[Pose, ...], baseline: float) -> Iterator[Pose]:
+    """Poses evenly spaced over the first metres of a way; none where it is shorter."""
+    if not longest:
+        return
+    way = longest[1].position - longest[0].position
+    length = float(np.linalg.norm(way))
+    if baseline > length + 10**-DIGITS:
+        return
+    for share in np.linspace(0.0, baseline / length, FRAMES):
+        yield Pose(longest[0].rotation, np.round(longest[0].position + share * way, DIGITS))
