@@ -1,0 +1,101 @@
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+"""Where points and quads fall in an equirectangular image, in numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from omnisyn_cli.jit import fast_kernel, inlined
+from omnisyn_cli.render.trigonometry import atan2_fast
+
+__all__ = ["find_boxes", "find_row_ranges", "project_points"]
+
+WIDE = 0.5
+"""Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""
+
+BOX_MARGIN = 0.05
+"""Pixels added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns."""
+
+
+@fast_kernel()
+def project_points(numbers, pixels, stride, first, last, scale):
+    """The (row, col) that points ``first`` to ``last`` fall on.
+
+    ``numbers`` holds x of all points, ``stride`` further on y and z; ``pixels`` gets rows, ``stride`` further on columns.
+    """
+    row_scale, row_zero, col_scale, col_zero = scale[0], scale[1], scale[2], scale[3]
+    for k in range(first, last):
+        x, y, z = numbers[k], numbers[stride + k], numbers[2 * stride + k]
+        pixels[k] = atan2_fast(math.sqrt(x * x + z * z), y) * row_scale + row_zero
+        pixels[stride + k] = atan2_fast(x, -z) * col_scale + col_zero
+
+
+@inlined()
+def _wrapped(difference, width):
+    """A difference of columns brought into [−width/2, width/2]."""
+    half = np.float32(0.5) * width
+    back = difference - width if difference > half else difference
+    return back + width if difference < -half else back
+
+
+@inlined()
+def _row_range(low, high, span, height, width):
+    """Rows in which a quad with corners between rows ``low`` and ``high``, ``span`` columns wide, can be seen.
+
+    A great circle between two points bulges towards the nearer pole: ``tan(latitude_max) = tan(latitude)/cos(span/2)``
+    is at most span²/16 radians for narrow spans. Wide arcs between two northern points stay north of the southernmost.
+    """
+    radians = span * (np.float32(2.0 * math.pi) / width)
+    margin = np.float32(BOX_MARGIN)
+    bulge = radians * radians * (height * np.float32(1.1 / (16.0 * math.pi))) + margin
+    middle = np.float32(0.5) * height - np.float32(0.5)
+    is_wide = radians >= np.float32(WIDE)
+    north = low - margin if low > middle else np.float32(-1.0)
+    south = high + margin if high < middle else height
+    first, last = north if is_wide else low - bulge, south if is_wide else high + bulge
+    return max(np.ceil(first), np.float32(0.0)), min(np.floor(last), height - np.float32(1.0)), is_wide
+
+
+@inlined()
+def _quad_box(pixels, stride, at0, at1, at2, at3, height, width):
+    """First and last row, span of columns relative to corner 0, and whether the quad is wide."""
+    zero = np.float32(0.0)
+    base = pixels[stride + at0]
+    turn1 = _wrapped(pixels[stride + at1] - base, width)
+    turn2 = _wrapped(pixels[stride + at2] - base, width)
+    turn3 = _wrapped(pixels[stride + at3] - base, width)
+    left, right = min(min(turn1, zero), min(turn2, turn3)), max(max(turn1, zero), max(turn2, turn3))
+    row0, row1, row2, row3 = pixels[at0], pixels[at1], pixels[at2], pixels[at3]
+    low, high = min(min(row0, row1), min(row2, row3)), max(max(row0, row1), max(row2, row3))
+    first, last, is_wide = _row_range(low, high, right - left, height, width)
+    return first, last, base + left, base + right, is_wide
+
+
+@fast_kernel()
+def find_boxes(pixels, stride, at0, at1, at2, at3, count, height, width, box):
+    """First and last row and column that each of ``count`` quads can touch; all columns where it is wide.
+
+    Corner i of quad k has its row at ``pixels[at{i} + k]`` and its column ``stride`` further on. Columns may lie
+    outside the image.
+    """
+    height32, width32, margin, zero = np.float32(height), np.float32(width), np.float32(BOX_MARGIN), np.float32(0.0)
+    for k in range(count):
+        first, last, left, right, is_wide = _quad_box(
+            pixels, stride, at0 + k, at1 + k, at2 + k, at3 + k, height32, width32
+        )
+        box[0, k], box[1, k] = first, last
+        box[2, k] = zero if is_wide else np.ceil(left - margin)
+        box[3, k] = width32 - np.float32(1.0) if is_wide else np.floor(right + margin)
+
+
+@fast_kernel()
+def find_row_ranges(pixels, stride, at0, at1, at2, at3, count, height, width):
+    """First and last row that any of ``count`` quads can touch, see :func:`find_boxes`."""
+    height32, width32 = np.float32(height), np.float32(width)
+    lowest, highest = height32, np.float32(-1.0)
+    for k in range(count):
+        first, last, _, _, _ = _quad_box(pixels, stride, at0 + k, at1 + k, at2 + k, at3 + k, height32, width32)
+        lowest, highest = min(lowest, first), max(highest, last)
+    return lowest, highest
