@@ -26,10 +26,13 @@ def project_points(numbers, pixels, stride, first, last, scale):
     ``numbers`` holds x of all points, ``stride`` further on y and z; ``pixels`` gets rows, ``stride`` further on columns.
     """
     row_scale, row_zero, col_scale, col_zero = scale[0], scale[1], scale[2], scale[3]
-    for k in range(first, last):
-        x, y, z = numbers[k], numbers[stride + k], numbers[2 * stride + k]
-        pixels[k] = atan2_fast(math.sqrt(x * x + z * z), y) * row_scale + row_zero
-        pixels[stride + k] = atan2_fast(x, -z) * col_scale + col_zero
+    count = last - first  # runs that begin at 0: no index can be negative, so the loop is vectorised
+    xs, ys, zs = numbers[first:], numbers[stride + first :], numbers[2 * stride + first :]
+    rows, cols = pixels[first:], pixels[stride + first :]
+    for k in range(count):
+        x, y, z = xs[k], ys[k], zs[k]
+        rows[k] = atan2_fast(math.sqrt(x * x + z * z), y) * row_scale + row_zero
+        cols[k] = atan2_fast(x, -z) * col_scale + col_zero
 
 
 @inlined()
@@ -59,18 +62,14 @@ def _row_range(low, high, span, height, width):
 
 
 @inlined()
-def _quad_box(pixels, stride, at0, at1, at2, at3, height, width):
-    """First and last row, span of columns relative to corner 0, and whether the quad is wide."""
+def _quad_box(row0, row1, row2, row3, col0, col1, col2, col3, height, width):
+    """First and last row, leftmost and rightmost place between columns, and whether the quad is wide."""
     zero = np.float32(0.0)
-    base = pixels[stride + at0]
-    turn1 = _wrapped(pixels[stride + at1] - base, width)
-    turn2 = _wrapped(pixels[stride + at2] - base, width)
-    turn3 = _wrapped(pixels[stride + at3] - base, width)
+    turn1, turn2, turn3 = _wrapped(col1 - col0, width), _wrapped(col2 - col0, width), _wrapped(col3 - col0, width)
     left, right = min(min(turn1, zero), min(turn2, turn3)), max(max(turn1, zero), max(turn2, turn3))
-    row0, row1, row2, row3 = pixels[at0], pixels[at1], pixels[at2], pixels[at3]
     low, high = min(min(row0, row1), min(row2, row3)), max(max(row0, row1), max(row2, row3))
     first, last, is_wide = _row_range(low, high, right - left, height, width)
-    return first, last, base + left, base + right, is_wide
+    return first, last, col0 + left, col0 + right, is_wide
 
 
 @fast_kernel()
@@ -81,9 +80,11 @@ def find_boxes(pixels, stride, at0, at1, at2, at3, count, height, width, box):
     outside the image.
     """
     height32, width32, margin, zero = np.float32(height), np.float32(width), np.float32(BOX_MARGIN), np.float32(0.0)
+    row0, row1, row2, row3 = pixels[at0:], pixels[at1:], pixels[at2:], pixels[at3:]
+    col0, col1, col2, col3 = row0[stride:], row1[stride:], row2[stride:], row3[stride:]
     for k in range(count):
         first, last, left, right, is_wide = _quad_box(
-            pixels, stride, at0 + k, at1 + k, at2 + k, at3 + k, height32, width32
+            row0[k], row1[k], row2[k], row3[k], col0[k], col1[k], col2[k], col3[k], height32, width32
         )
         box[0, k], box[1, k] = first, last
         box[2, k] = zero if is_wide else np.ceil(left - margin)
@@ -95,7 +96,11 @@ def find_row_ranges(pixels, stride, at0, at1, at2, at3, count, height, width):
     """First and last row that any of ``count`` quads can touch, see :func:`find_boxes`."""
     height32, width32 = np.float32(height), np.float32(width)
     lowest, highest = height32, np.float32(-1.0)
+    row0, row1, row2, row3 = pixels[at0:], pixels[at1:], pixels[at2:], pixels[at3:]
+    col0, col1, col2, col3 = row0[stride:], row1[stride:], row2[stride:], row3[stride:]
     for k in range(count):
-        first, last, _, _, _ = _quad_box(pixels, stride, at0 + k, at1 + k, at2 + k, at3 + k, height32, width32)
+        first, last, _, _, _ = _quad_box(
+            row0[k], row1[k], row2[k], row3[k], col0[k], col1[k], col2[k], col3[k], height32, width32
+        )
         lowest, highest = min(lowest, first), max(highest, last)
     return lowest, highest

@@ -23,7 +23,7 @@ import numpy as np
 
 from omnisyn_cli.jit import inlined, inlined_contracting, kernel
 from omnisyn_cli.render.mesh import CUT_EDGES, DIAGONAL, REMOVED
-from omnisyn_cli.render.simd import LANES, double, has_bits, load, single, splat, store, where
+from omnisyn_cli.render.simd import LANES, double, has_bits, load, load_halves, pair, single, splat, store, store_halves, where
 
 __all__ = ["DRAWN", "PLAN_ROWS", "draw_quads", "plan_quads"]
 
@@ -166,50 +166,61 @@ def plan_quads(numbers, stride, at0, at1, at2, at3, codes, first, count, plan):
 
 
 @inlined()
-def _dot_with_offset(x, y, z, nx, ny, nz, offset):
-    return x * nx + (z * nz + (y * ny + offset))
+def _edge(plan, row, k, x, y, z):
+    """An edge against eight rays; not negative inside."""
+    return x * splat(plan[row, k]) + (
+        z * splat(plan[row + 2, k]) + (y * splat(plan[row + 1, k]) + splat(plan[row + 3, k]))
+    )
 
 
 @inlined()
-def _row_of(plan, row, k):
-    return splat(plan[row, k]), splat(plan[row + 1, k]), splat(plan[row + 2, k])
+def _plane(plan, row, k, x, y, z):
+    return x * splat(plan[row, k]) + (z * splat(plan[row + 2, k]) + y * splat(plan[row + 1, k]))
 
 
-@kernel()
-def draw_float32(plan, k, face, row_first, row_last, col_first, col_last, tables, out_rho, out_face, width):
-    """One planned quad against the rays in a box, all of it inside the image."""
-    sin_p, cos_p, sin_a, minus_cos_a = tables
-    cx, cy, cz = _row_of(plan, CUT, k)
-    lx, ly, lz = _row_of(plan, A_LEFT, k)
-    ax, ay, az = _row_of(plan, A_OTHER, k)
-    rx, ry, rz = _row_of(plan, B_RIGHT, k)
-    bx, by, bz = _row_of(plan, B_OTHER, k)
-    px, py, pz = _row_of(plan, A_PLANE, k)
-    qx, qy, qz = _row_of(plan, B_PLANE, k)
-    cut = splat(plan[CUT + 3, k])
-    left, other = splat(plan[A_LEFT + 3, k]), splat(plan[A_OTHER + 3, k])
-    right, b_other = splat(plan[B_RIGHT + 3, k]), splat(plan[B_OTHER + 3, k])
+@inlined()
+def _seen(plan, k, x, y, z, old):
+    """Inverse depth of a quad on eight rays, whether it is nearer than ``old``, and whether its triangle is A."""
     zero = splat(np.float32(0.0))
+    in_a = _edge(plan, CUT, k, x, y, z) >= zero
+    side = where(in_a, _edge(plan, A_LEFT, k, x, y, z), _edge(plan, B_RIGHT, k, x, y, z))
+    other = where(in_a, _edge(plan, A_OTHER, k, x, y, z), _edge(plan, B_OTHER, k, x, y, z))
+    seen = _larger(where(in_a, _plane(plan, A_PLANE, k, x, y, z), _plane(plan, B_PLANE, k, x, y, z)), zero)
+    return seen, (side >= zero) & (other >= zero) & (seen > old), in_a
+
+
+@inlined()
+def _draw_wide(plan, k, face, row_first, row_last, col_first, col_last, tables, out_rho, out_face, width):
+    """One planned quad against the rays in a box, all of it inside the image: eight columns of one row at a time."""
+    sin_p, cos_p, sin_a, minus_cos_a = tables
     face_a, face_b = splat(np.int32(face)), splat(np.int32(face + 1))
     for row in range(row_first, row_last + 1):
         sp, y = splat(sin_p[row]), splat(cos_p[row])
         for column in range(col_first, col_last + 1, LANES):
             col = min(column, width - LANES)
-            x, z = sp * load(sin_a, col), sp * load(minus_cos_a, col)
-            in_a = _dot_with_offset(x, y, z, cx, cy, cz, cut) >= zero
-            first = where(
-                in_a, _dot_with_offset(x, y, z, lx, ly, lz, left), _dot_with_offset(x, y, z, rx, ry, rz, right)
-            )
-            second = where(
-                in_a, _dot_with_offset(x, y, z, ax, ay, az, other), _dot_with_offset(x, y, z, bx, by, bz, b_other)
-            )
-            seen = where(in_a, x * px + (z * pz + y * py), x * qx + (z * qz + y * qy))
-            seen = _larger(seen, zero)
             at = row * width + col
             old = load(out_rho, at)
-            wins = (first >= zero) & (second >= zero) & (seen > old)
+            seen, wins, in_a = _seen(plan, k, sp * load(sin_a, col), y, sp * load(minus_cos_a, col), old)
             store(out_rho, at, where(wins, seen, old))
             store(out_face, at, where(wins, where(in_a, face_a, face_b), load(out_face, at)))
+
+
+@inlined()
+def _draw_narrow(plan, k, face, row_first, row_last, col_first, tables, out_rho, out_face, width):
+    """The same for boxes of up to four columns: those of two rows at a time."""
+    sin_p, cos_p, sin_a, minus_cos_a = tables
+    col = min(col_first, width - LANES // 2)
+    sine, minus_cosine = load_halves(sin_a, col, col), load_halves(minus_cos_a, col, col)
+    face_a, face_b = splat(np.int32(face)), splat(np.int32(face + 1))
+    for row in range(row_first, row_last + 1, 2):
+        below = min(row + 1, row_last)
+        sp, y = pair(sin_p[row], sin_p[below]), pair(cos_p[row], cos_p[below])
+        at, at_below = row * width + col, below * width + col
+        old = load_halves(out_rho, at, at_below)
+        seen, wins, in_a = _seen(plan, k, sp * sine, y, sp * minus_cosine, old)
+        store_halves(out_rho, at, at_below, where(wins, seen, old))
+        faces = load_halves(out_face, at, at_below)
+        store_halves(out_face, at, at_below, where(wins, where(in_a, face_a, face_b), faces))
 
 
 @kernel(fastmath={"contract"})
@@ -286,9 +297,12 @@ def draw_quads(
         if row_first > row_last or col_first > col_last:
             continue
         if plan[DRAWN, k] == IN_FLOAT32 and col_first >= 0 and col_last < width and width >= LANES:
-            draw_float32(
-                plan, k, faces[k], row_first, row_last, col_first, col_last, tables, out_rho, out_face, width
-            )  # fmt: skip
+            if col_last - col_first < LANES // 2:
+                _draw_narrow(plan, k, faces[k], row_first, row_last, col_first, tables, out_rho, out_face, width)
+            else:
+                _draw_wide(
+                    plan, k, faces[k], row_first, row_last, col_first, col_last, tables, out_rho, out_face, width
+                )
             continue
         x0, y0, z0, w0 = _corner(numbers, stride, at0 + k)
         x1, y1, z1, w1 = _corner(numbers, stride, at1 + k)

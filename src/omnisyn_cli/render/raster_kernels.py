@@ -35,25 +35,18 @@ BLOCK = 64
 @fast_kernel()
 def transform_vertices(rho, sin_p, cos_p, sin_a, cos_a, rotation, translation, scale, vertices, pixels, begin, end):
     """Write v = R·d + ρ·t, ρ and the (row, col) that v falls on, for some rows; column 0 comes again at the end."""
-    r = rotation.astype(np.float32)
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = (
-        r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2]
-    )  # fmt: skip
-    t0, t1, t2 = np.float32(translation[0]), np.float32(translation[1]), np.float32(translation[2])
-    height, width = rho.shape
+    width = rho.shape[1]
     columns = vertices.shape[2]
-    stride = height * columns
+    stride = vertices.shape[1] * columns
     flat, flat_pixels = vertices.reshape(-1), pixels.reshape(-1)
     for row in range(begin, end):
-        sp, y = sin_p[row], cos_p[row]
-        y0, y1, y2 = r01 * y, r11 * y, r21 * y
+        for axis in range(3):
+            sine, cosine = np.float32(rotation[axis, 0] * sin_p[row]), np.float32(-rotation[axis, 2] * sin_p[row])
+            constant, shift = np.float32(rotation[axis, 1] * cos_p[row]), np.float32(translation[axis])
+            for col in range(width):
+                vertices[axis, row, col] = sine * sin_a[col] + constant + cosine * cos_a[col] + shift * rho[row, col]
+        vertices[3, row, :width] = rho[row]
         at = row * columns
-        for col in range(width):
-            x, z, w = sp * sin_a[col], -sp * cos_a[col], rho[row, col]
-            flat[at + col] = r00 * x + y0 + r02 * z + w * t0
-            flat[at + stride + col] = r10 * x + y1 + r12 * z + w * t1
-            flat[at + 2 * stride + col] = r20 * x + y2 + r22 * z + w * t2
-            flat[at + 3 * stride + col] = w
         for axis in range(4):
             vertices[axis, row, width] = vertices[axis, row, 0]
         project_points(flat, flat_pixels, stride, at, at + width + 1, scale)

@@ -20,8 +20,8 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, register_model
 
 __all__ = [
-    "LANES", "double", "has_bits", "load", "pair", "single", "splat", "store", "store_half", "swapped",
-    "where",
+    "LANES", "double", "has_bits", "load", "load_halves", "pair", "single", "splat", "store", "store_half",
+    "store_halves", "swapped", "where",
 ]  # fmt: skip
 
 LANES = 8
@@ -188,22 +188,55 @@ def has_bits(typing_context: Any, array: Any, index: Any, bits: Any) -> Any:
 
 
 @intrinsic
+def load_halves(typing_context: Any, array: Any, lower: Any, upper: Any) -> Any:
+    """Four numbers from index ``lower`` on and four from ``upper`` on."""
+
+    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
+        halves = [
+            builder.load(_half_address(context, builder, array, arguments[0], index), align=4)
+            for index in arguments[1:]
+        ]
+        return builder.shuffle_vector(*halves, _mask_of(range(LANES)))
+
+    return _VECTOR_OF[array.dtype](array, types.intp, types.intp), generate
+
+
+@intrinsic
 def store_half(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write the lower four numbers from ``index`` on."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         lower = builder.shuffle_vector(arguments[2], arguments[2], _mask_of(range(_HALF)))
-        address = _address(context, builder, array, arguments, vector)
-        builder.store(lower, builder.bitcast(address, lower.type.as_pointer()), align=4)
+        builder.store(lower, _half_address(context, builder, array, arguments[0], arguments[1]), align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate
 
 
+@intrinsic
+def store_halves(typing_context: Any, array: Any, lower: Any, upper: Any, vector: Any) -> Any:
+    """Write the lower four numbers from index ``lower`` on and the upper four from ``upper`` on."""
+
+    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
+        for half, index in enumerate(arguments[1:3]):
+            numbers = builder.shuffle_vector(
+                arguments[3], arguments[3], _mask_of(range(_HALF * half, _HALF * (half + 1)))
+            )
+            _store_whole(builder, numbers, _half_address(context, builder, array, arguments[0], index))
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.intp, vector), generate
+
+
+def _half_address(context: Any, builder: Any, array: Any, argument: Any, index: Any) -> Any:
+    """A pointer to half a vector that begins at an element of an array."""
+    element = builder.gep(context.make_array(array)(context, builder, argument).data, [index])
+    return builder.bitcast(element, ir.VectorType(element.type.pointee, _HALF).as_pointer())
+
+
 def _address(context: Any, builder: Any, array: Any, arguments: Any, vector: _Vector) -> Any:
     """A pointer to a vector that begins at an element of an array."""
-    data = context.make_array(array)(context, builder, arguments[0]).data
-    element = builder.gep(data, [arguments[1]])
+    element = builder.gep(context.make_array(array)(context, builder, arguments[0]).data, [arguments[1]])
     return builder.bitcast(element, context.get_value_type(vector).as_pointer())
 
 
