@@ -23,7 +23,8 @@ BOX_MARGIN = 0.05
 def project_points(numbers, pixels, stride, first, last, scale):
     """The (row, col) that points ``first`` to ``last`` fall on.
 
-    ``numbers`` holds x of all points, ``stride`` further on y and z; ``pixels`` gets rows, ``stride`` further on columns.
+    ``numbers`` holds x of all points, ``stride`` further on y and z; ``pixels`` gets rows and, ``stride`` further
+    on, columns.
     """
     row_scale, row_zero, col_scale, col_zero = scale[0], scale[1], scale[2], scale[3]
     count = last - first  # runs that begin at 0: no index can be negative, so the loop is vectorised

@@ -27,12 +27,12 @@ __all__ = [
     "CUT_EDGES",
     "DIAGONAL",
     "FACES_PER_QUAD",
+    "QUARTER_WEIGHTS",
     "REMOVED",
     "Cut",
     "FaceCorners",
     "Mesh",
     "Patches",
-    "QUARTER_WEIGHTS",
     "Triangles",
     "build_mesh",
     "mask_of_vertices",
@@ -366,8 +366,10 @@ _DIRECTION_WEIGHTS, _INVERSE_DEPTH_WEIGHTS = _weight_tables()
 
 
 def _quarter_weights() -> np.ndarray:
-    """Weights ``(code, corner of quad, 32)`` of the points of quarters, numbered ``4·point + quarter``: those of the
-    direction and, after them, those of the inverse depth minus those of the direction."""
+    """Weights ``(code, corner of quad, 32)`` of the points of quarters, numbered ``4·point + quarter``.
+
+    The first half is for directions, the second what the weights for inverse depths have beyond those.
+    """
     weights = np.zeros((CUT_EDGES + 1, 4, 2, 4, 4), np.float32)
     for code in range(1, CUT_EDGES + 1):
         for corner in range(4):

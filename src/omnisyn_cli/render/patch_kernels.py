@@ -50,9 +50,7 @@ def transform_quarters(vertices, quads, cut_quads, weights, translation, scale, 
                 store_half(points[axis, half // 4 + 1], 4 * k, swapped(moved[axis]))
     for corner in range(4):
         place = corner * length
-        project_points(
-            points.reshape(-1), pixels.reshape(-1), 4 * length, place + 4 * begin, place + 4 * end, scale
-        )
+        project_points(points.reshape(-1), pixels.reshape(-1), 4 * length, place + 4 * begin, place + 4 * end, scale)
 
 
 @kernel()

@@ -23,7 +23,19 @@ import numpy as np
 
 from omnisyn_cli.jit import inlined, inlined_contracting, kernel
 from omnisyn_cli.render.mesh import CUT_EDGES, DIAGONAL, REMOVED
-from omnisyn_cli.render.simd import LANES, double, has_bits, load, load_halves, pair, single, splat, store, store_halves, where
+from omnisyn_cli.render.simd import (
+    LANES,
+    double,
+    has_bits,
+    load,
+    load_halves,
+    pair,
+    single,
+    splat,
+    store,
+    store_halves,
+    where,
+)
 
 __all__ = ["DRAWN", "PLAN_ROWS", "draw_quads", "plan_quads"]
 

@@ -96,7 +96,11 @@ def rasterize_quads(
     stride = vertices.shape[1] * row_length
     points, places = vertices.reshape(-1), pixels.reshape(-1)
     out_rho, out_face = inverse_depth.reshape(-1), face.reshape(-1)
-    plan, box, faces = np.empty((PLAN_ROWS, BLOCK), np.float32), np.empty((4, BLOCK), np.float32), np.empty(BLOCK, np.int32)
+    plan, box, faces = (
+        np.empty((PLAN_ROWS, BLOCK), np.float32),
+        np.empty((4, BLOCK), np.float32),
+        np.empty(BLOCK, np.int32),
+    )
     for row in range(block_rows.shape[0]):
         for block in range(block_rows.shape[1]):
             if block_rows[row, block, 1] < begin or block_rows[row, block, 0] >= end:
@@ -116,9 +120,7 @@ def rasterize_quads(
 
 
 @kernel()
-def rasterize_patches(
-    codes, faces, points, pixels, block_rows, tables, exact_tables, inverse_depth, face, begin, end
-):
+def rasterize_patches(codes, faces, points, pixels, block_rows, tables, exact_tables, inverse_depth, face, begin, end):
     """All patches in target rows ``begin`` to ``end``; ``codes`` and ``faces`` are their flags and numbers."""
     height, width = inverse_depth.shape
     length = points.shape[2]

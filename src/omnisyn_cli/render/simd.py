@@ -2,8 +2,9 @@
 
 A rasteriser's inner loop is short, conditional and writes where it reads; compilers leave such loops scalar. Here one
 value holds eight neighbouring pixels or quads, or two texels of four channels, and LLVM makes of it whatever the
-processor has. Vectors are of float32, float64 or int32; ``+``, ``-``, ``*``, ``/`` take two of one kind. A product and a
-sum become one instruction where there is one. Comparisons give masks for :func:`where`. No access checks bounds.
+processor has. Vectors are of float32, float64 or int32; ``+``, ``-``, ``*``, ``/`` take two of one kind of floats. A
+product and a sum become one instruction where there is one. Comparisons give masks for :func:`where`. No access checks
+bounds. After a change here the compiled kernels of other modules are stale: delete ``__pycache__``.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-from llvmlite import ir
-from llvmlite.ir import instructions
+from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite.ir import instructions  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
