@@ -10,7 +10,7 @@ import numpy as np
 from omnisyn_cli.jit import fast_kernel, inlined
 from omnisyn_cli.render.trigonometry import atan2_fast
 
-__all__ = ["find_boxes", "find_row_ranges", "project_points"]
+__all__ = ["find_boxes", "project_points"]
 
 WIDE = 0.5
 """Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""
@@ -90,18 +90,3 @@ def find_boxes(pixels, stride, at0, at1, at2, at3, count, height, width, box):
         box[0, k], box[1, k] = first, last
         box[2, k] = zero if is_wide else np.ceil(left - margin)
         box[3, k] = width32 - np.float32(1.0) if is_wide else np.floor(right + margin)
-
-
-@fast_kernel()
-def find_row_ranges(pixels, stride, at0, at1, at2, at3, count, height, width):
-    """First and last row that any of ``count`` quads can touch, see :func:`find_boxes`."""
-    height32, width32 = np.float32(height), np.float32(width)
-    lowest, highest = height32, np.float32(-1.0)
-    row0, row1, row2, row3 = pixels[at0:], pixels[at1:], pixels[at2:], pixels[at3:]
-    col0, col1, col2, col3 = row0[stride:], row1[stride:], row2[stride:], row3[stride:]
-    for k in range(count):
-        first, last, _, _, _ = _quad_box(
-            row0[k], row1[k], row2[k], row3[k], col0[k], col1[k], col2[k], col3[k], height32, width32
-        )
-        lowest, highest = min(lowest, first), max(highest, last)
-    return lowest, highest

@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, kernel
-from omnisyn_cli.render.box_kernels import find_boxes, find_row_ranges, project_points
+from omnisyn_cli.render.box_kernels import find_boxes, project_points
 from omnisyn_cli.render.mesh import FACES_PER_QUAD
 from omnisyn_cli.render.quad_kernels import PLAN_ROWS, draw_quads, plan_quads
+from omnisyn_cli.render.simd import LANES, load, store, where
 
 __all__ = [
     "BLOCK",
@@ -53,17 +54,32 @@ def transform_vertices(rho, sin_p, cos_p, sin_a, cos_a, rotation, translation, s
 
 
 @kernel()
+def _find_rows(pixels, stride, at0, at1, at2, at3, count, height, width, box):
+    """First and last row that any of ``count`` quads can touch, see :func:`find_boxes`."""
+    box[0, count:], box[1, count:] = height, -1.0
+    find_boxes(pixels, stride, at0, at1, at2, at3, count, height, width, box)
+    first, last = load(box[0], 0), load(box[1], 0)
+    for k in range(LANES, BLOCK, LANES):
+        top, bottom = load(box[0], k), load(box[1], k)
+        first, last = where(first > top, top, first), where(bottom > last, bottom, last)
+    store(box[0], 0, first)
+    store(box[1], 0, last)
+    return np.int32(box[0, :LANES].min()), np.int32(box[1, :LANES].max())
+
+
+@kernel()
 def find_quad_blocks(pixels, columns, height, width, block_rows, begin, end):
     """First and last target row that each block of the rows of quads ``begin`` to ``end`` can touch."""
     row_length = pixels.shape[2]
     stride, flat = pixels.shape[1] * row_length, pixels.reshape(-1)
+    box = np.empty((4, BLOCK), np.float32)
     for row in range(begin, end):
         for block in range(block_rows.shape[1]):
             count = min(BLOCK, columns - block * BLOCK)
             at = row * row_length + block * BLOCK
             below = at + row_length
-            first, last = find_row_ranges(flat, stride, at, at + 1, below, below + 1, count, height, width)
-            block_rows[row, block, 0], block_rows[row, block, 1] = np.int32(first), np.int32(last)
+            first, last = _find_rows(flat, stride, at, at + 1, below, below + 1, count, height, width, box)
+            block_rows[row, block, 0], block_rows[row, block, 1] = first, last
 
 
 @kernel()
@@ -71,12 +87,13 @@ def find_patch_blocks(pixels, height, width, block_rows, begin, end):
     """First and last target row that blocks ``begin`` to ``end`` of patches can touch."""
     length = pixels.shape[2]
     stride, flat = 4 * length, pixels.reshape(-1)
+    box = np.empty((4, BLOCK), np.float32)
     for block in range(begin, end):
         at, count = block * BLOCK, min(BLOCK, length - block * BLOCK)
-        first, last = find_row_ranges(
-            flat, stride, at, at + length, at + 2 * length, at + 3 * length, count, height, width
+        first, last = _find_rows(
+            flat, stride, at, at + length, at + 2 * length, at + 3 * length, count, height, width, box
         )
-        block_rows[block, 0], block_rows[block, 1] = np.int32(first), np.int32(last)
+        block_rows[block, 0], block_rows[block, 1] = first, last
 
 
 @kernel()
