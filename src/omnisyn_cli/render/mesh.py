@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Bool, Float, Int32, Integer, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_directions
 
@@ -27,10 +27,12 @@ __all__ = [
     "CUT_EDGES",
     "DIAGONAL",
     "FACES_PER_QUAD",
+    "QUARTER_WEIGHTS",
     "REMOVED",
     "Cut",
     "FaceCorners",
     "Mesh",
+    "Patches",
     "Triangles",
     "build_mesh",
     "mask_of_vertices",
@@ -89,6 +91,11 @@ class Mesh:
         """Height and width in vertices."""
         height, width = self.inverse_depth.shape
         return height, width
+
+    @cached_property
+    def patches(self) -> Patches:
+        """What of the mesh is no whole quad."""
+        return _patches(self)
 
     @cached_property
     def cut_quads(self) -> Integer[np.ndarray, " cuts"]:
@@ -156,6 +163,30 @@ class Mesh:
         south, col = cap // self.size[1], cap % self.size[1]
         pole, first, second = np.moveaxis(self.caps[south, col].astype(np.float64), -1, 0)
         return np.where(south[:, None] == 1, np.stack([pole, first, second], -1), np.stack([pole, second, first], -1))
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Quads with points of their own: four quarters of each cut quad, then the triangles of both caps, north first.
+
+    Attributes:
+        face: number of the first triangle of each.
+        code: :data:`DIAGONAL` and :data:`REMOVED` as for quads.
+    """
+
+    face: Int32[np.ndarray, " patches"]
+    code: UInt8[np.ndarray, " patches"]
+
+
+def _patches(mesh: Mesh) -> Patches:
+    corner = np.arange(4)
+    quarters = (FACES_PER_QUAD * mesh.cut_quads[:, None] + 2 * corner).ravel()
+    is_masked = mesh.inverse_depth.ravel()[mesh._quad_vertices(mesh.cut_quads)] < 0
+    rising = _flag(DIAGONAL, (corner == 1) | (corner == 2))
+    caps = FACES_PER_QUAD * mesh.quads.size + np.arange(2 * mesh.size[1])
+    caps[mesh.size[1] :] -= 1  # a southern cap is the second triangle of its patch
+    code = np.concatenate([(rising | _flag(REMOVED, is_masked)).ravel(), _flag(REMOVED, mesh.caps[..., 0] < 0).ravel()])
+    return Patches(np.concatenate([quarters, caps]).astype(np.int32), code)
 
 
 @dataclass(frozen=True)
@@ -332,3 +363,20 @@ def _weight_tables() -> tuple[np.ndarray, np.ndarray]:
 
 
 _DIRECTION_WEIGHTS, _INVERSE_DEPTH_WEIGHTS = _weight_tables()
+
+
+def _quarter_weights() -> np.ndarray:
+    """Weights ``(code, corner of quad, 32)`` of the points of quarters, numbered ``4·point + quarter``.
+
+    The first half is for directions, the second what the weights for inverse depths have beyond those.
+    """
+    weights = np.zeros((CUT_EDGES + 1, 4, 2, 4, 4), np.float32)
+    for code in range(1, CUT_EDGES + 1):
+        for corner in range(4):
+            direction, rho = _quarter(corner, code)
+            weights[code, :, 0, :, corner], weights[code, :, 1, :, corner] = direction.T, (rho - direction).T
+    return weights.reshape(CUT_EDGES + 1, 4, 32)
+
+
+QUARTER_WEIGHTS = _quarter_weights()
+"""How the points of the quarters of a cut quad follow from its corners, see ``transform_quarters``."""

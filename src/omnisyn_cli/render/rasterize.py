@@ -18,18 +18,19 @@ from jaxtyping import Bool, Float32, Int32
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
-from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.mesh import QUARTER_WEIGHTS, Mesh
+from omnisyn_cli.render.patch_kernels import transform_caps, transform_quarters
 from omnisyn_cli.render.raster_kernels import (
     BLOCK,
     NOTHING,
     clear,
-    find_block_rows,
-    find_cut_rows,
-    rasterize_caps,
-    rasterize_cuts,
+    find_patch_blocks,
+    find_quad_blocks,
+    rasterize_patches,
     rasterize_quads,
     transform_vertices,
 )
+from omnisyn_cli.render.simd import LANES
 from omnisyn_cli.threads import run_bands
 
 __all__ = ["NOTHING", "Fragments", "Rasterizer", "rasterize"]
@@ -63,60 +64,95 @@ class Rasterizer:
         self.mesh_size, self.size, self.threads = mesh_size, size, threads
         height, width = mesh_size
         self._source_tables = tuple(table.astype(np.float32) for table in direction_tables(*mesh_size))
-        self._target_tables = direction_tables(*size)
-        self._vertices = np.empty((4, height, width + 1), np.float32)
-        self._pixels = np.empty((2, height, width + 1), np.float32)
-        self._block_rows = np.empty((height - 1, -(-width // BLOCK), 2), np.int32)
+        self._exact_tables = direction_tables(*size)
+        self._tables = _tables_for_vectors(size)
+        self._scale = np.array(pixel_scale(size), np.float32)
+        self._vertices = np.zeros((4, height, width + 1 + LANES), np.float32)
+        self._pixels = np.zeros((2, *self._vertices.shape[1:]), np.float32)
+        self._quad_blocks = np.empty((height - 1, -(-width // BLOCK), 2), np.int32)
         self._fragments = Fragments(np.empty(size, np.float32), np.empty(size, np.int32))
+        self._mesh: Mesh | None = None
 
     def __call__(self, mesh: Mesh, target_from_source: Pose) -> Fragments:
         """Rasterise ``mesh`` as seen from the target; see :func:`rasterize`."""
         if mesh.size != self.mesh_size:
             raise ValueError(f"expected a mesh of {self.mesh_size} vertices, got {mesh.size}")
-        rotation, translation = _pose_arrays(target_from_source)
-        height = self.mesh_size[0]
-        scale = np.array(pixel_scale(self.size), np.float32)
-        cut_quads = mesh.cut_quads
-        cut_rows = np.empty((len(cut_quads), 2), np.int32)
-
-        def transform(begin: int, end: int) -> None:
-            transform_vertices(
-                mesh.inverse_depth, *self._source_tables, rotation, translation, scale, self._vertices, self._pixels,
-                begin, end,
-            )  # fmt: skip
-
-        def block(begin: int, end: int) -> None:
-            find_block_rows(self._pixels, self.size[0], self.size[1], self._block_rows, begin, end)
-
-        def fill(begin: int, end: int) -> None:
-            clear(self._fragments.inverse_depth, self._fragments.face, begin, end)
-            rasterize_quads(
-                mesh.quads, self._vertices, self._pixels, self._block_rows,
-                *self._target_tables, self._fragments.inverse_depth, self._fragments.face, begin, end,
-            )  # fmt: skip
-            rasterize_cuts(
-                mesh.inverse_depth, mesh.quads, cut_quads, cut_rows, self._vertices, translation,
-                *self._target_tables, self._fragments.inverse_depth, self._fragments.face, begin, end,
-            )  # fmt: skip
-            rasterize_caps(
-                mesh.inverse_depth, mesh.caps, self._vertices, rotation, translation,
-                *self._target_tables, self._fragments.inverse_depth, self._fragments.face, begin, end,
-            )  # fmt: skip
-
-        def find_cut(begin: int, end: int) -> None:
-            find_cut_rows(
-                mesh.inverse_depth, mesh.quads, cut_quads, self._vertices, translation, *self.size, cut_rows, begin, end
-            )
-
-        run_bands(transform, height, self.threads)
-        if self.threads == 1:  # one band takes everything: nothing has to be sorted into bands
-            self._block_rows[..., 0], self._block_rows[..., 1] = 0, self.size[0]
-            cut_rows[:, 0], cut_rows[:, 1] = 0, self.size[0]
-        else:
-            run_bands(find_cut, len(cut_quads), self.threads)
-            run_bands(block, height - 1, self.threads)
-        run_bands(fill, self.size[0], self.threads)
+        if mesh is not self._mesh:
+            self._prepare(mesh)
+        self._transform(mesh, target_from_source)
+        self._find_blocks()
+        run_bands(self._fill, self.size[0], self.threads)
         return self._fragments
+
+    def _prepare(self, mesh: Mesh) -> None:
+        """Flags with room for vectors that read beyond the end, and space for the points of patches."""
+        self._mesh = mesh
+        self._patches = mesh.patches
+        self._quad_codes = np.concatenate([mesh.quads.ravel(), np.zeros(LANES, np.uint8)])
+        self._patch_codes = np.concatenate([self._patches.code, np.zeros(LANES, np.uint8)])
+        self._points = np.zeros((4, 4, len(self._patch_codes)), np.float32)
+        self._patch_pixels = np.zeros((2, *self._points.shape[1:]), np.float32)
+        self._patch_blocks = np.empty((-(-len(self._patches.face) // BLOCK), 2), np.int32)
+
+    def _transform(self, mesh: Mesh, pose: Pose) -> None:
+        """All points in the frame of the target."""
+        rotation, translation = _pose_arrays(pose)
+        cut_quads, points = mesh.cut_quads, self._points
+
+        def vertices(begin: int, end: int) -> None:
+            transform_vertices(
+                mesh.inverse_depth, *self._source_tables, rotation, translation, self._scale,
+                self._vertices, self._pixels, begin, end,
+            )  # fmt: skip
+
+        def quarters(begin: int, end: int) -> None:
+            transform_quarters(
+                self._vertices, mesh.quads, cut_quads, QUARTER_WEIGHTS, translation, self._scale,
+                points, self._patch_pixels, begin, end,
+            )  # fmt: skip
+
+        run_bands(vertices, self.mesh_size[0], self.threads)
+        run_bands(quarters, len(cut_quads), self.threads)
+        transform_caps(
+            mesh.inverse_depth, mesh.caps, self._vertices, rotation, translation, self._scale,
+            4 * len(cut_quads), points, self._patch_pixels,
+        )  # fmt: skip
+
+    def _find_blocks(self) -> None:
+        """Which target rows each block of quads and of patches can touch."""
+        if self.threads == 1:  # one band takes everything: nothing has to be sorted into bands
+            for blocks in (self._quad_blocks, self._patch_blocks):
+                blocks[..., 0], blocks[..., 1] = 0, self.size[0]
+            return
+
+        def quads(begin: int, end: int) -> None:
+            find_quad_blocks(self._pixels, self.mesh_size[1], *self.size, self._quad_blocks, begin, end)
+
+        def patches(begin: int, end: int) -> None:
+            find_patch_blocks(self._patch_pixels, *self.size, self._patch_blocks, begin, end)
+
+        run_bands(quads, len(self._quad_blocks), self.threads)
+        run_bands(patches, len(self._patch_blocks), self.threads)
+
+    def _fill(self, begin: int, end: int) -> None:
+        """Some rows of the target."""
+        seen = (self._fragments.inverse_depth, self._fragments.face)
+        tables = (self._tables, self._exact_tables)
+        clear(*seen, begin, end)
+        rasterize_quads(
+            self._quad_codes, self.mesh_size[1], self._vertices, self._pixels, self._quad_blocks,
+            *tables, *seen, begin, end,
+        )  # fmt: skip
+        rasterize_patches(
+            self._patch_codes, self._patches.face, self._points, self._patch_pixels, self._patch_blocks,
+            *tables, *seen, begin, end,
+        )  # fmt: skip
+
+
+def _tables_for_vectors(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Float32 sines and cosines of rows, and sine and negative cosine of columns."""
+    sin_polar, cos_polar, sin_azimuth, cos_azimuth = (table.astype(np.float32) for table in direction_tables(*size))
+    return sin_polar, cos_polar, sin_azimuth, -cos_azimuth
 
 
 def rasterize(mesh: Mesh, target_from_source: Pose, size: tuple[int, int], threads: int | None = None) -> Fragments:

@@ -1,3 +1,4 @@
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 """The loops of :mod:`omnisyn_cli.render.shade`, in numba."""
 
 from __future__ import annotations
@@ -8,7 +9,8 @@ import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
 from omnisyn_cli.render.mesh import FACES_PER_QUAD
-from omnisyn_cli.render.trigonometry import atan2_fast
+from omnisyn_cli.render.simd import load, pair, splat, store_half, swapped
+from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
 __all__ = ["shade_rows"]
 
@@ -18,118 +20,154 @@ FACE_BITS = FACES_PER_QUAD.bit_length() - 1
 MAGNIFIED = 1.05
 """Texels per target pixel up to which the full resolution is read as it is."""
 
+RUN = 256
+"""Pixels of a row whose places are found together: they stay in the nearest cache."""
+
+SPECIAL = np.float32(math.log2(MAGNIFIED))
+"""Mip level above which a pixel is not simply read at full resolution: it is minified, or a hole."""
+
+HOLE = np.float32(1e9)
+"""Mip level of pixels that see nothing."""
+
+LEVEL, Y, X, DOWN, ACROSS = 0, 1, 2, 3, 4
+"""Numbers per pixel of a row: mip level, texel row and column at full resolution and, of these, the fractions."""
+
+CUBIC = 5
+"""From here on the Catmull-Rom weights of four texel rows, then of four columns."""
+
 
 @fast_kernel()
 def shade_rows(
     rho, face, trust, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, bicubic, image, begin, end
 ):  # fmt: skip
-    """Texture lookup for target rows ``begin`` to ``end``; angles of a whole row first, so that they are vectorised."""
+    """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector."""
     width = rho.shape[1]
-    ys, xs, footprint = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    y_scale, y_zero, x_scale, x_zero = _angle_to_texel(layout, 0)
-    stride = np.int64(layout[0, 1])
+    places, index = np.empty((CUBIC + 8, RUN), np.float32), np.empty(RUN, np.int32)
+    flat = image.reshape(-1)
+    starts, strides, factors = layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64), _levels_from_full(layout)
+    stride = strides[0]
     for row in range(begin, end):
-        sp, cp = sin_p[row], cos_p[row]
-        for col in range(width):
-            w = max(rho[row, col], np.float32(0.0))
-            x, y, z = sp * sin_a[col] - w * t[0], cp - w * t[1], -sp * cos_a[col] - w * t[2]
-            dx = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
-            dy = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
-            dz = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
-            flat = dx * dx + dz * dz
-            ys[col] = atan2_fast(math.sqrt(flat), dy) * y_scale + y_zero
-            xs[col] = atan2_fast(dx, -dz) * x_scale + x_zero
-            footprint[col] = ratio * ratio / (flat + dy * dy + np.float32(1e-20))
-        for col in range(width):
-            if rho[row, col] < 0.0:
-                for k in range(4):
-                    image[row, col, k] = 0.0
-                continue
-            if footprint[col] > MAGNIFIED * MAGNIFIED:
-                _read_between_levels(texels, layout, ys[col], xs[col], footprint[col], image, row, col)
-            elif bicubic:
-                _read_bicubic(texels, stride, ys[col], xs[col], image, row, col)
-            else:
-                _read_bilinear(texels, 0, stride, ys[col], xs[col], np.float32(1.0), image, row, col)
-            quad = face[row, col] >> FACE_BITS
-            if quad < trust.size:  # the caps beyond have all of it
-                image[row, col, 3] *= trust[quad]
+        for left in range(0, width, RUN):
+            right = min(left + RUN, width)
+            _find_places(
+                rho[row, left:right], sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], rotation, t, ratio,
+                layout, places, index,
+            )  # fmt: skip
+            if bicubic:
+                _find_cubic_weights(places[DOWN], places[CUBIC:])
+                _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
+            for col in range(right - left):
+                at, level = 4 * (row * width + left + col), places[LEVEL, col]
+                if level > SPECIAL:
+                    if level == HOLE:
+                        for k in range(4):
+                            flat[at + k] = 0.0
+                        continue
+                    colour = _between_levels(texels, starts, strides, factors, places[Y, col], places[X, col], level)
+                elif bicubic:
+                    colour = _bicubic(texels, stride, 4 * np.int64(index[col]), places, col)
+                else:
+                    first = 4 * np.int64(index[col])
+                    colour = _bilinear(texels, first, first + stride, places[DOWN, col], places[ACROSS, col])
+                store_half(flat, at, colour)
+                quad = face[row, left + col] >> FACE_BITS
+                if quad < trust.size and trust[quad] != 1.0:  # the caps beyond have all of it
+                    flat[at + 3] *= trust[quad]
 
 
-@inlined(fastmath=True)
-def _angle_to_texel(layout, level):
-    """Scale and offset from polar angle to row and from azimuth to column of a level."""
-    return (
-        np.float32(layout[level, 2]), np.float32(layout[level, 3]),
-        np.float32(layout[level, 4]), np.float32(layout[level, 5]),
+@fast_kernel()
+def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, index):
+    """Where the source sees what the pixels of a row show, at ``Rᵀ(r − ρ·t)``; ``index`` is of texels, not numbers."""
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    t0, t1, t2 = t[0], t[1], t[2]
+    y_scale, y_zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
+    x_scale, x_zero = np.float32(layout[0, 4]), np.float32(layout[0, 5])
+    highest, stride = np.float32(layout.shape[0] - 1), np.int32(layout[0, 1] / 4)
+    squared = ratio * ratio
+    for col in range(len(rho)):
+        w = max(rho[col], np.float32(0.0))
+        x, y, z = sp * sin_a[col] - w * t0, cp - w * t1, -sp * cos_a[col] - w * t2
+        dx, dy, dz = r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
+        flat = dx * dx + dz * dz
+        texel_row = atan2_fast(math.sqrt(flat), dy) * y_scale + y_zero
+        texel_col = atan2_fast(dx, -dz) * x_scale + x_zero
+        footprint = squared / (flat + dy * dy + np.float32(1e-20))
+        level = min(np.float32(0.5) * log2_fast(footprint), highest)
+        places[LEVEL, col] = level if rho[col] >= 0.0 else HOLE
+        i, j = np.int32(texel_row), np.int32(texel_col)
+        index[col] = np.int32(i * stride) + j
+        places[Y, col], places[X, col] = texel_row, texel_col
+        places[DOWN, col], places[ACROSS, col] = texel_row - np.float32(i), texel_col - np.float32(j)
+
+
+@fast_kernel()
+def _find_cubic_weights(fraction, weights):
+    """Catmull-Rom weights at offsets −1, 0, 1, 2 of fractions in [0, 1)."""
+    half, two, three, four, five = (
+        np.float32(0.5), np.float32(2.0), np.float32(3.0), np.float32(4.0), np.float32(5.0)
     )  # fmt: skip
+    for col in range(len(fraction)):
+        x = fraction[col]
+        x2 = x * x
+        x3 = x2 * x
+        weights[0, col] = half * (two * x2 - x3 - x)
+        weights[1, col] = half * (three * x3 - five * x2 + two)
+        weights[2, col] = half * (four * x2 - three * x3 + x)
+        weights[3, col] = half * (x3 - x2)
 
 
 @inlined(fastmath=True)
-def _read_between_levels(texels, layout, y, x, footprint, image, row, col):
+def _levels_from_full(layout):
+    """Per level, scale and offset from texel rows and columns at full resolution to those of the level."""
+    factors = np.empty((layout.shape[0], 4), np.float32)
+    for level in range(layout.shape[0]):
+        for axis in range(0, 4, 2):
+            scale = layout[level, 2 + axis] / layout[0, 2 + axis]
+            factors[level, axis] = scale
+            factors[level, axis + 1] = layout[level, 3 + axis] - layout[0, 3 + axis] * scale
+    return factors
+
+
+@inlined(fastmath=True)
+def _between_levels(texels, starts, strides, factors, y, x, level):
     """Two mip levels, mixed by the logarithm of the texels that fall on one pixel."""
-    level = min(np.float32(0.5) * math.log2(footprint), np.float32(layout.shape[0] - 1))
-    finer = int(level)
-    share = level - finer
-    _read_level(texels, layout, finer, y, x, np.float32(1.0) - share, image, row, col)
-    if share > 0.0:
-        r, g, b, a = image[row, col, 0], image[row, col, 1], image[row, col, 2], image[row, col, 3]
-        _read_level(texels, layout, finer + 1, y, x, share, image, row, col)
-        image[row, col, 0] += r
-        image[row, col, 1] += g
-        image[row, col, 2] += b
-        image[row, col, 3] += a
+    finer = np.int64(level)
+    coarser = min(finer + 1, len(starts) - 1)
+    colour = _level(texels, starts[finer], strides[finer], factors[finer], y, x)
+    below = _level(texels, starts[coarser], strides[coarser], factors[coarser], y, x)
+    return colour + (below - colour) * splat(level - np.float32(finer))
 
 
 @inlined(fastmath=True)
-def _read_level(texels, layout, level, y, x, weight, image, row, col):
-    """A bilinear read at the place in ``level`` that has the texel coordinates (y, x) at full resolution."""
-    y_scale, y_zero, x_scale, x_zero = _angle_to_texel(layout, 0)
-    y_level, y_level_zero, x_level, x_level_zero = _angle_to_texel(layout, level)
-    y, x = (y - y_zero) / y_scale * y_level + y_level_zero, (x - x_zero) / x_scale * x_level + x_level_zero
-    _read_bilinear(texels, np.int64(layout[level, 0]), np.int64(layout[level, 1]), y, x, weight, image, row, col)
-
-
-@inlined(fastmath=True)
-def _read_bilinear(texels, offset, stride, y, x, weight, image, row, col):
+def _level(texels, start, stride, factors, y, x):
+    """A bilinear read at the place in a level that has the texel coordinates (y, x) at full resolution."""
+    y, x = y * factors[0] + factors[1], x * factors[2] + factors[3]
     i, j = np.int64(y), np.int64(x)
-    a, b = y - np.float32(i), x - np.float32(j)
-    above = np.uint64(offset + i * stride + 4 * j)
-    below = above + np.uint64(stride)
-    w0, w1 = weight * (np.float32(1.0) - a), weight * a
-    w00, w01, w10, w11 = w0 * (np.float32(1.0) - b), w0 * b, w1 * (np.float32(1.0) - b), w1 * b
-    for k in range(4):
-        n, m = np.uint64(k), np.uint64(k + 4)
-        upper = w00 * texels[above + n] + w01 * texels[above + m]
-        image[row, col, k] = upper + w10 * texels[below + n] + w11 * texels[below + m]
+    at = start + i * stride + 4 * j
+    return _bilinear(texels, at, at + stride, y - np.float32(i), x - np.float32(j))
 
 
 @inlined(fastmath=True)
-def _cubic_weights(x):
-    """Catmull-Rom weights at offsets −1, 0, 1, 2 of a fraction in [0, 1)."""
-    half = np.float32(0.5)
-    x2 = x * x
-    x3 = x2 * x
-    return (
-        half * (np.float32(2.0) * x2 - x3 - x),
-        half * (np.float32(3.0) * x3 - np.float32(5.0) * x2 + np.float32(2.0)),
-        half * (np.float32(4.0) * x2 - np.float32(3.0) * x3 + x),
-        half * (x3 - x2),
-    )
+def _bilinear(texels, first, second, down, across):
+    """Two texels side by side are one vector, those below them another."""
+    above, below = load(texels, first), load(texels, second)
+    left = above + (below - above) * splat(down)
+    return left + (swapped(left) - left) * splat(across)
 
 
 @inlined(fastmath=True)
-def _read_bicubic(texels, stride, y, x, image, row, col):
-    i, j = np.int64(y), np.int64(x)
-    u0, u1, u2, u3 = _cubic_weights(y - np.float32(i))
-    v0, v1, v2, v3 = _cubic_weights(x - np.float32(j))
-    row0 = np.uint64((i - 1) * stride + 4 * (j - 1))
-    row1 = row0 + np.uint64(stride)
-    row2, row3 = row1 + np.uint64(stride), row1 + np.uint64(2 * stride)
-    for k in range(4):
-        a, b, c, d = np.uint64(k), np.uint64(k + 4), np.uint64(k + 8), np.uint64(k + 12)
-        s0 = v0 * texels[row0 + a] + v1 * texels[row0 + b] + v2 * texels[row0 + c] + v3 * texels[row0 + d]
-        s1 = v0 * texels[row1 + a] + v1 * texels[row1 + b] + v2 * texels[row1 + c] + v3 * texels[row1 + d]
-        s2 = v0 * texels[row2 + a] + v1 * texels[row2 + b] + v2 * texels[row2 + c] + v3 * texels[row2 + d]
-        s3 = v0 * texels[row3 + a] + v1 * texels[row3 + b] + v2 * texels[row3 + c] + v3 * texels[row3 + d]
-        image[row, col, k] = u0 * s0 + u1 * s1 + u2 * s2 + u3 * s3
+def _bicubic(texels, stride, at, places, col):
+    """Four texels of each of four rows are two vectors; ``at`` is the second of the second."""
+    first, second = at - stride - 4, at - 4
+    third, fourth = at + stride - 4, at + 2 * stride - 4
+    u0, u1 = splat(places[CUBIC, col]), splat(places[CUBIC + 1, col])
+    u2, u3 = splat(places[CUBIC + 2, col]), splat(places[CUBIC + 3, col])
+    left = load(texels, first) * u0 + load(texels, second) * u1
+    left = left + load(texels, third) * u2 + load(texels, fourth) * u3
+    right = load(texels, first + 8) * u0 + load(texels, second + 8) * u1
+    right = right + load(texels, third + 8) * u2 + load(texels, fourth + 8) * u3
+    mixed = left * pair(places[CUBIC + 4, col], places[CUBIC + 5, col])
+    mixed = mixed + right * pair(places[CUBIC + 6, col], places[CUBIC + 7, col])
+    return mixed + swapped(mixed)

@@ -1,4 +1,4 @@
-"""Fast arctangents for kernels."""
+"""Fast arctangents and logarithms for kernels."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import numpy as np
 
 from omnisyn_cli.jit import inlined
 
-__all__ = ["ATAN2_ERROR", "atan2_fast"]
+__all__ = ["ATAN2_ERROR", "LOG2_ERROR", "atan2_fast", "log2_fast"]
 
 ATAN2_ERROR = 4e-7
 """Largest error of :func:`atan2_fast` in radians, float32 rounding included."""
+
+LOG2_ERROR = 3e-6
+"""Largest error of :func:`log2_fast` for numbers near 1; elsewhere float32 rounding comes on top."""
 
 
 @inlined(fastmath=True)
@@ -36,3 +39,21 @@ def atan2_fast(y, x):
     a = np.float32(0.5 * math.pi) - a if ay > ax else a
     a = np.float32(math.pi) - a if x < np.float32(0.0) else a
     return -a if y < np.float32(0.0) else a
+
+
+@inlined(fastmath=True)
+def log2_fast(x):
+    """``log2(x)`` of a normal positive float32, without branches.
+
+    The exponent is read from the bits; for m in [0, 1) log2(1 + m) is ``m + m·(1 − m)·p(m)``, where p is fitted by
+    least squares.
+    """
+    bits = np.float32(x).view(np.int32)
+    exponent = np.float32((bits >> 23) - 127)
+    m = np.int32((bits & 0x007FFFFF) | 0x3F800000).view(np.float32) - np.float32(1.0)
+    p = np.float32(0.025285507)
+    p = p * m + np.float32(-0.094814755)
+    p = p * m + np.float32(0.181154206)
+    p = p * m + np.float32(-0.275386214)
+    p = p * m + np.float32(0.442527264)
+    return exponent + m + m * (np.float32(1.0) - m) * p
