@@ -1,6 +1,7 @@
 """From files to frames: the photographs at the ends, every kind of input, and all of it or nothing."""
 
 import json
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,12 @@ import numpy as np
 import OpenImageIO
 import pytest
 
+from omnisyn_cli import planning
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError, PoseError
 from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
 from omnisyn_cli.io import PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
 from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.render import renderer
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
@@ -379,6 +382,22 @@ def test_a_model_without_a_network_and_unknown_choices_are_refused(tmp_path: Pat
     ):
         with pytest.raises(InputError, match="expected one of"):
             plan_interpolation(job_of(tmp_path, images, **wrong))
+
+
+def test_the_names_of_the_renderers_are_those_that_there_are() -> None:
+    assert set(planning.RENDERERS) == set(renderer.RENDERERS)
+
+
+def test_a_plan_is_made_without_kernels(tmp_path: Path) -> None:
+    images = [str(path) for path in write_hall(tmp_path, CHAIN[:2])]
+    arguments = ["interpolate", *images, "--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "a.mp4")]
+    code = (
+        "import sys; from omnisyn_cli.cli import cli; "
+        f"cli.main({[*arguments, '--dry-run', '-q']!r}, standalone_mode=False); "
+        "print([name for name in ('numba', 'torch', 'onnxruntime', 'cv2') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> None:

@@ -35,7 +35,6 @@ from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import DEVICES
 from omnisyn_cli.trajectory import EASES, HEADINGS, STILL, Ease, Heading, Waypoint, path_length, plan_path
@@ -44,6 +43,7 @@ __all__ = [
     "DEPTH_METHODS",
     "FALLBACKS",
     "POSES_FROM_PICTURES",
+    "RENDERERS",
     "SECONDS_PER_PAIR",
     "InterpolationJob",
     "InterpolationPlan",
@@ -53,6 +53,9 @@ __all__ = [
 ]
 
 DEPTH_METHODS = ("auto", *DEPTH_SOURCES)
+
+RENDERERS = ("mesh", "points", "two-pass")
+"""Those of :mod:`omnisyn_cli.render.renderer`, by name: importing it takes longer than planning."""
 
 POSES_FROM_PICTURES = Path("auto")
 """Stands for a pose file where there is none."""
@@ -336,8 +339,8 @@ def _model(job: InterpolationJob, depth: str) -> str | None:
     if depth not in MODELLED:
         if job.model is not None:
             raise InputError(
-                f"expected a model only for depth {' or '.join(MODELLED)}, got depth {depth!r} and model {job.model!r}; leave "
-                "one of them out"
+                f"expected a model only for depth {' or '.join(MODELLED)}, got depth {depth!r} and model "
+                f"{job.model!r}; leave one of them out"
             )
         return None
     if model is None:

@@ -32,7 +32,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         preset.name: preset
         for preset in (
-            Preset("fast", "matching at half the size, refined by a network", "refined", 256, "refine-balanced"),
+            Preset("fast", "matching at ¾ of the size, refined by a network", "refined", 384, "refine-balanced"),
             Preset("balanced", "matching, refined by a network", "refined", 512, "refine-balanced"),
             Preset("accurate", "matching at twice the size, refined by a network", "refined", 1024, "refine-balanced"),
         )

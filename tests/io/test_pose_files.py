@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from omnisyn_cli.errors import OmnisynError, OutputPathError, PoseError
@@ -186,7 +186,7 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
         st.none() | st.booleans() | st.floats() | st.text(), lambda x: st.lists(x) | st.dictionaries(st.text(), x)
     )
 )
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_entry_is_a_pose_or_a_pose_error(tmp_path_factory: pytest.TempPathFactory, entry: Any) -> None:
     path = wrote(tmp_path_factory.mktemp("any"), one(entry))
     with pytest.raises(PoseError):

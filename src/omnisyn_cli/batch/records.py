@@ -93,7 +93,8 @@ class Records:
                 self._places[json.loads(line)["id"]] = whole
             except (ValueError, KeyError, TypeError, RecursionError) as error:
                 raise OutputPathError(
-                    f"{self._path}: expected records of a batch, got '{error!s:.200}' at byte {whole}; move the file away"
+                    f"{self._path}: expected records of a batch, got '{error!s:.200}' at byte {whole}; "
+                    "move the file away"
                 ) from error
             whole += len(line)
         if self._path.stat().st_size > whole:

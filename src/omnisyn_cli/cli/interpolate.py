@@ -14,7 +14,8 @@ import click
 from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation import InterpolationPlan, Summary
+    from omnisyn_cli.interpolation import Summary
+    from omnisyn_cli.planning import InterpolationPlan
 
     SizeType = click.ParamType[tuple[int, int]]
 else:
@@ -148,7 +149,7 @@ def interpolate(
 
     The first and the last frame are the panoramas themselves. Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
+    from omnisyn_cli.planning import InterpolationJob, plan_interpolation
     from omnisyn_cli.render.mesh import Cut
 
     if budget is not None:
@@ -165,6 +166,8 @@ def interpolate(
     if dry_run:
         _print_plan(plan, as_json)
         return
+    from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
+
     with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:

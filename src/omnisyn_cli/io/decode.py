@@ -7,7 +7,7 @@ its end marker, and a JPEG whose missing part has been painted grey.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,16 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import ImageError
 
-__all__ = ["MAX_PIXELS", "ImageHeader", "decode_image", "read_header"]
+__all__ = ["MAX_PIXELS", "ImageHeader", "check_pixel_count", "decode_image", "read_header"]
 
 MAX_PIXELS = 2 * 16384 * 8192
 """Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
+
+MOST_SAMPLES_PER_PIXEL = 4
+"""Times ``max_pixels``: how many samples an image of many layers may have altogether."""
+
+LONGEST_COMPLAINT = 500
+"""Characters of what a decoder says that are passed on."""
 
 HARMLESS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
@@ -97,8 +103,9 @@ def decode_image(
         header = _header(source, reader)
         check_pixel_count(source, header.full_height, header.full_width, max_pixels)
         check_pixel_count(source, header.height, header.width, max_pixels)
+        _check_sample_count(header, max_pixels)
         pixels = reader.read_image(0, 0, 0, len(header.channels), reader.spec().format)
-        complaint = _complaint(reader.geterror())
+        complaint = _complaint(_text_of(reader.geterror))
     finally:
         reader.close()
     if pixels is None or complaint:
@@ -122,7 +129,17 @@ def check_pixel_count(path: Path, height: int, width: int, max_pixels: int) -> N
     if height * width > max_pixels:
         raise ImageError(
             f"{path}: expected at most {max_pixels:,} pixels, got {width}×{height} = {height * width:,}; "
-            "scale the image down first"
+            "scale the image down, or allow more (--max-pixels)"
+        )
+
+
+def _check_sample_count(header: ImageHeader, max_pixels: int) -> None:
+    """Refuse small pictures with thousands of layers."""
+    samples, most = header.height * header.width * len(header.channels), MOST_SAMPLES_PER_PIXEL * max_pixels
+    if samples > most:
+        raise ImageError(
+            f"{header.path}: expected at most {most:,} samples, got {len(header.channels)} channels of "
+            f"{header.width}×{header.height}; export the layer that is needed alone"
         )
 
 
@@ -131,7 +148,7 @@ def _open(path: Path) -> Any:
     config = OpenImageIO.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
     reader = OpenImageIO.ImageInput.open(str(path), config)
-    complaint = _complaint(OpenImageIO.geterror())
+    complaint = _complaint(_text_of(OpenImageIO.geterror))
     if reader is None:
         raise ImageError(
             f"{path}: expected an image (JPEG, PNG, TIFF, EXR, WebP), got '{complaint or 'unknown format'}'; "
@@ -156,6 +173,10 @@ def check_is_file(path: Path) -> None:
 
 def _header(path: Path, reader: Any) -> ImageHeader:
     spec = reader.spec()
+    try:
+        channels = tuple(spec.channelnames)
+    except UnicodeDecodeError as error:
+        raise damaged(path, "names of channels that are no text") from error
     # Only OpenEXR means its data window: TIFF and PNG positions are printing hints.
     has_window = reader.format_name() == "openexr"
     return ImageHeader(
@@ -167,19 +188,39 @@ def _header(path: Path, reader: Any) -> ImageHeader:
         left=spec.x - spec.full_x if has_window else 0,
         full_height=spec.full_height if has_window else spec.height,
         full_width=spec.full_width if has_window else spec.width,
-        channels=tuple(spec.channelnames),
+        channels=channels,
         dtype=str(spec.format),
         alpha_channel=spec.alpha_channel,
         is_alpha_associated=spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0,
         orientation=spec.get_int_attribute("Orientation", 1),
-        attributes={attribute.name: attribute.value for attribute in spec.extra_attribs},
+        attributes=_attributes(spec),
     )
+
+
+def _attributes(spec: Any) -> dict[str, Any]:
+    """Metadata by name, without what is no text: old programs wrote comments in encodings of their own."""
+    found = {}
+    for attribute in spec.extra_attribs:
+        try:
+            found[attribute.name] = attribute.value
+        except UnicodeDecodeError:
+            continue
+    return found
+
+
+def _text_of(message: Callable[[], str]) -> str:
+    """What a decoder says, whatever bytes of the file it quotes."""
+    try:
+        return message()
+    except UnicodeDecodeError as error:
+        return error.object.decode("utf-8", "backslashreplace")
 
 
 def _complaint(message: str) -> str:
     """The decoder's words on one line, without those that mean no harm."""
     lines = [line.strip() for line in message.splitlines()]
-    return "; ".join(line for line in lines if line and not any(harmless in line for harmless in HARMLESS))
+    harmful = (line for line in lines if line and not any(harmless in line for harmless in HARMLESS))
+    return "; ".join(harmful)[:LONGEST_COMPLAINT]
 
 
 def _check_png_is_complete(path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import ImageError, InputError
-from omnisyn_cli.io.decode import ImageHeader, check_is_file, read_header
+from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_is_file, read_header
 from omnisyn_cli.io.depth import is_depth_header, read_depth
 from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.io.images import read_panorama
@@ -34,8 +34,12 @@ VIDEO_STREAM = re.compile(
 DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
 
 
-def describe_file(path: Path | str) -> dict[str, Any]:
+def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> dict[str, Any]:
     """Describe a file by its kind, which is told by its ending (and, for images, by its channels).
+
+    Args:
+        path: of the file.
+        max_pixels: larger images are not decoded.
 
     Returns:
         ``kind`` (``panorama``, ``depth``, ``poses`` or ``video``) and what belongs to it.
@@ -51,10 +55,10 @@ def describe_file(path: Path | str) -> dict[str, Any]:
     if suffix in VIDEO_SUFFIXES:
         return _describe_video(source)
     header = read_header(source)
-    return _describe_depth(source) if is_depth_header(header) else _describe_panorama(header)
+    return _describe_depth(source, max_pixels) if is_depth_header(header) else _describe_panorama(header, max_pixels)
 
 
-def _describe_panorama(header: ImageHeader) -> dict[str, Any]:
+def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
     description: dict[str, Any] = {
         "kind": "panorama",
         "format": header.format,
@@ -68,7 +72,7 @@ def _describe_panorama(header: ImageHeader) -> dict[str, Any]:
         "gps": geographic_place(header),
     }
     try:
-        panorama = read_panorama(header.path)
+        panorama = read_panorama(header.path, max_pixels=max_pixels)
     except ImageError as error:
         return {**description, "usable": False, "problem": str(error)}
     seen = 1.0 if panorama.mask is None else float(panorama.mask.mean())
@@ -109,8 +113,8 @@ def _degrees(header: ImageHeader, name: str, negative: str) -> float | None:
     return -degrees if str(header.attributes.get(f"{name}Ref", "")).upper().startswith(negative) else degrees
 
 
-def _describe_depth(path: Path) -> dict[str, Any]:
-    depth = read_depth(path)
+def _describe_depth(path: Path, max_pixels: int) -> dict[str, Any]:
+    depth = read_depth(path, max_pixels=max_pixels)
     finite = depth[np.isfinite(depth)]
     height, width = depth.shape
     return {

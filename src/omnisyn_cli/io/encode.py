@@ -74,6 +74,7 @@ def write_channels(temporary: Path, samples: np.ndarray, channels: tuple[str, ..
     spec = OpenImageIO.ImageSpec(width, height, len(channels), OIIO_TYPES[str(samples.dtype)])
     spec.channelnames = channels
     spec["png:compressionLevel"] = PNG_LEVEL
+    spec["DateTime"] = ""  # OpenEXR would write the present time: equal pictures are equal files
     writer = OpenImageIO.ImageOutput.create(str(temporary))
     if writer is None:
         raise _write_error(target, OpenImageIO.geterror())

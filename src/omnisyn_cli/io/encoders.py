@@ -78,6 +78,9 @@ CODECS: Mapping[str, VideoCodec] = {
 
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 
+WITHOUT_REMARKS = "filter_units=remove_types=6"
+"""x264 writes its settings into the video, the number of threads among them: equal pictures shall be equal files."""
+
 SLOWEST_AOM_SPEED = 8
 """libaom's speeds end here; SVT-AV1's go on to 13."""
 
@@ -237,5 +240,5 @@ def _quality_options(encoder: str, settings: EncoderSettings, codec: VideoCodec)
         return {"cpu-used": min(int(preset), SLOWEST_AOM_SPEED), "crf": round(crf or 0), "row-mt": 1}
     if encoder == "libx265":
         pools = f":pools={threads}" if threads else ""
-        return {"preset": preset, "crf": crf, "x265-params": f"log-level=error{pools}"}
-    return {"preset": preset, "crf": crf}
+        return {"preset": preset, "crf": crf, "x265-params": f"log-level=error:info=0{pools}"}
+    return {"preset": preset, "crf": crf, "bsf:v": WITHOUT_REMARKS}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from omnisyn_cli.errors import OutputPathError, WriteError
 
-__all__ = ["check_output", "replaced_when_complete", "temporary_name"]
+__all__ = ["check_folder", "check_name", "check_output", "replaced_when_complete", "temporary_name", "write_errors"]
 
 
 def check_output(path: Path | str, overwrite: bool = False) -> None:
@@ -20,13 +20,28 @@ def check_output(path: Path | str, overwrite: bool = False) -> None:
         OutputPathError: it exists and ``overwrite`` is off, it is a folder, or its folder is missing or read-only.
     """
     target = Path(path)
+    check_name(target)
     check_folder(target.parent)
-    if target.is_dir():
+    is_folder, exists = target.is_dir(), target.exists() or target.is_symlink()
+    if is_folder:
         raise OutputPathError(f"{target}: expected a file name, got a folder; add a file name to it")
-    if not overwrite and (target.exists() or target.is_symlink()):
+    if exists and not overwrite:
         raise OutputPathError(
             f"{target}: expected a new file, got one that exists; choose another or allow overwriting (--overwrite)"
         )
+
+
+def check_name(path: Path) -> None:
+    """Refuse names that the system cannot give to anything: too long, or with characters that it does not know.
+
+    Raises:
+        OutputPathError: it is one of those.
+    """
+    try:
+        path.is_symlink()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputPathError(f"{path!s:.200}: expected a name for a file, got '{reason}'; choose another") from error
 
 
 def check_folder(folder: Path) -> None:

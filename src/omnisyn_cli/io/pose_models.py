@@ -124,7 +124,7 @@ def _place(parts: tuple[str | int, ...]) -> str:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
-            name = part if part.isidentifier() else f"'{part}'"
+            name = part if part.isidentifier() and len(part) <= LONGEST_SHOWN else f"'{part:.{LONGEST_SHOWN}}'"
             text += f".{name}" if text else name
     return text or "top level"
 
@@ -135,7 +135,7 @@ def _sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
         case "extra_forbidden":
             near = difflib.get_close_matches(str(key), model.model_fields, n=1)
             hint = f"did you mean '{near[0]}'?" if near else "remove it"
-            return f"expected one of the keys {', '.join(model.model_fields)}, got '{key}'; {hint}"
+            return f"expected one of the keys {', '.join(model.model_fields)}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
         case "missing":
             return f"expected the key '{key}', got none; add it"
         case "value_error":

@@ -16,7 +16,7 @@ from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
 from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
 
-__all__ = ["ImageSequence", "image_sequence", "is_sequence", "open_sequence"]
+__all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_sequence", "open_sequence"]
 
 DEFAULT_NUMBER = "%06d"
 

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import ImageError
+from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import epipole_frame, free_space_agreement
+from omnisyn_cli.runtime.session import run_depth_network
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["LearnedDepthEstimator"]
@@ -29,12 +30,19 @@ class LearnedDepthEstimator:
 
     Args:
         session: of a depth model, from :func:`omnisyn_cli.runtime.session.open_session`.
+
+    Raises:
+        InputError: the model is of another kind.
     """
 
     def __init__(self, session: Any) -> None:
         self.session = session
-        shape = session.get_inputs()[0].shape
-        self.size: tuple[int, int] = (shape[-2], shape[-1])
+        shapes = [tuple(entry.shape) for entry in session.get_inputs()]
+        if len(shapes) != 2 or shapes[0] != shapes[1] or not all(isinstance(side, int) for side in shapes[0][-2:]):
+            raise InputError(
+                f"expected a depth model of two images of one fixed size, got inputs {shapes}; name another"
+            )
+        self.size: tuple[int, int] = (shapes[0][-2], shapes[0][-1])
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -65,8 +73,7 @@ class LearnedDepthEstimator:
         """Inverse depth × baseline and confidence of ``first``, both in the epipole frame."""
         names = [entry.name for entry in self.session.get_inputs()]
         images = [np.ascontiguousarray(image.transpose(2, 0, 1)[None]) for image in (first, second)]
-        inverse_depth, confidence = self.session.run(None, dict(zip(names, images, strict=True)))
-        return inverse_depth[0, 0], confidence[0, 0]
+        return run_depth_network(self.session, dict(zip(names, images, strict=True)), self.size)
 
     def _estimate(self, view: View, frame: Pose, inverse_depth: np.ndarray, trust: np.ndarray) -> DepthEstimate:
         """Both maps as the camera was held."""

@@ -27,7 +27,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from omnisyn_cli.errors import InputError
 
@@ -35,6 +35,9 @@ __all__ = ["MANIFEST", "MANIFEST_VERSION", "ModelEntry", "find_model", "models_f
 
 MANIFEST = "manifest.toml"
 MANIFEST_VERSION = 1
+
+LONGEST_REASON = 500
+"""Characters of what a parser complains about."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,8 @@ def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
     try:
         manifest = tomllib.loads(path.read_text(encoding="utf-8"))
         entries = TypeAdapter(list[ModelEntry]).validate_python(manifest.get("models", []))
-    except (tomllib.TOMLDecodeError, ValidationError) as error:
-        reason = str(error).replace("\n", " ")
+    except (OSError, ValueError, RecursionError) as error:  # of TOML, of UTF-8, of pydantic
+        reason = f"{error!s:.{LONGEST_REASON}}".replace("\n", " ")
         raise InputError(f"expected a manifest of models in {path}, but {reason}; write it with export-onnx") from error
     if manifest.get("version") != MANIFEST_VERSION:
         raise InputError(

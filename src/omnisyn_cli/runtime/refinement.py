@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.runtime.session import run_depth_network
 
 __all__ = ["MULTIPLE", "SessionRefinement"]
 
@@ -34,10 +35,10 @@ class SessionRefinement:
     def __call__(
         self, planes: Float32[np.ndarray, "planes height width"]
     ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
-        """Inverse depth × baseline, and the probability that it is within 10 %."""
+        """Inverse depth × baseline, and the probability that it is within 10 %; InputError if the model is broken."""
         height, width = planes.shape[1:]
         below, beyond = -height % MULTIPLE, -width % MULTIPLE
         padded = np.pad(planes, ((0, 0), (0, below), (0, 0)), mode="edge")
         padded = np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
-        inverse_depth, confidence = self._session.run(None, {"planes": padded[None]})
-        return inverse_depth[0, 0, :height, :width], confidence[0, 0, :height, :width]
+        inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
+        return inverse_depth[:height, :width], confidence[:height, :width]

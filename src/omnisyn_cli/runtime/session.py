@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float32
+
 from omnisyn_cli.errors import InputError
 
-__all__ = ["DEVICES", "open_session"]
+__all__ = ["DEVICES", "open_session", "run_depth_network"]
 
 DEVICES = ("auto", "cpu", "cuda")
+
+LONGEST_COMPLAINT = 300
+"""Characters of what ONNX Runtime says that are passed on."""
 
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 
@@ -36,7 +43,45 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=providers)
     except Exception as error:
-        raise InputError(f"expected an ONNX model in {path}, ONNX Runtime says: {error}") from error
+        raise InputError(
+            f"expected an ONNX model in {path}, ONNX Runtime says: {_short(error)}; name another file"
+        ) from error
+
+
+def run_depth_network(
+    session: Any, inputs: Mapping[str, np.ndarray], size: tuple[int, int]
+) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+    """Inverse depth × baseline, finite and >= 0, and confidence in [0, 1], both of ``size``.
+
+    Args:
+        session: of a depth or refinement model.
+        inputs: by name.
+        size: height and width of its answers.
+
+    Raises:
+        InputError: the model does not take these inputs, or answers something else.
+    """
+    try:
+        answers = session.run(None, dict(inputs))
+    except Exception as error:
+        raise InputError(
+            f"expected a model that works on {size[1]}×{size[0]} pixels, ONNX Runtime says: {_short(error)}; "
+            "name another (--model)"
+        ) from error
+    shapes = [np.shape(answer) for answer in answers]
+    if shapes != [(1, 1, *size)] * 2:
+        raise InputError(f"expected a model with two outputs {(1, 1, *size)}, got {shapes}; name another (--model)")
+    inverse_depth, confidence = (np.asarray(answer[0, 0], np.float32) for answer in answers)
+    if not (np.isfinite(inverse_depth).all() and np.isfinite(confidence).all() and (inverse_depth >= 0).all()):
+        raise InputError(
+            "expected a model whose inverse depths and confidences are finite and not negative, got others; "
+            "name another (--model)"
+        )
+    return inverse_depth, np.clip(confidence, 0.0, 1.0)
+
+
+def _short(error: Exception) -> str:
+    return " ".join(f"{error!s:.{LONGEST_COMPLAINT}}".split())
 
 
 def _providers(device: str, available: list[str]) -> list[str]:

@@ -57,5 +57,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise InputError(f"expected a checkpoint at {path}, found no file; give the path `train` wrote to") from None
     except Exception as error:
-        raise InputError(f"expected a checkpoint in {path}, got a file torch cannot read: {error!s:.{LONGEST_REASON}}") from error
+        raise InputError(
+            f"expected a checkpoint in {path}, got a file torch cannot read: {error!s:.{LONGEST_REASON}}"
+        ) from error
     return state

@@ -43,6 +43,10 @@ CHOICE_SCALE = 0.02
 """Error of a root that makes a candidate e times less likely to be the right one."""
 
 CHOICE_WEIGHT = 0.05
+
+EASY = 0.02
+"""Mean error of a root at which a pair counts half."""
+
 REFINED_CONFIDENCE_WEIGHT = 0.02
 
 
@@ -88,7 +92,8 @@ def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 hei
     """Log-loss of the choice, expected L1 over the candidates, L1 of the answer, log-loss of the confidence; a scalar.
 
     A candidate is right with a likelihood that falls exponentially with its error; candidates that are equally right
-    share the credit as they like.
+    share the credit as they like. Pairs count less the worse the first candidate is, so that pairs that matching could
+    not make sense of do not teach distrust of those that it could.
     """
     shares, errors = prediction.logits.log_softmax(dim=1), _beyond_zero(prediction.candidates, target)
     likelihood = torch.logsumexp(shares - errors / CHOICE_SCALE, dim=1, keepdim=True)
@@ -97,7 +102,9 @@ def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 hei
     answer = _beyond_zero(prediction.root(), target)
     right = _is_right(prediction.inverse_depth(), target.square())
     confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right)
-    weighted = (expected + answer + CHOICE_WEIGHT * surprise) * polar_weights(target)
+    difficulty = errors[:, :1].mean(dim=(1, 2, 3), keepdim=True)
+    weight = polar_weights(target) * EASY / (EASY + difficulty)
+    weighted = (expected + answer + CHOICE_WEIGHT * surprise) * weight
     return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * confidence
 
 

@@ -1,0 +1,407 @@
+"""What reads files that others wrote: for each reader a folder of good files, the ones to break, and the call."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MAX_PIXELS = 1 << 20
+"""What readers of images are told; with it an image cannot take more than :data:`MEMORY`."""
+
+MEMORY = 256 << 20
+"""Bytes by which a hostile file may raise the peak of the process."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader under test.
+
+    Attributes:
+        files: a folder of files that are read without complaint, by name.
+        broken: names of those that are made hostile, one at a time.
+        read: called with the folder; ends regularly or raises an error of the package.
+    """
+
+    files: Mapping[str, bytes]
+    broken: tuple[str, ...]
+    read: Callable[[Path], object]
+
+
+def targets() -> dict[str, Callable[[], Target]]:
+    """Makers of all targets by name."""
+    images = {f"image {suffix}": partial(_image, suffix) for suffix in ("png", "jpg", "tif", "exr", "webp")}
+    foreign = {f"poses {name}": partial(_foreign, name) for name in FOREIGN}
+    return {
+        "poses.json": _poses,
+        **images,
+        "depth exr": _depth,
+        "depth png": _depth_png,
+        "onnx": _onnx,
+        "models manifest": _models,
+        "batch jsonl": partial(_batch, "jsonl"),
+        "batch csv": partial(_batch, "csv"),
+        "batch results": _batch_results,
+        "eval results": _eval_results,
+        **foreign,
+    }
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value).encode()
+
+
+def _bytes_of(write: Callable[[Path], object], name: str) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder) / name)
+        return (Path(folder) / name).read_bytes()
+
+
+def _picture(name: str, dtype: str = "uint8", channels: int = 3, **tags: Any) -> bytes:
+    """A small panorama as OpenImageIO writes it."""
+    import OpenImageIO
+
+    rng = np.random.default_rng(0)
+    samples = rng.uniform(0, 200, (16, 32, channels)).astype(dtype)
+
+    def write(path: Path) -> None:
+        spec = OpenImageIO.ImageSpec(32, 16, channels, {"float32": "float"}.get(dtype, dtype))
+        for key, value in tags.items():
+            spec.attribute(key, *value) if isinstance(value, tuple) else spec.attribute(key, value)
+        if channels == 1:
+            spec.channelnames = ("Z",)
+        writer = OpenImageIO.ImageOutput.create(str(path))
+        writer.open(str(path), spec)
+        writer.write_image(np.ascontiguousarray(samples))
+        writer.close()
+        writer.geterror()
+
+    return _bytes_of(write, name)
+
+
+GPANO = {
+    "GPano:FullPanoWidthPixels": 64, "GPano:FullPanoHeightPixels": 32, "GPano:CroppedAreaImageWidthPixels": 32,
+    "GPano:CroppedAreaImageHeightPixels": 16, "GPano:CroppedAreaLeftPixels": 4, "GPano:CroppedAreaTopPixels": 3,
+    "GPano:ProjectionType": "equirectangular",
+}  # fmt: skip
+
+GPS = {
+    "GPS:Latitude": ("float[3]", (48.0, 7.0, 30.0)), "GPS:LatitudeRef": "N",
+    "GPS:Longitude": ("float[3]", (11.0, 34.0, 2.0)), "GPS:LongitudeRef": "E",
+    "GPS:Altitude": 520.0, "GPano:PoseHeadingDegrees": 93.5,
+}  # fmt: skip
+
+
+def _image(suffix: str) -> Target:
+    from omnisyn_cli.io import read_panorama
+    from omnisyn_cli.io.decode import read_header
+    from omnisyn_cli.io.describe import geographic_place
+
+    name = f"a.{suffix}"
+    data = _picture(name, "float32" if suffix == "exr" else "uint8", **GPANO, **GPS)
+
+    def read(folder: Path) -> None:
+        geographic_place(read_header(folder / name))
+        read_panorama(folder / name, max_pixels=MAX_PIXELS)
+
+    return Target({name: data}, (name,), read)
+
+
+def _depth() -> Target:
+    from omnisyn_cli.io import read_inverse_depth, write_depth
+
+    data = _bytes_of(lambda path: write_depth(path, np.linspace(1, 9, 512, dtype=np.float32).reshape(16, 32)), "a.exr")
+    return Target({"a.exr": data}, ("a.exr",), lambda at: read_inverse_depth(at / "a.exr", max_pixels=MAX_PIXELS))
+
+
+def _depth_png() -> Target:
+    from omnisyn_cli.io import read_inverse_depth
+
+    data = _picture("a.png", "uint16", channels=1)
+    return Target({"a.png": data}, ("a.png",), lambda at: read_inverse_depth(at / "a.png", max_pixels=MAX_PIXELS))
+
+
+POSES = {
+    "version": 1,
+    "panoramas": {
+        "a.png": {"position": [0, 0.5, 0], "rotation": [1, 0, 0, 0], "depth": "a.exr"},
+        "b.png": {"matrix": [[1, 0, 0, 1.5], [0, 1, 0, 0], [0, 0, 1, -5.0], [0, 0, 0, 1]], "mask": "m/b.png"},
+    },
+}
+
+PLACES = {
+    "version": 1,
+    "panoramas": {
+        "a.png": {"latitude": 48.1, "longitude": 11.5, "altitude": 520.0, "heading": 93.0, "pitch": 1, "roll": -1},
+        "b.png": {"latitude": 48.2, "longitude": 11.5, "altitude": 521.0, "heading": 9.0},
+    },
+}
+
+
+def _poses() -> Target:
+    from omnisyn_cli.errors import PoseError
+    from omnisyn_cli.io import read_poses
+
+    def read(folder: Path) -> None:
+        problems = []
+        for name in ("poses.json", "places.json"):
+            try:
+                read_poses(folder / name).of("a.png")
+            except PoseError as error:
+                problems.append(error)
+        if problems:
+            raise problems[0]
+
+    files = {"poses.json": _json(POSES), "places.json": _json(PLACES)}
+    return Target(files, tuple(files), read)
+
+
+def small_network(channels: int = 3) -> bytes:
+    """An ONNX file with the inputs and outputs of a refinement network."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    shape = [1, channels, "height", "width"]
+    planes = helper.make_tensor_value_info("planes", TensorProto.FLOAT, shape)
+    outputs = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 1, "height", "width"]) for name in ("rho", "trust")
+    ]
+    weights = numpy_helper.from_array(np.full((1, channels, 3, 3), 0.02, np.float32), "weights")
+    nodes = [
+        helper.make_node("Conv", ["planes", "weights"], ["sum"], pads=[1, 1, 1, 1]),
+        helper.make_node("Relu", ["sum"], ["rho"]),
+        helper.make_node("Sigmoid", ["sum"], ["trust"]),
+    ]
+    graph = helper.make_graph(nodes, "small", [planes], outputs, [weights])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    return bytes(model.SerializeToString())
+
+
+def _onnx() -> Target:
+    from omnisyn_cli.runtime.refinement import SessionRefinement
+    from omnisyn_cli.runtime.session import open_session
+
+    planes = np.zeros((3, 32, 64), np.float32)
+
+    def read(folder: Path) -> None:
+        inverse_depth, confidence = SessionRefinement(open_session(folder / "a.onnx", device="cpu", threads=1))(planes)
+        assert np.isfinite(inverse_depth).all()
+        assert ((confidence >= 0) & (confidence <= 1)).all()
+
+    return Target({"a.onnx": small_network()}, ("a.onnx",), read)
+
+
+def _models() -> Target:
+    from omnisyn_cli.runtime.models import find_model, read_manifest
+
+    model = b"weights"
+    text = (
+        'version = 1\n\n[[models]]\nname = "fast"\nrole = "depth"\nvariant = "fast"\nfile = "fast.onnx"\n'
+        f'sha256 = "{hashlib.sha256(model).hexdigest()}"\nsize = [256, 512]\nparameters = 12345\ntraining = "none"\n'
+        'licence = "Apache-2.0"\n\n[models.metrics]\ndelta_25 = 0.9\n'
+    )
+
+    def read(folder: Path) -> None:
+        for name in read_manifest(folder):
+            found = find_model(name, folder)
+            if found.is_file() and found.read_bytes() != model and not name.endswith(".onnx"):
+                raise AssertionError("a file was accepted that is not the one that was hashed")
+
+    return Target({"manifest.toml": text.encode(), "fast.onnx": model}, ("manifest.toml", "fast.onnx"), read)
+
+
+def _batch(kind: str) -> Target:
+    from omnisyn_cli.batch.manifest import read_manifest
+    from omnisyn_cli.errors import InputError
+
+    lines = [
+        {
+            "id": "one",
+            "inputs": ["a.png", "b.png"],
+            "poses": "poses.json",
+            "frames": 60,
+            "size": "2048x1024",
+            "fps": 24.0,
+        },
+        {"id": "two", "inputs": ["a.png", "b.png"], "poses": "poses.json", "output": "two/f_%03d.png", "cut": 0.1},
+    ]
+    if kind == "jsonl":
+        text = b"\n".join(_json(line) for line in lines) + b"\n"
+    else:
+        text = b"id,inputs,poses,frames,size\none,a.png;b.png,poses.json,60,2048x1024\ntwo,a.png; b.png,poses.json,,\n"
+    name = f"jobs.{kind}"
+    files = {name: text, "poses.json": _json(POSES), "a.png": b"", "b.png": b""}
+
+    def read(folder: Path) -> None:
+        manifest = read_manifest(folder / name)
+        for job in manifest.jobs:
+            job.interpolation(folder)
+        if manifest.problems:
+            raise InputError("expected no problems, got " + max(manifest.problems, key=len))
+
+    return Target(files, (name, name, name, "poses.json"), read)
+
+
+def _batch_results() -> Target:
+    from omnisyn_cli.batch.records import Records
+
+    lines = [
+        {"id": f"job{index}", "status": "done", "key": "0" * 64, "outputs": {"output": "a.mp4"}} for index in range(4)
+    ]
+    data = b"".join(_json(line) + b"\n" for line in lines)
+
+    def read(folder: Path) -> None:
+        with Records(folder / "results.jsonl") as records:
+            for index in range(4):
+                records.last(f"job{index}")
+            records.append({"id": "new", "status": "done"})
+
+    return Target({"results.jsonl": data}, ("results.jsonl",), read)
+
+
+def _eval_results() -> Target:
+    from omnisyn_cli.evaluation.records import (
+        DepthRecord,
+        FrameRecord,
+        UnitRecord,
+        append_record,
+        latest_records,
+        read_records,
+    )
+
+    frames = tuple(FrameRecord(f"{i}.png", i / 4, 0.25, {"ws_psnr": 30.0 + i, "psnr": math.inf}) for i in (1, 2, 3))
+    record = UnitRecord(
+        "k" * 64, "hall", "a.png", "b.png", "matching", "done", baseline=1.0, size=(512, 1024), frames=frames,
+        depths=(DepthRecord("a.png", {"mae": 0.1}, {"mae": 0.2}),), temporal={"flicker": 0.1}, seconds={"total": 2.0},
+    )  # fmt: skip
+    data = b"".join(_json(record.to_json()) + b"\n" for _ in range(3))
+
+    def read(folder: Path) -> None:
+        for found in latest_records(read_records(folder)):
+            found.mean("ws_psnr")
+        append_record(folder, record)
+
+    return Target({"results.jsonl": data}, ("results.jsonl",), read)
+
+
+FOREIGN: dict[str, tuple[str, Callable[[], dict[str, bytes]]]] = {}
+"""By format: the name of the source below the folder, and its files."""
+
+
+def _format(name: str, source: str) -> Callable[[Callable[[], dict[str, bytes]]], Callable[[], dict[str, bytes]]]:
+    def add(files: Callable[[], dict[str, bytes]]) -> Callable[[], dict[str, bytes]]:
+        FOREIGN[name] = (source, files)
+        return files
+
+    return add
+
+
+def _foreign(name: str) -> Target:
+    from omnisyn_cli.io.pose_formats import ImportOptions, import_poses
+
+    source, make = FOREIGN[name]
+    files = make()
+    broken = tuple(file for file in files if not file.endswith(".png"))
+
+    def read(folder: Path) -> None:
+        import_poses([folder / source], "auto", ImportOptions())
+
+    return Target(files, broken, read)
+
+
+@_format("csv", "places.csv")
+def _csv() -> dict[str, bytes]:
+    return {"places.csv": b"image,lat,lng,heading,altitude\na.png,48.1,11.5,93,520\nb.png,48.2,11.6,9.5,521\n"}
+
+
+@_format("table json", "places.json")
+def _table() -> dict[str, bytes]:
+    rows = [
+        {"pano_id": f"{n}", "location": {"lat": 48.1, "lng": 11.5}, "heading": 20 * n, "pitch": 0} for n in range(3)
+    ]
+    return {"places.json": _json({"images": rows})}
+
+
+@_format("colmap", ".")
+def _colmap() -> dict[str, bytes]:
+    images = b"# list\n1 1 0 0 0 0.5 0 0 1 a.png\n\n2 0.6 0.8 0 0 1.5 0 -2 1 b.png\n1 2 -1\n"
+    return {"cameras.txt": b"1 EQUIRECTANGULAR 64 32 64 32\n", "images.txt": images, "a.png": b""}
+
+
+@_format("opensfm", "reconstruction.json")
+def _opensfm() -> dict[str, bytes]:
+    shots = {
+        name: {"camera": "c", "rotation": [0.1, 0.2, 0.3], "translation": [1, 2, 3.5]} for name in ("a.png", "b.png")
+    }
+    part = {
+        "cameras": {"c": {"projection_type": "spherical", "width": 64, "height": 32}},
+        "shots": shots,
+        "reference_lla": {"latitude": 48.0, "longitude": 11.0, "altitude": 500.0},
+    }
+    return {"reconstruction.json": _json([part])}
+
+
+@_format("nerfstudio", "transforms.json")
+def _nerfstudio() -> dict[str, bytes]:
+    matrix = [[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, -3], [0, 0, 0, 1]]
+    frames = [{"file_path": f"./images/{n}.png", "transform_matrix": matrix} for n in range(2)]
+    document = {
+        "camera_model": "EQUIRECTANGULAR",
+        "applied_scale": 2.0,
+        "applied_transform": matrix[:3],
+        "frames": frames,
+    }
+    return {"transforms.json": _json(document)}
+
+
+@_format("tum", "track.tum")
+def _tum() -> dict[str, bytes]:
+    lines = b"# image 0 a.png\n0 0 0 0 0 0 0 1\n# image 1.5 b.png\n1.5 1 2 3 0.6 0 0 0.8\n"
+    return {"track.tum": lines, "a.png": b"", "b.png": b""}
+
+
+@_format("kitti", "00.txt")
+def _kitti() -> dict[str, bytes]:
+    return {"00.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1.5 0 1 0 2 0 0 1 -3\n", "a.png": b"", "b.png": b""}
+
+
+@_format("habitat", ".")
+def _habitat() -> dict[str, bytes]:
+    return {
+        f"{n}/{name}": data
+        for n in range(2)
+        for name, data in (("rot.txt", b"1 0 0\n0 1 0\n0 0 1\n"), ("tran.txt", b"0.5\n1\n-2\n"), ("rgb.png", b""))
+    }
+
+
+@_format("zind", "zind_data.json")
+def _zind() -> dict[str, bytes]:
+    similarity = {"translation": [1.0, 2.0], "rotation": 30.0, "scale": 0.5}
+    panoramas = {
+        f"p{n}": {"image_path": f"p/{n}.jpg", "camera_height": 1.0, "floor_plan_transformation": similarity}
+        for n in "12"
+    }
+    return {
+        "zind_data.json": _json(
+            {"merger": {"f1": {"r1": {"q1": panoramas}}}, "scale_meters_per_coordinate": {"f1": 3.5}}
+        )
+    }
+
+
+@_format("authors", ".")
+def _authors() -> dict[str, bytes]:
+    rotations = _bytes_of(lambda path: np.save(path, np.stack([np.eye(3)] * 2)), "r.npy")
+    translations = _bytes_of(lambda path: np.save(path, np.zeros((2, 3))), "t.npy")
+    return {"rotations.npy": rotations, "translations.npy": translations, "0.png": b"", "1.png": b""}
+
+
+@_format("exif", "a.jpg")
+def _exif() -> dict[str, bytes]:
+    return {"a.jpg": _picture("a.jpg", **GPS)}

@@ -1,0 +1,118 @@
+"""Hostile files are read or refused in a sentence: a short run of ``run_fuzz.py``, and what it stands on."""
+
+import json
+import random
+import tomllib
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fuzz_mutations import PNG, mutated
+from fuzz_targets import targets
+from fuzz_worker import hostile, outcome
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from run_fuzz import fuzz
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.records import RESULTS_NAME, UnitRecord, read_records
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, read_manifest
+
+SHORT = 8
+"""Hostile files for every target."""
+
+BUSY = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+def test_every_reader_reads_or_refuses_hostile_files() -> None:
+    names = list(targets())
+    reports = fuzz(names, SHORT * len(names), seed=7)
+    assert {name: report.findings for name, report in reports.items() if report.findings} == {}
+    assert all(report.counts.total() == SHORT for report in reports.values())
+
+
+def test_a_hostile_file_can_be_made_again() -> None:
+    target = targets()["poses.json"]()
+    files = [hostile("poses.json", target, 3, index) for index in range(20)]
+    assert files == [hostile("poses.json", target, 3, index) for index in range(20)]
+    assert len({data for _, data in files}) > 15
+
+
+def test_checksums_of_changed_pngs_are_right_often_enough() -> None:
+    """Otherwise no change would ever get past the first check of the decoder; of unmended ones none would be right."""
+    good = targets()["image png"]().files["a.png"]
+    changed = [mutated(good, random.Random(seed)) for seed in range(200)]  # noqa: S311 - repeatable
+    right = [data for data in changed if _has_right_checksums(data)]
+    assert 15 < len(right) < 190
+    assert len(set(right) - {good}) > 15
+
+
+def _has_right_checksums(data: bytes) -> bool:
+    at = len(PNG)
+    while data.startswith(PNG) and at + 12 <= len(data):
+        length = int.from_bytes(data[at : at + 4], "big")
+        body = data[at + 4 : at + 8 + length]
+        if data[at + 8 + length : at + 12 + length] != zlib.crc32(body).to_bytes(4, "big"):
+            return False
+        at += 12 + length
+    return data.startswith(PNG)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(KeyError("x"), "finding KeyError"), (InputError("no"), "finding message"), (InputError("expected x"), "refused")],
+)
+def test_findings_are_found(tmp_path: Path, error: Exception, words: str) -> None:
+    def read(folder: Path) -> None:
+        raise error
+
+    target = type(targets()["poses.json"]())({}, (), read)
+    assert outcome(target, tmp_path).startswith(words)
+
+
+def test_a_reader_that_takes_too_much_memory_is_a_finding(tmp_path: Path) -> None:
+    target = type(targets()["poses.json"]())({}, (), lambda folder: np.ones(48 << 20).sum())
+    assert outcome(target, tmp_path).endswith("MiB")
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@BUSY
+@given(st.dictionaries(st.sampled_from([*ModelEntry.__dataclass_fields__, "else"]), VALUES))
+def test_any_entry_of_a_manifest_is_an_entry_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, entry: dict[str, Any]
+) -> None:
+    lines = [f"{key} = {json.dumps(value)}" for key, value in entry.items() if not isinstance(value, dict)]
+    text = "\n".join(["version = 1", "[[models]]", *lines])
+    folder = tmp_path_factory.mktemp("models")
+    (folder / MANIFEST).write_text(text, encoding="utf-8", errors="surrogatepass")
+    try:
+        found = read_manifest(folder)
+    except InputError as error:
+        assert "expected" in str(error)  # noqa: PT017 - both ends are allowed
+        return
+    assert list(found) == [model["name"] for model in tomllib.loads(text)["models"]]
+
+
+@BUSY
+@given(st.sampled_from([*UnitRecord.__dataclass_fields__, "else"]), VALUES)
+def test_any_record_is_a_record_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, key: str, value: Any
+) -> None:
+    whole = UnitRecord("k", "s", "a", "b", "m", "done", baseline=1.0, size=(4, 8)).to_json()
+    folder = tmp_path_factory.mktemp("report")
+    (folder / RESULTS_NAME).write_text(json.dumps({**whole, key: value}) + "\n", encoding="utf-8")
+    try:
+        (record,) = read_records(folder)
+    except InputError as error:
+        assert "line 1" in str(error)  # noqa: PT017 - both ends are allowed
+        return
+    assert hash(record.unit)
+    assert isinstance(record.baseline, float)

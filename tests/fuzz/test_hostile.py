@@ -1,0 +1,205 @@
+"""Files that want more than they are given: memory, names outside their folder, a shell, a model nobody asked for."""
+
+import ast
+import json
+import os
+import resource
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+import pytest
+
+import omnisyn_cli
+from omnisyn_cli.cli import main
+from omnisyn_cli.errors import ImageError, InputError, PoseError
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, read_depth, read_panorama, read_poses, write_image, write_poses
+from omnisyn_cli.io.describe import describe_file
+from omnisyn_cli.io.pose_formats import ImportOptions, import_poses
+from omnisyn_cli.planning import InterpolationJob, plan_interpolation
+from omnisyn_cli.runtime.models import find_model
+
+SOURCE = Path(omnisyn_cli.__file__).parent
+
+
+def png_that_says(path: Path, width: int, height: int, rows: int = 1) -> Path:
+    """A PNG whose header promises more than there is: right checksums, ``rows`` rows of zeros."""
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return len(body).to_bytes(4, "big") + name + body + zlib.crc32(name + body).to_bytes(4, "big")
+
+    head = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([8, 2, 0, 0, 0])
+    packer, packed = zlib.compressobj(9), b""
+    for _ in range(rows):
+        packed += packer.compress(bytes(min(1 + 3 * width, 1 << 20)))
+    packed += packer.flush()
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b""))
+    return path
+
+
+def wide_exr(path: Path, channels: int = 3, full: tuple[int, int] = (16, 32), **tags: object) -> Path:
+    """An EXR of 16×32 stored pixels with many channels, or with a display window of any size."""
+    spec = OpenImageIO.ImageSpec(32, 16, channels, "float")
+    spec.full_height, spec.full_width = full
+    for name, value in tags.items():
+        spec[name] = value
+    writer = OpenImageIO.ImageOutput.create(str(path))
+    assert writer.open(str(path), spec)
+    assert writer.write_image(np.zeros((16, 32, channels), np.float32))
+    assert writer.close()
+    return path
+
+
+def peak() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+@pytest.mark.parametrize("size", [(100_000, 50_000), (2**31 - 2, 2**30 - 1), (MAX_PIXELS // 8192 * 2, 16384)])
+def test_a_gigapixel_header_is_refused_before_memory_is_taken(tmp_path: Path, size: tuple[int, int]) -> None:
+    image = png_that_says(tmp_path / "a.png", *size)
+    before = peak()
+    with pytest.raises(ImageError, match="expected"):
+        read_panorama(image)
+    with pytest.raises(ImageError, match="expected"):
+        read_depth(image)
+    assert peak() - before < 64 << 20
+
+
+def test_a_window_or_tags_of_a_giant_sphere_are_refused(tmp_path: Path) -> None:
+    before = peak()
+    tags = {"GPano:FullPanoWidthPixels": 2_000_000, "GPano:FullPanoHeightPixels": 1_000_000,
+            "GPano:CroppedAreaImageWidthPixels": 32, "GPano:CroppedAreaImageHeightPixels": 16}  # fmt: skip
+    for image in (
+        wide_exr(tmp_path / "window.exr", full=(500_000, 1_000_000)),
+        wide_exr(tmp_path / "tags.exr", **tags),
+    ):
+        with pytest.raises(ImageError, match="expected at most 268,435,456 pixels"):
+            read_panorama(image)
+    assert peak() - before < 64 << 20
+
+
+def test_thousands_of_channels_are_refused(tmp_path: Path) -> None:
+    image = wide_exr(tmp_path / "a.exr", channels=900)
+    with pytest.raises(ImageError, match=r"at most 2,048 samples, got 900 channels of 32×16"):
+        read_panorama(image, max_pixels=512)
+    with pytest.raises(ImageError, match="900 channels"):
+        read_depth(image, max_pixels=512)
+
+
+def test_a_decompression_bomb_is_stopped_by_max_pixels(tmp_path: Path) -> None:
+    """Half a megabyte… of zeros would be 100 MB of samples and 400 MB of floats."""
+    bomb = png_that_says(tmp_path / "a.png", 8192, 4096, rows=4096)
+    assert bomb.stat().st_size < 400_000
+    before = peak()
+    with pytest.raises(ImageError, match=r"at most 1,000,000 pixels, got 8192×4096 = 33,554,432; .*--max-pixels"):
+        read_panorama(bomb, max_pixels=1_000_000)
+    assert peak() - before < 64 << 20
+
+
+def small_pair(folder: Path) -> list[Path]:
+    images = [folder / "a.png", folder / "b.png"]
+    for image in images:
+        write_image(image, np.full((16, 32, 3), 90, np.uint8))
+    entries = {image.name: PosedPanorama(Pose(np.eye(3), np.array([0.0, 0.0, -at]))) for at, image in enumerate(images)}
+    write_poses(folder / "poses.json", entries)
+    return images
+
+
+def test_max_pixels_is_heeded_by_the_plan_and_by_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = small_pair(tmp_path)
+    poses, output = tmp_path / "poses.json", tmp_path / "out"
+    assert plan_interpolation(InterpolationJob(tuple(images), poses, output, max_pixels=512)).size == (16, 32)
+    with pytest.raises(ImageError, match="at most 511 pixels, got 32×16"):
+        plan_interpolation(InterpolationJob(tuple(images), poses, output, max_pixels=511))
+    arguments = ["interpolate", *map(str, images), "--poses", str(poses), "-o", str(output), "--max-pixels", "511"]
+    for command in (arguments, ["info", str(images[0]), "--max-pixels", "511"]):
+        with pytest.raises(SystemExit) as left:
+            main(command)
+        out, err = capsys.readouterr()
+        assert left.value.code == 3
+        assert "at most 511 pixels" in out + err
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "x/../../secret.png", "C:\\secret.png"])
+def test_pose_files_reach_nothing_outside_their_folder(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    write_image(tmp_path / "secret.png", np.zeros((4, 8, 3), np.uint8))
+    entry = {"position": [0, 0, 0], "rotation": [1, 0, 0, 0]}
+    for panoramas in ({name: entry}, {"a.png": {**entry, "depth": name}}, {"a.png": {**entry, "mask": name}}):
+        (folder / "poses.json").write_text(json.dumps({"version": 1, "panoramas": panoramas}))
+        with pytest.raises(PoseError, match="expected"):
+            read_poses(folder / "poses.json")
+
+
+def test_foreign_poses_reach_outside_only_if_allowed(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    write_image(tmp_path / "a.png", np.zeros((4, 8, 3), np.uint8))
+    (folder / "places.csv").write_text("image,lat,lng,heading\n../a.png,48,11,90\n")
+    with pytest.raises(PoseError, match="--allow-outside"):
+        import_poses([folder / "places.csv"], "auto", ImportOptions())
+    _, imported = import_poses([folder / "places.csv"], "auto", ImportOptions(allow_outside=True))
+    assert imported.views[0].image is not None
+
+
+def test_a_model_is_loaded_by_its_hash_or_by_the_name_of_its_file(tmp_path: Path) -> None:
+    """A manifest cannot make the program load a file that it was not made with, wherever it lies."""
+    outside = tmp_path / "evil.onnx"
+    outside.write_bytes(b"evil")
+    folder = tmp_path / "models"
+    folder.mkdir()
+    (folder / "manifest.toml").write_text(
+        'version = 1\n[[models]]\nname = "m"\nrole = "depth"\nvariant = "v"\nfile = "../evil.onnx"\n'
+        f'sha256 = "{"0" * 64}"\nsize = [4, 8]\nparameters = 1\ntraining = "t"\nlicence = "l"\n'
+    )
+    with pytest.raises(InputError, match="sha256"):
+        find_model("m", folder)
+    assert find_model(str(outside), folder) == outside
+
+
+def test_a_long_or_impossible_name_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    images = small_pair(tmp_path)
+    long = tmp_path / ("x" * 300 + ".mp4")
+    for command in (
+        ["interpolate", *map(str, images), "--poses", str(tmp_path / "poses.json"), "-o", str(long)],
+        ["info", str(long)],
+        ["models", str(long)],
+    ):
+        with pytest.raises(SystemExit) as left:
+            main(command)
+        assert left.value.code in (2, 3)
+        assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such names there")
+@pytest.mark.parametrize("name", ["a'b\"c ;touch gone $(touch gone) `touch gone`|x&", "-i --rm ä 日本 %d"])
+def test_names_are_never_read_by_a_shell(tmp_path: Path, name: str) -> None:
+    """A video with such a name is made by ffmpeg and described by ffmpeg; nothing else happens."""
+    images = small_pair(tmp_path)
+    command = [sys.executable, "-m", "omnisyn_cli", "interpolate", "--poses", "poses.json", "-o", f"{name}.mp4",
+               "--frames", "2", "--threads", "1", "--encoder-preset", "ultrafast", "-q", "--",
+               *(image.name for image in images)]  # fmt: skip
+    environment = {**os.environ, "PYTHONPATH": str(SOURCE.parent)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=300)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["a.png", "b.png", "poses.json", f"{name}.mp4"])
+    assert describe_file(tmp_path / f"{name}.mp4")["spherical"]["version_1"]
+
+
+def test_no_code_calls_a_shell_or_runs_what_it_reads() -> None:
+    forbidden = {"os.system", "os.popen", "eval", "exec", "subprocess.getoutput", "subprocess.getstatusoutput"}
+    for path in SOURCE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                assert ast.unparse(node.func) not in forbidden, f"{path}:{node.lineno}: {ast.unparse(node)}"
+                assert not any(word.arg == "shell" for word in node.keywords), f"{path}:{node.lineno} names a shell"
+            names = [alias.name for alias in node.names] if isinstance(node, (ast.Import, ast.ImportFrom)) else []
+            assert not {"pickle", "marshal", "shelve"} & set(names), f"{path}: reads what can run code"

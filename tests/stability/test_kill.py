@@ -1,0 +1,144 @@
+"""``kill -9`` at any moment: nothing broken has a final name, and a second run finishes as if nothing had happened."""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from stability_samples import command_line, duration, finish, kill_after, visible_files
+
+from omnisyn_cli.io import read_depth, read_panorama
+from synthesis_samples import posed, write_hall
+
+TRAIN = """
+import sys
+from pathlib import Path
+from training_samples import TINY
+from omnisyn_cli.training.loop import train
+from omnisyn_cli.training.tasks import TrainConfig
+pools = {"pool": sys.argv[1], "validation_pool": sys.argv[1]}
+config = TrainConfig(**pools, size=(64, 128), batch=1, validate_every=2, save_every=1)
+print(train(TINY, config, Path(sys.argv[2]), steps=6).step)
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command that writes.
+
+    Attributes:
+        prepare: makes its inputs in a folder.
+        command: of a fresh run.
+        again: of a run after one that was killed.
+        is_same_bytes: whether equal runs write equal files.
+    """
+
+    prepare: Callable[[Path], object]
+    command: list[str]
+    again: list[str]
+    is_same_bytes: bool = True
+
+
+def _hall(folder: Path) -> None:
+    write_hall(folder, [posed((0, 0, 0.4)), posed((0.2, 0, -0.4), 0.3)], (32, 64))
+
+
+def _scenes(folder: Path) -> None:
+    for index in range(2):
+        scene = folder / "scenes" / f"s{index}"
+        scene.mkdir(parents=True)
+        write_hall(scene, [posed((0, 0, 0.5 - 0.25 * at)) for at in range(5)], (32, 64))
+
+
+def _pool(folder: Path) -> None:
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "training"))
+    from training_samples import make_pool
+
+    make_pool(folder / "pool")
+
+
+INTERPOLATE = command_line(
+    "interpolate", "p0.png", "p1.png", "--poses", "poses.json", "-o", "out.mp4", "--frames", 12, "--threads", 1,
+    "--save-frames", "frames", "--save-depth", "depth", "--encoder-preset", "ultrafast", "-q",
+)  # fmt: skip
+
+MAKE = command_line("scenes", "make", "out", "--count", 2, "--size", "128x64", "--frames", 2, "--threads", 1, "-q")
+
+EVAL = command_line("eval", "scenes", "--report", "report", "--methods", "crossfade,oracle-depth", "--threads", 1, "-q")
+
+CASES = {
+    "interpolate": Case(_hall, INTERPOLATE, [*INTERPOLATE, "--overwrite"]),
+    "scenes make": Case(lambda folder: None, MAKE, [*MAKE, "--overwrite"]),
+    "eval": Case(_scenes, EVAL, EVAL, is_same_bytes=False),
+    "train": Case(_pool, *[[sys.executable, "-c", TRAIN, "pool", "run"]] * 2, is_same_bytes=False),
+}
+
+
+def check_whole(name: str, content: bytes, path: Path) -> None:
+    """A file under its final name can be read to its end."""
+    if path.suffix == ".png":
+        assert read_panorama(path, allow_aspect=True).image.size
+    elif path.suffix == ".exr":
+        assert read_depth(path).size
+    elif path.suffix == ".json":
+        json.loads(content)
+    elif path.suffix == ".jsonl":
+        for line in content.split(b"\n")[:-1]:
+            json.loads(line)
+    elif path.suffix == ".pt":
+        import torch
+
+        assert torch.load(path, weights_only=True)["step"] > 0
+    else:
+        assert path.suffix in (".html", ".md", ".csv", ".tex"), f"{name}: what is this?"
+        assert content
+
+
+def check_killed(case: Case, folder: Path, expected: dict[str, bytes]) -> None:
+    """What a killed run has left is what the whole run leaves, as far as it is there."""
+    for name, content in visible_files(folder).items():
+        if name in expected and (case.is_same_bytes or content == expected[name]):
+            assert content == expected[name], f"{name} differs from that of an undisturbed run"
+        else:
+            assert not case.is_same_bytes, f"{name} is not there after an undisturbed run"
+            check_whole(name, content, folder / name)
+
+
+def kill_and_repeat(case: Case, place: Path, kills: int, seed: int) -> None:
+    """The theorem: however often a run is killed, the last one makes what an undisturbed one makes."""
+    calm, disturbed = place / "calm", place / "disturbed"
+    for folder in (calm, disturbed):
+        folder.mkdir()
+        case.prepare(folder)
+    seconds = duration(case.command, calm)
+    expected = visible_files(calm)
+    rng = random.Random(seed)  # noqa: S311 - the moments shall be the same again
+    was_at_work = 0
+    for _ in range(kills):
+        was_at_work += kill_after(case.again, disturbed, rng.uniform(0.3, 1.0) * seconds)
+        check_killed(case, disturbed, expected)
+    assert was_at_work > 0
+    code, _, err = finish(case.again, disturbed)
+    assert code == 0, err
+    found = visible_files(disturbed)
+    assert set(found) == set(expected)
+    if case.is_same_bytes:
+        assert found == expected
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
+@pytest.mark.parametrize("name", ["interpolate", "scenes make"])
+def test_a_killed_run_leaves_nothing_broken_and_a_second_one_finishes(tmp_path: Path, name: str) -> None:
+    kill_and_repeat(CASES[name], tmp_path, kills=2, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
+@pytest.mark.parametrize("name", CASES)
+def test_ten_kills_at_random_moments(tmp_path: Path, name: str) -> None:
+    kill_and_repeat(CASES[name], tmp_path, kills=10, seed=2)

@@ -1,0 +1,149 @@
+"""The shipped refinement network in half precision, with weights of bfloat16, and quantised to 8 bits, against float32.
+
+What counts is what becomes of the video: WS-PSNR of the middle frame of a room with known truth.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, numpy_helper
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.runtime.models import find_model, models_folder
+from omnisyn_cli.runtime.refinement import SessionRefinement
+from omnisyn_cli.runtime.session import open_session
+from omnisyn_cli.scenes import generate_scene, render_views, sample_path
+from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.refined import RefinedDepthEstimator
+from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.types import View
+from synthesis_samples import ws_psnr
+
+MODEL = "refine-balanced"
+
+SIZE = (128, 256)
+
+pytestmark = pytest.mark.skipif(
+    not (models_folder() / f"{MODEL}.onnx").is_file(), reason=f"the model {MODEL} is not in this checkout"
+)
+
+
+@dataclass(frozen=True)
+class Room:
+    """Two views of a room, what matching makes of them, and the true picture half way."""
+
+    views: tuple[View, View]
+    evidence: tuple[Evidence, Evidence]
+    truth: np.ndarray
+    middle: Pose
+
+
+class Remembered:
+    """Matching whose answer is known; stands in for :class:`MatchingDepthEstimator`."""
+
+    def __init__(self, evidence: tuple[Evidence, Evidence]) -> None:
+        self._evidence = evidence
+
+    def evidence(self, first: View, second: View) -> tuple[Evidence, Evidence]:
+        return self._evidence
+
+
+@pytest.fixture(scope="module")
+def room() -> Room:
+    scene = generate_scene("room", 101)
+    path = sample_path(scene, 101, 3)
+    rendered = (render_views(scene, p.rotation, p.position[None], SIZE, supersample=2, threads=1) for p in path)
+    seen = [image[0] for image, _ in rendered]
+    first, second = (View(np.asarray(seen[at], np.float32), path[at]) for at in (0, 2))
+    matching = MatchingDepthEstimator(MatchingOptions(size=(2 * SIZE[0], 2 * SIZE[1])), 1)
+    return Room((first, second), matching.evidence(first, second), np.asarray(seen[1]), path[1])
+
+
+def planes(room: Room) -> list[np.ndarray]:
+    there, back = room.evidence
+    return [evidence_planes(there, back), evidence_planes(back, there)]
+
+
+def quality(room: Room, path: Path) -> tuple[np.ndarray, float]:
+    """Inverse depth × baseline of the first panorama, and WS-PSNR of the middle frame, by a model file."""
+    refinement = SessionRefinement(open_session(path, device="cpu", threads=1))
+    estimator = RefinedDepthEstimator(Remembered(room.evidence), refinement)  # type: ignore[arg-type]
+    waypoint = Waypoint(0, 0.5, room.middle)
+    made = synthesize(room.views, [waypoint], estimator, SynthesisOptions(SIZE, threads=1))
+    (picture,) = [frame.image.copy() for frame in made if isinstance(frame, Frame)]
+    return refinement(planes(room)[0])[0], ws_psnr(picture, room.truth)
+
+
+def half(source: Path, target: Path, room: Room) -> None:
+    """Weights and arithmetic in float16, inputs and outputs in float32."""
+    from onnxruntime.transformers.float16 import convert_float_to_float16
+
+    onnx.save(convert_float_to_float16(onnx.load(source), keep_io_types=True), target)
+
+
+def brain_float(source: Path, target: Path, room: Room) -> None:
+    """Weights rounded to bfloat16, arithmetic in float32: ONNX Runtime's processor kernels know no other."""
+    model = copy.deepcopy(onnx.load(source))
+    for tensor in model.graph.initializer:
+        if tensor.data_type == TensorProto.FLOAT:
+            bits = numpy_helper.to_array(tensor).view(np.uint32).astype(np.uint64)
+            rounded = ((bits + 0x7FFF + ((bits >> 16) & 1)) & 0xFFFF0000).astype(np.uint32)
+            tensor.CopyFrom(numpy_helper.from_array(rounded.view(np.float32), tensor.name))
+    onnx.save(model, target)
+
+
+def integers(source: Path, target: Path, room: Room) -> None:
+    """Weights and activations of convolutions in 8 bits, ranges measured on the room itself."""
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    class Reader(CalibrationDataReader):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self._rest: Iterator[dict[str, np.ndarray]] = iter({"planes": p[None]} for p in planes(room))
+
+        def get_next(self) -> dict[str, np.ndarray] | None:
+            return next(self._rest, None)
+
+    quantize_static(
+        source, target, Reader(), quant_format=QuantFormat.QDQ, per_channel=True, weight_type=QuantType.QInt8,
+        activation_type=QuantType.QUInt8, op_types_to_quantize=["Conv"],
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a form of the network may cost: median relative error of inverse depth, decibels of the picture."""
+
+    make: Callable[[Path, Path, Room], None]
+    relative: float
+    decibels: float
+
+
+FORMS = {"fp16": Bound(half, 0.003, 0.1), "bf16": Bound(brain_float, 0.003, 0.1), "int8": Bound(integers, 0.02, 0.3)}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_other_number_formats_cost_no_more_than_documented(
+    form: str, room: Room, tmp_path: Path, record_property: Callable[[str, Any], None]
+) -> None:
+    source, target = find_model(MODEL), tmp_path / f"{form}.onnx"
+    FORMS[form].make(source, target, room)
+    depth, decibels = quality(room, source)
+    other_depth, other_decibels = quality(room, target)
+    relative = float(np.median(np.abs(other_depth - depth) / np.maximum(depth, 1e-3)))
+    size = target.stat().st_size
+    figures = {"form": form, "relative": relative, "fp32": decibels, "other": other_decibels, "bytes": size}
+    record_property("figures", json.dumps(figures))
+    print(figures)
+    assert relative < FORMS[form].relative
+    assert other_decibels > decibels - FORMS[form].decibels
