@@ -82,7 +82,7 @@ def test_a_failure_is_named_and_the_exit_code_is_1(
     monkeypatch.setattr(bench, "_in_child", lambda trial: Figures(trial.setting, "failed", "no memory", trial.key))
     result = run_cli(capsys, "bench", scenes, "--presets", "fast", "--sizes", "64x32", "--threads", 1)
     assert result.code == 1
-    assert "fast, 256 rows, 64x32, 1 thread: no memory" in result.out
+    assert f"fast, {PRESETS['fast'].depth_rows} rows, 64x32, 1 thread: no memory" in result.out
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Units of work: measured right, written down once, done again only when something changed."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 from hall_samples import PATH, SIZE, damage, repaint, run, scores_of, write_halls
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import engine
+from omnisyn_cli.evaluation import engine, fingerprint
+from omnisyn_cli.evaluation.datasets import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.methods import Method
 from omnisyn_cli.evaluation.records import RESULTS_NAME, UnitRecord, read_records
@@ -71,7 +73,7 @@ def test_nothing_is_done_twice(halls: Path, monkeypatch: pytest.MonkeyPatch) -> 
     written = (halls.parent / "report" / RESULTS_NAME).read_bytes()
     monkeypatch.setattr(engine, "measure", None)
     assert run(halls, METHODS) == first
-    assert run(halls, METHODS, pairs="0:3,0:3") == [*first[:2], *first[:2], *first[2:], *first[2:]]
+    assert run(halls, METHODS, pairs="0:3,0:3") == first
     assert (halls.parent / "report" / RESULTS_NAME).read_bytes() == written
 
 
@@ -88,6 +90,72 @@ def test_an_interrupted_run_goes_on_where_it_was(halls: Path) -> None:
     run(halls, METHODS)
     everything = [("a", "crossfade"), ("a", "oracle-depth"), ("b", "crossfade"), ("b", "oracle-depth")]
     assert lines(halls) == everything
+
+
+def test_what_was_finished_before_an_interruption_is_in_the_report(halls: Path) -> None:
+    def interrupt(done: int, _: UnitRecord) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    report = halls.parent / "report"
+    job = EvaluationJob(halls, report, "crossfade,synsin,flow", pictures=False, threads=1)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(plan_evaluation(job), interrupt)
+    units = json.loads((report / "report.json").read_text(encoding="utf-8"))["units"]
+    assert [(unit["scene"], unit["method"]) for unit in units] == [("a", "crossfade"), ("a", "synsin")]
+
+
+def test_a_changed_program_measures_again(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(halls, "crossfade")
+    monkeypatch.setattr(fingerprint, "digest_of_sources", lambda _: "another")
+    run(halls, "crossfade")
+    assert lines(halls) == [("a", "crossfade"), ("b", "crossfade")] * 2
+
+
+def test_sources_are_those_that_methods_go_through(tmp_path: Path) -> None:
+    def digest(**files: str) -> str:
+        fingerprint.digest_of_sources.cache_clear()
+        for name, text in files.items():
+            path = tmp_path / f"{name.replace('_', '/')}.py"
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text)
+        return fingerprint.digest_of_sources(tmp_path)
+
+    first = digest(render_mesh="a", cli_eval="a")
+    assert digest(cli_eval="b") == first
+    assert digest(render_mesh="b") != first
+    assert digest(render_mesh="a") == first
+    assert digest(render_other="") != first
+
+
+def test_methods_that_never_work_cost_no_decoding(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = run(halls, "crossfade,synsin,omnisyn-paper")
+    monkeypatch.setattr(engine, "load_pair", None)
+    assert [r.to_json() for r in run(halls, "crossfade,synsin,omnisyn-paper")] == [r.to_json() for r in first]
+    assert [r.status for r in first] == ["done", "unavailable", "unavailable"] * 2
+
+
+@pytest.mark.parametrize("place", ["load_pair", "choose_pairs"])
+def test_errors_that_nobody_expected_are_reported_too(halls: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    original = getattr(engine, place)
+
+    def break_one(scene: Pair | Scene, *rest: object) -> object:
+        if Path(scene.files[0] if isinstance(scene, Pair) else scene.frames[0].image).parent.name == "a":
+            raise MemoryError("too large")
+        return original(scene, *rest) if place == "load_pair" else original(None)(scene)
+
+    monkeypatch.setattr(engine, place, break_one if place == "load_pair" else lambda _: break_one)
+    records = run(halls, "crossfade")
+    assert [(r.scene, r.status) for r in records] == [("a", "failed"), ("b", "done")]
+    assert records[0].reason == "MemoryError: too large"
+
+
+def test_scenes_too_short_for_a_step_are_listed_and_pairs_of_no_scene_refused(halls: Path) -> None:
+    assert [(r.scene, r.status) for r in run(halls, "crossfade", pairs="every:9")] == [(s, "skipped") for s in "ab"]
+    pairs = halls.parent / "pairs.txt"
+    pairs.write_text("nosuch 0 3\n")
+    with pytest.raises(InputError, match="expected pairs of the scenes"):
+        run(halls, "crossfade", pairs=str(pairs))
 
 
 def test_only_what_changed_is_done_again(halls: Path) -> None:

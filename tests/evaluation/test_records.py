@@ -44,15 +44,16 @@ def test_lines_are_strict_json(tmp_path: Path) -> None:
     assert len(text.splitlines()) == 2
 
 
-@pytest.mark.parametrize("rest", ["{", '{"key": "half a li', "ä"])
-def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path: Path, rest: str) -> None:
+@pytest.mark.parametrize("rest", [b"{", b'{"key": "half a li', "ä".encode(), "half a character: ä".encode()[:-1]])
+def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path: Path, rest: bytes) -> None:
     append_record(tmp_path, DONE)
     path = tmp_path / RESULTS_NAME
-    path.write_bytes(path.read_bytes() + rest.encode())
+    path.write_bytes(path.read_bytes() + rest)
     assert read_records(tmp_path) == [DONE]
     append_record(tmp_path, DONE)
     assert read_records(tmp_path) == [DONE, DONE]
-    path.write_bytes(rest.encode())
+    path.write_bytes(rest)
+    assert read_records(tmp_path) == []
     append_record(tmp_path, DONE)
     assert read_records(tmp_path) == [DONE]
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.presets import PRESETS
 
@@ -20,12 +21,6 @@ if TYPE_CHECKING:
 __all__ = ["bench"]
 
 FilePath = click.Path(path_type=Path)
-
-LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
-"""Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
-
-WIDTH = 160
-"""Characters of a table that no terminal limits."""
 
 QUICK: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512), "frames": 8}
 """What ``--quick`` stands for."""
@@ -63,7 +58,13 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     "--sizes", metavar="WxH,...", type=ListOf(Size()), default="1024x512,2048x1024", show_default=True,
     help="Of the frames.",
 )  # fmt: skip
-@click.option("--threads", metavar="N,...", type=ListOf(click.IntRange(1)), default=(), help="[default: one per core]")
+@click.option(
+    "--threads",
+    metavar="N,...",
+    type=ListOf(click.IntRange(1)),
+    default=(),
+    help="At most this many.  [default: one per core]",
+)
 @click.option("--frames", type=click.IntRange(1), default=24, show_default=True, help="That are timed of every clip.")
 @click.option(
     "--scene-size", metavar="WxH", type=Size(), default="1024x512", show_default=True,
@@ -96,7 +97,7 @@ def bench(
     import tempfile
 
     from omnisyn_cli.evaluation.bench import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
-    from omnisyn_cli.evaluation.bench_report import write_bench_report
+    from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
     from omnisyn_cli.evaluation.pareto import write_table
     from omnisyn_cli.io import check_output
 
@@ -118,7 +119,8 @@ def bench(
     if as_json:
         _print_json(measured)
     elif not quiet:
-        _print_tables(measured)
+        for table in bench_tables(measured):
+            print_table(table, table.title)
     return int(any(figures.status == "failed" for figures in measured))
 
 
@@ -130,28 +132,6 @@ def _print_json(measured: Sequence[Figures]) -> None:
 
     values = {"version": __version__, "machine": machine_in_words(), "settings": [f.to_json() for f in measured]}
     click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
-
-
-def _print_tables(measured: Sequence[Figures]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    from omnisyn_cli.evaluation.bench_report import bench_tables
-    from omnisyn_cli.evaluation.tables import format_value
-
-    for found in bench_tables(measured):
-        table = Table(title=found.title, box=box.SIMPLE, title_justify="left")
-        table.add_column(found.corner, no_wrap=True)
-        for column in found.columns:
-            table.add_column(column.title, justify="right")
-        for row in found.rows:
-            cells = zip(row.cells, found.columns, strict=False)
-            table.add_row(row.name, *(format_value(cell.value, column.digits) for cell, column in cells))
-        Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
-        for row in found.rows:
-            if not row.cells:
-                click.echo(f"{row.name}: {row.reason}")
 
 
 @contextmanager

@@ -15,8 +15,9 @@ from omnisyn_cli.cli.interpolate import Size
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.engine import EvaluationPlan
     from omnisyn_cli.evaluation.records import UnitRecord
+    from omnisyn_cli.evaluation.tables import Table
 
-__all__ = ["eval_"]
+__all__ = ["LAYOUTS", "eval_", "print_table"]
 
 FilePath = click.Path(path_type=Path)
 
@@ -86,14 +87,14 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     """  # noqa: D301 - click's \b is a backspace
     import tempfile
 
-    from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
+    from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 
     with ExitStack() as stack:
         folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-eval-")))
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
         plan = plan_evaluation(job)
         with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_unit:
-            records = evaluate(plan, on_unit)
+            records = run_evaluation(plan, on_unit) if report is None else evaluate(plan, on_unit)
     if as_json:
         _print_json(plan, records, report)
     elif not quiet:
@@ -119,28 +120,37 @@ def _print_json(plan: EvaluationPlan, records: Sequence[UnitRecord], report: Pat
 
 def _print_table(records: Sequence[UnitRecord]) -> None:
     """The means per method, and why others have none."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    from omnisyn_cli.evaluation.tables import format_value, report_tables
+    from omnisyn_cli.evaluation.tables import report_tables
 
     for means in report_tables(records)[:1]:
-        table = Table(box=box.SIMPLE)
-        table.add_column(means.corner, no_wrap=True)
-        for column in means.columns:
-            table.add_column(column.title, justify="right")
-        for row in means.rows:
-            cells = [format_value(c.value, column.digits) for c, column in zip(row.cells, means.columns, strict=False)]
-            table.add_row(f"{row.name} (upper bound)" if row.is_bound else row.name, *cells)
-        Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
-        for row in means.rows:
-            if not row.cells:
-                click.echo(f"{row.name}: {row.reason}")
+        print_table(means)
     for record in records:
         if record.status == "failed" or not record.method:
             name = " ".join(part for part in (record.scene, record.method) if part)
             click.echo(f"{name}: {record.status}: {record.reason}")
+
+
+def print_table(shown: Table, title: str | None = None) -> None:
+    """Print a table of figures, below it the rows that have a reason instead."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from omnisyn_cli.evaluation.tables import format_value
+
+    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    table.add_column(shown.corner, no_wrap=True)
+    for column in shown.columns:
+        table.add_column(column.title, justify="right")
+    for row in shown.rows:
+        cells = [
+            format_value(cell.value, column.digits) for cell, column in zip(row.cells, shown.columns, strict=False)
+        ]
+        table.add_row(f"{row.name} (upper bound)" if row.is_bound else row.name, *cells)
+    Console(width=None if sys.stdout.isatty() else WIDTH, markup=False).print(table)
+    for row in shown.rows:
+        if not row.cells:
+            click.echo(f"{row.name}: {row.reason}")
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import numpy as np
 from omnisyn_cli.errors import WriteError
 from omnisyn_cli.evaluation.datasets import Pair
 from omnisyn_cli.evaluation.measure import Measurement
-from omnisyn_cli.evaluation.pictures import error_map, turbo
+from omnisyn_cli.evaluation.pictures import error_map, nearest_shown, turbo
 from omnisyn_cli.evaluation.records import DepthRecord, UnitRecord
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.io import write_image
@@ -24,9 +24,6 @@ __all__ = ["Album", "has_all_pictures"]
 FOLDER = "pictures"
 
 LONGEST_NAME = 80
-
-NEAREST_SHARE = 99.0
-"""Percentile of the true inverse depth that has the last colour, in the picture of the estimate as well."""
 
 
 class Album:
@@ -57,12 +54,12 @@ class Album:
         )
 
     def _depth_pictures(self, view: str, found: np.ndarray, known: DepthEstimate | None) -> dict[str, str]:
-        """Both in the same colours."""
+        """Both in the same colours, those of the truth."""
         title = f"{view}-depth"
         if known is None or not (known.inverse_depth > 0).any():
             return {"depth": self._write(self._method, title, turbo(found))}
         truth = known.inverse_depth
-        largest = float(np.percentile(truth[truth > 0], NEAREST_SHARE))
+        largest = nearest_shown(truth)
         return {
             "depth": self._write(self._method, title, turbo(found, largest=largest)),
             "truth": self._write("truth", title, turbo(truth, largest=largest)),

@@ -12,7 +12,7 @@ from pathlib import Path
 from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.bench import machine_in_words
 from omnisyn_cli.evaluation.markup import Html, element, page
-from omnisyn_cli.evaluation.page import STYLE
+from omnisyn_cli.evaluation.page import STYLE, table_section
 from omnisyn_cli.evaluation.pareto import (
     FRAME_STAGES,
     STANDARD_FRAMES,
@@ -24,7 +24,7 @@ from omnisyn_cli.evaluation.pareto import (
     standard_seconds,
 )
 from omnisyn_cli.evaluation.plots import COLOURS, DOTS_PER_INCH, HEIGHT, LEGEND_COLUMNS, MARKERS, WIDTH
-from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, format_value
+from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table
 from omnisyn_cli.io.staging import staged_folder
 
 __all__ = ["bench_tables", "pareto_diagram", "write_bench_report"]
@@ -147,7 +147,7 @@ def pareto_diagram(measured: Sequence[Figures]) -> bytes | None:
 def _page(measured: Sequence[Figures], diagram: bytes | None) -> str:
     title = "OmniSyn settings"
     about = f"omnisyn {__version__} on {machine_in_words()}"
-    tables = [_section(table) for table in bench_tables(measured)]
+    tables = [table_section(table) for table in bench_tables(measured)]
     return page(title, STYLE, element("h1", title), element("p", about), *_picture(diagram), *tables)
 
 
@@ -158,20 +158,3 @@ def _picture(diagram: bytes | None) -> list[Html]:
     caption = "Accuracy against time; the lines join the settings that no other one beats in both."
     figure = element("figure", element("img", src=source, alt=caption), element("figcaption", caption))
     return [element("div", figure, class_="plots")]
-
-
-def _section(table: Table) -> Html:
-    head = element("tr", *(element("th", title) for title in (table.corner, *(c.title for c in table.columns))))
-    body = element("tbody", *(_line(row, table.columns) for row in table.rows))
-    content = element("table", element("thead", head), body)
-    return element(
-        "section", element("h2", table.title), element("p", table.note), element("div", content, class_="scroll")
-    )
-
-
-def _line(row: Row, columns: Sequence[Column]) -> Html:
-    name = element("th", row.name)
-    if not row.cells:
-        return element("tr", name, element("td", row.reason, class_="reason", colspan=str(len(columns))))
-    texts = (format_value(cell.value, column.digits) for cell, column in zip(row.cells, columns, strict=True))
-    return element("tr", name, *(element("td", text) for text in texts))

@@ -1,6 +1,6 @@
 """All methods on all pairs of a data set, one unit of work after the other, each written down when it is finished.
 
-Interrupted and started again, a run goes on where it was: units whose inputs, options and version are those of a line
+Interrupted and started again, a run goes on where it was: units whose inputs, options and program are those of a line
 in ``results.jsonl`` are not done again. What is broken or unavailable is tried again, for it may have been repaired.
 """
 
@@ -31,6 +31,8 @@ from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
 __all__ = ["EvaluationJob", "EvaluationPlan", "evaluate", "plan_evaluation", "run_evaluation"]
 
 NO_TRUTH = "expected true frames between the two panoramas, got none"
+
+TOO_FEW = "expected panoramas enough for a pair, got fewer"
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,8 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     """Read the poses of all scenes; no picture is read and nothing is written.
 
     Raises:
-        InputError: no scenes, no such method, pairs that cannot be understood, or a size that is not 2:1.
+        InputError: no scenes, no such method, pairs that cannot be understood or that no scene has, or a size that is
+            not 2:1.
     """
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
@@ -100,22 +103,32 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
             found = choose(source.read())
         except NoScaleError as error:
             findings.append(_finding(source, "skipped", str(error)))
-        except InputError as error:
-            findings.append(_finding(source, "failed", str(error)))
+        except Exception as error:  # noqa: BLE001 - one broken scene must not end an evaluation of many
+            findings.append(_finding(source, "failed", _one_line(error)))
         else:
             pairs += [pair for pair in found if pair.between]
             findings += [_without_truth(pair) for pair in found if not pair.between]
-            if not found and job.pairs is None:
-                findings.append(_finding(source, "skipped", "expected two or more panoramas, got fewer"))
+            if not found and (job.pairs is None or not Path(job.pairs).is_file()):
+                findings.append(_finding(source, "skipped", TOO_FEW))
+    if not pairs and not findings:
+        raise InputError(f"{job.pairs}: expected pairs of the scenes in {job.dataset}, got none; check the names")
     return EvaluationPlan(job, tuple(methods), tuple(pairs), tuple(findings))
 
 
 def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
-    """:func:`run_evaluation` with a report of its records at the end, see :mod:`omnisyn_cli.evaluation.report`."""
+    """:func:`run_evaluation` with a report of its records, see :mod:`omnisyn_cli.evaluation.report`.
+
+    The report is written at the end, and after an interruption as well, of what was finished until then.
+    """
     from omnisyn_cli.evaluation.report import write_report  # matplotlib takes a while to import
 
-    records = run_evaluation(plan, on_unit)
-    write_report(plan.job.report, records)
+    records: list[UnitRecord] = []
+    try:
+        for record in _written_records(plan, on_unit):
+            records.append(record)  # noqa: PERF402 - an interruption leaves those that are finished
+    finally:
+        if records:
+            write_report(plan.job.report, records)
     return records
 
 
@@ -130,20 +143,23 @@ def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], No
         InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one.
         OutputPathError, WriteError: the folder of the report cannot be written.
     """
+    return list(_written_records(plan, on_unit))
+
+
+def _written_records(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
+    """Every record once it has reached the disk."""
     report = plan.job.report
     _make_folder(report)
     known = {record.unit: record for record in latest_records(read_records(report))}
-    records: list[UnitRecord] = []
     units = 0
     for record in _records(plan, known):
         if not _is_same(known.get(record.unit), record):
             append_record(report, record)
             known[record.unit] = record
-        records.append(record)
+        yield record
         units += bool(record.method)
         if on_unit and record.method:
             on_unit(units, record)
-    return records
 
 
 def _is_same(known: UnitRecord | None, record: UnitRecord) -> bool:
@@ -192,24 +208,35 @@ class _Worker:
 
     def records(self, pair: Pair, methods: tuple[Method, ...], known: Known) -> Iterator[UnitRecord]:
         """One record for every method, the known one where nothing has changed."""
-        loaded: LoadedPair | None = None
+        loaded: LoadedPair | str | None = None
         options = MethodOptions(self._job.threads, self._job.device, DepthMemory())
         for method in methods:
             blank = UnitRecord(
                 "", pair.scene, pair.first.name, pair.second.name, method.name, "failed", baseline=baseline_of(pair)
             )
             try:
-                blank = replace(
-                    blank, key=self._fingerprints.of(pair, [method.name, *method.ingredients()], self._options)
-                )
-                if self._is_done(known.get(blank.unit), blank.key):
-                    yield known[blank.unit]
-                    continue
-                loaded = loaded or load_pair(pair, self._job.size, self._job.threads)
+                ingredients = [method.name, *method.ingredients()]
+                blank = replace(blank, key=self._fingerprints.of(pair, ingredients, self._options))
             except InputError as error:
                 yield replace(blank, reason=_one_line(error))
+                continue
+            if self._is_done(known.get(blank.unit), blank.key):
+                yield known[blank.unit]
+            elif method.absence:
+                yield replace(blank, status="unavailable", reason=method.absence)
             else:
-                yield self._unit(blank, pair, loaded, method, options)
+                loaded = loaded or self._loaded(pair)
+                if isinstance(loaded, str):
+                    yield replace(blank, reason=loaded)
+                else:
+                    yield self._unit(blank, pair, loaded, method, options)
+
+    def _loaded(self, pair: Pair) -> LoadedPair | str:
+        """The pictures of a pair, or why there are none."""
+        try:
+            return load_pair(pair, self._job.size, self._job.threads)
+        except Exception as error:  # noqa: BLE001 - one broken pair must not end an evaluation of many
+            return _one_line(error)
 
     def _is_done(self, record: UnitRecord | None, key: str) -> bool:
         return (

@@ -1,21 +1,39 @@
-"""What a result depends on, as a hash: files, poses, method, options and the version of the program."""
+"""What a result depends on, as a hash: files, poses, method, options, and the program with its own sources."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from omnisyn_cli import __version__
+import omnisyn_cli
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair
 
-__all__ = ["Fingerprints"]
+__all__ = ["Fingerprints", "digest_of_sources"]
 
 FORM = 1
 """Counts up when the same inputs are measured or recorded in another way."""
+
+WITHOUT_EFFECT = frozenset({"batch", "cli", "networks", "training"})
+"""Parts of the program that no method goes through."""
+
+
+@cache
+def digest_of_sources(package: Path) -> str:
+    """Hexadecimal digest of a package's Python files but for :data:`WITHOUT_EFFECT`; the same until the program ends.
+
+    Between two releases, which have one version, only this tells that a method works differently now.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        name = path.relative_to(package)
+        if name.parts[0] not in WITHOUT_EFFECT:
+            digest.update(f"{name.as_posix()}\n{path.stat().st_size}\n".encode() + path.read_bytes())
+    return digest.hexdigest()
 
 
 class Fingerprints:
@@ -23,6 +41,7 @@ class Fingerprints:
 
     def __init__(self) -> None:
         self._files: dict[Path, str] = {}
+        self._program = [FORM, omnisyn_cli.__version__, digest_of_sources(Path(omnisyn_cli.__file__).parent)]
 
     def of(self, pair: Pair, method: Sequence[str], options: Mapping[str, Any]) -> str:
         """Hexadecimal digest of everything that the result of a method on a pair depends on.
@@ -39,7 +58,7 @@ class Fingerprints:
             [frame.name, frame.pose.position.tolist(), frame.pose.rotation.tolist(), *map(self.of_file, frame.files)]
             for frame in (pair.first, pair.second, *pair.between)
         ]
-        described = [FORM, __version__, list(method), dict(options), frames]
+        described = [*self._program, list(method), dict(options), frames]
         return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
     def of_file(self, path: Path) -> str:

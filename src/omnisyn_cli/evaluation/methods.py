@@ -62,12 +62,14 @@ class Method:
         description: what it does, in a few words.
         make: sets it to work.
         ingredients: tells what its results depend on besides its name, such as the networks that are installed.
+        absence: why it works on no pair at all; empty where it does.
     """
 
     name: str
     description: str
     make: Factory
     ingredients: Callable[[], tuple[str, ...]] = tuple
+    absence: str = ""
 
 
 RecipeFactory = Callable[[MethodOptions], Recipe]
@@ -82,11 +84,9 @@ def _oracle(_: MethodOptions) -> Recipe:
 
 
 def _preset(name: str) -> RecipeFactory:
-    """The recipe of a preset of the product; unavailable where there is no such preset or its network is missing."""
+    """The recipe of a preset of the product; unavailable where its network is missing."""
 
     def make(options: MethodOptions) -> Recipe:
-        if name not in PRESETS:
-            raise MethodUnavailableError(f"expected the preset '{name}', this version of omnisyn has none of that name")
         preset = PRESETS[name]
         try:
             estimator = make_estimator(
@@ -97,14 +97,6 @@ def _preset(name: str) -> RecipeFactory:
         return Recipe(f"preset {name}", estimator)
 
     return make
-
-
-def _default(options: MethodOptions) -> Recipe:
-    """The default preset, or matching alone where its network is not installed."""
-    try:
-        return _preset(DEFAULT_PRESET)(options)
-    except MethodUnavailableError:
-        return _matching(options)
 
 
 def _installed(name: str) -> tuple[str, ...]:
@@ -120,53 +112,58 @@ def _changed(base: RecipeFactory, **changes: object) -> RecipeFactory:
     return lambda options: replace(base(options), **changes)  # type: ignore[arg-type]
 
 
-def _missing(what: str) -> RecipeFactory:
-    def make(_: MethodOptions) -> Recipe:
-        raise MethodUnavailableError(f"expected {what}, this version of omnisyn has none")
-
-    return make
-
-
 @dataclass(frozen=True)
 class _Entry:
-    """A geometric method: description, recipe, and the preset that the recipe looks at."""
+    """A geometric method: description, recipe, the preset that the recipe looks at, or why there is no recipe."""
 
     description: str
     recipe: RecipeFactory
     preset: str = ""
+    absence: str = ""
+
+
+def _of_preset(description: str, name: str, **changes: object) -> _Entry:
+    if name not in PRESETS:
+        return _absent(description, f"the preset '{name}'")
+    return _Entry(description, _changed(_preset(name), **changes), name)
+
+
+def _absent(description: str, what: str) -> _Entry:
+    absence = f"expected {what}, this version of omnisyn has none"
+
+    def make(_: MethodOptions) -> Recipe:
+        raise MethodUnavailableError(absence)
+
+    return _Entry(description, make, absence=absence)
 
 
 RECIPES: Mapping[str, _Entry] = MappingProxyType(
     {
         "matching": _Entry("depth by matching, mesh, geometric fusion", _matching),
-        "omnisyn-fast": _Entry("the preset fast", _preset("fast"), "fast"),
-        "omnisyn-balanced": _Entry("the preset balanced", _preset("balanced"), "balanced"),
-        "omnisyn-accurate": _Entry("the preset accurate", _preset("accurate"), "accurate"),
-        "omnisyn-paper": _Entry("the preset paper: the networks of the paper", _preset("paper"), "paper"),
-        "omnisyn-points": _Entry(
-            "the default preset with a cloud of points instead of the mesh",
-            _changed(_default, renderer="points"), DEFAULT_PRESET,
+        "omnisyn-fast": _of_preset("the preset fast", "fast"),
+        "omnisyn-balanced": _of_preset("the preset balanced", "balanced"),
+        "omnisyn-accurate": _of_preset("the preset accurate", "accurate"),
+        "omnisyn-paper": _of_preset("the preset paper: the networks of the paper", "paper"),
+        "omnisyn-points": _of_preset(
+            "the default preset with a cloud of points instead of the mesh", DEFAULT_PRESET, renderer="points"
         ),
-        "omnisyn-two-pass": _Entry(
-            "the default preset with the paper's two-pass rasteriser",
-            _changed(_default, renderer="two-pass"), DEFAULT_PRESET,
+        "omnisyn-two-pass": _of_preset(
+            "the default preset with the paper's two-pass rasteriser", DEFAULT_PRESET, renderer="two-pass"
         ),
-        "blend": _Entry(
-            "the default preset's depth with geometric fusion, no fusion network",
-            _changed(_default, fuser=geometric_fuser), DEFAULT_PRESET,
+        "blend": _of_preset(
+            "the default preset's depth, fused without a network; no preset has one for fusion, so both are the same",
+            DEFAULT_PRESET, fuser=geometric_fuser,
         ),
-        "first-view-only": _Entry(
-            "the default preset's depth, only the first panorama is shown",
-            _changed(_default, fuser=first_view_only), DEFAULT_PRESET,
+        "first-view-only": _of_preset(
+            "the default preset's depth, only the first panorama is shown", DEFAULT_PRESET, fuser=first_view_only
         ),
-        "monocular": _Entry("depth from each panorama alone", _missing("a trained monocular depth network")),
-        "synsin": _Entry("SynSin from the nearer panorama", _missing("a trained SynSin network")),
-        "synsin-2view": _Entry("SynSin from both panoramas", _missing("a trained SynSin network")),
+        "monocular": _absent("depth from each panorama alone", "a trained monocular depth network"),
+        "synsin": _absent("SynSin from the nearer panorama", "a trained SynSin network"),
+        "synsin-2view": _absent("SynSin from both panoramas", "a trained SynSin network"),
         "oracle-depth": _Entry("the true depth: an upper bound", _oracle),
     }
 )  # fmt: skip
-"""Geometric methods by name. Where the network of the default preset is not installed, those that change one part of it
-have depth by matching."""
+"""Geometric methods by name."""
 
 PLAIN: Mapping[str, tuple[str, Callable[[tuple[View, View], int | None], Synthesizer]]] = MappingProxyType(
     {
@@ -213,7 +210,7 @@ def find_method(name: str) -> Method:
         _check_truth(made, views)
         return GeometricSynthesizer(made, views, options.threads, options.memory)
 
-    return Method(name, description, make_geometric, partial(_installed, entry.preset))
+    return Method(name, description, make_geometric, partial(_installed, entry.preset), entry.absence)
 
 
 def _change(parameter: str, name: str) -> Callable[[Recipe], Recipe]:

@@ -13,7 +13,7 @@ from omnisyn_cli.evaluation.pictures import ERROR_SCALE
 from omnisyn_cli.evaluation.records import UnitRecord
 from omnisyn_cli.evaluation.tables import Column, Row, Table, format_value
 
-__all__ = ["PLOT_TITLES", "render_page"]
+__all__ = ["PLOT_TITLES", "STYLE", "render_page", "table_section"]
 
 PLOT_TITLES = {
     "ws-psnr-by-distance": "WS-PSNR against the distance from the nearer panorama",
@@ -83,8 +83,8 @@ def render_page(
     title = "OmniSyn evaluation"
     return page(
         title, STYLE, element("h1", title), element("p", f"omnisyn {version}"), _counts(records),
-        *(_table(table) for table in tables[:1]), _gaps(gaps(records)), _plots(plots),
-        *(_table(table) for table in tables[1:]),
+        *(table_section(table) for table in tables[:1]), _gaps(gaps(records)), _plots(plots),
+        *(table_section(table) for table in tables[1:]),
         _sections("Worst frames", f"Of each method, the frames with the lowest WS-PSNR first. Error: mean difference "
                   f"of the channels, black 0, pale yellow {ERROR_SCALE} or more.", frames),
         _sections("Depth", "Red is near, dark blue far, black unknown.", depths),
@@ -104,7 +104,8 @@ def _counts(records: Sequence[UnitRecord]) -> Html:
     return element("ul", *tiles, class_="counts")
 
 
-def _table(table: Table) -> Html:
+def table_section(table: Table) -> Html:
+    """A table with its title and its note."""
     head = element("tr", element("th", table.corner), *(_heading(column) for column in table.columns))
     body = [_row(row, table.columns) for row in table.rows]
     content = element("table", element("thead", head), element("tbody", *body))

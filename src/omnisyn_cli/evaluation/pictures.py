@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 from omnisyn_cli.metrics.image import check_same_size
 
-__all__ = ["ERROR_SCALE", "error_map", "turbo"]
+__all__ = ["ERROR_SCALE", "error_map", "nearest_shown", "turbo"]
 
 ERROR_SCALE = 0.25
 """Mean absolute difference of the channels that has the brightest colour; fixed, so that maps can be compared."""
@@ -44,19 +44,20 @@ def turbo(
     Args:
         inverse_depth: 1/m.
         largest: inverse depth that has the last colour; give both of two pictures that are to be compared the same.
-            By default the 99th percentile of what is known and finite.
+            By default that of :func:`nearest_shown`.
 
     Source of the colours: Mikhailov, Turbo, an improved rainbow colormap for visualization, 2019.
     """
     known = np.nan_to_num(inverse_depth, nan=-1.0) >= 0
-    if largest is None:
-        largest = _nearest(inverse_depth[known & (inverse_depth > 0) & np.isfinite(inverse_depth)])
+    largest = nearest_shown(inverse_depth) if largest is None else largest
     share = np.where(known, inverse_depth, 0.0) / largest
     coloured = _coloured(np.sqrt(np.clip(share, 0.0, 1.0)), cv2.COLORMAP_TURBO)
     return np.where(known[..., None], coloured, np.uint8(0))
 
 
-def _nearest(positive: np.ndarray) -> float:
+def nearest_shown(inverse_depth: Float[np.ndarray, "height width"]) -> float:
+    """Inverse depth, 1/m, that has the last colour: the 99th percentile of what is positive and finite, else 1."""
+    positive = inverse_depth[(inverse_depth > 0) & np.isfinite(inverse_depth)]
     return float(np.percentile(positive, NEAREST_SHARE)) if positive.size else 1.0
 
 

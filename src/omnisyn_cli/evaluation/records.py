@@ -80,7 +80,7 @@ class UnitRecord:
     """What became of one method on one pair of panoramas.
 
     Attributes:
-        key: hash of everything the result depends on: files, poses, method, options, version.
+        key: hash of everything the result depends on: files, poses, method, options, program.
         scene: name of the scene.
         first, second: names of the two panoramas; empty where the scene could not be read.
         method: name of the method; empty where the scene itself was skipped or is broken.
@@ -181,7 +181,8 @@ def read_records(folder: Path) -> list[UnitRecord]:
     if not path.exists():
         return []
     try:
-        lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+        complete, _, _ = path.read_bytes().rpartition(b"\n")  # what was cut short may end inside a character
+        lines = complete.decode("utf-8").split("\n") if complete else []
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
     return [_record(path, number, line) for number, line in enumerate(lines, start=1)]

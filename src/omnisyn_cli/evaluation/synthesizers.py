@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol
 
@@ -67,6 +67,9 @@ class Synthesizer(Protocol):
         ...
 
 
+AT_FIRST = 1e-9
+"""Share of the way at which the exposure of a frame is still that of the first view."""
+
 MakeFuser = Callable[[tuple[int, int], int | None], Fuser]
 """Makes a fuser for frames of a size that uses at most so many threads."""
 
@@ -77,7 +80,7 @@ def geometric_fuser(size: tuple[int, int], threads: int | None) -> Fuser:
 
 
 def first_view_only(size: tuple[int, int], threads: int | None) -> Fuser:
-    """A fuser that is blind to the second view."""
+    """A fuser that is blind to the second view; pictures have the exposure of the first."""
     return _FirstViewOnly(geometric_fuser(size, threads))
 
 
@@ -140,8 +143,11 @@ class GeometricSynthesizer:
     def pictures(self, path: Sequence[Waypoint], size: tuple[int, int], clock: Stopwatch) -> Iterator[Picture]:
         """See :class:`Synthesizer`."""
         options = SynthesisOptions(size, self._recipe.renderer, self._recipe.cut, self._threads)
-        fuser = _Surveying(self._recipe.fuser(size, self._threads))
+        shows_first_only = self._recipe.fuser is first_view_only
+        fuser = _Surveying(self._recipe.fuser(size, self._threads), shows_first_only=shows_first_only)
         estimator = partial(self._estimate, clock)
+        if shows_first_only:
+            path = [replace(waypoint, t=AT_FIRST) for waypoint in path]
         for made in synthesize(self._views, path, estimator, options, fuser, clock):
             if isinstance(made, Frame):
                 yield Picture(made.image.copy(), fuser.inverse_depth)
@@ -167,14 +173,15 @@ def _resized(estimate: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
 
 
 class _Surveying:
-    """A fuser that keeps the geometry of the frame: the nearer of both surfaces, negative where there is none."""
+    """A fuser that keeps the geometry of the frame: the nearer surface that is shown, negative where there is none."""
 
-    def __init__(self, fuser: Fuser) -> None:
-        self._fuser = fuser
+    def __init__(self, fuser: Fuser, *, shows_first_only: bool) -> None:
+        self._fuser, self._shows_first_only = fuser, shows_first_only
         self.inverse_depth: np.ndarray | None = None
 
     def __call__(self, first: Rendering, second: Rendering, t: float) -> np.ndarray:
-        self.inverse_depth = np.maximum(first.inverse_depth, second.inverse_depth)
+        shown = first if self._shows_first_only else second
+        self.inverse_depth = np.maximum(first.inverse_depth, shown.inverse_depth)
         return self._fuser(first, second, t)
 
 

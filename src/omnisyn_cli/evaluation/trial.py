@@ -73,11 +73,12 @@ def run_trial(trial: Trial, folder: Path, launched: float) -> Figures:
         EncodingError, WriteError: a clip cannot be written.
     """
     setting, estimator = trial.setting, _Remembering(_estimator(trial))
-    plans = list(_plans(trial, folder))
-    _clip(_with_frames(plans[0], 1), estimator)
+    plans = _plans(trial, folder)
+    first_plan = next(plans)
+    _clip(_with_frames(first_plan, 1), estimator)
     started = time.time() - launched
     clips, found = [], []
-    for plan in plans:
+    for plan in chain((first_plan,), plans):
         clips.append(_per_pair_and_frame(_clip(plan, estimator), trial.frames))
         found.append(estimator.found)
     memory = _peak_memory()
@@ -85,7 +86,7 @@ def run_trial(trial: Trial, folder: Path, launched: float) -> Figures:
     seconds = {"start": start, **{stage: _mean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
     scores = list(chain.from_iterable(_scores(*each, setting) for each in zip(trial.pairs, found, strict=True)))
     return Figures(
-        setting, key=trial.key, source=plans[0].source_sizes[0], seconds=seconds,
+        setting, key=trial.key, source=first_plan.source_sizes[0], seconds=seconds,
         calibration=calibrate(setting.threads), memory=memory, ws_psnr=_mean(scores) if scores else None,
         pairs=len(clips),
     )  # fmt: skip

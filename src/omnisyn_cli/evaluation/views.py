@@ -79,7 +79,8 @@ def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | No
         image = read_panorama(frame.image).image
         size = size or (image.shape[0], image.shape[1])
         t, distance = share_of_way(pair, frame.pose)
-        image = turned_panorama(image, UNTURNED, size, threads) if image.shape[:2] != size else image
+        if image.shape[:2] != size:
+            image = np.clip(turned_panorama(image, UNTURNED, size, threads), 0, 1)
         truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
     views = (_view(pair.first), _view(pair.second))
     height, width = views[0].image.shape[:2]

@@ -52,7 +52,7 @@ def choose_pairs(text: str | None) -> PairChooser:
         return lambda scene: [_pair(scene, at, at + step) for at in range(0, len(scene.frames) - step, step)]
     if Path(text).is_file():
         return _from_file(Path(text))
-    wanted = [_indices(part, text) for part in text.split(",")]
+    wanted = list(dict.fromkeys(_indices(part, text) for part in text.split(",")))
     return lambda scene: [_pair(scene, first, second) for first, second in wanted]
 
 
@@ -70,7 +70,7 @@ def _index(word: str, text: str) -> int:
 
 
 def _from_file(path: Path) -> PairChooser:
-    wanted = list(_lines(path))
+    wanted = list(dict.fromkeys(_lines(path)))
 
     def choose(scene: Scene) -> list[Pair]:
         names = [frame.name for frame in scene.frames]
