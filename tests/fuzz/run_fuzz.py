@@ -82,6 +82,8 @@ def _lines_of_worker(seed: int, todo: dict[str, tuple[int, int]]) -> Iterator[st
     finally:
         worker.kill()
         worker.wait()
+        if worker.stdout is not None:
+            worker.stdout.close()
 
 
 def _lines(worker: subprocess.Popen[bytes]) -> Iterator[str]:

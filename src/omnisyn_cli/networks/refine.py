@@ -1,21 +1,19 @@
-"""Depth made better by a network that knows rooms and streets: a choice among what matching suggests.
+"""Depth made better by a network that knows rooms and streets: a residual on what matching found out.
 
 Matching is exact where there is texture and both panoramas look; elsewhere its map is a guess carried on from the
-surroundings, and edges lie a few pixels off. The right value is nearly always close by, though: the pixel's own, that
-of its best match, or the nearest or the farthest one within a few pixels. The network sees the picture, the map, how
-sure matching was, and what the other panorama shows where the map says that the same point is
-(:func:`omnisyn_cli.stereo.evidence.evidence_planes`), all in the upright frame of the camera, where floors are below
-and skies above. It gives each candidate a share and answers with the candidate of the least expected error, their
-weighted median, plus a small correction: at an edge it decides for the near or for the far surface, never for a place
-between them.
+surroundings. The network sees the picture, the map, how sure matching was, and what the other panorama shows where the
+map says that the same point is (:func:`omnisyn_cli.stereo.evidence.evidence_planes`), all in the upright frame of the
+camera, where floors are below and skies above. It answers for each pixel with a mixture of two Laplace distributions
+of the root of inverse depth × baseline and takes the mode of the denser one: at an edge it decides for the near or for
+the far surface instead of for a place between them.
 
-Source: choosing instead of averaging at edges: Tosi et al., SMD-Nets: Stereo mixture density networks, 2021; monocular
-skip: OmniSyn, section 3.3.
+Source: mixtures: Tosi et al., SMD-Nets: Stereo mixture density networks, 2021; monocular skip: OmniSyn, section 3.3.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -24,34 +22,18 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.layers import (
-    LEAK,
-    ResidualBlock,
-    WrappedConv,
-    initialise,
-    sizes,
-    upsample_nearest,
-    wrap_columns,
-)
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes, upsample_nearest
 
-__all__ = ["REFINE_VARIANTS", "RefineConfig", "RefineNetwork", "RefinePrediction", "candidates_of"]
+__all__ = ["REFINE_VARIANTS", "RefineConfig", "RefineNetwork", "RefinePrediction"]
 
-FILLED_PLANE, MATCHED_PLANE = 3, 4
-"""Of the input: the roots that candidates come from."""
+LEAST_SCALE = 0.003
+"""Of a Laplace distribution of roots: no answer is surer than a fraction of a pixel of parallax."""
 
-AGREED_PLANE, SKY_PLANE = 5, 6
-"""Of the input: where matching is sure; there candidates are chosen but not corrected."""
+FILLED_PLANE = 3
+"""Of the input: the root that the answer starts from."""
 
-WINDOWS = (3, 7, 15)
-"""Sides in pixels of the squares whose nearest and farthest values are candidates."""
-
-CANDIDATES = 2 + 2 * len(WINDOWS)
-
-FIRST_CHOICE = 1.0
-"""Logit of the filled root in a fresh network."""
-
-CORRECTION = 0.1
-"""Scale of the correction, so that a fresh network leaves the candidates nearly as they are."""
+STEPS = (0.1, 1.0)
+"""How far the two modes move from it: the first corrects what matching found, the second replaces it."""
 
 
 @dataclass(frozen=True)
@@ -92,30 +74,28 @@ REFINE_VARIANTS = {"balanced": RefineConfig("balanced", planes=19, widths=(32, 4
 
 @dataclass(frozen=True)
 class RefinePrediction:
-    """Candidates for the root, a share for each, and how far the answer may be trusted.
+    """A mixture of two Laplace distributions of the root, and how far it may be trusted.
 
     Attributes:
-        candidates: ``(batch, candidates, height, width)`` roots.
-        logits: ``(batch, candidates, height, width)`` of their shares.
-        correction: ``(batch, 1, height, width)`` is added to the candidate that is chosen.
+        roots: ``(batch, 2, height, width)`` modes; slightly negative values mean "infinitely far".
+        log_scales: ``(batch, 2, height, width)``.
+        choice: ``(batch, 1, height, width)`` logit of the first one's share.
         confidence_logit: ``(batch, 1, height, width)``; its sigmoid is the probability that the depth is within 10 %.
     """
 
-    candidates: Tensor
-    logits: Tensor
-    correction: Tensor
+    roots: Tensor
+    log_scales: Tensor
+    choice: Tensor
     confidence_logit: Tensor
 
+    def log_shares(self) -> Float[Tensor, "batch 2 height width"]:
+        """Logarithms of the shares of both distributions."""
+        return torch.cat([functional.logsigmoid(self.choice), functional.logsigmoid(-self.choice)], dim=1)
+
     def root(self) -> Float[Tensor, "batch 1 height width"]:
-        """The candidate of least expected error, corrected; slightly negative values mean "infinitely far"."""
-        shares = self.logits.softmax(dim=1)
-        number = sizes(self.candidates)[1]
-        expected = [
-            (shares * (self.candidates - self.candidates[:, k : k + 1]).abs()).sum(dim=1, keepdim=True)
-            for k in range(number)
-        ]
-        chosen = torch.cat(expected, dim=1).argmin(dim=1, keepdim=True)
-        return self.candidates.gather(1, chosen) + self.correction
+        """The mode whose density is greater."""
+        density = self.log_shares() - self.log_scales
+        return torch.where(density[:, :1] >= density[:, 1:], self.roots[:, :1], self.roots[:, 1:])
 
     def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """Inverse depth × baseline: never negative, exactly 0 where nothing is there."""
@@ -126,42 +106,26 @@ class RefinePrediction:
         return self.confidence_logit.sigmoid()
 
 
-def candidates_of(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch candidates height width"]:
-    """The filled and the matched root, then the nearest and the farthest filled root within each window."""
-    filled = planes[:, FILLED_PLANE : FILLED_PLANE + 1]
-    found = [filled, planes[:, MATCHED_PLANE : MATCHED_PLANE + 1]]
-    for window in WINDOWS:
-        found += [_greatest(filled, window), -_greatest(-filled, window)]
-    return torch.cat(found, dim=1)
-
-
-def _greatest(x: Tensor, window: int) -> Tensor:
-    """Maximum over squares; around the seam, but not beyond the poles."""
-    reach = window // 2
-    along = functional.max_pool2d(wrap_columns(x, reach, reach), (1, window), stride=1)
-    return functional.max_pool2d(along, (window, 1), stride=1, padding=(reach, 0))
-
-
 class RefineNetwork(nn.Module):
-    """Evidence planes in, a choice per pixel out; any size that is a multiple of ``config.size_multiple``."""
+    """Evidence planes in, a mixture per pixel out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: RefineConfig) -> None:
         super().__init__()
         self.config = config
-        widths, inputs = config.widths, config.planes + CANDIDATES - 2
-        self.stem = ResidualBlock(4 * inputs, widths[0])
+        widths = config.widths
+        self.stem = ResidualBlock(4 * config.planes, widths[0])
         self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
         self.middle = ResidualBlock(widths[-1], widths[-1])
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
         self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
         self.spread = nn.Conv2d(widths[0], 4 * config.fine, 1)
-        self.look = WrappedConv(inputs, config.fine)
+        self.look = WrappedConv(config.planes, config.fine)
         self.fine = ResidualBlock(config.fine, config.fine)
-        self.answer = WrappedConv(config.fine, CANDIDATES + 2)
+        self.answer = WrappedConv(config.fine, 6)
         initialise(self)
         nn.init.normal_(self.answer.weight, std=0.01)
         with torch.no_grad():
-            self.answer.bias[0] = FIRST_CHOICE  # type: ignore[index]
+            self.answer.bias.copy_(torch.tensor([0.0, 0.0, -3.0, -2.0, 1.0, 0.0]))  # type: ignore[union-attr]
 
     def forward(self, planes: Float[Tensor, "batch planes height width"]) -> RefinePrediction:
         """Refine.
@@ -172,9 +136,7 @@ class RefineNetwork(nn.Module):
         multiple = self.config.size_multiple
         if any(size % multiple for size in sizes(planes)[-2:]):
             raise ValueError(f"expected a size of multiples of {multiple}, got {sizes(planes)[-2:]}")
-        candidates = candidates_of(planes)
-        seen = torch.cat([planes, candidates[:, 2:] - candidates[:, :1]], dim=1)
-        x = self.stem(functional.pixel_unshuffle(seen, 2))
+        x = self.stem(functional.pixel_unshuffle(planes, 2))
         skips = []
         for block in self.down:
             skips.append(x)
@@ -183,7 +145,7 @@ class RefineNetwork(nn.Module):
         for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
             x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
         x = functional.pixel_shuffle(self.spread(x), 2)
-        x = self.fine(functional.leaky_relu(x + self.look(seen), LEAK))
-        logits, correction, confidence = self.answer(x).split([CANDIDATES, 1, 1], dim=1)
-        sure = torch.maximum(planes[:, AGREED_PLANE : AGREED_PLANE + 1], planes[:, SKY_PLANE : SKY_PLANE + 1])
-        return RefinePrediction(candidates, logits, CORRECTION * correction * (1.0 - sure), confidence)
+        x = self.fine(functional.leaky_relu(x + self.look(planes), LEAK))
+        roots, log_scales, choice, confidence = self.answer(x).split([2, 2, 1, 1], dim=1)
+        roots = planes[:, FILLED_PLANE : FILLED_PLANE + 1] + roots * roots.new_tensor(STEPS).view(1, 2, 1, 1)
+        return RefinePrediction(roots, log_scales.clamp(min=math.log(LEAST_SCALE)), choice, confidence)
