@@ -36,6 +36,7 @@ from omnisyn_cli.io import (
 )
 from omnisyn_cli.io.background import BackgroundSink
 from omnisyn_cli.io.staging import staged_folder
+from omnisyn_cli.photometry import equalized
 from omnisyn_cli.planning import DEPTH_METHODS, InterpolationJob, InterpolationPlan, depth_name, plan_interpolation
 from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize
@@ -177,7 +178,7 @@ def _frames(
             yield made
     if plan.job.save_depth is not None:
         for pair in sorted(set(range(len(views) - 1)) - prepared):  # no frame lay between these two
-            keep_depth(pair, estimator(views[pair], views[pair + 1]))
+            keep_depth(pair, estimator(*equalized(views[pair], views[pair + 1], job.threads)))
 
 
 def make_estimator(plan: InterpolationPlan) -> DepthEstimator:

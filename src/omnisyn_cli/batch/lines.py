@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.io.paths import read_text
 
 __all__ = ["read_lines"]
 
@@ -22,7 +22,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
     Raises:
         InputError: the file cannot be read.
     """
-    text = _text(path)
+    text = read_text(path, "a manifest", LARGEST_FILE)
     if path.suffix.lower() == ".csv":
         rows = csv.DictReader(io.StringIO(text), strict=True)
         try:
@@ -51,15 +51,3 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
     if "inputs" in cells:
         cells["inputs"] = [name.strip() for name in cells["inputs"].split(";")]
     return cells
-
-
-def _text(path: Path) -> str:
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE:
-            raise InputError(f"{path}: expected at most {LARGEST_FILE:,} bytes, got {size:,}; split the manifest")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: expected a manifest, got '{error.strerror}'; check the name") from error
-    except ValueError as error:
-        raise InputError(f"{path}: expected UTF-8 text, got '{error}'; save the file as UTF-8") from error

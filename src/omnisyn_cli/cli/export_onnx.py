@@ -23,7 +23,7 @@ def export_onnx(
 ) -> None:
     """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
 
-    Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value in more than one pixel of 100,000.
+    Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
     """
     from omnisyn_cli.training.publish import publish
 

@@ -19,13 +19,13 @@ from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.pareto import Figures, Setting
 from omnisyn_cli.evaluation.suite import suite_scenes, write_suite_scene
 from omnisyn_cli.evaluation.trial import Trial, run_trial
-from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.io.paths import make_folder, replaced_when_complete
 from omnisyn_cli.io.staging import staged_folder
 from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.runtime.models import read_manifest
@@ -84,7 +84,7 @@ def make_scenes(folder: Path, size: tuple[int, int], threads: int | None = None)
     Raises:
         OutputPathError, WriteError: the folder cannot be written.
     """
-    _make_folder(folder)
+    make_folder(folder, "results")
     for kind, baseline in GENERATED.items():
         for walk in suite_scenes((kind,), SEEDS[:1]):
             if walk.baseline == baseline and walk.path and not (folder / walk.name).exists():
@@ -128,7 +128,7 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
         InputError: the results of an earlier run cannot be read, or a file of the data set is missing.
         OutputPathError, WriteError: the folder of the report cannot be written.
     """
-    _make_folder(plan.job.report)
+    make_folder(plan.job.report, "results")
     path = plan.job.report / RESULTS_NAME
     known = {figures.key: figures for figures in _read(path) if figures.status == "done"}
     files = Fingerprints()
@@ -156,13 +156,6 @@ def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
     ingredients = [setting.name, repr(PRESETS[setting.preset]), entry.sha256 if entry else ""]
     options = {"frames": plan.job.frames, "device": plan.job.device}
     return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputPathError(f"{folder}: expected a folder for results, got '{error.strerror}'") from error
 
 
 def _read(path: Path) -> list[Figures]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from omnisyn_cli.errors import InputError, OmnisynError, OutputPathError
+from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.album import Album, has_all_pictures
 from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
@@ -27,6 +27,7 @@ from omnisyn_cli.evaluation.records import (
 )
 from omnisyn_cli.evaluation.synthesizers import DepthMemory, MethodUnavailableError
 from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
+from omnisyn_cli.io.paths import make_folder
 
 __all__ = ["EvaluationJob", "EvaluationPlan", "evaluate", "plan_evaluation", "run_evaluation"]
 
@@ -149,7 +150,7 @@ def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], No
 def _written_records(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
     """Every record once it has reached the disk."""
     report = plan.job.report
-    _make_folder(report)
+    make_folder(report, "the report")
     known = {record.unit: record for record in latest_records(read_records(report))}
     units = 0
     for record in _records(plan, known):
@@ -165,13 +166,6 @@ def _written_records(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], 
 def _is_same(known: UnitRecord | None, record: UnitRecord) -> bool:
     """Whether a line says the same already; undefined numbers count as equal."""
     return known is not None and known.to_json() == record.to_json()
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputPathError(f"{folder}: expected a folder for the report, got '{error.strerror}'") from error
 
 
 def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:

@@ -8,9 +8,50 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from omnisyn_cli.errors import OutputPathError, WriteError
+from omnisyn_cli.errors import InputError, OutputPathError, WriteError
 
-__all__ = ["check_folder", "check_name", "check_output", "replaced_when_complete", "temporary_name", "write_errors"]
+__all__ = [
+    "check_folder",
+    "check_name",
+    "check_output",
+    "make_folder",
+    "read_text",
+    "replaced_when_complete",
+    "temporary_name",
+    "write_errors",
+]
+
+
+def read_text(path: Path, what: str, largest: int, error: type[InputError] = InputError) -> str:
+    """The text of a file that users write, in UTF-8 with or without a byte order mark.
+
+    Args:
+        path: of the file.
+        what: it should be, for the message, such as ``a manifest``.
+        largest: bytes; more is refused before anything is read.
+        error: raised where the file is missing, unreadable, too large, or no UTF-8.
+    """
+    try:
+        size = path.stat().st_size
+        if size > largest:
+            raise error(f"{path}: expected at most {largest:,} bytes, got {size:,}; split the file")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as failure:
+        raise error(f"{path}: expected {what}, got '{failure.strerror}'; check the name") from failure
+    except ValueError as failure:
+        raise error(f"{path}: expected UTF-8 text, got '{failure}'; save the file as UTF-8") from failure
+
+
+def make_folder(folder: Path, what: str) -> None:
+    """Make a folder, and those above it, unless it is there.
+
+    Raises:
+        OutputPathError: it cannot be made; the message says that a folder for ``what`` was expected.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputPathError(f"{folder}: expected a folder for {what}, got '{error.strerror}'") from error
 
 
 def check_output(path: Path | str, overwrite: bool = False) -> None:

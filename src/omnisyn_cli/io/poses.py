@@ -28,7 +28,7 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_heading,
     rotation_from_quaternion,
 )
-from omnisyn_cli.io.paths import check_output, replaced_when_complete
+from omnisyn_cli.io.paths import check_output, read_text, replaced_when_complete
 from omnisyn_cli.io.pose_models import (
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
@@ -160,23 +160,11 @@ def _parsed(path: Path) -> Any:
     def refuse_constant(constant: str) -> Never:
         raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
 
-    text = _text(path)
+    text = read_text(path, "a pose file", LARGEST_FILE, PoseError)
     try:
         return json.loads(text, object_pairs_hook=without_duplicates, parse_constant=refuse_constant)
     except (ValueError, RecursionError) as error:
         raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
-
-
-def _text(path: Path) -> str:
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE:
-            raise PoseError(f"{path}: expected at most {LARGEST_FILE:,} bytes, got {size:,}; split the file")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise PoseError(f"{path}: expected a pose file, got '{error.strerror}'; check the name") from error
-    except ValueError as error:
-        raise PoseError(f"{path}: expected UTF-8 text, got '{error}'; save the file as UTF-8") from error
 
 
 def _validated(path: Path, model: type[Model], value: Any, where: tuple[str, ...]) -> Model:

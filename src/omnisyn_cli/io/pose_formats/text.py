@@ -15,6 +15,7 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from omnisyn_cli.errors import PoseError
+from omnisyn_cli.io.paths import read_text as read
 from omnisyn_cli.io.pose_models import explain
 
 __all__ = ["ForeignModel", "data_lines", "numbers", "read_array", "read_json", "read_text", "validated"]
@@ -43,15 +44,7 @@ def read_text(path: Path) -> str:
     Raises:
         PoseError: missing, unreadable, too large, or no UTF-8.
     """
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE:
-            raise PoseError(f"{path}: expected at most {LARGEST_FILE:,} bytes, got {size:,}; split the file")
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise PoseError(f"{path}: expected a readable file, got '{error.strerror}'; check the name") from error
-    except ValueError as error:
-        raise PoseError(f"{path}: expected UTF-8 text, got '{error}'; save it as UTF-8 text") from error
+    return read(path, "a readable file", LARGEST_FILE, PoseError)
 
 
 def data_lines(path: Path) -> Iterator[tuple[int, str]]:
