@@ -111,6 +111,7 @@ class InterpolationJob:
         overwrite: replace what exists.
         allow_aspect: resample panoramas that are not 2:1.
         max_pixels: refuse panoramas, masks and depth files with more pixels, before they are decoded.
+        allow_outside: accept depth and masks that the pose file names outside of its folder.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
     """
@@ -143,6 +144,7 @@ class InterpolationJob:
     overwrite: bool = False
     allow_aspect: bool = False
     max_pixels: int = MAX_PIXELS
+    allow_outside: bool = False
     baseline: float | None = None
     refine: bool = False
 
@@ -253,7 +255,7 @@ def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
             f"and {job.poses}; leave out one of them"
         )
     if not (is_found or job.refine):
-        return read_poses(job.poses), ()
+        return read_poses(job.poses, allow_outside=job.allow_outside), ()
     # OpenCV takes a while to import and is needed for poses from pictures only.
     from omnisyn_cli.posing import PictureOptions, estimate_poses, refine_poses
 
@@ -261,7 +263,7 @@ def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
     if is_found:
         found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
     else:
-        found = refine_poses(job.images, read_poses(job.poses), options)
+        found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
     return PoseFile(job.poses, found.panoramas), found.notes
 
 

@@ -7,6 +7,7 @@ import resource
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,24 @@ def test_pose_files_reach_nothing_outside_their_folder(tmp_path: Path, name: str
         (folder / "poses.json").write_text(json.dumps({"version": 1, "panoramas": panoramas}))
         with pytest.raises(PoseError, match="expected"):
             read_poses(folder / "poses.json")
+
+
+@pytest.mark.parametrize("key", ["depth", "mask"])
+def test_companions_of_a_panorama_lie_outside_only_if_allowed(tmp_path: Path, key: str) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    images = small_pair(folder)
+    document = json.loads((folder / "poses.json").read_text())
+    outside = tmp_path / "outside.png"
+    write_image(outside, np.full((16, 32, 3) if key == "mask" else (16, 32), 255, np.uint8))
+    for name in ("../outside.png", str(outside)):
+        document["panoramas"][images[0].name][key] = name
+        (folder / "poses.json").write_text(json.dumps(document))
+        job = InterpolationJob(tuple(images), folder / "poses.json", tmp_path / "out")
+        with pytest.raises(PoseError, match="--allow-outside"):
+            plan_interpolation(job)
+        entry = plan_interpolation(replace(job, allow_outside=True)).entries[0]
+        assert getattr(entry, key).samefile(outside)
 
 
 def test_foreign_poses_reach_outside_only_if_allowed(tmp_path: Path) -> None:

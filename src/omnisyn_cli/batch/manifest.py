@@ -24,7 +24,7 @@ from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.io import MAX_PIXELS, PoseFile, read_poses
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, InterpolationJob
-from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.presets import DEFAULT_FUSION, DEFAULT_PRESET, FUSIONS, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.session import DEVICES
@@ -78,6 +78,7 @@ CONSTRAINED: dict[str, Any] = {
     "depth": (Literal[DEPTH_METHODS], "auto"),
     "device": (Literal[DEVICES], "auto"),
     "renderer": (Literal[RENDERERS], "mesh"),
+    "fusion": (Literal[FUSIONS], DEFAULT_FUSION),
     "cut": (Fraction | None, None),
     "cut_metres": (Positive | None, None),
     "encoder_preset": (Name | None, None),
@@ -205,7 +206,7 @@ class _Reader:
     def _job(self, line: Any) -> BatchJob:
         base = self._folder if line.scene is None else self._folder / line.scene
         poses = self._pose_path(line, base)
-        pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses)
+        pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses, line.allow_outside)
         if isinstance(pose_file, str):
             raise InputError(pose_file)
         names = line.inputs or _ends(pose_file)
@@ -266,9 +267,9 @@ def _refusing(value: dict[str, Any] | str) -> Any:
     return Line.model_validate(value)
 
 
-def _poses_or_problem(path: Path) -> PoseFile | str:
+def _poses_or_problem(path: Path, allow_outside: bool) -> PoseFile | str:
     try:
-        return read_poses(path)
+        return read_poses(path, allow_outside=allow_outside)
     except PoseError as error:
         return str(error)
 

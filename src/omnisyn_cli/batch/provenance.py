@@ -75,15 +75,15 @@ def _files(job: BatchJob) -> Iterator[Path]:
 
 def _entries(job: BatchJob) -> list[PosedPanorama]:
     try:
-        poses = _poses(stamp(job.poses))
+        poses = _poses(stamp(job.poses), bool(job.options.get("allow_outside")))
         return [poses.of(image) for image in job.images]
     except (OmnisynError, OSError):  # gone since the manifest was read: the job itself says why it cannot be done
         return []
 
 
 @lru_cache(maxsize=64)
-def _poses(mark: Stamp) -> PoseFile:
-    return read_poses(Path(mark[0]))
+def _poses(mark: Stamp, allow_outside: bool) -> PoseFile:
+    return read_poses(Path(mark[0]), allow_outside=allow_outside)
 
 
 @lru_cache(maxsize=4096)

@@ -131,6 +131,7 @@ class Size(SizeType):
     "--max-pixels", type=click.IntRange(1), default=2 * 16384 * 8192, show_default=True,
     help="Refuse panoramas, masks and depth files with more, before they are decoded.",
 )  # fmt: skip
+@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option("--dry-run", is_flag=True, help="Check everything, print the plan, do nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")

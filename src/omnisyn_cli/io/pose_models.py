@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 
 __all__ = [
+    "ALLOW_OUTSIDE",
     "GEOGRAPHIC_KEYS",
     "RIGID_KEYS",
     "GeographicEntry",
@@ -22,6 +23,9 @@ __all__ = [
 
 LONGEST_SHOWN = 60
 
+ALLOW_OUTSIDE = "allow_outside"
+"""Key of the validation context; true where depth and masks may lie anywhere."""
+
 EARTH = 1e8
 """Metres; coordinates beyond are a mistake in units."""
 
@@ -32,20 +36,23 @@ Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
-def path_problem(name: str) -> str | None:
-    """What keeps a name from being a file inside the pose file's folder, or None."""
+def path_problem(name: str, *, allow_outside: bool = False) -> str | None:
+    """What keeps a name from being a file inside the pose file's folder (or anywhere, if allowed), or None."""
     if not name or name in (".", ".."):
         return "empty"
     if re.search(r"[\0-\x1f\\]", name):
         return "with a backslash or control character"
+    if allow_outside:
+        return None
     if PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive:
         return "absolute"
     return "leading out of the folder" if ".." in PurePosixPath(name).parts else None
 
 
-def _inside_folder(name: str) -> str:
-    if problem := path_problem(name):
-        raise ValueError(f"a file name relative to the pose file and inside its folder (this is {problem})")
+def _inside_folder(name: str, info: ValidationInfo) -> str:
+    if problem := path_problem(name, allow_outside=(info.context or {}).get(ALLOW_OUTSIDE, False)):
+        hint = "" if path_problem(name, allow_outside=True) else "; interpolate --allow-outside accepts it"
+        raise ValueError(f"a file name relative to the pose file and inside its folder (this is {problem}{hint})")
     return name
 
 

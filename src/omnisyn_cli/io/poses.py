@@ -30,6 +30,7 @@ from omnisyn_cli.geometry.pose import (
 )
 from omnisyn_cli.io.paths import check_output, read_text, replaced_when_complete
 from omnisyn_cli.io.pose_models import (
+    ALLOW_OUTSIDE,
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
     GeographicEntry,
@@ -96,18 +97,22 @@ class PoseFile:
         raise PoseError(f"{self.path}: expected an entry for '{name}', got {_listed(self.panoramas)}; {hint}")
 
 
-def read_poses(path: Path | str) -> PoseFile:
+def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     """Read and check a pose file.
 
     Geographic entries become metres east, up and −north of the first one, which is the origin. Neither images nor
     depth and mask files are looked for.
+
+    Args:
+        path: the file.
+        allow_outside: whether depth and masks may lie outside of the file's folder.
 
     Raises:
         PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
     document = _validated(source, PoseDocument, _parsed(source), ())
-    entries = {name: _entry(source, name, value) for name, value in document.panoramas.items()}
+    entries = {name: _entry(source, name, value, allow_outside) for name, value in document.panoramas.items()}
     _check_one_world(source, entries)
     origin = next((_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {name: _posed(source, name, entry, origin) for name, entry in entries.items()}
@@ -167,14 +172,16 @@ def _parsed(path: Path) -> Any:
         raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
 
 
-def _validated(path: Path, model: type[Model], value: Any, where: tuple[str, ...]) -> Model:
+def _validated(
+    path: Path, model: type[Model], value: Any, where: tuple[str, ...], allow_outside: bool = False
+) -> Model:
     try:
-        return model.model_validate(value)
+        return model.model_validate(value, context={ALLOW_OUTSIDE: allow_outside})
     except ValidationError as error:
         raise PoseError(f"{path}: {explain(error, model, where)}") from error
 
 
-def _entry(path: Path, name: str, value: Any) -> RigidEntry | GeographicEntry:
+def _entry(path: Path, name: str, value: Any, allow_outside: bool = False) -> RigidEntry | GeographicEntry:
     """One entry, of the kind that its keys announce."""
     where = ("panoramas", name)
     if (problem := path_problem(name)) or Path(name).name != name:
@@ -190,8 +197,8 @@ def _entry(path: Path, name: str, value: Any) -> RigidEntry | GeographicEntry:
             f"mixed with {', '.join(geographic)}; keep one kind"
         )
     if geographic:
-        return _validated(path, GeographicEntry, value, where)
-    return _validated(path, RigidEntry, value, where)
+        return _validated(path, GeographicEntry, value, where, allow_outside)
+    return _validated(path, RigidEntry, value, where, allow_outside)
 
 
 def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEntry]) -> None:
