@@ -1,8 +1,8 @@
 """A batch on several workers against one pair after another: ``python tests/benchmarks/bench_batch.py [OPTIONS]``.
 
-Makes a street, ``--pairs`` pairs of panoramas in it (512×256 by default), and one manifest; does the manifest with one
-worker and with ``--workers``, one thread each, from start to end of the command, and compares the bytes. With
-``--size 2048x1024 --frames 30 --workers 1`` it prints what docs/batch.md says a pair and a frame cost.
+Makes streets, ``--pairs`` pairs of neighbouring panoramas in them (512×256 by default), and one manifest; does the
+manifest with one worker and with ``--workers``, one thread each, from start to end of the command, and compares the
+bytes. With ``--size 2048x1024 --frames 30 --workers 1`` it prints what docs/batch.md says a pair and a frame cost.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,23 +27,26 @@ from omnisyn_cli.io import PosedPanorama, write_image, write_poses
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 STOPS = 5
-"""Panoramas of a scene; each pair is two neighbours among them, in turn, with a number of frames of its own."""
+"""Panoramas of a scene; each pair is two neighbours among them."""
 
 
 def make_manifest(folder: Path, pairs: int, height: int, frames: int, options: Mapping[str, Any]) -> Path:
-    """Panoramas of a procedural street and a job for every pair; lengths differ by a third, as they do in tours."""
-    scene = generate_scene("street", 101)
-    poses: Sequence[Pose] = sample_path(scene, 101, STOPS)
+    """Panoramas along procedural streets and a job for each two neighbours; lengths differ by a third, as in tours."""
+    neighbours = []
     entries = {}
-    for index, pose in enumerate(poses):
-        image, _ = render_panorama(scene, pose, (height, 2 * height))
-        write_image(folder / f"p{index}.jpg", np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8))
-        entries[f"p{index}.jpg"] = PosedPanorama(pose)
+    for seed in range(101, 101 + -(-pairs // (STOPS - 1))):
+        scene = generate_scene("street", seed)
+        poses: Sequence[Pose] = sample_path(scene, seed, STOPS)
+        names = [f"p{seed}-{stop}.jpg" for stop in range(STOPS)]
+        for panorama, pose in zip(names, poses, strict=True):
+            image, _ = render_panorama(scene, pose, (height, 2 * height))
+            write_image(folder / panorama, np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8))
+            entries[panorama] = PosedPanorama(pose)
+        neighbours += list(pairwise(names))
     write_poses(folder / "poses.json", entries)
     with (folder / "jobs.jsonl").open("w") as file:
-        for number in range(pairs):
-            first = number % (STOPS - 1)
-            job = {"id": f"job-{number:04d}", "inputs": [f"p{first}.jpg", f"p{first + 1}.jpg"], "poses": "poses.json",
+        for number, pair in enumerate(neighbours[:pairs]):
+            job = {"id": f"job-{number:04d}", "inputs": pair, "poses": "poses.json",
                    "frames": frames + number % (frames // 3 + 1), **options}  # fmt: skip
             file.write(json.dumps(job) + "\n")
     return folder / "jobs.jsonl"
