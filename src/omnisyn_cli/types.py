@@ -35,12 +35,15 @@ class View:
         pose: world-from-camera.
         mask: ``(height, width)``, True where the image may be used; ``None`` means everywhere.
         known_depth: depth that came with the panorama, at a resolution of its own; ``None`` if there is none.
+        is_cut_off: whether much of it was white before it was darkened to the exposure of another: what colour that
+            would have is unknown.
     """
 
     image: Float[np.ndarray, "height width 3"]
     pose: Pose
     mask: Bool[np.ndarray, "height width"] | None = None
     known_depth: DepthEstimate | None = None
+    is_cut_off: bool = False
 
 
 class DepthEstimator(Protocol):

@@ -79,6 +79,15 @@ def test_before_depth_is_looked_for_pictures_are_exposed_alike(stop: float) -> N
     assert (first, second)[darker] is views[darker]
 
 
+def test_a_picture_that_was_white_says_so_when_it_is_darkened() -> None:
+    image = np.clip(picture(1) + 0.1, 0.0, 1.0)
+    assert not any(view.is_cut_off for view in equalized(View(0.5 * image, HERE), View(0.7 * image, HERE), 1))
+    bright = View(exposed(image, 2.0), HERE)
+    assert (bright.image.max(-1) >= 1.0).mean() > 0.1
+    assert [view.is_cut_off for view in equalized(View(image, HERE), bright, 1)] == [False, True]
+    assert [view.is_cut_off for view in equalized(bright, View(image, HERE), 1)] == [True, False]
+
+
 def test_views_alike_are_handed_on_as_they_are_and_masks_are_obeyed() -> None:
     first, second = View(picture(1), HERE), View(picture(2), HERE)
     assert all(a is b for a, b in zip(equalized(first, second, 1), (first, second), strict=True))

@@ -22,19 +22,27 @@ SAMPLES = (64, 128)
 LEAST_USABLE = 0.99
 """A sample counts where so much of it is not masked."""
 
+WHITE = 0.99
+"""A channel of a sample from here on was cut off by its camera."""
+
+MUCH_WHITE = 0.02
+"""Share of the sphere: with more of it white a picture counts as cut off."""
+
 
 def equalized(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
     """Both views exposed like the darker one; the very same views where the difference is small.
 
     The brighter picture is darkened, not the darker one brightened, which would cut off what only the darker one shows:
-    depth by matching of a bright hall, one picture a stop brighter, lost 2.4 dB that way and 0.7 dB this way.
+    depth by matching of a bright hall, one picture a stop brighter, lost 2.4 dB that way and 0.7 dB this way. What was
+    white in the brighter one is grey then, and textureless where the darker one has texture; the view says so.
     """
-    curve = estimate_gain(_samples(first), _samples(second))
+    samples = _samples(first), _samples(second)
+    curve = estimate_gain(*samples)
     if curve.is_identity:
         return first, second
     if curve.gain.mean() > 0.0:
-        return first, _exposed(second, curve.table(0.0, of_second=True), threads)
-    return _exposed(first, curve.table(1.0, of_second=False), threads), second
+        return first, _exposed(second, samples[1], curve.table(0.0, of_second=True), threads)
+    return _exposed(first, samples[0], curve.table(1.0, of_second=False), threads), second
 
 
 def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
@@ -48,7 +56,8 @@ def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
     return np.asarray(chosen if len(chosen) else np.zeros((1, 3)), np.float64)
 
 
-def _exposed(view: View, table: np.ndarray, threads: int | None) -> View:
+def _exposed(view: View, samples: np.ndarray, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
     run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
-    return replace(view, image=image)
+    is_cut_off = bool((samples.max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
+    return replace(view, image=image, is_cut_off=is_cut_off)

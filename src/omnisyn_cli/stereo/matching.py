@@ -68,17 +68,14 @@ class MatchingDepthEstimator:
         height, width = self.options.size
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
-            there, back = self._match(pair)
+            there, back = _match(pair, self._options(first, second))
             return _evidence(first, second, pair, there), _evidence(second, first, pair.reversed(), back)
 
-    def _match(self, pair: RectifiedPair) -> tuple[Matches, Matches]:
-        """Both directions; ``seen`` is what they agree on."""
-        pairs = (pair, pair.reversed())
-        grids = [Meridians.of(p) for p in pairs]
-        free = _agreeing([match_freely(p, g, self.options) for p, g in zip(pairs, grids, strict=True)], self.options)
-        surfaces = [assign_surfaces(p, g, f, self.options) for p, g, f in zip(pairs, grids, free, strict=True)]
-        there, back = _agreeing(surfaces, self.options)
-        return there, back
+    def _options(self, first: View, second: View) -> MatchingOptions:
+        """Colours count less where one of the pictures has lost some."""
+        if not (first.is_cut_off or second.is_cut_off):
+            return self.options
+        return replace(self.options, colour_share=self.options.doubtful_colour_share)
 
     def _finish(self, view: View, evidence: Evidence, baseline: float) -> DepthEstimate:
         """At full size, with the edges of the image, in 1/metre."""
@@ -89,6 +86,16 @@ class MatchingDepthEstimator:
 
     def _nothing(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
+
+
+def _match(pair: RectifiedPair, options: MatchingOptions) -> tuple[Matches, Matches]:
+    """Both directions; ``seen`` is what they agree on."""
+    pairs = (pair, pair.reversed())
+    grids = [Meridians.of(p) for p in pairs]
+    free = _agreeing([match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True)], options)
+    surfaces = [assign_surfaces(p, g, f, options) for p, g, f in zip(pairs, grids, free, strict=True)]
+    there, back = _agreeing(surfaces, options)
+    return there, back
 
 
 def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) -> Evidence:

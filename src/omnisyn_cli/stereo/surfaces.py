@@ -41,6 +41,7 @@ class MatchingOptions:
         highest_camera: baselines; no camera hovers higher above the ground, so parallax below the horizon has a
             least value. Shading that moves with the camera otherwise passes for infinitely far ground.
         colour_share: weight of colour differences against the census, in [0, 1].
+        doubtful_colour_share: the same where much of a picture was cut off at white.
         truncation: colour difference that counts as a contradiction.
         step, jump: penalties of semi-global matching.
         contrast: grey difference across which a jump costs half.
@@ -58,6 +59,7 @@ class MatchingOptions:
     widest_parallax: float = math.radians(112.0)
     highest_camera: float = 10.0
     colour_share: float = 0.5
+    doubtful_colour_share: float = 0.1
     truncation: float = 0.1
     step: float = 0.1
     jump: float = 3.0
