@@ -51,4 +51,4 @@ def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
 def _exposed(view: View, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
     run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
-    return replace(view, image=image)
+    return replace(view, image=image, samples=None)
