@@ -169,8 +169,7 @@ class Shader:
     ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
         """What a call gives where some rows and columns cross."""
         sin_p, cos_p, sin_a, cos_a = self._tables
-        where = np.ix_(rows, cols)
-        seen = (fragments.inverse_depth[where], fragments.face[where])
+        seen = tuple(part[rows].take(cols, axis=1) for part in (fragments.inverse_depth, fragments.face))
         tables = (sin_p[rows], cos_p[rows], sin_a[cols], cos_a[cols])
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
         shade_band = self._kernel(mesh, texture, target_from_source)
