@@ -160,8 +160,7 @@ class GhostRemover:
 
 def _samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " samples"]:
     """Every ``step``-th pixel of each cell along a side of ``count`` pixels."""
-    pixel = np.arange(count)
-    return pixel[pixel % cell % step == 0]
+    return np.flatnonzero(np.arange(count) % cell % step == 0)
 
 
 def _beyond(one: np.ndarray, other: np.ndarray, seen: np.ndarray) -> Float32[np.ndarray, "rows cols"]:

@@ -74,20 +74,21 @@ class PlanarFrames:
 def _convert_rows(rgb, luma, blue, red, begin, end):
     """Rows ``begin`` to ``end`` of the chroma planes and the two rows of luma for each."""
     width = luma.shape[1]
-    sums = np.empty(3 * RUN, np.float32)
+    sums, flat = np.empty(3 * RUN, np.float32), rgb.reshape(-1)
     for row in range(begin, end):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
-            _begin_sums(rgb[2 * row, left:right], luma[2 * row, left:right], sums)
-            _end_sums(rgb[2 * row + 1, left:right], luma[2 * row + 1, left:right], sums)
+            upper, lower = 6 * row * width, (6 * row + 3) * width
+            _begin_sums(flat[upper + 3 * left : upper + 3 * right], luma[2 * row, left:right], sums)
+            _end_sums(flat[lower + 3 * left : lower + 3 * right], luma[2 * row + 1, left:right], sums)
             _differences(sums, blue[row, left // 2 : right // 2], red[row, left // 2 : right // 2])
 
 
 @fast_kernel()
 def _begin_sums(rgb, luma, sums):
-    """Luma of a run of pixels; their samples are put into ``sums``, channel after channel."""
+    """Luma of a run of pixels, three samples each; they are put into ``sums``, channel after channel."""
     for col in range(len(luma)):
-        r, g, b = np.float32(rgb[col, 0]), np.float32(rgb[col, 1]), np.float32(rgb[col, 2])
+        r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
         sums[col], sums[RUN + col], sums[2 * RUN + col] = r, g, b
 
@@ -96,7 +97,7 @@ def _begin_sums(rgb, luma, sums):
 def _end_sums(rgb, luma, sums):
     """As :func:`_begin_sums`; the samples are added."""
     for col in range(len(luma)):
-        r, g, b = np.float32(rgb[col, 0]), np.float32(rgb[col, 1]), np.float32(rgb[col, 2])
+        r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
         sums[col] += r
         sums[RUN + col] += g
