@@ -486,9 +486,9 @@ def _memory(
     has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
     is_kept_as_samples = has_samples and job.renderer == "mesh"
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
-    prepared = 12 + 4  # numbers, for depth, and what texturing takes for a while
+    numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
     surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
-    held = max(2 * prepared * largest, _bytes_of_frames(job, size))
+    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size) + numbers * largest)
     return int(PROGRAM + surfaces + 2 * kept * largest + held)
 
 
