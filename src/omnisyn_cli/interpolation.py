@@ -214,8 +214,8 @@ class _Kept:
     def image(self) -> Float[np.ndarray, "height width 3"]:
         """RGB in [0, 1]."""
         image = self._known() if self._image is None else self._image
-        if image is None:
-            image = np.divide(self.samples, np.float32(PEAKS["uint8"]), dtype=np.float32)
+        if image is None:  # forgotten, which it is only where there are samples
+            image = np.divide(np.asarray(self.samples), np.float32(PEAKS["uint8"]), dtype=np.float32)
             self._known = ref(image)
         return image
 

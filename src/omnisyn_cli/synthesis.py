@@ -146,7 +146,7 @@ def _usable_image(view: View, options: SynthesisOptions) -> np.ndarray:
 
     Samples of 8 bits where they do as well: they take a quarter of the memory.
     """
-    if _is_complete(view):
+    if view.mask is None or view.mask.all():
         return view.samples if view.samples is not None and options.renderer == "mesh" else view.image
     image = np.array(view.image, np.float32)
     HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
