@@ -67,7 +67,8 @@ class MeshRenderer:
     def by_rows(self, target_from_source: Pose) -> RowRendering:
         """The same, with colours made as they are asked for: from any number of threads, until the next call."""
         fragments = self._rasterizer(self._mesh, target_from_source)
-        what = (fragments, self._mesh, self._texture, target_from_source)
+        seen, trust = (fragments.inverse_depth, fragments.face), (self._mesh.trust.ravel(),)
+        what = (seen, trust, self._texture, target_from_source)
         return RowRendering(
             fragments.inverse_depth, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what),
             target_from_source,

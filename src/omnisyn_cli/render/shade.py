@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, Integer, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
@@ -128,6 +128,10 @@ def _repeat_border(bordered: np.ndarray) -> None:
     bordered[:, -BORDER:] = bordered[:, BORDER : 2 * BORDER]
 
 
+Seen = tuple[Float32[np.ndarray, "height width"], Int32[np.ndarray, "height width"] | None]
+"""Inverse depth and, where there is one, face of every pixel."""
+
+
 class Shader:
     """Tables for one target size, and the image it writes; reused from frame to frame."""
 
@@ -154,34 +158,44 @@ class Shader:
         return self._image
 
     def some_rows(
-        self, fragments: Fragments, mesh: Mesh, texture: Texture, target_from_source: Pose, begin: int, end: int,
-        out: Float32[np.ndarray, "rows width 4"],
+        self, seen: Seen, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose,
+        begin: int, end: int, out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
-        """Rows ``begin`` to ``end`` of what a call gives, into memory of the caller's, in the caller's thread."""
+        """Rows ``begin`` to ``end`` of what a call gives, into memory of the caller's, in the caller's thread.
+
+        Args:
+            seen: inverse depth and face of every pixel.
+            trust: as the kernel takes it.
+            texture: the photograph.
+            target_from_source: the transform.
+            begin: first row.
+            end: the row after the last.
+            out: written.
+        """
         sin_p, cos_p, sin_a, cos_a = self._tables
-        seen = (fragments.inverse_depth[begin:end], fragments.face[begin:end])
+        some = tuple(part if part is None else part[begin:end] for part in seen)
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
-        self._kernel(mesh, texture, target_from_source)(seen, tables, out, 0, end - begin)
+        self._kernel(trust, texture, target_from_source)(some, tables, out, 0, end - begin)
 
     def crossings(
-        self, fragments: Fragments, mesh: Mesh, texture: Texture, target_from_source: Pose,
+        self, seen: Seen, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose,
         rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"],
     ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
-        """What a call gives where some rows and columns cross."""
+        """What a call gives where some rows and columns cross; arguments as of :meth:`some_rows`."""
         sin_p, cos_p, sin_a, cos_a = self._tables
-        seen = tuple(part[rows].take(cols, axis=1) for part in (fragments.inverse_depth, fragments.face))
+        some = tuple(part if part is None else part[rows].take(cols, axis=1) for part in seen)
         tables = (sin_p[rows], cos_p[rows], sin_a[cols], cos_a[cols])
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
-        shade_band = self._kernel(mesh, texture, target_from_source)
-        run_bands(lambda begin, end: shade_band(seen, tables, out, begin, end), len(rows), self.threads)
+        shade_band = self._kernel(trust, texture, target_from_source)
+        run_bands(lambda begin, end: shade_band(some, tables, out, begin, end), len(rows), self.threads)
         return out
 
-    def _kernel(self, mesh: Mesh, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
-        """Takes inverse depth and face, direction tables, an image, first row and the row after the last."""
+    def _kernel(self, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose) -> Callable[..., None]:
+        """Takes what is seen, direction tables, an image, first row and the row after the last."""
         rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
         translation = np.ascontiguousarray(target_from_source.position, np.float32)
         ratio = np.float32(texture.size[0] / self.size[0])
-        source = (mesh.trust.ravel(), texture.texels, texture.layout)
+        source = (*trust, texture.texels, texture.layout)
 
         def band(seen: tuple[Any, ...], tables: tuple[Any, ...], image: np.ndarray, begin: int, end: int) -> None:
             shade_rows(*seen, *source, *tables, rotation, translation, ratio, self.bicubic, image, begin, end)
@@ -201,7 +215,7 @@ class Shader:
         seen = tuple(np.zeros((end - begin, self.size[1]), dtype) for dtype in (np.float32, np.int32))
         out = np.empty((*seen[0].shape, CHANNELS), np.float32)
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
-        self._kernel(_SKY, texture, target_from_source)(seen, tables, out, 0, end - begin)
+        self._kernel((_SKY.trust.ravel(),), texture, target_from_source)(seen, tables, out, 0, end - begin)
         return out
 
 
