@@ -14,9 +14,10 @@ from functools import lru_cache
 from pathlib import Path
 from statistics import fmean
 from typing import Any
+from weakref import ref
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.errors import InputError
@@ -34,10 +35,17 @@ from omnisyn_cli.io import (
     sample_type,
     write_depth,
 )
-from omnisyn_cli.io.background import BackgroundSink
+from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.staging import staged_folder
 from omnisyn_cli.photometry import equalized
-from omnisyn_cli.planning import DEPTH_METHODS, InterpolationJob, InterpolationPlan, depth_name, plan_interpolation
+from omnisyn_cli.planning import (
+    DEPTH_METHODS,
+    InterpolationJob,
+    InterpolationPlan,
+    depth_name,
+    plan_interpolation,
+    targets,
+)
 from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize
 from omnisyn_cli.threads import run_bands
@@ -120,10 +128,11 @@ def run_interpolation(
     loader = _Loader(plan, clock, read)
     with clock("decode"):
         loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
-    kinds = [sample_type(path, codec) for path, codec in _targets(plan.job)]
+    kinds = [sample_type(path, codec) for path, codec in targets(plan.job)]
     pairs: dict[int, PairConfidence] = {}
     with _depth_keeper(plan) as keep_depth, _sinks(plan) as sinks, _confidence_sink(plan) as keep_confidence:
-        frames = _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs)
+        ring = FrameRing(plan.size, frames_in_queue(plan.size)) if set(kinds) == {"uint8"} else None
+        frames = _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, ring)
         for done, frame in enumerate(frames, start=1):
             samples = {kind: _as_samples(frame, kind, loader, plan.job.threads) for kind in kinds}
             with clock("encode"):
@@ -159,7 +168,7 @@ KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 
 def _frames(
     plan: InterpolationPlan, loader: _Loader, estimator: DepthEstimator, clock: Stopwatch, keep_depth: KeepDepth,
-    pairs: dict[int, PairConfidence],
+    pairs: dict[int, PairConfidence], ring: FrameRing | None,
 ) -> Iterator[Frame]:  # fmt: skip
     """All frames; the depth of every pair is handed to ``keep_depth``, what to think of it is put into ``pairs``."""
     job = plan.job
@@ -168,12 +177,14 @@ def _frames(
         cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None,
     )  # fmt: skip
     views, prepared = loader.views(), set()
-    for made in synthesize(views, plan.path, estimator, options, clock=clock):
+    for made in synthesize(views, plan.path, estimator, options, clock=clock, samples=ring):
         if isinstance(made, Segment):
             prepared.add(made.index)
             pairs[made.index] = made.check.confidence
             _refuse_doubtful(plan, made.index, made.check.confidence)
             keep_depth(made.index, made.depths)
+            for index in (made.index, made.index + 1):
+                loader.forget_numbers(index)
         else:
             yield made
     if plan.job.save_depth is not None:
@@ -191,33 +202,65 @@ def make_estimator(plan: InterpolationPlan) -> DepthEstimator:
     return estimator_named(plan.depth, rows=rows, model=plan.model, device=plan.job.device, threads=plan.job.threads)
 
 
+class _Kept:
+    """A panorama that can be held as the samples of its file; numbers are made of them again where they are needed."""
+
+    def __init__(self, panorama: Panorama) -> None:
+        self.original, self.mask, self.size = panorama.original, panorama.mask, panorama.image.shape[:2]
+        self.samples = panorama.original if str(getattr(panorama.original, "dtype", "")) == "uint8" else None
+        self._image: np.ndarray | None = panorama.image
+        self._known = ref(panorama.image)
+
+    def image(self) -> Float[np.ndarray, "height width 3"]:
+        """RGB in [0, 1]."""
+        image = self._known() if self._image is None else self._image
+        if image is None:  # forgotten, which it is only where there are samples
+            image = np.divide(np.asarray(self.samples), np.float32(PEAKS["uint8"]), dtype=np.float32)
+            self._known = ref(image)
+        return image
+
+    def forget_numbers(self) -> None:
+        """Hold samples only, if they say everything."""
+        if self.samples is not None:
+            self._image = None
+
+
 class _Loader:
     """Panoramas from their files when they are needed; the last two are kept."""
 
     def __init__(self, plan: InterpolationPlan, clock: Stopwatch, read: PanoramaReader) -> None:
         self._plan, self._clock, self._read = plan, clock, read
         self.panorama = lru_cache(maxsize=2)(self._read_panorama)
-        self.view = lru_cache(maxsize=2)(self._read_view)
+        self._companions = lru_cache(maxsize=2)(self._read_companions)
 
     def views(self) -> Sequence[View]:
         """All views, read on demand."""
-        return _LazySequence(len(self._plan.entries), self.view)
+        return _LazySequence(len(self._plan.entries), self._view)
 
-    def _read_panorama(self, index: int) -> Panorama:
+    def forget_numbers(self, index: int) -> None:
+        """What a surface has been made of is not needed as numbers any more."""
+        self.panorama(index).forget_numbers()
+
+    def _read_panorama(self, index: int) -> _Kept:
         job = self._plan.job
-        return self._read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
+        return _Kept(self._read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
 
-    def _read_view(self, index: int) -> View:
+    def _view(self, index: int) -> View:
         with self._clock("decode"):
-            entry, panorama = self._plan.entries[index], self.panorama(index)
-            mask = panorama.mask
-            if entry.mask is not None:
-                mask = _combined(mask, self._mask(entry.mask), panorama.image.shape[:2], entry.mask)
-            return View(panorama.image, entry.pose, self._usable(index, mask), self._known_depth(entry))
+            panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
+            return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, panorama.samples)
+
+    def _read_companions(self, index: int) -> tuple[np.ndarray | None, DepthEstimate | None]:
+        """What of a panorama may be used, and its depth if that is known."""
+        entry, panorama = self._plan.entries[index], self.panorama(index)
+        mask = panorama.mask
+        if entry.mask is not None:
+            mask = _combined(mask, self._mask(entry.mask), panorama.size, entry.mask)
+        return self._usable(index, mask), self._known_depth(entry)
 
     def _usable(self, index: int, mask: np.ndarray | None) -> np.ndarray | None:
         """A panorama's mask with what the job forbids besides."""
-        job, size = self._plan.job, self.panorama(index).image.shape[:2]
+        job, size = self._plan.job, self.panorama(index).size
         if job.masks:
             path = job.masks[index]
             mask = _combined(mask, self._mask(path), size, path)
@@ -281,6 +324,8 @@ PEAKS = {"uint8": 255, "uint16": 65535}
 
 def _as_samples(frame: Frame, kind: str, loader: _Loader, threads: int | None) -> Shaped[np.ndarray, "height width 3"]:
     """The frame as samples of a type, in memory of its own; those of the file where it is a photograph unchanged."""
+    if frame.image.dtype == np.uint8 and kind == "uint8":
+        return frame.image
     if kind == "float32":
         return frame.image.astype(np.float32)
     if frame.panorama is not None:
@@ -290,15 +335,6 @@ def _as_samples(frame: Frame, kind: str, loader: _Loader, threads: int | None) -
     samples, peak = np.empty(frame.image.shape, kind), np.float32(PEAKS[kind])
     run_bands(lambda begin, end: quantize_rows(frame.image, peak, samples, begin, end), len(samples), threads)
     return samples
-
-
-def _targets(job: InterpolationJob) -> list[tuple[Path, str | None]]:
-    """Path and codec of everything that takes frames.
-
-    The video comes last, so that it is finished first: if that fails, no images are kept either.
-    """
-    images: list[tuple[Path, str | None]] = [] if job.save_frames is None else [(job.save_frames, None)]
-    return [*images, (job.output, job.codec)]
 
 
 @contextmanager
@@ -322,11 +358,11 @@ def _confidence_sink(plan: InterpolationPlan) -> Iterator[Callable[[Frame], None
 
 @contextmanager
 def _sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
-    """Where frames go, in the order of :func:`_targets`."""
+    """Where frames go, in the order of :func:`omnisyn_cli.planning.targets`."""
     job = plan.job
     with ExitStack() as stack:
         sinks: list[FrameSink] = []
-        for path, codec in _targets(job):
+        for path, codec in targets(job):
             is_output = path == job.output
             sinks.append(
                 stack.enter_context(
@@ -337,4 +373,4 @@ def _sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
                     )
                 )
             )  # fmt: skip
-        yield [stack.enter_context(BackgroundSink(sink)) for sink in sinks]
+        yield [stack.enter_context(BackgroundSink(sink, frames_in_queue(plan.size))) for sink in sinks]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
-__all__ = ["Decorator", "fast_kernel", "inlined", "inlined_contracting", "kernel"]
+__all__ = ["Decorator", "fast_kernel", "inlined", "inlined_contracting", "kernel", "when_compiling"]
 
 Decorator = Callable[..., Any]
 """Numba's decorators say nothing about the types of what they make."""
@@ -24,3 +26,25 @@ inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
 
 fast_kernel: Decorator = partial(njit, nogil=True, cache=True, error_model="numpy", fastmath=True)
 """Reassociation allowed: for colours and boxes, never for tests of visibility."""
+
+
+class _FirstCompilation(event.Listener):  # type: ignore[misc]
+    """Says once that something is compiled."""
+
+    def __init__(self, say: Callable[[], None]) -> None:
+        self._say: Callable[[], None] | None = say
+
+    def on_start(self, event: Any) -> None:
+        say, self._say = self._say, None
+        if say is not None:
+            say()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+@contextmanager
+def when_compiling(say: Callable[[], None]) -> Iterator[None]:
+    """Call ``say`` when the first kernel is compiled in between; those that are found on disk are not compiled."""
+    with event.install_listener("numba:compile", _FirstCompilation(say)):
+        yield

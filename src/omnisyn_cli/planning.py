@@ -26,6 +26,7 @@ from omnisyn_cli.io import (
     read_poses,
     sample_type,
 )
+from omnisyn_cli.io.background import frames_in_queue
 from omnisyn_cli.io.decode import check_pixel_count
 from omnisyn_cli.io.depth import check_depth_header
 from omnisyn_cli.io.encoders import CODECS
@@ -49,6 +50,7 @@ __all__ = [
     "InterpolationPlan",
     "depth_name",
     "plan_interpolation",
+    "targets",
     "with_preset",
 ]
 
@@ -221,7 +223,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     _check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
-    memory = _memory(size, source_sizes, _depth_sizes(entries, depth, PRESETS[job.preset].depth_rows), job.renderer)
+    memory = _memory(job, size, source_sizes, _depth_sizes(entries, depth, PRESETS[job.preset].depth_rows))
     return InterpolationPlan(
         job, entries, source_sizes, size, path, depth, model, path_length(poses), memory,
         (*remarks, *_notes(job, entries, depth)),
@@ -237,7 +239,7 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     job = replace(plan.job, preset=preset)
     depth = _depth_method(job, plan.entries)
     sizes = _depth_sizes(plan.entries, depth, PRESETS[preset].depth_rows)
-    memory = _memory(plan.size, plan.source_sizes, sizes, job.renderer)
+    memory = _memory(job, plan.size, plan.source_sizes, sizes)
     return replace(plan, job=job, depth=depth, model=_model(job, depth), memory=memory)
 
 
@@ -471,17 +473,50 @@ PROGRAM = 450e6
 BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
 """Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
 
+MIP_LEVELS = 4 / 3
+"""Pixels of a texture with its mip levels, in those of the picture."""
+
+LEAST_ROWS_BY_ROWS = 897
+"""Rows from which on frames are coloured some rows at a time (:meth:`omnisyn_cli.fusion.GeometricFuser.takes_rows`)."""
+
 
 def _memory(
-    size: tuple[int, int], sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]], renderer: str
+    job: InterpolationJob, size: tuple[int, int], sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]]
 ) -> int:
-    """Bytes, estimated: two panoramas with textures and surfaces, two renderings, the picture, frames on their way."""
+    """Bytes, estimated: the most of what is held while a pair is prepared and while frames are made of it."""
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
+    has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
+    is_kept_as_samples = has_samples and job.renderer == "mesh"
+    kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
+    numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
+    surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
+    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size) + numbers * largest)
+    return int(PROGRAM + surfaces + 2 * kept * largest + held)
+
+
+def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int]) -> float:
+    """What making frames takes: two renderings, the pyramid that fills holes, frames on their way to the encoder."""
     pixels = size[0] * size[1]
-    per_source_pixel = 3 + 12 + 16 * 4 / 3 + 12  # samples, floats, mip levels, what decoding takes for a while
-    per_pixel = 2 * (8 + 16) + 16 + 16 / 3 + 5 * 3  # two renderings, picture, pyramid, frames in the queue
-    per_pair = 2 * (per_source_pixel * largest + BYTES_PER_VERTEX[renderer] * vertices)
-    return int(PROGRAM + per_pair + per_pixel * pixels)
+    kinds = {sample_type(path, codec) for path, codec in targets(job)}
+    is_by_rows = (
+        kinds == {"uint8"} and job.renderer == "mesh" and size[0] % 2 == 0 and size[0] >= LEAST_ROWS_BY_ROWS
+        and job.fallback != "crossfade" and job.save_confidence is None
+    )  # fmt: skip
+    pyramid, planes = 16 / 3, 1.5
+    waiting = frames_in_queue(size) + 2
+    if is_by_rows:
+        return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
+    largest_sample = max(np.dtype(kind).itemsize for kind in kinds)
+    return pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)
+
+
+def targets(job: InterpolationJob) -> list[tuple[Path, str | None]]:
+    """Path and codec of everything that takes frames.
+
+    The video comes last, so that it is finished first: if that fails, no images are kept either.
+    """
+    images: list[tuple[Path, str | None]] = [] if job.save_frames is None else [(job.save_frames, None)]
+    return [*images, (job.output, job.codec)]
 
 
 def _depth_sizes(entries: Sequence[PosedPanorama], depth: str, rows: int) -> list[tuple[int, int]]:

@@ -8,23 +8,26 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from omnisyn_cli.confidence import LEAST_SCORE, confidence_of_frame
 from omnisyn_cli.crosscheck import CrossCheck, cross_check
 from omnisyn_cli.fallback import CrossFade
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.geometric import ROWS
+from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.photometry import ExposureMatcher, equalized
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import Renderer, make_renderer
+from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
 from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.threads import run_bands
 from omnisyn_cli.trajectory import STILL, Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
@@ -52,6 +55,9 @@ class SynthesisOptions:
     confidence: bool = False
 
 
+MemoryForFrames = Callable[[], UInt8[np.ndarray, "height width 3"]]
+
+
 class Stopwatch:
     """Seconds by stage."""
 
@@ -74,7 +80,7 @@ class Segment:
 
     Attributes:
         index: of the first view.
-        views: both.
+        poses: of both views.
         depths: of both.
         renderers: of both.
         check: how differently they are exposed, and how far what is made of them can be relied on.
@@ -82,7 +88,7 @@ class Segment:
     """
 
     index: int
-    views: tuple[View, View]
+    poses: tuple[Pose, Pose]
     depths: tuple[DepthEstimate, DepthEstimate]
     renderers: tuple[Renderer, Renderer]
     check: CrossCheck
@@ -94,13 +100,13 @@ class Frame:
     """One picture of the video.
 
     Attributes:
-        image: ``(height, width, 3)`` RGB, >= 0; a buffer that the next frame overwrites.
+        image: ``(height, width, 3)`` RGB, >= 0, a buffer that the next frame overwrites; or samples of 8 bits.
         waypoint: where it was taken.
         panorama: index of the panorama that is shown unchanged, if it is shown unchanged and unturned, else None.
         confidence: ``(height, width)`` in [0, 1], if asked for; 1 everywhere in a photograph.
     """
 
-    image: Float32[np.ndarray, "height width 3"]
+    image: Float32[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]
     waypoint: Waypoint
     panorama: int | None
     confidence: Float32[np.ndarray, "height width"] | None = None
@@ -125,22 +131,25 @@ def prepare_segment(
     with clock("mesh"):
         renderers = [
             make_renderer(
-                options.renderer, _usable_image(view, options.threads), view.mask,
+                options.renderer, _usable_image(view, options), view.mask,
                 depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
             )
             for view, depth in zip((first, second), depths, strict=True)
         ]  # fmt: skip
     is_doubtful = options.cross_fade and check.confidence.score < LEAST_SCORE
     cross_fade = CrossFade((first, second), options.size, options.threads) if is_doubtful else None
-    return Segment(index, (first, second), depths, (renderers[0], renderers[1]), check, cross_fade)
+    return Segment(index, (first.pose, second.pose), depths, (renderers[0], renderers[1]), check, cross_fade)
 
 
-def _usable_image(view: View, threads: int | None) -> np.ndarray:
-    """The picture with masked pixels painted over from around them, because interpolation reads beyond a mask."""
+def _usable_image(view: View, options: SynthesisOptions) -> np.ndarray:
+    """The picture with masked pixels painted over from around them, because interpolation reads beyond a mask.
+
+    Samples of 8 bits where they do as well: they take a quarter of the memory.
+    """
     if view.mask is None or view.mask.all():
-        return view.image
+        return view.samples if view.samples is not None and options.renderer == "mesh" else view.image
     image = np.array(view.image, np.float32)
-    HoleFiller(view.mask.shape, threads)(image, view.mask.astype(np.float32))
+    HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
     return image
 
 
@@ -160,6 +169,7 @@ def synthesize(
     options: SynthesisOptions,
     fuser: Fuser | None = None,
     clock: Stopwatch | None = None,
+    samples: MemoryForFrames | None = None,
 ) -> Iterator[Frame | Segment]:
     """All frames of a path, in order; each segment is yielded once before its first frame.
 
@@ -170,6 +180,8 @@ def synthesize(
         options: size and method.
         fuser: joins the two renderings; geometric by default.
         clock: collects seconds by stage.
+        samples: gives memory for frames that are wanted rounded to 8 bits; where nothing stands against it they are
+            rounded as they are made. Photographs shown unchanged are not.
     """
     clock = clock or Stopwatch()
     fuser = fuser or GeometricFuser(options.size, threads=options.threads)
@@ -177,14 +189,16 @@ def synthesize(
     current = -1
     for waypoint in path:
         panorama = _panorama_at(views, waypoint)
-        if panorama is not None and _is_complete(views[panorama]):
-            yield _photograph(views[panorama], waypoint, panorama, options, clock)
+        photograph = None if panorama is None else views[panorama]
+        if panorama is not None and photograph is not None and _is_complete(photograph):
+            yield _photograph(photograph, waypoint, panorama, options, clock, samples)
             continue
+        del photograph
         if segment is None or waypoint.segment != current:
             current, segment = waypoint.segment, None  # the former one's memory is free before the next takes its own
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
             yield segment
-        yield _fused(segment, waypoint, fuser, options, clock)
+        yield _fused(segment, waypoint, fuser, options, clock, samples)
 
 
 def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:
@@ -198,7 +212,10 @@ def _is_complete(view: View) -> bool:
     return view.mask is None or bool(view.mask.all())
 
 
-def _photograph(view: View, waypoint: Waypoint, index: int, options: SynthesisOptions, clock: Stopwatch) -> Frame:
+def _photograph(
+    view: View, waypoint: Waypoint, index: int, options: SynthesisOptions, clock: Stopwatch,
+    samples: MemoryForFrames | None,
+) -> Frame:  # fmt: skip
     """The panorama itself; resampled only where size or orientation differ."""
     confidence = np.ones(options.size, np.float32) if options.confidence else None
     is_turned = not np.array_equal(view.pose.rotation, waypoint.pose.rotation)
@@ -206,8 +223,25 @@ def _photograph(view: View, waypoint: Waypoint, index: int, options: SynthesisOp
         return Frame(view.image, waypoint, index, confidence)
     with clock("render"):
         turn = Pose(waypoint.pose.rotation.T @ view.pose.rotation, np.zeros(3))
-        image = turned_panorama(view.image, turn, options.size, options.threads)
+        if samples is None:
+            image = turned_panorama(view.image, turn, options.size, options.threads)
+        else:
+            image = samples()
+            _turn_rows(view.image if view.samples is None else view.samples, turn, image, options.threads)
     return Frame(image, waypoint, None, confidence)
+
+
+def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, threads: int | None) -> None:
+    """:func:`turned_panorama`, rounded to 8 bits, some rows at a time."""
+    shader, texture = Shader(out.shape[:2], threads), make_texture(image)
+
+    def band(begin: int, end: int) -> None:
+        for top in range(begin, end, ROWS):
+            bottom = min(top + ROWS, end)
+            colour = shader.far_rows(texture, target_from_source, top, bottom)
+            quantize_rows(colour, np.float32(255.0), out[top:bottom], 0, bottom - top)
+
+    run_bands(band, len(out), threads)
 
 
 def turned_panorama(
@@ -218,18 +252,30 @@ def turned_panorama(
     return np.asarray(np.maximum(colour, np.float32(0.0)))
 
 
-def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> Frame:
+def _fused(
+    segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
+    samples: MemoryForFrames | None,
+) -> Frame:  # fmt: skip
     """The frame of two renderings that were given one exposure."""
     world_to_target = waypoint.pose.inverse()
-    renderings = []
+    poses = [world_to_target @ pose for pose in segment.poses]
+    first_renderer, second_renderer = segment.renderers
+    expose, is_judged = ExposureMatcher(segment.check.curve, options.threads), options.confidence or segment.cross_fade
+    if (
+        samples is not None and not is_judged and type(fuser) is GeometricFuser and fuser.takes_rows()
+        and isinstance(first_renderer, MeshRenderer) and isinstance(second_renderer, MeshRenderer)
+    ):  # fmt: skip
+        with clock("render"):
+            rows = first_renderer.by_rows(poses[0]), second_renderer.by_rows(poses[1])
+        with clock("fuse"):
+            rounded = samples()
+            fuser.samples(*expose.by_rows(*rows, waypoint.t), waypoint.t, rounded)
+        return Frame(rounded, waypoint, None)
     with clock("render"):
-        for view, renderer in zip(segment.views, segment.renderers, strict=True):
-            target_from_source = world_to_target @ view.pose
-            renderings.append(Rendering(*renderer(target_from_source), target_from_source))
+        first = Rendering(*first_renderer(poses[0]), poses[0])
+        second = Rendering(*second_renderer(poses[1]), poses[1])
     with clock("fuse"):
-        first, second = renderings
-        ExposureMatcher(segment.check.curve, options.threads)(first, second, waypoint.t)
-        is_judged = options.confidence or segment.cross_fade is not None
+        expose(first, second, waypoint.t)
         confidence = confidence_of_frame(first, second, options.threads) if is_judged else None
         image = fuser(first, second, waypoint.t)
         if segment.cross_fade is not None and confidence is not None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
 
-__all__ = ["DepthEstimate", "DepthEstimator", "Fuser", "KnownDepth", "Rendering", "View"]
+__all__ = ["DepthEstimate", "DepthEstimator", "Fuser", "KnownDepth", "Rendering", "RowRendering", "View"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class View:
         known_depth: depth that came with the panorama, at a resolution of its own; ``None`` if there is none.
         is_cut_off: whether much of it was white before it was darkened to the exposure of another: what colour that
             would have is unknown.
+        samples: ``(height, width, 3)`` what ``image`` is 1/255 of, where it comes from samples of 8 bits.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -44,6 +46,7 @@ class View:
     mask: Bool[np.ndarray, "height width"] | None = None
     known_depth: DepthEstimate | None = None
     is_cut_off: bool = False
+    samples: UInt8[np.ndarray, "height width 3"] | None = None
 
 
 class DepthEstimator(Protocol):
@@ -67,6 +70,23 @@ class Rendering:
 
     inverse_depth: Float32[np.ndarray, "height width"]
     colour: Float32[np.ndarray, "height width 4"]
+    target_from_source: Pose
+
+
+@dataclass(frozen=True)
+class RowRendering:
+    """A :class:`Rendering` whose colours are made when and where they are asked for, and then forgotten.
+
+    Attributes:
+        inverse_depth: as of a rendering.
+        colour_rows: called with a first row, the row after the last, and memory ``(rows, width, 4)`` that it writes.
+        colour_at: colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
+        target_from_source: as of a rendering.
+    """
+
+    inverse_depth: Float32[np.ndarray, "height width"]
+    colour_rows: Callable[[int, int, np.ndarray], None]
+    colour_at: Callable[[np.ndarray, np.ndarray], np.ndarray]
     target_from_source: Pose
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import EncodingError
-from omnisyn_cli.io.background import FRAMES_IN_QUEUE, BackgroundSink
+from omnisyn_cli.io.background import FRAMES_IN_QUEUE, BackgroundSink, FrameRing, frames_in_queue
 
 FRAMES = [np.full((2, 4, 3), level, np.uint8) for level in range(12)]
 
@@ -113,3 +113,21 @@ def test_memory_is_bounded_by_the_queue() -> None:
         gate.set()
         writer.join()
     assert written == len(FRAMES)
+
+
+@pytest.mark.parametrize("waiting", [1, 2])
+def test_a_frame_keeps_its_place_in_the_ring_until_it_has_arrived(waiting: int) -> None:
+    """However slow the sink is: memory is given out again only when its frame cannot be needed any more."""
+    sink, ring = Sink(lambda index: time.sleep(0.002 * (index % 3))), FrameRing((2, 4), waiting)
+    with BackgroundSink(sink, waiting) as background:
+        for level in range(20):
+            frame = ring()
+            frame[:] = level
+            background.write(frame)
+    assert sink.levels == list(range(20))
+    assert len({ring().ctypes.data for _ in range(20)}) == waiting + 2
+
+
+def test_large_frames_wait_one_at_a_time() -> None:
+    assert frames_in_queue((2048, 4096)) == FRAMES_IN_QUEUE
+    assert frames_in_queue((4096, 8192)) == 1

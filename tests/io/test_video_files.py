@@ -13,6 +13,7 @@ from omnisyn_cli.errors import EncodingError, InputError, OmnisynError, OutputPa
 from omnisyn_cli.io import check_output, check_video, open_video, read_panorama
 from omnisyn_cli.io.encoder_process import EncoderProcess
 from omnisyn_cli.io.encoders import EncoderSettings, encoder_command, ffmpeg_program
+from omnisyn_cli.io.frames import read_frames
 
 PATCHES = np.array(
     [[255, 0, 0], [0, 255, 0], [0, 0, 255], [250, 200, 30], [30, 60, 90], [128, 128, 128], [255, 255, 255], [0, 0, 0]],
@@ -261,3 +262,15 @@ def test_every_refusal_is_one_of_ours(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OmnisynError, match="got a file"):
         check_video(tmp_path / "file", size=(2, 4), fps=1)
+
+
+def test_frames_of_a_video_can_be_read_again(tmp_path: Path) -> None:
+    with open_video(tmp_path / "a.mp4", size=(128, 256), fps=25, preset="ultrafast", crf=1) as sink:
+        for _ in range(3):
+            sink.write(FRAME)
+    frames = list(read_frames(tmp_path / "a.mp4", (128, 256), 2))
+    centres = np.s_[:, 16:-16, 16::32]
+    assert np.abs(np.array(frames, int)[centres] - FRAME[None].astype(int)[centres]).max() <= 3
+    assert (len(frames), len(list(read_frames(tmp_path / "a.mp4", (128, 256), 9)))) == (2, 3)
+    with pytest.raises(EncodingError, match="ffmpeg can read"):
+        list(read_frames(tmp_path / "none.mp4", (128, 256), 1))

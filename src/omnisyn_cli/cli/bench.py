@@ -125,12 +125,18 @@ def bench(
 
 
 def _print_json(measured: Sequence[Figures]) -> None:
+    """All figures, and the time of a standard clip in that of encoding its frames alone."""
     import json
 
     from omnisyn_cli import __version__
     from omnisyn_cli.evaluation.bench import machine_in_words
 
-    values = {"version": __version__, "machine": machine_in_words(), "settings": [f.to_json() for f in measured]}
+    values: dict[str, Any] = {
+        "version": __version__,
+        "machine": machine_in_words(),
+        "settings": [f.to_json() for f in measured],
+    }
+    values["ratios"] = {figures.setting.name: {"clip_to_encoder": figures.to_encoder} for figures in measured}
     click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
 
 

@@ -25,6 +25,8 @@ __all__ = ["Size", "interpolate"]
 
 FilePath = click.Path(path_type=Path)
 
+COMPILING = "note: compiling the kernels, once per installation: about a minute"
+
 
 class Size(SizeType):
     """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program."""
@@ -168,8 +170,10 @@ def interpolate(
         _print_plan(plan, as_json)
         return
     from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
+    from omnisyn_cli.jit import when_compiling
 
-    with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_frame:
+    remark = when_compiling(lambda: None if quiet else click.echo(COMPILING, err=True))
+    with remark, _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:
         for warning in summary.warnings():
@@ -226,5 +230,5 @@ def _progress(plan: InterpolationPlan, *, is_shown: bool) -> Iterator[Callable[[
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("depth (compiles for a minute after installation)", total=len(plan.path))
+        task = progress.add_task("depth", total=len(plan.path))
         yield lambda done: progress.update(task, completed=done, description="frames" if done > 1 else None)

@@ -80,6 +80,7 @@ class Figures:
         memory: bytes at the peak, without the encoder; None where the system does not tell.
         ws_psnr: mean over the true frames, dB; None where there are none.
         pairs: how many it is the mean of.
+        encoder: wall time that the encoder alone takes for each frame of the first clip, beside these.
     """
 
     setting: Setting
@@ -92,6 +93,12 @@ class Figures:
     memory: int | None = None
     ws_psnr: float | None = None
     pairs: int = 0
+    encoder: float | None = None
+
+    @property
+    def to_encoder(self) -> float | None:
+        """Time of a standard clip in that of encoding its frames alone."""
+        return None if self.encoder is None else standard_seconds(self) / (STANDARD_FRAMES * self.encoder)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

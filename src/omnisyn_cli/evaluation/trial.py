@@ -23,7 +23,8 @@ from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.evaluation.views import load_pair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation import InterpolationJob, InterpolationPlan, plan_interpolation, run_interpolation
-from omnisyn_cli.io import PosedPanorama, write_poses
+from omnisyn_cli.io import PosedPanorama, open_video, write_poses
+from omnisyn_cli.io.frames import read_frames
 from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize, turned_panorama
@@ -33,6 +34,9 @@ __all__ = ["Trial", "run_trial"]
 
 PHOTOGRAPHS = 2
 """The first and the last frame of a clip, which are not rendered."""
+
+MOST_BYTES = 2**29
+"""Of frames that are held to be encoded alone."""
 
 MEASURED_PEAK = "VmHWM:"
 
@@ -82,14 +86,34 @@ def run_trial(trial: Trial, folder: Path, launched: float) -> Figures:
         clips.append(_per_pair_and_frame(_clip(plan, estimator), trial.frames))
         found.append(estimator.found)
     memory = _peak_memory()
+    encoder = _encoder_alone(first_plan, estimator)
     start = max(0.0, started - sum(clips[0].values()))
     seconds = {"start": start, **{stage: _mean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
     scores = list(chain.from_iterable(_scores(*each, setting) for each in zip(trial.pairs, found, strict=True)))
     return Figures(
         setting, key=trial.key, source=first_plan.source_sizes[0], seconds=seconds,
         calibration=calibrate(setting.threads), memory=memory, ws_psnr=_mean(scores) if scores else None,
-        pairs=len(clips),
+        pairs=len(clips), encoder=encoder,
     )  # fmt: skip
+
+
+def _encoder_alone(plan: InterpolationPlan, estimator: DepthEstimator) -> float:
+    """Seconds that the encoder takes for a frame of a clip, from memory, before and after the clip is made again."""
+    height, width = plan.size
+    most = max(2, MOST_BYTES // (3 * height * width))
+    frames = list(read_frames(plan.job.output, plan.size, min(most, len(plan.path))))
+    seconds = [_encode(frames, plan)]
+    _clip(plan, estimator)
+    return min(*seconds, _encode(frames, plan)) / len(frames)
+
+
+def _encode(frames: Sequence[np.ndarray], plan: InterpolationPlan) -> float:
+    begin, job = time.perf_counter(), plan.job
+    again = job.output.with_name("again.mp4")
+    with open_video(again, size=plan.size, fps=job.fps, threads=job.threads or 0, overwrite=True) as sink:
+        for frame in frames:
+            sink.write(frame)
+    return time.perf_counter() - begin
 
 
 class _Remembering:

@@ -13,9 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32, UInt8
 
 from omnisyn_cli.fusion.kernels import pull, push
+from omnisyn_cli.fusion.row_kernels import push_samples
 from omnisyn_cli.threads import run_bands
 
 __all__ = ["HoleFiller"]
@@ -28,7 +29,7 @@ class HoleFiller:
     """A pyramid for one image size, reused from frame to frame."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
-        self.threads = threads
+        self.size, self.threads = size, threads
         sizes = [size]
         while max(sizes[-1]) > 1:
             sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
@@ -46,12 +47,44 @@ class HoleFiller:
         """
         if weight.min() > 0.0:
             return
-        colours, weights = [image, *self._colours], [weight, *self._weights]
+        if self._colours:
+            self._run(pull, self._weights[0], image, weight, self._colours[0], self._weights[0])
+            self._fill_below()
+            self._run(push, weight, self._colours[0], self._weights[0], image, weight, True)
+
+    @property
+    def half(self) -> tuple[Float32[np.ndarray, "rows cols 3"], Float32[np.ndarray, "rows cols"]]:
+        """Colours and weights of the level of half the size, for a kernel that pulls into it by itself."""
+        return self._colours[0], self._weights[0]
+
+    def fill_samples(
+        self,
+        samples: UInt8[np.ndarray, "height width 3"],
+        seen: UInt8[np.ndarray, "height width"],
+        holes: Int32[np.ndarray, " pairs"],
+    ) -> None:
+        """Fill, in place, the samples that are not ``seen``, after :attr:`half` has been written.
+
+        Args:
+            samples: RGB; height and width are even.
+            seen: 0 in holes.
+            holes: how many of them there are in every pair of rows.
+        """
+        if not holes.any():
+            return
+        self._fill_below()
+        run_bands(
+            lambda begin, end: push_samples(*self.half, samples, seen, holes, begin, end), len(holes), self.threads
+        )
+
+    def _fill_below(self) -> None:
+        """All levels but the finest, the one of half the size being known where it has weight."""
+        colours, weights = self._colours, self._weights
         for level in range(len(colours) - 1):
             self._run(pull, weights[level + 1], colours[level], weights[level], colours[level + 1], weights[level + 1])
         for level in range(len(colours) - 2, -1, -1):
             above = (colours[level + 1], weights[level + 1])
-            self._run(push, weights[level], *above, colours[level], weights[level], level == 0)
+            self._run(push, weights[level], *above, colours[level], weights[level], False)
 
     def _run(self, kernel: Callable[..., None], written: np.ndarray, *arguments: np.ndarray | bool) -> None:
         """A kernel over the rows of the level it writes."""

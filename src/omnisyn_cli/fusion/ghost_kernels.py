@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from omnisyn_cli.jit import fast_kernel
+from omnisyn_cli.jit import fast_kernel, inlined
 
 __all__ = ["gather_cells", "silence_rows"]
 
@@ -46,7 +46,7 @@ def gather_cells(first, first_rho, second, second_rho, cell, step, sums, begin, 
 
 
 @fast_kernel()
-def silence_rows(first, second, loser, cell, begin, end):
+def silence_rows(first, second, loser, cell, offset, begin, end):
     """Take the worth of the losing view away where both see something, gradually at the border of a region.
 
     Args:
@@ -54,26 +54,40 @@ def silence_rows(first, second, loser, cell, begin, end):
         second: likewise.
         loser: ``(rows, cols)`` by cell: from −1 (the first loses all of its worth) to 1 (the second does).
         cell: pixels along the side of a cell.
-        begin: first row of pixels.
+        offset: row of the picture that the first row of both is.
+        begin: first row of both.
         end: the row after the last.
     """
     rows, cols = loser.shape
     width, size, half = first.shape[1], np.float32(cell), np.float32(0.5)
     for row in range(begin, end):
-        y = (np.float32(row) + half) / size - half
+        y = (np.float32(offset + row) + half) / size - half
         i = int(np.floor(y))
         down = y - np.float32(i)
         upper, lower = min(max(i, 0), rows - 1), min(max(i + 1, 0), rows - 1)
-        for col in range(width):
-            x = (np.float32(col) + half) / size - half
-            j = int(np.floor(x))
-            right = x - np.float32(j)
-            left, beyond = j % cols, (j + 1) % cols
-            top = loser[upper, left] + right * (loser[upper, beyond] - loser[upper, left])
-            bottom = loser[lower, left] + right * (loser[lower, beyond] - loser[lower, left])
-            value = top + down * (bottom - top)
-            if value != np.float32(0.0) and first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
-                if value > np.float32(0.0):
-                    second[row, col, 3] *= np.float32(1.0) - value
-                else:
-                    first[row, col, 3] *= np.float32(1.0) + value
+        for block in range(-(-width // cell)):
+            if _is_free(loser, upper, lower, block):
+                continue
+            for col in range(block * cell, min((block + 1) * cell, width)):
+                x = (np.float32(col) + half) / size - half
+                j = int(np.floor(x))
+                right = x - np.float32(j)
+                left, beyond = j % cols, (j + 1) % cols
+                top = loser[upper, left] + right * (loser[upper, beyond] - loser[upper, left])
+                bottom = loser[lower, left] + right * (loser[lower, beyond] - loser[lower, left])
+                value = top + down * (bottom - top)
+                if value != np.float32(0.0) and first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+                    if value > np.float32(0.0):
+                        second[row, col, 3] *= np.float32(1.0) - value
+                    else:
+                        first[row, col, 3] *= np.float32(1.0) + value
+
+
+@inlined()
+def _is_free(loser, upper, lower, block):
+    """Whether nothing is to be silenced between the rows of cells ``upper`` and ``lower`` in and beside a cell."""
+    cols = loser.shape[1]
+    for j in range(block - 1, block + 2):
+        if loser[upper, j % cols] != np.float32(0.0) or loser[lower, j % cols] != np.float32(0.0):
+            return False
+    return True

@@ -9,16 +9,17 @@ thing is there or it is not, but never half transparent, and it changes once alo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Rendering, RowRendering
 
 __all__ = ["GhostOptions", "GhostRemover"]
 
@@ -73,28 +74,54 @@ class GhostRemover:
             t: share of the way.
             strictness: how strictly the nearer surface hides the farther one in the blend, from 0 to 1.
         """
-        self._gather(first, second)
+        step = max(1, self.cell // SAMPLES_ALONG_CELL)
+        seen = (first.colour, first.inverse_depth, second.colour, second.inverse_depth)
+        loser = self._losers(seen, self.cell, step, first, second, t, strictness)
+        if loser is not None:
+            run_bands(
+                lambda begin, end: silence_rows(first.colour, second.colour, loser, self.cell, 0, begin, end),
+                self.size[0],
+                self.threads,
+            )
+
+    def by_rows(
+        self, first: RowRendering, second: RowRendering, t: float, strictness: float = 1.0
+    ) -> Callable[[np.ndarray, np.ndarray, int], None] | None:
+        """The same for renderings that are coloured row by row.
+
+        Returns:
+            What changes the worths of some rows of colours of both, given the first of them; None where nothing is to
+            be changed.
+        """
+        step = max(1, self.cell // SAMPLES_ALONG_CELL)
+        rows, cols = (_samples_of_cells(count, self.cell, step) for count in self.size)
+        seen = (
+            first.colour_at(rows, cols), first.inverse_depth[rows].take(cols, axis=1),
+            second.colour_at(rows, cols), second.inverse_depth[rows].take(cols, axis=1),
+        )  # fmt: skip
+        loser = self._losers(seen, -(-self.cell // step), 1, first, second, t, strictness)
+        if loser is None:
+            return None
+        return lambda a, b, top: silence_rows(a, b, loser, self.cell, top, 0, len(a))
+
+    @property
+    def sampled(self) -> float:
+        """Share of the pixels that are looked at."""
+        return 1.0 / max(1, self.cell // SAMPLES_ALONG_CELL) ** 2
+
+    def _losers(
+        self, seen: tuple[np.ndarray, ...], cell: int, step: int, first: Rendering | RowRendering,
+        second: Rendering | RowRendering, t: float, strictness: float,
+    ) -> Float32[np.ndarray, "rows cols"] | None:  # fmt: skip
+        """Which view loses in which cell, see :func:`_losers_of_regions`; None where there is no ghost."""
+        run_bands(
+            lambda begin, end: gather_cells(*seen, cell, step, self._sums, begin, end), self._grid[0], self.threads
+        )
         differs = self._differing()
         if not differs.any():
-            return
-        preference = self._preference(first, second, t, strictness)
-        loser = _losers(differs, preference)
-        run_bands(
-            lambda begin, end: silence_rows(first.colour, second.colour, loser, self.cell, begin, end),
-            self.size[0],
-            self.threads,
-        )
-
-    def _gather(self, first: Rendering, second: Rendering) -> None:
-        step = max(1, self.cell // SAMPLES_ALONG_CELL)
-        run_bands(
-            lambda begin, end: gather_cells(
-                first.colour, first.inverse_depth, second.colour, second.inverse_depth,
-                self.cell, step, self._sums, begin, end,
-            ),
-            self._grid[0],
-            self.threads,
-        )  # fmt: skip
+            return None
+        offsets = (first.target_from_source.position, second.target_from_source.position)
+        return _losers_of_regions(differs, self._preference(offsets, t, strictness))
 
     def _differing(self) -> Bool[np.ndarray, "rows cols"]:
         """Cells of different things: not thin, and grown by what an opening took from their edges."""
@@ -113,7 +140,7 @@ class GhostRemover:
         return np.asarray(grown[:, 4:-4] > 0)
 
     def _preference(
-        self, first: Rendering, second: Rendering, t: float, strictness: float
+        self, offsets: tuple[np.ndarray, np.ndarray], t: float, strictness: float
     ) -> Float32[np.ndarray, "rows cols"]:
         """log(weight of the first / weight of the second) in the blend, by cell; 0 where only one sees anything."""
         count = np.maximum(self._sums[..., 0], 1.0)
@@ -121,15 +148,19 @@ class GhostRemover:
         rhos = [self._sums[..., k] / count for k in (9, 10)]
         near = [
             -1.5 * np.log(((self._directions - rho[..., None] * offset) ** 2).sum(axis=-1) + 1e-8)
-            for rho, offset in zip(rhos, (first.target_from_source.position, second.target_from_source.position),
-                                   strict=True)
-        ]  # fmt: skip
+            for rho, offset in zip(rhos, offsets, strict=True)
+        ]
         gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * self.options.disagreement + 1e-9)
         hidden = strictness * -np.log(self.options.hidden)
         hides = np.sign(gap) * np.minimum(gap * gap, hidden)
         share = np.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
         found = share + np.log(worths[0] / worths[1]) + near[0] - near[1] + hides
         return np.asarray(np.where(self._sums[..., 0] > 0.0, found, 0.0), np.float32)
+
+
+def _samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " samples"]:
+    """Every ``step``-th pixel of each cell along a side of ``count`` pixels."""
+    return np.flatnonzero(np.arange(count) % cell % step == 0)
 
 
 def _beyond(one: np.ndarray, other: np.ndarray, seen: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
@@ -152,7 +183,9 @@ def _box_mean(values: np.ndarray, weight: np.ndarray, reach: int) -> Float32[np.
     return np.asarray(sums[..., :3] / np.maximum(sums[..., 3:], 1e-6))
 
 
-def _losers(differs: Bool[np.ndarray, "rows cols"], preference: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
+def _losers_of_regions(
+    differs: Bool[np.ndarray, "rows cols"], preference: np.ndarray
+) -> Float32[np.ndarray, "rows cols"]:
     """1 in regions where the first view wins (the second loses), −1 where the second does, 0 elsewhere."""
     count, labels = cv2.connectedComponents(differs.astype(np.uint8), connectivity=8)
     labels = _joined_at_the_seam(labels, count)

@@ -6,6 +6,7 @@ import os
 import subprocess
 import threading
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Self
@@ -15,7 +16,7 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import EncodingError, WriteError
 
-__all__ = ["EncoderProcess"]
+__all__ = ["EncoderProcess", "Packing"]
 
 LAST_LINES = 12
 
@@ -24,6 +25,9 @@ SECONDS_TO_DIE = 10
 FULL_DISK = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
 
 CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
+
+
+Packing = Callable[[np.ndarray], np.ndarray]
 
 
 class EncoderProcess:
@@ -36,10 +40,14 @@ class EncoderProcess:
         target: what error messages call the output.
         shape: of a frame, ``(height, width, 3)``.
         dtype: of a frame, ``uint8`` or ``uint16``.
+        packed: makes of a contiguous frame what the command reads; by default it reads the frame as it is.
     """
 
-    def __init__(self, command: list[str], target: Path, shape: tuple[int, int, int], dtype: str) -> None:
+    def __init__(
+        self, command: list[str], target: Path, shape: tuple[int, int, int], dtype: str, packed: Packing | None = None
+    ) -> None:
         self.frame_count = 0
+        self._packed = packed
         self._target = target
         self._shape = shape
         self._dtype = np.dtype(dtype).newbyteorder("<")
@@ -72,8 +80,10 @@ class EncoderProcess:
         """
         if frame.shape != self._shape or frame.dtype != self._dtype:
             raise ValueError(f"expected a frame {self._shape} {self._dtype}, got {frame.shape} {frame.dtype}")
+        samples = np.ascontiguousarray(frame, self._dtype)
+        samples = samples if self._packed is None else self._packed(samples)
         try:
-            self._stdin.write(np.ascontiguousarray(frame, self._dtype).data)
+            self._stdin.write(samples.data)
         except OSError:
             raise self._failure() from None
         self.frame_count += 1

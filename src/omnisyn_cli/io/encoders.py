@@ -1,4 +1,4 @@
-"""What can be encoded and with which arguments; ffmpeg is told to convert to BT.709 and to say so."""
+"""What can be encoded and with which arguments; ffmpeg is told that it is BT.709, or to convert to it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,16 @@ import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
 
-__all__ = ["CODECS", "EncoderSettings", "VideoCodec", "check_settings", "encoder_command", "ffmpeg_program"]
+__all__ = [
+    "CODECS",
+    "PLANAR",
+    "EncoderSettings",
+    "VideoCodec",
+    "check_settings",
+    "encoder_command",
+    "ffmpeg_program",
+    "raw_format",
+]
 
 X26X_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
@@ -77,6 +86,10 @@ CODECS: Mapping[str, VideoCodec] = {
 }
 
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
+"""ffmpeg's names of the frames that are handed to it, where it converts them."""
+
+PLANAR = "yuv420p"
+"""What most encoders work on: frames are handed over like this where they are wanted like this."""
 
 WITHOUT_REMARKS = "filter_units=remove_types=6"
 """x264 writes its settings into the video, the number of threads among them: equal pictures shall be equal files."""
@@ -141,8 +154,14 @@ def check_frame_rate(fps: float | Fraction) -> None:
         raise InputError(f"expected a frame rate above 0 and up to 1000 per second, got {fps}; choose another")
 
 
+def raw_format(settings: EncoderSettings) -> str:
+    """Name, in ffmpeg, of the frames that :func:`encoder_command` expects."""
+    wanted = CODECS[settings.codec].pixel_formats[settings.dtype]
+    return PLANAR if wanted == PLANAR else RAW_FORMATS[settings.dtype]
+
+
 def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
-    """The command that reads raw frames from its standard input and writes ``path``.
+    """The command that reads raw frames of :func:`raw_format` from its standard input and writes ``path``.
 
     RGB is converted to limited-range BT.709 with exact rounding, and tagged as that: left alone, ffmpeg converts to
     untagged BT.601, which a BT.709 player shows up to 28/255 wrong.
@@ -152,17 +171,15 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     """
     codec = CODECS[settings.codec]
     encoder = _available_encoder(settings.codec)
-    pixel_format = codec.pixel_formats[settings.dtype]
     height, width = settings.size
     rate = str(Fraction(settings.fps).limit_denominator(1001))
-    frames = ffmpeg.input(
-        "pipe:0", format="rawvideo", pix_fmt=RAW_FORMATS[settings.dtype], s=f"{width}x{height}", framerate=rate
-    )
-    converted = (
-        frames.filter("scale", out_color_matrix="bt709", out_range="tv", flags="bicubic+accurate_rnd+full_chroma_int")
-        .filter("format", pixel_format)
-        .filter("setparams", colorspace="bt709", color_primaries="bt709", color_trc="bt709", range="tv")
-    )
+    expected = raw_format(settings)
+    frames = ffmpeg.input("pipe:0", format="rawvideo", pix_fmt=expected, s=f"{width}x{height}", framerate=rate)
+    if expected != PLANAR:
+        flags = "bicubic+accurate_rnd+full_chroma_int"
+        frames = frames.filter("scale", out_color_matrix="bt709", out_range="tv", flags=flags)
+        frames = frames.filter("format", codec.pixel_formats[settings.dtype])
+    converted = frames.filter("setparams", colorspace="bt709", color_primaries="bt709", color_trc="bt709", range="tv")
     options = {"c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
     if codec.tag:
         options["tag:v"] = codec.tag

@@ -13,8 +13,8 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
-from omnisyn_cli.io.encoder_process import EncoderProcess
-from omnisyn_cli.io.encoders import CODECS, EncoderSettings, check_settings, encoder_command
+from omnisyn_cli.io.encoder_process import EncoderProcess, Packing
+from omnisyn_cli.io.encoders import CODECS, PLANAR, EncoderSettings, check_settings, encoder_command, raw_format
 from omnisyn_cli.io.paths import check_output, temporary_name, write_errors
 from omnisyn_cli.io.sequence import ImageSequence, check_sequence, image_sequence, is_sequence, open_sequence
 from omnisyn_cli.io.spherical import inject_spherical
@@ -125,8 +125,9 @@ def open_video(
 def _encoded(target: Path, settings: EncoderSettings, *, is_spherical: bool) -> Iterator[EncoderProcess]:
     """An encoder to a hidden file, which becomes ``target`` when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
+    command, shape = encoder_command(encoded, settings), (*settings.size, 3)
     try:
-        with EncoderProcess(encoder_command(encoded, settings), target, (*settings.size, 3), settings.dtype) as encoder:
+        with EncoderProcess(command, target, shape, settings.dtype, _packing(settings)) as encoder:
             yield encoder
         if is_spherical:
             inject_spherical(encoded, target)
@@ -135,6 +136,15 @@ def _encoded(target: Path, settings: EncoderSettings, *, is_spherical: bool) -> 
                 encoded.replace(target)
     finally:
         encoded.unlink(missing_ok=True)
+
+
+def _packing(settings: EncoderSettings) -> Packing | None:
+    """What makes planes of frames, where the encoder takes them."""
+    if raw_format(settings) != PLANAR:
+        return None
+    from omnisyn_cli.io.yuv import PlanarFrames  # a kernel, which a plan does without
+
+    return PlanarFrames(settings.size)
 
 
 def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:

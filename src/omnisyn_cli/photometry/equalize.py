@@ -60,4 +60,4 @@ def _exposed(view: View, samples: np.ndarray, table: np.ndarray, threads: int | 
     image = np.array(view.image, np.float32)
     run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
     is_cut_off = bool((samples.max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
-    return replace(view, image=image, is_cut_off=is_cut_off)
+    return replace(view, image=image, samples=None, is_cut_off=is_cut_off)

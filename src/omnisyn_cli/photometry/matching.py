@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from omnisyn_cli.photometry.curve import ExposureCurve
 from omnisyn_cli.photometry.kernels import expose_rows
 from omnisyn_cli.photometry.transfer import linear_from_stored
 from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Rendering, RowRendering
 
 __all__ = ["ExposureMatcher"]
 
@@ -45,11 +45,42 @@ class ExposureMatcher:
             if t != end:
                 self._expose(view, self.curve.table(t, of_second=end == 1))
 
+    def by_rows(self, first: RowRendering, second: RowRendering, t: float) -> tuple[RowRendering, RowRendering]:
+        """Both renderings with colours as a call makes them."""
+        if self.curve.is_identity:
+            return first, second
+        exposed = [
+            view if t == end else _exposed(view, self.curve.table(t, of_second=end == 1))
+            for view, end in ((first, 0), (second, 1))
+        ]
+        return exposed[0], exposed[1]
+
     def _expose(self, view: Rendering, table: np.ndarray) -> None:
-        white = float(linear_from_stored(np.asarray(table[:, -1], np.float64)).min())
-        loss = np.float32(min(MOST_LOSS, 1.0 - white**4))
+        loss = _loss(table)
         run_bands(
             lambda begin, end: expose_rows(view.colour, table, loss, CLIPPING, begin, end),
             len(view.colour),
             self.threads,
         )
+
+
+def _exposed(view: RowRendering, table: np.ndarray) -> RowRendering:
+    """A rendering whose colours go through a table when they are made."""
+    loss = _loss(table)
+
+    def colour_rows(begin: int, end: int, out: np.ndarray) -> None:
+        view.colour_rows(begin, end, out)
+        expose_rows(out, table, loss, CLIPPING, 0, end - begin)
+
+    def colour_at(rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+        colour = view.colour_at(rows, cols)
+        expose_rows(colour, table, loss, CLIPPING, 0, len(rows))
+        return colour
+
+    return replace(view, colour_rows=colour_rows, colour_at=colour_at)
+
+
+def _loss(table: np.ndarray) -> np.float32:
+    """Share of its worth that a white pixel loses."""
+    white = float(linear_from_stored(np.asarray(table[:, -1], np.float64)).min())
+    return np.float32(min(MOST_LOSS, 1.0 - white**4))

@@ -7,6 +7,7 @@ assumed. ``two-pass``: the paper's (section 3.4), kept for comparison.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
 from omnisyn_cli.render.shade import Shader, make_texture
 from omnisyn_cli.render.two_pass import TwoPassRenderer
+from omnisyn_cli.types import RowRendering
 
 __all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
 
@@ -61,6 +63,16 @@ class MeshRenderer:
         """See :class:`Renderer`."""
         fragments = self._rasterizer(self._mesh, target_from_source)
         return fragments.inverse_depth, self._shader(fragments, self._mesh, self._texture, target_from_source)
+
+    def by_rows(self, target_from_source: Pose) -> RowRendering:
+        """The same, with colours made as they are asked for: from any number of threads, until the next call."""
+        fragments = self._rasterizer(self._mesh, target_from_source)
+        seen, trust = (fragments.inverse_depth, fragments.face), (self._mesh.trust.ravel(),)
+        what = (seen, trust, self._texture, target_from_source)
+        return RowRendering(
+            fragments.inverse_depth, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what),
+            target_from_source,
+        )  # fmt: skip
 
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {

@@ -6,10 +6,12 @@ A target ray r that meets a surface at inverse depth ρ meets the point that the
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int32, Integer, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
@@ -28,6 +30,8 @@ CHANNELS = 4
 SMALLEST_LEVEL = 8
 """Rows of the smallest mip level."""
 
+ROWS_AT_A_TIME = 64
+
 
 @dataclass(frozen=True)
 class Texture:
@@ -35,24 +39,30 @@ class Texture:
 
     Attributes:
         size: height and width of the full resolution.
-        texels: all levels one after the other, float32, each ``(height + 4, width + 4, 4)`` with a border of two
-            pixels; level k is half the size of level k − 1 (rounded down), averaged.
-        layout: per level: offset in ``texels``, numbers per row, and (row, col) of an angle as scale and offset.
+        texels: all levels one after the other, float32 or 8 bits of one, each ``(height + 4, width + 4, 4)`` with a
+            border of two pixels; level k is half the size of level k − 1 (rounded down), averaged.
+        layout: per level: offset in ``texels``, numbers per row, (row, col) of an angle as scale and offset, and what
+            to multiply texels by.
     """
 
     size: tuple[int, int]
-    texels: Float32[np.ndarray, " numbers"]
-    layout: Float[np.ndarray, "levels 6"]
+    texels: Float32[np.ndarray, " numbers"] | UInt8[np.ndarray, " numbers"]
+    layout: Float[np.ndarray, "levels 7"]
 
 
 def make_texture(
-    image: Float[np.ndarray, "height width 3"], mask: Bool[np.ndarray, "height width"] | None = None
+    image: Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"],
+    mask: Bool[np.ndarray, "height width"] | None = None,
 ) -> Texture:
-    """Mip levels of a panorama, down to 8 rows; alpha is 1, or 0 where ``mask`` is False. The width has to be even."""
+    """Mip levels of a panorama, down to 8 rows; alpha is 1, or 0 where ``mask`` is False. The width has to be even.
+
+    Samples of 8 bits stay what they are, in a quarter of the memory; their mip levels are rounded to 8 bits.
+    """
+    dtype, peak = (np.uint8, 255) if image.dtype == np.uint8 else (np.float32, 1)
     sizes = _level_sizes(*image.shape[:2])
     counts = [(rows + 2 * BORDER) * (cols + 2 * BORDER) * CHANNELS for rows, cols in sizes]
     offsets = np.concatenate([[0], np.cumsum(counts)])
-    texels = np.empty(offsets[-1], np.float32)
+    texels = np.empty(offsets[-1], dtype)
     layout = []
     level = np.empty((0, 0, CHANNELS), np.float32)
     for (rows, cols), offset, count in zip(sizes, offsets, counts, strict=False):
@@ -60,12 +70,13 @@ def make_texture(
         inside = bordered[BORDER:-BORDER, BORDER:-BORDER]
         if offset == 0:
             inside[..., :3] = image
-            inside[..., 3] = 1.0 if mask is None else mask
+            inside[..., 3] = peak if mask is None else np.where(mask, peak, 0)
+            level = inside
         else:
-            inside[:] = _shrunk(_shrunk(level, rows, axis=0), cols, axis=1)
+            level = _reduced(level, rows, cols)
+            inside[:] = np.rint(level) if dtype == np.uint8 else level
         _repeat_border(bordered)
-        layout.append((offset, bordered.shape[1] * CHANNELS, *_angle_to_texel((rows, cols))))
-        level = inside
+        layout.append((offset, bordered.shape[1] * CHANNELS, *_angle_to_texel((rows, cols)), 1.0 / peak))
     return Texture(sizes[0], texels, np.array(layout, np.float64))
 
 
@@ -76,6 +87,17 @@ def _level_sizes(height: int, width: int) -> list[tuple[int, int]]:
         rows, cols = sizes[-1]
         sizes.append((rows // 2, 2 * (cols // 4)))
     return sizes
+
+
+def _reduced(image: np.ndarray, rows: int, cols: int) -> Float32[np.ndarray, "rows cols channels"]:
+    """Means over equal parts, some rows at a time."""
+    if image.shape[:2] != (2 * rows, 2 * cols):
+        return np.asarray(_shrunk(_shrunk(image.astype(np.float32), rows, axis=0), cols, axis=1), np.float32)
+    out = np.empty((rows, cols, image.shape[2]), np.float32)
+    for begin in range(0, rows, ROWS_AT_A_TIME):
+        part = image[2 * begin : 2 * (begin + ROWS_AT_A_TIME)].astype(np.float32)
+        out[begin : begin + ROWS_AT_A_TIME] = _shrunk(_shrunk(part, len(part) // 2, axis=0), cols, axis=1)
+    return out
 
 
 def _shrunk(image: np.ndarray, count: int, axis: int) -> np.ndarray:
@@ -106,6 +128,10 @@ def _repeat_border(bordered: np.ndarray) -> None:
     bordered[:, -BORDER:] = bordered[:, BORDER : 2 * BORDER]
 
 
+Seen = tuple[Float32[np.ndarray, "height width"], Int32[np.ndarray, "height width"] | None]
+"""Inverse depth and, where there is one, face of every pixel."""
+
+
 class Shader:
     """Tables for one target size, and the image it writes; reused from frame to frame."""
 
@@ -131,16 +157,75 @@ class Shader:
         run_bands(band, self.size[0], self.threads)
         return self._image
 
+    def some_rows(
+        self, seen: Seen, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose,
+        begin: int, end: int, out: Float32[np.ndarray, "rows width 4"],
+    ) -> None:  # fmt: skip
+        """Rows ``begin`` to ``end`` of what a call gives, into memory of the caller's, in the caller's thread.
+
+        Args:
+            seen: inverse depth and face of every pixel.
+            trust: as the kernel takes it.
+            texture: the photograph.
+            target_from_source: the transform.
+            begin: first row.
+            end: the row after the last.
+            out: written.
+        """
+        sin_p, cos_p, sin_a, cos_a = self._tables
+        some = tuple(part if part is None else part[begin:end] for part in seen)
+        tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
+        self._kernel(trust, texture, target_from_source)(some, tables, out, 0, end - begin)
+
+    def crossings(
+        self, seen: Seen, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose,
+        rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"],
+    ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
+        """What a call gives where some rows and columns cross; arguments as of :meth:`some_rows`."""
+        sin_p, cos_p, sin_a, cos_a = self._tables
+        some = tuple(part if part is None else part[rows].take(cols, axis=1) for part in seen)
+        tables = (sin_p[rows], cos_p[rows], sin_a[cols], cos_a[cols])
+        out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
+        shade_band = self._kernel(trust, texture, target_from_source)
+        run_bands(lambda begin, end: shade_band(some, tables, out, begin, end), len(rows), self.threads)
+        return out
+
+    def _kernel(self, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose) -> Callable[..., None]:
+        """Takes what is seen, direction tables, an image, first row and the row after the last."""
+        rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
+        translation = np.ascontiguousarray(target_from_source.position, np.float32)
+        ratio = np.float32(texture.size[0] / self.size[0])
+        source = (*trust, texture.texels, texture.layout)
+
+        def band(seen: tuple[Any, ...], tables: tuple[Any, ...], image: np.ndarray, begin: int, end: int) -> None:
+            shade_rows(*seen, *source, *tables, rotation, translation, ratio, self.bicubic, image, begin, end)
+
+        return band
+
     def infinitely_far(self, texture: Texture, target_from_source: Pose) -> Float32[np.ndarray, "height width 4"]:
         """The texture as a sphere of infinite radius: only the rotation matters. The next call overwrites it."""
-        whole = Mesh(
-            inverse_depth=np.zeros((2, 2), np.float32),
-            quads=np.zeros((1, 2), np.uint8),
-            caps=np.zeros((2, 2, 3), np.float32),
-            trust=np.ones((1, 2), np.float32),
-        )
         sky = Fragments(np.zeros(self.size, np.float32), np.zeros(self.size, np.int32))
-        return self(sky, whole, texture, target_from_source)
+        return self(sky, _SKY, texture, target_from_source)
+
+    def far_rows(
+        self, texture: Texture, target_from_source: Pose, begin: int, end: int
+    ) -> Float32[np.ndarray, "rows width 4"]:
+        """Rows ``begin`` to ``end`` of :meth:`infinitely_far`, in memory of their own, in the caller's thread."""
+        sin_p, cos_p, sin_a, cos_a = self._tables
+        seen = tuple(np.zeros((end - begin, self.size[1]), dtype) for dtype in (np.float32, np.int32))
+        out = np.empty((*seen[0].shape, CHANNELS), np.float32)
+        tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
+        self._kernel((_SKY.trust.ravel(),), texture, target_from_source)(seen, tables, out, 0, end - begin)
+        return out
+
+
+_SKY = Mesh(
+    inverse_depth=np.zeros((2, 2), np.float32),
+    quads=np.zeros((1, 2), np.uint8),
+    caps=np.zeros((2, 2, 3), np.float32),
+    trust=np.ones((1, 2), np.float32),
+)
+"""A surface that is infinitely far away everywhere."""
 
 
 def shade(

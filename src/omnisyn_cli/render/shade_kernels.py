@@ -9,7 +9,7 @@ import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
 from omnisyn_cli.render.mesh import FACES_PER_QUAD
-from omnisyn_cli.render.simd import load, pair, splat, store_half, swapped
+from omnisyn_cli.render.simd import load_floats, pair, splat, store_half, swapped
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
 __all__ = ["shade_rows"]
@@ -45,7 +45,7 @@ def shade_rows(
     places, index = np.empty((CUBIC + 8, RUN), np.float32), np.empty(RUN, np.int32)
     flat = image.reshape(-1)
     starts, strides, factors = layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64), _levels_from_full(layout)
-    stride = strides[0]
+    stride, unit = strides[0], np.float32(layout[0, 6])
     for row in range(begin, end):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
@@ -69,7 +69,7 @@ def shade_rows(
                 else:
                     first = 4 * np.int64(index[col])
                     colour = _bilinear(texels, first, first + stride, places[DOWN, col], places[ACROSS, col])
-                store_half(flat, at, colour)
+                store_half(flat, at, colour * splat(unit))
                 quad = face[row, left + col] >> FACE_BITS
                 if quad < trust.size and trust[quad] != 1.0:  # the caps beyond have all of it
                     flat[at + 3] *= trust[quad]
@@ -152,7 +152,7 @@ def _level(texels, start, stride, factors, y, x):
 @inlined(fastmath=True)
 def _bilinear(texels, first, second, down, across):
     """Two texels side by side are one vector, those below them another."""
-    above, below = load(texels, first), load(texels, second)
+    above, below = load_floats(texels, first), load_floats(texels, second)
     left = above + (below - above) * splat(down)
     return left + (swapped(left) - left) * splat(across)
 
@@ -164,10 +164,10 @@ def _bicubic(texels, stride, at, places, col):
     third, fourth = at + stride - 4, at + 2 * stride - 4
     u0, u1 = splat(places[CUBIC, col]), splat(places[CUBIC + 1, col])
     u2, u3 = splat(places[CUBIC + 2, col]), splat(places[CUBIC + 3, col])
-    left = load(texels, first) * u0 + load(texels, second) * u1
-    left = left + load(texels, third) * u2 + load(texels, fourth) * u3
-    right = load(texels, first + 8) * u0 + load(texels, second + 8) * u1
-    right = right + load(texels, third + 8) * u2 + load(texels, fourth + 8) * u3
+    left = load_floats(texels, first) * u0 + load_floats(texels, second) * u1
+    left = left + load_floats(texels, third) * u2 + load_floats(texels, fourth) * u3
+    right = load_floats(texels, first + 8) * u0 + load_floats(texels, second + 8) * u1
+    right = right + load_floats(texels, third + 8) * u2 + load_floats(texels, fourth + 8) * u3
     mixed = left * pair(places[CUBIC + 4, col], places[CUBIC + 5, col])
     mixed = mixed + right * pair(places[CUBIC + 6, col], places[CUBIC + 7, col])
     return mixed + swapped(mixed)

@@ -21,8 +21,8 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, register_model
 
 __all__ = [
-    "LANES", "double", "has_bits", "load", "load_halves", "pair", "single", "splat", "store", "store_half",
-    "store_halves", "swapped", "where",
+    "LANES", "double", "has_bits", "load", "load_floats", "load_halves", "pair", "single", "splat", "store",
+    "store_half", "store_halves", "swapped", "where",
 ]  # fmt: skip
 
 LANES = 8
@@ -81,6 +81,21 @@ def load(typing_context: Any, array: Any, index: Any) -> Any:
         return builder.load(address, align=4)
 
     return _VECTOR_OF[array.dtype](array, types.intp), generate
+
+
+@intrinsic
+def load_floats(typing_context: Any, array: Any, index: Any) -> Any:
+    """Eight numbers of an array of float32 or uint8 from ``index`` on, as float32; bounds are not checked."""
+
+    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(_float32x8)
+        if array.dtype == types.float32:
+            return builder.load(_address(context, builder, array, arguments, _float32x8), align=4)
+        element = builder.gep(context.make_array(array)(context, builder, arguments[0]).data, [arguments[1]])
+        samples = ir.VectorType(ir.IntType(8), LANES)
+        return builder.uitofp(builder.load(builder.bitcast(element, samples.as_pointer()), align=1), vector)
+
+    return _float32x8(array, types.intp), generate
 
 
 class _WholeStore(instructions.StoreInstr):  # type: ignore[misc]

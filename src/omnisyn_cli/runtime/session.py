@@ -37,6 +37,7 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # who waits sleeps: a quarter less work
     if threads is not None:
         options.intra_op_num_threads = threads
     providers = _providers(device, onnxruntime.get_available_providers())

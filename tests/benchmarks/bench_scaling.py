@@ -1,0 +1,161 @@
+"""How time and memory grow with the frames: ``python tests/benchmarks/bench_scaling.py [A B POSES] [--plot FILE]``.
+
+Clips of 1024×512 to 8192×4096 from two panoramas (by default those of ``examples/street``), each made twice, with a few
+and with some more frames: the difference is what a frame takes, start and depth left out. Computing time of program and
+encoder together, so that other work on the machine counts little; peak memory of the program, and what ``--dry-run``
+says about it. Then the time that rendering a view takes on one and on two threads, in turn, on the clock: only a quiet
+machine tells the truth about that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.renderer import MeshRenderer
+
+WIDTHS = (1024, 2048, 4096, 8192)
+FEW, MORE = 4, 8
+"""Frames; two of them are the photographs."""
+
+STREET = Path(__file__).resolve().parents[2] / "examples" / "street"
+
+MEASURED = """
+import resource, sys
+from pathlib import Path
+from omnisyn_cli.cli import main
+try:
+    main(sys.argv[1:])
+finally:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+    print(sum(u.ru_utime + u.ru_stime for u in used), int(peak.split()[1]) * 1024, file=sys.stderr)
+"""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What clips of one size take.
+
+    Attributes:
+        width: of the frames.
+        seconds: of computing, each frame.
+        memory: bytes at the peak, with few and with more frames.
+        planned: bytes that the plan expects.
+    """
+
+    width: int
+    seconds: float
+    memory: tuple[int, int]
+    planned: int
+
+    @property
+    def megapixels(self) -> float:
+        return self.width * self.width / 2e6
+
+
+def clip(inputs: Sequence[Path], width: int, frames: int, *options: str) -> tuple[float, int, str]:
+    """Computing seconds, peak memory and what was printed."""
+    with tempfile.TemporaryDirectory() as folder:
+        first, second, poses = inputs
+        command = [sys.executable, "-c", MEASURED, "interpolate", first, second, "--poses", poses]
+        settings = ["-o", Path(folder) / "clip.mp4", "--size", f"{width}x{width // 2}", "--frames", frames, "--json"]
+        done = subprocess.run(
+            list(map(str, [*command, *settings, "--encoder-preset", "veryfast", *options])),
+            check=True, capture_output=True, text=True,
+        )  # fmt: skip
+    seconds, memory = done.stderr.split()[-2:]
+    return float(seconds), int(memory), done.stdout
+
+
+def scale_of(inputs: Sequence[Path], width: int) -> Scale:
+    """Measure one size."""
+    few, more = (clip(inputs, width, frames) for frames in (FEW, MORE))
+    plan = json.loads(clip(inputs, width, MORE, "--dry-run")[2])
+    seconds = (more[0] - few[0]) / (MORE - FEW)
+    return Scale(width, seconds, (few[1], more[1]), plan["memory_mib"] * 2**20)
+
+
+def rendering(threads: int, width: int = 4096) -> Callable[[], object]:
+    """Draws one view of a room with a bump."""
+    directions = pixel_directions(256, 512)
+    inverse_depth = np.asarray(0.3 + 0.2 * (directions[..., 1] < 0) + 0.3 * (directions[..., 0] > 0.8), np.float32)
+    image = np.random.default_rng(0).integers(0, 256, (width // 2, width, 3), np.uint8)
+    renderer = MeshRenderer(image, None, inverse_depth, None, (width // 2, width), None, threads)
+    return lambda: renderer(Pose(np.eye(3), np.array([0.1, 0.0, 0.4])))
+
+
+def speed_up(rounds: int = 7) -> float:
+    """Wall time on one thread divided by that on two, in turn, the best of each."""
+    draws = [rendering(1), rendering(2)]
+    best = [float("inf"), float("inf")]
+    for number in range(rounds + 1):
+        for index, draw in enumerate(draws):
+            begin = time.perf_counter()
+            draw()
+            if number:
+                best[index] = min(best[index], time.perf_counter() - begin)
+    return best[0] / best[1]
+
+
+def plot(scales: Sequence[Scale], path: Path) -> None:
+    """Seconds and memory against pixels, both axes logarithmic, with the line of proportion."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.6), dpi=110, layout="constrained")
+    time_axes, memory_axes = figure.subplots(1, 2)
+    pixels = np.array([scale.megapixels for scale in scales])
+    seconds = np.array([scale.seconds for scale in scales])
+    time_axes.plot(pixels, seconds[-1] * pixels / pixels[-1], color="0.7", linestyle="--", label="in proportion")
+    time_axes.plot(pixels, seconds, marker="o", color="#0072b2", label="measured")
+    time_axes.set_ylabel("Seconds of computing for each frame")
+    for k, (frames, marker) in enumerate(((FEW, "o"), (MORE, "x"))):
+        memory = [scale.memory[k] / 1e9 for scale in scales]
+        memory_axes.plot(pixels, memory, marker=marker, label=f"{frames} frames, measured")
+    memory_axes.plot(pixels, [scale.planned / 1e9 for scale in scales], color="0.7", linestyle="--", label="--dry-run")
+    memory_axes.set_ylabel("Peak memory, GB")
+    time_axes.set_yscale("log")
+    for axes in (time_axes, memory_axes):
+        axes.set_xscale("log")
+        axes.set_xticks(pixels, [f"{scale.width}×{scale.width // 2}" for scale in scales], fontsize="small")
+        axes.minorticks_off()
+        axes.grid(alpha=0.25)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False)
+    figure.savefig(path)
+
+
+def main() -> None:
+    """Print the table and draw the plot."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("inputs", type=Path, nargs="*", help="two panoramas and their poses")
+    parser.add_argument("--widths", type=int, nargs="*", default=WIDTHS)
+    parser.add_argument("--plot", type=Path, help="write the diagram, such as docs/scaling.png")
+    options = parser.parse_args()
+    inputs = options.inputs or [STREET / name for name in ("first.jpg", "second.jpg", "poses.json")]
+    print(f"{'size':>12}{'s/frame':>10}{'s/Mpixel':>10}{'GB, ' + str(FEW):>9}{'GB, ' + str(MORE):>9}{'planned':>9}")
+    scales = []
+    for width in options.widths:
+        scale = scale_of(inputs, width)
+        scales.append(scale)
+        few, more, planned = (value / 1e9 for value in (*scale.memory, scale.planned))
+        name, per_pixel = f"{width}x{width // 2}", scale.seconds / scale.megapixels
+        print(f"{name:>12}{scale.seconds:10.2f}{per_pixel:10.3f}{few:9.2f}{more:9.2f}{planned:9.2f}", flush=True)
+    if options.plot is not None:
+        plot(scales, options.plot)
+    print(f"a view of 4096x2048 on two threads: {speed_up():.2f} times as fast as on one")
+
+
+if __name__ == "__main__":
+    main()

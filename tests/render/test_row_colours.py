@@ -1,0 +1,60 @@
+"""Colours made where they are asked for are those of the whole picture, and so are those of samples of 8 bits."""
+
+import numpy as np
+import pytest
+from render_samples import random_pose, rough
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.render.shade import Shader, make_texture
+
+SIZE = (40, 80)
+
+
+def renderer(image: np.ndarray, threads: int = 1) -> MeshRenderer:
+    trust = np.random.default_rng(3).uniform(0.2, 1.0, (16, 32))
+    return MeshRenderer(image, None, rough(16, 32), trust, SIZE, None, threads)
+
+
+def samples(height: int, width: int) -> np.ndarray:
+    return np.random.default_rng(4).integers(0, 256, (height, width, 3), np.uint8)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_rows_and_crossings_are_those_of_the_whole(threads: int) -> None:
+    draw, pose = renderer(samples(64, 128), threads), random_pose(60, 0.4)
+    inverse_depth, colour = (part.copy() for part in draw(pose))
+    rows = draw.by_rows(pose)
+    np.testing.assert_array_equal(rows.inverse_depth, inverse_depth)
+    assert rows.target_from_source is pose
+    out = np.full((7, SIZE[1], 4), np.nan, np.float32)
+    for top in (0, 11, 33):
+        rows.colour_rows(top, top + 7, out)
+        np.testing.assert_allclose(out, colour[top : top + 7], atol=1e-6)
+    which = np.array([0, 3, 4, 39]), np.array([1, 2, 50, 79])
+    np.testing.assert_allclose(rows.colour_at(*which), colour[np.ix_(*which)], atol=1e-6)
+
+
+@pytest.mark.parametrize("height", [20, 40, 64, 90, 160])
+def test_samples_of_eight_bits_look_like_the_numbers_they_stand_for(height: int) -> None:
+    """Magnified, as they are and minified: only mip levels are rounded, by half a level each."""
+    image, pose = samples(height, 2 * height), random_pose(61, 0.3)
+    exact, rounded = (renderer(each)(pose)[1].copy() for each in (np.float32(image / 255.0), image))
+    np.testing.assert_allclose(rounded, exact, atol=0.51 / 255)
+    if height <= SIZE[0] // 2:
+        np.testing.assert_allclose(rounded, exact, atol=1e-5)
+
+
+def test_an_alpha_of_samples_is_that_of_numbers() -> None:
+    mask = np.random.default_rng(5).random((64, 128)) > 0.3
+    image = samples(64, 128)
+    whole, small = make_texture(np.float32(image / 255.0), mask), make_texture(image, mask)
+    np.testing.assert_allclose(small.texels / 255.0, whole.texels, atol=0.51 / 255)
+    assert small.texels.nbytes * 4 == whole.texels.nbytes
+
+
+def test_rows_that_are_infinitely_far_are_those_of_the_whole_sphere() -> None:
+    shader, texture = Shader(SIZE, 1), make_texture(samples(30, 60))
+    turn = Pose(random_pose(62, 0.0).rotation, np.zeros(3))
+    whole = shader.infinitely_far(texture, turn)
+    np.testing.assert_allclose(shader.far_rows(texture, turn, 5, 17), whole[5:17], atol=1e-6)
