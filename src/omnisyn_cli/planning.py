@@ -113,6 +113,7 @@ class InterpolationJob:
         max_pixels: refuse panoramas, masks and depth files with more pixels, before they are decoded.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
+        adaptive: draw flat surfaces with fewer triangles, see :class:`omnisyn_cli.synthesis.SynthesisOptions`.
     """
 
     images: tuple[Path, ...]
@@ -145,6 +146,7 @@ class InterpolationJob:
     max_pixels: int = MAX_PIXELS
     baseline: float | None = None
     refine: bool = False
+    adaptive: bool = True
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,21 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from omnisyn_cli.confidence import LEAST_SCORE, confidence_of_frame
 from omnisyn_cli.crosscheck import CrossCheck, cross_check
 from omnisyn_cli.fallback import CrossFade
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_vector_from_rotation
+from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.photometry import ExposureMatcher, equalized
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import Renderer, make_renderer
+from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
 from omnisyn_cli.render.shade import Shader, make_texture
 from omnisyn_cli.trajectory import STILL, Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
@@ -42,6 +43,8 @@ class SynthesisOptions:
         threads: at most this many; None is one per core.
         cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
         confidence: give every frame a map of its confidence.
+        adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than a quarter of a
+            pixel aside.
     """
 
     size: tuple[int, int]
@@ -50,6 +53,7 @@ class SynthesisOptions:
     threads: int | None = None
     cross_fade: bool = False
     confidence: bool = False
+    adaptive: bool = True
 
 
 class Stopwatch:
@@ -79,6 +83,7 @@ class Segment:
         renderers: of both.
         check: how differently they are exposed, and how far what is made of them can be relied on.
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
+        triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
     """
 
     index: int
@@ -87,6 +92,16 @@ class Segment:
     renderers: tuple[Renderer, Renderer]
     check: CrossCheck
     cross_fade: CrossFade | None = None
+
+
+ASIDE = 0.25
+"""Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again."""
+
+LEAST_SHARE = 1.0 / 512.0
+"""A share of the way that changes no colour by more than half of one of 256 levels."""
+
+UNSEEN = 1e-4
+"""A colour worth less than this is none."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +142,20 @@ def prepare_segment(
             make_renderer(
                 options.renderer, _usable_image(view, options.threads), view.mask,
                 depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
+                _way(view, other) if options.adaptive and is_moving else None,
             )
-            for view, depth in zip((first, second), depths, strict=True)
+            for view, other, depth in zip((first, second), (second, first), depths, strict=True)
         ]  # fmt: skip
     is_doubtful = options.cross_fade and check.confidence.score < LEAST_SCORE
     cross_fade = CrossFade((first, second), options.size, options.threads) if is_doubtful else None
-    return Segment(index, (first, second), depths, (renderers[0], renderers[1]), check, cross_fade)
+    drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
+    triangles = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
+    return Segment(index, (first, second), depths, (renderers[0], renderers[1]), check, cross_fade, triangles)
+
+
+def _way(view: View, other: View) -> Float[np.ndarray, " 3"]:
+    """Where the other view was taken, in the frame of the first: all frames of the pair lie between the two."""
+    return np.asarray(view.pose.rotation.T @ (other.pose.position - view.pose.position))
 
 
 def _usable_image(view: View, threads: int | None) -> np.ndarray:
@@ -174,6 +197,7 @@ def synthesize(
     clock = clock or Stopwatch()
     fuser = fuser or GeometricFuser(options.size, threads=options.threads)
     segment: Segment | None = None
+    last: _Fused | None = None
     current = -1
     for waypoint in path:
         panorama = _panorama_at(views, waypoint)
@@ -181,10 +205,12 @@ def synthesize(
             yield _photograph(views[panorama], waypoint, panorama, options, clock)
             continue
         if segment is None or waypoint.segment != current:
-            current, segment = waypoint.segment, None  # the former one's memory is free before the next takes its own
+            current, segment, last = waypoint.segment, None, None  # memory is free before the next takes its own
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
             yield segment
-        yield _fused(segment, waypoint, fuser, options, clock)
+        if last is None or not last.looks_the_same_from(waypoint):
+            last = _fused(segment, waypoint, fuser, options, clock)
+        yield replace(last.frame, waypoint=waypoint)
 
 
 def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:
@@ -218,20 +244,55 @@ def turned_panorama(
     return np.asarray(np.maximum(colour, np.float32(0.0)))
 
 
-def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> Frame:
+@dataclass(frozen=True)
+class _Fused:
+    """A frame and the renderings it was made of; all of them are buffers that the next one overwrites."""
+
+    frame: Frame
+    renderings: tuple[Rendering, Rendering]
+
+    def looks_the_same_from(self, waypoint: Waypoint) -> bool:
+        """Whether nothing in the frame would be seen more than a quarter of a pixel aside from there."""
+        before = self.frame.waypoint
+        if abs(waypoint.t - before.t) > LEAST_SHARE:
+            return False
+        height, width, _ = self.frame.image.shape
+        angle = ASIDE / pixel_scale((height, width))[0]
+        turned = np.linalg.norm(rotation_vector_from_rotation(before.pose.rotation.T @ waypoint.pose.rotation))
+        moved = np.linalg.norm(waypoint.pose.position - before.pose.position)
+        if turned > angle or moved == 0.0:
+            return bool(turned <= angle)
+        nearest = max(float(rendering.inverse_depth.max()) for rendering in self.renderings)
+        return bool(turned + moved * nearest <= angle)
+
+
+def _fused(segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> _Fused:
     """The frame of two renderings that were given one exposure."""
-    world_to_target = waypoint.pose.inverse()
-    renderings = []
+    is_judged = options.confidence or segment.cross_fade is not None
     with clock("render"):
-        for view, renderer in zip(segment.views, segment.renderers, strict=True):
-            target_from_source = world_to_target @ view.pose
-            renderings.append(Rendering(*renderer(target_from_source), target_from_source))
+        first, second = _renderings(segment, waypoint, needs_both=is_judged)
     with clock("fuse"):
-        first, second = renderings
         ExposureMatcher(segment.check.curve, options.threads)(first, second, waypoint.t)
-        is_judged = options.confidence or segment.cross_fade is not None
         confidence = confidence_of_frame(first, second, options.threads) if is_judged else None
         image = fuser(first, second, waypoint.t)
         if segment.cross_fade is not None and confidence is not None:
             segment.cross_fade(image, confidence, waypoint.pose, waypoint.t)
-    return Frame(image, waypoint, None, confidence)
+    return _Fused(Frame(image, waypoint, None, confidence), (first, second))
+
+
+def _renderings(segment: Segment, waypoint: Waypoint, *, needs_both: bool) -> tuple[Rendering, Rendering]:
+    """Both views as the waypoint sees them; at an end of the way the other one only if its own has holes."""
+    near = 0 if waypoint.t < 0.5 else 1
+    own = _rendering(segment, waypoint, near)
+    is_at_an_end = min(waypoint.t, 1.0 - waypoint.t) <= LEAST_SHARE
+    if is_at_an_end and not needs_both and bool((own.colour[..., 3] > UNSEEN).all()):
+        pose = waypoint.pose.inverse() @ segment.views[1 - near].pose
+        other = Rendering(np.full_like(own.inverse_depth, -1.0), np.zeros_like(own.colour), pose)
+    else:
+        other = _rendering(segment, waypoint, 1 - near)
+    return (own, other) if near == 0 else (other, own)
+
+
+def _rendering(segment: Segment, waypoint: Waypoint, which: int) -> Rendering:
+    target_from_source = waypoint.pose.inverse() @ segment.views[which].pose
+    return Rendering(*segment.renderers[which](target_from_source), target_from_source)

@@ -92,6 +92,10 @@ class Size(SizeType):
     help="Cut at steps of depth instead, as the paper does (there 2).",
 )  # fmt: skip
 @click.option(
+    "--adaptive/--no-adaptive", default=True, show_default=True,
+    help="Draw flat surfaces with fewer triangles; nothing is seen more than a quarter of a pixel aside.",
+)  # fmt: skip
+@click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
     help="Constant speed, or a gentle start and stop.",
 )  # fmt: skip

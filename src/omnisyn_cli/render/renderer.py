@@ -13,10 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Shader, Texture, TrustMap, make_texture, make_trust
+from omnisyn_cli.render.simplify import Tiles, simplify
+from omnisyn_cli.render.tiles import TileRasterizer
 from omnisyn_cli.render.two_pass import TwoPassRenderer
 
 __all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
@@ -24,6 +26,7 @@ __all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
 Image = Float[np.ndarray, "height width 3"]
 Mask = Bool[np.ndarray, "height width"]
 VertexImage = Float[np.ndarray, "rows cols"]
+Way = Float[np.ndarray, " 3"]
 
 
 class Renderer(Protocol):
@@ -40,7 +43,11 @@ class Renderer(Protocol):
 
 
 class MeshRenderer:
-    """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture."""
+    """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture.
+
+    Attributes:
+        triangles: how many are drawn for a frame, and how many the mesh has.
+    """
 
     def __init__(
         self,
@@ -51,16 +58,47 @@ class MeshRenderer:
         size: tuple[int, int],
         cut: Cut | None = None,
         threads: int | None = None,
+        way: Way | None = None,
     ) -> None:
-        self._mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
-        self._texture = make_texture(image, mask)
-        self._rasterizer = Rasterizer(self._mesh.size, size, threads)
-        self._shader = Shader(size, threads)
+        mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
+        texture, shader = make_texture(image, mask), Shader(size, threads)
+        every = len(mesh.faces())
+        self._render: Callable[[Pose], tuple[np.ndarray, np.ndarray]]
+        if way is None:
+            self.triangles = (every, every)
+            self._render = _of_mesh(mesh, texture, shader)
+        else:
+            tiles = simplify(mesh, way, size[0], threads=threads)
+            self.triangles = (tiles.triangles, every)
+            self._render = _of_tiles(tiles, make_trust(mesh, texture), texture, shader)
 
     def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Renderer`."""
-        fragments = self._rasterizer(self._mesh, target_from_source)
-        return fragments.inverse_depth, self._shader(fragments, self._mesh, self._texture, target_from_source)
+        return self._render(target_from_source)
+
+
+def _of_mesh(mesh: Mesh, texture: Texture, shader: Shader) -> Callable[[Pose], tuple[np.ndarray, np.ndarray]]:
+    """Draws every quad."""
+    rasterizer = Rasterizer(mesh.size, shader.size, shader.threads)
+
+    def render(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        fragments = rasterizer(mesh, pose)
+        return fragments.inverse_depth, shader(fragments, mesh, texture, pose)
+
+    return render
+
+
+def _of_tiles(
+    tiles: Tiles, trust: TrustMap, texture: Texture, shader: Shader
+) -> Callable[[Pose], tuple[np.ndarray, np.ndarray]]:
+    """Draws the larger quads of a simplified mesh."""
+    rasterizer = TileRasterizer(shader.size, shader.threads)
+
+    def render(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        inverse_depth = rasterizer(tiles, pose)
+        return inverse_depth, shader.surface(inverse_depth, trust, texture, pose)
+
+    return render
 
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {
@@ -68,7 +106,7 @@ RENDERERS: dict[str, Callable[..., Renderer]] = {
     "points": PointRenderer,
     "two-pass": TwoPassRenderer,
 }
-"""Classes by name; all are made with the arguments of :class:`MeshRenderer`."""
+"""Classes by name; all are made with the arguments of :class:`MeshRenderer`, which alone knows a way."""
 
 
 def make_renderer(
@@ -80,6 +118,7 @@ def make_renderer(
     size: tuple[int, int],
     cut: Cut | None = None,
     threads: int | None = None,
+    way: Way | None = None,
 ) -> Renderer:
     """A renderer of one panorama.
 
@@ -92,10 +131,13 @@ def make_renderer(
         size: height and width of the targets.
         cut: where surfaces are separated.
         threads: at most this many; by default one per core.
+        way: metres in the panorama's frame: all targets will lie between the panorama and this point, so that ``mesh``
+            may draw what is flat as far as they can tell with fewer triangles. By default they may lie anywhere.
 
     Raises:
         ValueError: on an unknown name or inverse depths that are negative or not finite.
     """
     if name not in RENDERERS:
         raise ValueError(f"expected one of {', '.join(RENDERERS)} as renderer, got {name!r}")
-    return RENDERERS[name](image, mask, inverse_depth, confidence, size, cut, threads)
+    options = {"way": way} if name == "mesh" else {}
+    return RENDERERS[name](image, mask, inverse_depth, confidence, size, cut, threads, **options)

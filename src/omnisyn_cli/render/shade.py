@@ -18,12 +18,15 @@ from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.threads import run_bands
 
-__all__ = ["Shader", "Texture", "make_texture", "shade"]
+__all__ = ["Shader", "Texture", "TrustMap", "make_texture", "make_trust", "shade"]
 
 BORDER = 2
 """Pixels repeated around every level, across the seam and over the poles, so that kernels never wrap an index."""
 
 CHANNELS = 4
+
+NO_LAYOUT = np.zeros(5, np.float32)
+"""Of trust that faces lead to."""
 
 SMALLEST_LEVEL = 8
 """Rows of the smallest mip level."""
@@ -43,6 +46,32 @@ class Texture:
     size: tuple[int, int]
     texels: Float32[np.ndarray, " numbers"]
     layout: Float[np.ndarray, "levels 6"]
+
+
+@dataclass(frozen=True)
+class TrustMap:
+    """Trust in the quads of a mesh, to be looked up by texture coordinates.
+
+    Attributes:
+        values: an image of the quads, row after row, with a row for each polar cap and one column more, before the
+            first; empty where all of it is 1.
+        layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row.
+    """
+
+    values: Float32[np.ndarray, " numbers"]
+    layout: Float32[np.ndarray, 5]
+
+
+def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
+    """Trust in a mesh by the texture coordinates of its panorama."""
+    bordered = np.pad(np.pad(mesh.trust, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), constant_values=1.0)
+    layout = []
+    for axis, offset in ((0, 2), (2, 4)):
+        scale, zero = texture.layout[0, offset : offset + 2]
+        mesh_scale, mesh_zero = pixel_scale(mesh.size)[axis : axis + 2]
+        layout += [mesh_scale / scale, mesh_zero + 1.0 - zero * mesh_scale / scale]
+    values = bordered.ravel() if (mesh.trust != 1.0).any() else bordered[:0].ravel()
+    return TrustMap(values.astype(np.float32), np.array([*layout, bordered.shape[1]], np.float32))
 
 
 def make_texture(
@@ -124,7 +153,31 @@ class Shader:
 
         def band(begin: int, end: int) -> None:
             shade_rows(
-                fragments.inverse_depth, fragments.face, mesh.trust.ravel(), texture.texels, texture.layout,
+                fragments.inverse_depth, fragments.face, mesh.trust.ravel(), NO_LAYOUT, texture.texels, texture.layout,
+                *self._tables, rotation, translation, ratio, self.bicubic, self._image, begin, end,
+            )  # fmt: skip
+
+        run_bands(band, self.size[0], self.threads)
+        return self._image
+
+    def surface(
+        self, inverse_depth: Float32[np.ndarray, "height width"], trust: TrustMap, texture: Texture, pose: Pose
+    ) -> Float32[np.ndarray, "height width 4"]:
+        """Colour and trust of a surface of which only the inverse depth is known. The next call overwrites the result.
+
+        Args:
+            inverse_depth: 1/metre from the target's centre, negative where nothing is seen.
+            trust: by the direction in which the source sees a point.
+            texture: the photograph.
+            pose: target from source.
+        """
+        rotation = np.ascontiguousarray(pose.rotation, np.float32)
+        translation = np.ascontiguousarray(pose.position, np.float32)
+        ratio = np.float32(texture.size[0] / self.size[0])
+
+        def band(begin: int, end: int) -> None:
+            shade_rows(
+                inverse_depth, None, trust.values, trust.layout, texture.texels, texture.layout,
                 *self._tables, rotation, translation, ratio, self.bicubic, self._image, begin, end,
             )  # fmt: skip
 
