@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from synthesis_samples import hall_view, posed
 
 from omnisyn_cli import synthesis
 from omnisyn_cli.synthesis import Frame, Segment, SynthesisOptions, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth
+from synthesis_samples import hall_view, posed
 
 SIZE = (64, 128)
 

@@ -53,7 +53,7 @@ class SynthesisOptions:
     threads: int | None = None
     cross_fade: bool = False
     confidence: bool = False
-    adaptive: bool = True
+    adaptive: bool = False
 
 
 class Stopwatch:
@@ -92,6 +92,7 @@ class Segment:
     renderers: tuple[Renderer, Renderer]
     check: CrossCheck
     cross_fade: CrossFade | None = None
+    triangles: tuple[int, int] | None = None
 
 
 ASIDE = 0.25
