@@ -43,7 +43,7 @@ class SynthesisOptions:
         threads: at most this many; None is one per core.
         cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
         confidence: give every frame a map of its confidence.
-        adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than a quarter of a
+        adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a
             pixel aside.
     """
 

@@ -93,7 +93,7 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option(
     "--adaptive/--no-adaptive", default=True, show_default=True,
-    help="Draw flat surfaces with fewer triangles; nothing is seen more than a quarter of a pixel aside.",
+    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
 )  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,

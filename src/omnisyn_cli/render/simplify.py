@@ -1,7 +1,7 @@
 """A mesh with fewer, larger quads where the surface is flat as far as a way can tell.
 
-A rectangle of quads becomes one quad, two triangles between its corners, if no vertex in it would be seen more than a
-quarter of a target pixel aside from anywhere on the way, and if its upper and lower edges, arcs of great circles, stay
+A rectangle of quads becomes one quad, two triangles between its corners, if no vertex in it would be seen more than an
+eighth of a target pixel aside from anywhere on the way, and if its upper and lower edges, arcs of great circles, stay
 as close to the rows of the image. Cuts that no such rectangle can tell from a slope are no cuts. What is left of a cut
 quad are its quarters, or two halves where it is cut straight across.
 
@@ -32,8 +32,11 @@ from omnisyn_cli.threads import run_bands
 
 __all__ = ["TOLERANCE", "Tiles", "simplify"]
 
-TOLERANCE = 0.25
-"""Target pixels (of the equator) by which a vertex may be seen aside."""
+TOLERANCE = 0.125
+"""Target pixels (of the equator) by which a vertex may be seen aside.
+
+On a warehouse walked for 3 m an eighth costs 0.01 dB and a quarter, with 6 % fewer triangles, 0.08 dB.
+"""
 
 MOST = 6
 """Rectangles have at most ``2^MOST`` quads along a side, and an eighth of the image."""
