@@ -65,7 +65,7 @@ class TrustMap:
 def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
     """Trust in a mesh by the texture coordinates of its panorama."""
     bordered = np.pad(np.pad(mesh.trust, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), constant_values=1.0)
-    layout = []
+    layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
         scale, zero = texture.layout[0, offset : offset + 2]
         mesh_scale, mesh_zero = pixel_scale(mesh.size)[axis : axis + 2]

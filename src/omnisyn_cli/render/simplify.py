@@ -100,7 +100,9 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Of some tiles: points ``(tiles, 4 corners, 4)``, codes, gaps, and numbers to sort them by."""
 
 
-def _merged(mesh: Mesh, way: np.ndarray, angle: float, tables: tuple, threads: int | None) -> np.ndarray:
+def _merged(
+    mesh: Mesh, way: np.ndarray, angle: float, tables: tuple[np.ndarray, ...], threads: int | None
+) -> np.ndarray:
     """Marks of rectangles, see :data:`TALL`."""
     rho, bounds = mesh.inverse_depth, np.empty(mesh.size, np.float32)
     run_bands(lambda begin, end: bound_errors(rho, *tables, way, angle, bounds, begin, end), len(rho), threads)
@@ -135,7 +137,9 @@ def _vertices(mesh: Mesh, row: np.ndarray, col: np.ndarray, height: np.ndarray, 
     return _points(mesh, np.stack([row, row, below, below], -1), np.stack([col, right, col, right], -1))
 
 
-def _rectangles(mesh: Mesh, marks: np.ndarray, tables: tuple, reach: float, threads: int | None) -> Part:
+def _rectangles(
+    mesh: Mesh, marks: np.ndarray, tables: tuple[np.ndarray, ...], reach: float, threads: int | None
+) -> Part:
     """Merged quads and single ones, all but those of which pieces are drawn."""
     row, col = np.nonzero((marks != COVERED) & (marks != APART))
     mark = marks[row, col].astype(np.int64)
