@@ -73,16 +73,19 @@ class Summary:
             time that they waited for it.
         pairs: how far the frames between two panoramas can be relied on, by the index of the first; pairs without a
             frame of their own are left out.
+        triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the same index.
     """
 
     plan: InterpolationPlan
     seconds: dict[str, float]
     pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
+    triangles: Mapping[int, tuple[int, int]] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
         """The summary as plain values, for people and for JSON."""
         stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
-        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence()}
+        triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
+        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence(), "triangles": triangles}
 
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
@@ -130,9 +133,10 @@ def run_interpolation(
         loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
     kinds = [sample_type(path, codec) for path, codec in targets(plan.job)]
     pairs: dict[int, PairConfidence] = {}
+    triangles: dict[int, tuple[int, int]] = {}
     with _depth_keeper(plan) as keep_depth, _sinks(plan) as sinks, _confidence_sink(plan) as keep_confidence:
         ring = FrameRing(plan.size, frames_in_queue(plan.size)) if set(kinds) == {"uint8"} else None
-        frames = _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, ring)
+        frames = _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, triangles, ring)
         for done, frame in enumerate(frames, start=1):
             samples = {kind: _as_samples(frame, kind, loader, plan.job.threads) for kind in kinds}
             with clock("encode"):
@@ -144,7 +148,7 @@ def run_interpolation(
         with clock("encode"):
             for sink in sinks:
                 sink.finish()
-    return Summary(plan, {**clock.seconds, "total": time.perf_counter() - begin}, pairs)
+    return Summary(plan, {**clock.seconds, "total": time.perf_counter() - begin}, pairs, triangles)
 
 
 def _warning(plan: InterpolationPlan, index: int, pair: PairConfidence) -> str:
@@ -168,19 +172,21 @@ KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 
 def _frames(
     plan: InterpolationPlan, loader: _Loader, estimator: DepthEstimator, clock: Stopwatch, keep_depth: KeepDepth,
-    pairs: dict[int, PairConfidence], ring: FrameRing | None,
+    pairs: dict[int, PairConfidence], triangles: dict[int, tuple[int, int]], ring: FrameRing | None,
 ) -> Iterator[Frame]:  # fmt: skip
     """All frames; the depth of every pair is handed to ``keep_depth``, what to think of it is put into ``pairs``."""
     job = plan.job
     options = SynthesisOptions(
         plan.size, job.renderer, job.cut, job.threads,
-        cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None,
+        cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None, adaptive=job.adaptive,
     )  # fmt: skip
     views, prepared = loader.views(), set()
     for made in synthesize(views, plan.path, estimator, options, clock=clock, samples=ring):
         if isinstance(made, Segment):
             prepared.add(made.index)
             pairs[made.index] = made.check.confidence
+            if made.triangles is not None:
+                triangles[made.index] = made.triangles
             _refuse_doubtful(plan, made.index, made.check.confidence)
             keep_depth(made.index, made.depths)
             for index in (made.index, made.index + 1):
@@ -248,7 +254,7 @@ class _Loader:
     def _view(self, index: int) -> View:
         with self._clock("decode"):
             panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
-            return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, panorama.samples)
+            return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, samples=panorama.samples)
 
     def _read_companions(self, index: int) -> tuple[np.ndarray | None, DepthEstimate | None]:
         """What of a panorama may be used, and its depth if that is known."""

@@ -116,6 +116,7 @@ class InterpolationJob:
         allow_outside: accept depth and masks that the pose file names outside of its folder.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
+        adaptive: draw flat surfaces with fewer triangles, see :class:`omnisyn_cli.synthesis.SynthesisOptions`.
     """
 
     images: tuple[Path, ...]
@@ -149,6 +150,7 @@ class InterpolationJob:
     allow_outside: bool = False
     baseline: float | None = None
     refine: bool = False
+    adaptive: bool = False
 
 
 @dataclass(frozen=True)

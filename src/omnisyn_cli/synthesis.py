@@ -10,10 +10,10 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from omnisyn_cli.confidence import LEAST_SCORE, confidence_of_frame
 from omnisyn_cli.crosscheck import CrossCheck, cross_check
@@ -22,14 +22,15 @@ from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.geometric import ROWS
 from omnisyn_cli.fusion.kernels import quantize_rows
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_vector_from_rotation
+from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.photometry import ExposureMatcher, equalized
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
 from omnisyn_cli.render.shade import Shader, make_texture
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.trajectory import STILL, Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, RowRendering, View
 
 __all__ = ["Frame", "Segment", "Stopwatch", "SynthesisOptions", "prepare_segment", "synthesize", "turned_panorama"]
 
@@ -45,6 +46,8 @@ class SynthesisOptions:
         threads: at most this many; None is one per core.
         cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
         confidence: give every frame a map of its confidence.
+        adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a
+            pixel aside.
     """
 
     size: tuple[int, int]
@@ -53,6 +56,7 @@ class SynthesisOptions:
     threads: int | None = None
     cross_fade: bool = False
     confidence: bool = False
+    adaptive: bool = False
 
 
 MemoryForFrames = Callable[[], UInt8[np.ndarray, "height width 3"]]
@@ -85,6 +89,7 @@ class Segment:
         renderers: of both.
         check: how differently they are exposed, and how far what is made of them can be relied on.
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
+        triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
     """
 
     index: int
@@ -93,6 +98,17 @@ class Segment:
     renderers: tuple[Renderer, Renderer]
     check: CrossCheck
     cross_fade: CrossFade | None = None
+    triangles: tuple[int, int] | None = None
+
+
+ASIDE = 0.25
+"""Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again."""
+
+LEAST_SHARE = 1.0 / 512.0
+"""A share of the way that changes no colour by more than half of one of 256 levels."""
+
+UNSEEN = 1e-4
+"""A colour worth less than this is none."""
 
 
 @dataclass(frozen=True)
@@ -133,12 +149,20 @@ def prepare_segment(
             make_renderer(
                 options.renderer, _usable_image(view, options), view.mask,
                 depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
+                _way(view, other) if options.adaptive and is_moving else None,
             )
-            for view, depth in zip((first, second), depths, strict=True)
+            for view, other, depth in zip((first, second), (second, first), depths, strict=True)
         ]  # fmt: skip
     is_doubtful = options.cross_fade and check.confidence.score < LEAST_SCORE
     cross_fade = CrossFade((first, second), options.size, options.threads) if is_doubtful else None
-    return Segment(index, (first.pose, second.pose), depths, (renderers[0], renderers[1]), check, cross_fade)
+    drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
+    triangles = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
+    return Segment(index, (first.pose, second.pose), depths, (renderers[0], renderers[1]), check, cross_fade, triangles)
+
+
+def _way(view: View, other: View) -> Float[np.ndarray, " 3"]:
+    """Where the other view was taken, in the frame of the first: all frames of the pair lie between the two."""
+    return np.asarray(view.pose.rotation.T @ (other.pose.position - view.pose.position))
 
 
 def _usable_image(view: View, options: SynthesisOptions) -> np.ndarray:
@@ -186,6 +210,7 @@ def synthesize(
     clock = clock or Stopwatch()
     fuser = fuser or GeometricFuser(options.size, threads=options.threads)
     segment: Segment | None = None
+    last: _Fused | None = None
     current = -1
     for waypoint in path:
         panorama = _panorama_at(views, waypoint)
@@ -195,10 +220,14 @@ def synthesize(
             continue
         del photograph
         if segment is None or waypoint.segment != current:
-            current, segment = waypoint.segment, None  # the former one's memory is free before the next takes its own
+            current, segment, last = waypoint.segment, None, None  # memory is free before the next takes its own
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
             yield segment
-        yield _fused(segment, waypoint, fuser, options, clock, samples)
+        if last is not None and last.looks_the_same_from(waypoint):
+            yield last.again(waypoint, samples)
+        else:
+            last = _fused(segment, waypoint, fuser, options, clock, samples)
+            yield last.frame
 
 
 def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:
@@ -252,32 +281,79 @@ def turned_panorama(
     return np.asarray(np.maximum(colour, np.float32(0.0)))
 
 
+@dataclass(frozen=True)
+class _Fused:
+    """A frame and the renderings it was made of; all of them are buffers that the next one overwrites."""
+
+    frame: Frame
+    renderings: tuple[Rendering | RowRendering, Rendering | RowRendering]
+
+    def looks_the_same_from(self, waypoint: Waypoint) -> bool:
+        """Whether nothing in the frame would be seen more than a quarter of a pixel aside from there."""
+        before = self.frame.waypoint
+        if abs(waypoint.t - before.t) > LEAST_SHARE:
+            return False
+        height, width, _ = self.frame.image.shape
+        angle = ASIDE / pixel_scale((height, width))[0]
+        turned = np.linalg.norm(rotation_vector_from_rotation(before.pose.rotation.T @ waypoint.pose.rotation))
+        moved = np.linalg.norm(waypoint.pose.position - before.pose.position)
+        if turned > angle or moved == 0.0:
+            return bool(turned <= angle)
+        nearest = max(float(rendering.inverse_depth.max()) for rendering in self.renderings)
+        return bool(turned + moved * nearest <= angle)
+
+    def again(self, waypoint: Waypoint, samples: MemoryForFrames | None) -> Frame:
+        """The frame at another place; samples, which are kept until they are written, in memory of their own."""
+        image = self.frame.image
+        if samples is not None and image.dtype == np.uint8:
+            image = samples()
+            image[:] = self.frame.image
+        return replace(self.frame, image=image, waypoint=waypoint)
+
+
 def _fused(
     segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
     samples: MemoryForFrames | None,
-) -> Frame:  # fmt: skip
+) -> _Fused:  # fmt: skip
     """The frame of two renderings that were given one exposure."""
-    world_to_target = waypoint.pose.inverse()
-    poses = [world_to_target @ pose for pose in segment.poses]
-    first_renderer, second_renderer = segment.renderers
-    expose, is_judged = ExposureMatcher(segment.check.curve, options.threads), options.confidence or segment.cross_fade
+    expose = ExposureMatcher(segment.check.curve, options.threads)
+    is_judged = options.confidence or segment.cross_fade is not None
+    one, other = segment.renderers
     if (
         samples is not None and not is_judged and type(fuser) is GeometricFuser and fuser.takes_rows()
-        and isinstance(first_renderer, MeshRenderer) and isinstance(second_renderer, MeshRenderer)
+        and isinstance(one, MeshRenderer) and isinstance(other, MeshRenderer)
     ):  # fmt: skip
+        world_to_target = waypoint.pose.inverse()
         with clock("render"):
-            rows = first_renderer.by_rows(poses[0]), second_renderer.by_rows(poses[1])
+            rows = one.by_rows(world_to_target @ segment.poses[0]), other.by_rows(world_to_target @ segment.poses[1])
         with clock("fuse"):
             rounded = samples()
             fuser.samples(*expose.by_rows(*rows, waypoint.t), waypoint.t, rounded)
-        return Frame(rounded, waypoint, None)
+        return _Fused(Frame(rounded, waypoint, None), rows)
     with clock("render"):
-        first = Rendering(*first_renderer(poses[0]), poses[0])
-        second = Rendering(*second_renderer(poses[1]), poses[1])
+        first, second = _renderings(segment, waypoint, needs_both=is_judged)
     with clock("fuse"):
         expose(first, second, waypoint.t)
         confidence = confidence_of_frame(first, second, options.threads) if is_judged else None
         image = fuser(first, second, waypoint.t)
         if segment.cross_fade is not None and confidence is not None:
             segment.cross_fade(image, confidence, waypoint.pose, waypoint.t)
-    return Frame(image, waypoint, None, confidence)
+    return _Fused(Frame(image, waypoint, None, confidence), (first, second))
+
+
+def _renderings(segment: Segment, waypoint: Waypoint, *, needs_both: bool) -> tuple[Rendering, Rendering]:
+    """Both views as the waypoint sees them; at an end of the way the other one only if its own has holes."""
+    near = 0 if waypoint.t < 0.5 else 1
+    own = _rendering(segment, waypoint, near)
+    is_at_an_end = min(waypoint.t, 1.0 - waypoint.t) <= LEAST_SHARE
+    if is_at_an_end and not needs_both and bool((own.colour[..., 3] > UNSEEN).all()):
+        pose = waypoint.pose.inverse() @ segment.poses[1 - near]
+        other = Rendering(np.full_like(own.inverse_depth, -1.0), np.zeros_like(own.colour), pose)
+    else:
+        other = _rendering(segment, waypoint, 1 - near)
+    return (own, other) if near == 0 else (other, own)
+
+
+def _rendering(segment: Segment, waypoint: Waypoint, which: int) -> Rendering:
+    target_from_source = waypoint.pose.inverse() @ segment.poses[which]
+    return Rendering(*segment.renderers[which](target_from_source), target_from_source)

@@ -1,8 +1,9 @@
 """How long a view takes compared with Embree, which only traces the rays.
 
-``python tests/benchmarks/bench_renderer.py [depth.exr]``: a 1024×512 mesh (of a synthetic depth, or of the file's)
-drawn at 2048×1024 and 4096×2048 with a texture of the same size, everything on one thread, in turn with Embree on the
-same triangles and rays. Times are the thread's own (what it computed, not what it waited), the best of the rounds
+``python tests/benchmarks/bench_renderer.py [depth.exr]``: a 1024×512 mesh (of a street, with ``--room`` of an empty
+room, or of a file's depth) drawn at 2048×1024 and 4096×2048 with a texture of the same size, everything on one thread,
+in turn with Embree on the same triangles and rays. ``adaptive`` is the mesh with its flat parts merged for the way from
+the panorama to the target. Times are the thread's own (what it computed, not what it waited), the best of the rounds
 counts. Only the ratios mean anything on a machine that does other work as well.
 """
 
@@ -22,7 +23,9 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io.depth import read_inverse_depth
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Shader, make_texture, make_trust
+from omnisyn_cli.render.simplify import simplify
+from omnisyn_cli.render.tiles import TileRasterizer
 
 MESH, TARGETS = (512, 1024), ((1024, 2048), (2048, 4096))
 POSE = Pose(np.eye(3), np.array([0.0, 0.0, 1.5]))
@@ -38,6 +41,12 @@ def synthetic() -> np.ndarray:
     azimuth = np.arctan2(directions[..., 0], -directions[..., 2])
     pillars = 0.25 * (np.sin(12 * azimuth) > 0.9) * (np.abs(directions[..., 1]) < 0.4)
     return np.maximum(np.maximum(ground, walls), pillars).astype(np.float32)
+
+
+def room() -> np.ndarray:
+    """An empty room of 5×2.7×7 metres."""
+    directions = pixel_directions(*MESH)
+    return np.maximum(directions / [3.0, 1.1, 4.0], directions / [-2.0, -1.6, -3.0]).max(axis=-1).astype(np.float32)
 
 
 def from_file(path: Path) -> np.ndarray:
@@ -66,6 +75,15 @@ def renderer(mesh: Mesh, size: tuple[int, int], *, bicubic: bool) -> Callable[[]
     return lambda: shader(rasterizer(mesh, POSE), mesh, texture, POSE)
 
 
+def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
+    """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
+    texture = make_texture(np.random.default_rng(0).random((*size, 3), dtype=np.float32))
+    tiles, trust = simplify(mesh, -POSE.position, size[0], threads=1), make_trust(mesh, texture)
+    print(f"{size[1]}×{size[0]}  {tiles.triangles} of {len(mesh.faces())} triangles kept")
+    rasterizer, shader = TileRasterizer(size, threads=1), Shader(size, threads=1)
+    return lambda: shader.surface((rasterizer(tiles, POSE), None), trust, texture, POSE)
+
+
 def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
     """Computing time of the fastest of ``rounds`` runs of each, in turn, in seconds; the first run is not counted."""
     best = dict.fromkeys(contestants, float("inf"))
@@ -83,14 +101,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("depth", type=Path, nargs="?", help="an EXR with depths in metres")
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--room", action="store_true", help="an empty room instead of a street")
     options = parser.parse_args()
-    mesh = build_mesh(synthetic() if options.depth is None else from_file(options.depth))
+    scene = room() if options.room else synthetic()
+    mesh = build_mesh(scene if options.depth is None else from_file(options.depth))
     print(f"{MESH[1]}×{MESH[0]} mesh, {len(mesh.cut_quads)} of {mesh.quads.size} quads cut")
     for size in TARGETS:
         contestants = {
             "embree, rays only": embree(mesh, size),
             "mesh, bilinear": renderer(mesh, size, bicubic=False),
             "mesh, bicubic": renderer(mesh, size, bicubic=True),
+            "adaptive, bicubic": adaptive(mesh, size),
         }
         best = best_of(contestants, options.rounds)
         for name, seconds in best.items():

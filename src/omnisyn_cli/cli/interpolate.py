@@ -94,6 +94,10 @@ class Size(SizeType):
     help="Cut at steps of depth instead, as the paper does (there 2).",
 )  # fmt: skip
 @click.option(
+    "--adaptive/--no-adaptive", default=False, show_default=True,
+    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
+)  # fmt: skip
+@click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
     help="Constant speed, or a gentle start and stop.",
 )  # fmt: skip

@@ -24,11 +24,15 @@ from jaxtyping import Bool, Float, Int32, Integer, UInt8
 from omnisyn_cli.geometry.sphere import pixel_directions
 
 __all__ = [
+    "BOTTOM",
     "CUT_EDGES",
     "DIAGONAL",
     "FACES_PER_QUAD",
+    "LEFT",
     "QUARTER_WEIGHTS",
     "REMOVED",
+    "RIGHT",
+    "TOP",
     "Cut",
     "FaceCorners",
     "Mesh",

@@ -37,7 +37,10 @@ from omnisyn_cli.render.simd import (
     where,
 )
 
-__all__ = ["DRAWN", "PLAN_ROWS", "draw_quads", "plan_quads"]
+__all__ = [
+    "A_LEFT", "A_OTHER", "A_PLANE", "B_OTHER", "B_PLANE", "B_RIGHT", "CUT", "DRAWN", "IN_FLOAT32", "NOT_AT_ALL",
+    "PLAN_ROWS", "draw_quads", "plan_quads",
+]  # fmt: skip
 
 EDGE_ON = 1e-13
 """Determinants below this are triangles seen edge-on: they cover nothing."""
@@ -96,13 +99,25 @@ def _magnitude(a):
 
 
 @inlined()
+def _size(x, y, z):
+    """At least the length of a vector."""
+    return _magnitude(x) + _magnitude(y) + _magnitude(z)
+
+
+@inlined()
 def _store_edge(plan, row, k, x, y, z):
     """Returns by how much the edge is moved outwards."""
     x, y, z = single(x), single(y), single(z)
     store(plan[row], k, x)
     store(plan[row + 1], k, y)
     store(plan[row + 2], k, z)
-    return splat(OVERLAP) * (_magnitude(x) + _magnitude(y) + _magnitude(z))
+    return splat(OVERLAP) * _size(x, y, z)
+
+
+@inlined()
+def _beyond(gap, x0, y0, z0, x1, y1, z1):
+    """By how much an edge between two points is moved outwards to close a gap."""
+    return gap * _size(single(x1 - x0), single(y1 - y0), single(z1 - z0))
 
 
 @inlined()
@@ -120,11 +135,12 @@ def _is_gentle(x, y, z, farthest, least):
 
 
 @kernel()
-def plan_quads(numbers, stride, at0, at1, at2, at3, codes, first, count, plan):
+def plan_quads(numbers, stride, at0, at1, at2, at3, codes, gaps, first, count, plan):
     """Edges and planes of ``count`` quads.
 
     ``numbers`` holds x of all points, ``stride`` further on y, then z and inverse depth; corner i of the first quad is
-    at ``at{i}``, its flags are ``codes[first]``. Up to a multiple of eight is read and written.
+    at ``at{i}``, its flags are ``codes[first]``. Up to a multiple of eight is read and written. Where there are
+    ``gaps``, edges are moved outwards by them besides.
     """
     zero, one = splat(0.0), splat(1.0)
     for k in range(0, count, LANES):
@@ -159,10 +175,19 @@ def plan_quads(numbers, stride, at0, at1, at2, at3, codes, first, count, plan):
         offset = _store_edge(plan, CUT, k, cx, cy, cz)
         none, never = splat(np.float32(0.0)), splat(NEVER)
         store(plan[CUT + 3], k, where(has_a, where(has_b, none, offset), none - offset))
-        store(plan[A_LEFT + 3], k, where(has_a, _store_edge(plan, A_LEFT, k, lx, ly, lz), never))
-        store(plan[A_OTHER + 3], k, where(has_a, _store_edge(plan, A_OTHER, k, ax, ay, az), never))
-        store(plan[B_RIGHT + 3], k, where(has_b, _store_edge(plan, B_RIGHT, k, rx, ry, rz), never))
-        store(plan[B_OTHER + 3], k, where(has_b, _store_edge(plan, B_OTHER, k, bx, by, bz), never))
+        a_left_out, a_other_out = _store_edge(plan, A_LEFT, k, lx, ly, lz), _store_edge(plan, A_OTHER, k, ax, ay, az)
+        b_right_out, b_other_out = _store_edge(plan, B_RIGHT, k, rx, ry, rz), _store_edge(plan, B_OTHER, k, bx, by, bz)
+        if gaps is not None:
+            gap = load(gaps, first + k)
+            top, bottom = _beyond(gap, x0, y0, z0, x1, y1, z1), _beyond(gap, x3, y3, z3, x2, y2, z2)
+            a_left_out = a_left_out + _beyond(gap, x2, y2, z2, x0, y0, z0)
+            a_other_out = a_other_out + where(rising, top, bottom)
+            b_right_out = b_right_out + _beyond(gap, x1, y1, z1, x3, y3, z3)
+            b_other_out = b_other_out + where(rising, bottom, top)
+        store(plan[A_LEFT + 3], k, where(has_a, a_left_out, never))
+        store(plan[A_OTHER + 3], k, where(has_a, a_other_out, never))
+        store(plan[B_RIGHT + 3], k, where(has_b, b_right_out, never))
+        store(plan[B_OTHER + 3], k, where(has_b, b_other_out, never))
         _store_plane(plan, A_PLANE, k, px, py, pz)
         _store_plane(plan, B_PLANE, k, qx, qy, qz)
         far = _larger(
@@ -202,10 +227,12 @@ def _seen(plan, k, x, y, z, old):
 
 
 @inlined()
-def _draw_wide(plan, k, face, row_first, row_last, col_first, col_last, tables, out_rho, out_face, width):
+def _draw_wide(plan, k, faces, row_first, row_last, col_first, col_last, tables, out_rho, out_face, width):
     """One planned quad against the rays in a box, all of it inside the image: eight columns of one row at a time."""
     sin_p, cos_p, sin_a, minus_cos_a = tables
-    face_a, face_b = splat(np.int32(face)), splat(np.int32(face + 1))
+    face_a = face_b = splat(np.int32(0))
+    if faces is not None:
+        face_a, face_b = splat(np.int32(faces[k])), splat(np.int32(faces[k] + 1))
     for row in range(row_first, row_last + 1):
         sp, y = splat(sin_p[row]), splat(cos_p[row])
         for column in range(col_first, col_last + 1, LANES):
@@ -214,16 +241,19 @@ def _draw_wide(plan, k, face, row_first, row_last, col_first, col_last, tables, 
             old = load(out_rho, at)
             seen, wins, in_a = _seen(plan, k, sp * load(sin_a, col), y, sp * load(minus_cos_a, col), old)
             store(out_rho, at, where(wins, seen, old))
-            store(out_face, at, where(wins, where(in_a, face_a, face_b), load(out_face, at)))
+            if faces is not None:
+                store(out_face, at, where(wins, where(in_a, face_a, face_b), load(out_face, at)))
 
 
 @inlined()
-def _draw_narrow(plan, k, face, row_first, row_last, col_first, tables, out_rho, out_face, width):
+def _draw_narrow(plan, k, faces, row_first, row_last, col_first, tables, out_rho, out_face, width):
     """The same for boxes of up to four columns: those of two rows at a time."""
     sin_p, cos_p, sin_a, minus_cos_a = tables
     col = min(col_first, width - LANES // 2)
     sine, minus_cosine = load_halves(sin_a, col, col), load_halves(minus_cos_a, col, col)
-    face_a, face_b = splat(np.int32(face)), splat(np.int32(face + 1))
+    face_a = face_b = splat(np.int32(0))
+    if faces is not None:
+        face_a, face_b = splat(np.int32(faces[k])), splat(np.int32(faces[k] + 1))
     for row in range(row_first, row_last + 1, 2):
         below = min(row + 1, row_last)
         sp, y = pair(sin_p[row], sin_p[below]), pair(cos_p[row], cos_p[below])
@@ -231,13 +261,19 @@ def _draw_narrow(plan, k, face, row_first, row_last, col_first, tables, out_rho,
         old = load_halves(out_rho, at, at_below)
         seen, wins, in_a = _seen(plan, k, sp * sine, y, sp * minus_cosine, old)
         store_halves(out_rho, at, at_below, where(wins, seen, old))
-        faces = load_halves(out_face, at, at_below)
-        store_halves(out_face, at, at_below, where(wins, where(in_a, face_a, face_b), faces))
+        if faces is not None:
+            old_face = load_halves(out_face, at, at_below)
+            store_halves(out_face, at, at_below, where(wins, where(in_a, face_a, face_b), old_face))
+
+
+@inlined()
+def _minus_size(x0, y0, z0, x1, y1, z1):
+    return -(abs(x1 - x0) + abs(y1 - y0) + abs(z1 - z0))
 
 
 @kernel(fastmath={"contract"})
 def draw_float64(
-    x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3, rising, face,
+    x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3, rising, gap, faces, k,
     row_first, row_last, col_first, col_last, tables, out_rho, out_face, width,
 ):  # fmt: skip
     """Both triangles of a quad against the rays in a box; columns outside the image are wrapped."""
@@ -258,6 +294,9 @@ def draw_float64(
         a_cut, a_left, a_other, b_cut, b_right, b_other = w2, w3, w0, w1, w0, w3
     has_a, has_b = det_a > EDGE_ON, det_b > EDGE_ON
     scale_a, scale_b = 1.0 / det_a, 1.0 / det_b
+    left_out, right_out = gap * _minus_size(x0, y0, z0, x2, y2, z2), gap * _minus_size(x1, y1, z1, x3, y3, z3)
+    top_out, bottom_out = gap * _minus_size(x0, y0, z0, x1, y1, z1), gap * _minus_size(x2, y2, z2, x3, y3, z3)
+    a_out, b_out = (top_out, bottom_out) if rising else (bottom_out, top_out)
     a_cut, a_left, a_other = a_cut * scale_a, a_left * scale_a, a_other * scale_a
     b_cut, b_right, b_other = b_cut * scale_b, b_right * scale_b, b_other * scale_b
     px, qx = cx * a_cut + lx * a_left + ax * a_other, rx * b_right + bx * b_other - cx * b_cut
@@ -270,18 +309,20 @@ def draw_float64(
             at = row * width + col
             x, z = sp * sin_a[col], -sp * cos_a[col]
             side = _dot(x, y, z, cx, cy, cz)
-            in_a = has_a and side >= 0.0 and _dot(x, y, z, lx, ly, lz) >= 0.0 and _dot(x, y, z, ax, ay, az) >= 0.0
-            if in_a:
+            left, other = _dot(x, y, z, lx, ly, lz), _dot(x, y, z, ax, ay, az)
+            if has_a and side >= 0.0 and left >= left_out and other >= a_out:
                 seen = np.float32(max(0.0, _dot(x, y, z, px, py, pz)))
                 if seen > out_rho[at]:
                     out_rho[at] = seen
-                    out_face[at] = face
-            in_b = has_b and side <= 0.0 and _dot(x, y, z, rx, ry, rz) >= 0.0 and _dot(x, y, z, bx, by, bz) >= 0.0
-            if in_b:
+                    if faces is not None:
+                        out_face[at] = faces[k]
+            right, other = _dot(x, y, z, rx, ry, rz), _dot(x, y, z, bx, by, bz)
+            if has_b and side <= 0.0 and right >= right_out and other >= b_out:
                 seen = np.float32(max(0.0, _dot(x, y, z, qx, qy, qz)))
                 if seen > out_rho[at]:
                     out_rho[at] = seen
-                    out_face[at] = face + 1
+                    if faces is not None:
+                        out_face[at] = faces[k] + 1
 
 
 @inlined()
@@ -294,12 +335,13 @@ def _corner(numbers, stride, at):
 
 @kernel()
 def draw_quads(
-    numbers, stride, at0, at1, at2, at3, codes, first, count, plan, box, faces, tables, exact_tables, out_rho, out_face,
-    width, begin, end,
+    numbers, stride, at0, at1, at2, at3, codes, gaps, first, count, plan, box, faces, tables, exact_tables,
+    out_rho, out_face, width, begin, end,
 ):  # fmt: skip
     """Quads planned by :func:`plan_quads` in rows ``begin`` to ``end``.
 
-    ``box`` are first and last row and column of each, ``faces`` their numbers; the images are flat.
+    ``box`` are first and last row and column of each, ``faces`` their numbers; the images are flat. Without ``faces``
+    only inverse depth is written.
     """
     for k in range(count):
         if plan[DRAWN, k] == NOT_AT_ALL:
@@ -310,17 +352,16 @@ def draw_quads(
             continue
         if plan[DRAWN, k] == IN_FLOAT32 and col_first >= 0 and col_last < width and width >= LANES:
             if col_last - col_first < LANES // 2:
-                _draw_narrow(plan, k, faces[k], row_first, row_last, col_first, tables, out_rho, out_face, width)
+                _draw_narrow(plan, k, faces, row_first, row_last, col_first, tables, out_rho, out_face, width)
             else:
-                _draw_wide(
-                    plan, k, faces[k], row_first, row_last, col_first, col_last, tables, out_rho, out_face, width
-                )
+                _draw_wide(plan, k, faces, row_first, row_last, col_first, col_last, tables, out_rho, out_face, width)
             continue
+        gap = 0.0 if gaps is None else np.float64(gaps[first + k])
         x0, y0, z0, w0 = _corner(numbers, stride, at0 + k)
         x1, y1, z1, w1 = _corner(numbers, stride, at1 + k)
         x2, y2, z2, w2 = _corner(numbers, stride, at2 + k)
         x3, y3, z3, w3 = _corner(numbers, stride, at3 + k)
         draw_float64(
             x0, y0, z0, w0, x1, y1, z1, w1, x2, y2, z2, w2, x3, y3, z3, w3, (codes[first + k] & DIAGONAL) != 0,
-            faces[k], row_first, row_last, col_first, col_last, exact_tables, out_rho, out_face, width,
+            gap, faces, k, row_first, row_last, col_first, col_last, exact_tables, out_rho, out_face, width,
         )  # fmt: skip

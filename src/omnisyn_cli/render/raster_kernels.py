@@ -129,9 +129,9 @@ def rasterize_quads(
             for k in range(count):
                 faces[k] = FACES_PER_QUAD * (first + k)
             find_boxes(places, stride, at, at + 1, below, below + 1, count, height, width, box)
-            plan_quads(points, stride, at, at + 1, below, below + 1, codes, first, count, plan)
+            plan_quads(points, stride, at, at + 1, below, below + 1, codes, None, first, count, plan)
             draw_quads(
-                points, stride, at, at + 1, below, below + 1, codes, first, count, plan, box, faces,
+                points, stride, at, at + 1, below, below + 1, codes, None, first, count, plan, box, faces,
                 tables, exact_tables, out_rho, out_face, width, begin, end,
             )  # fmt: skip
 
@@ -152,8 +152,8 @@ def rasterize_patches(codes, faces, points, pixels, block_rows, tables, exact_ta
         at1, at2, at3 = at + length, at + 2 * length, at + 3 * length
         count = min(BLOCK, len(faces) - at)
         find_boxes(places, stride, at, at1, at2, at3, count, height, width, box)
-        plan_quads(flat, stride, at, at1, at2, at3, codes, at, count, plan)
+        plan_quads(flat, stride, at, at1, at2, at3, codes, None, at, count, plan)
         draw_quads(
-            flat, stride, at, at1, at2, at3, codes, at, count, plan, box, faces[at:],
+            flat, stride, at, at1, at2, at3, codes, None, at, count, plan, box, faces[at:],
             tables, exact_tables, out_rho, out_face, width, begin, end,
         )  # fmt: skip

@@ -33,7 +33,7 @@ from omnisyn_cli.render.raster_kernels import (
 from omnisyn_cli.render.simd import LANES
 from omnisyn_cli.threads import run_bands
 
-__all__ = ["NOTHING", "Fragments", "Rasterizer", "rasterize"]
+__all__ = ["NOTHING", "Fragments", "Rasterizer", "rasterize", "tables_for_vectors"]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Rasterizer:
         height, width = mesh_size
         self._source_tables = tuple(table.astype(np.float32) for table in direction_tables(*mesh_size))
         self._exact_tables = direction_tables(*size)
-        self._tables = _tables_for_vectors(size)
+        self._tables = tables_for_vectors(size)
         self._scale = np.array(pixel_scale(size), np.float32)
         self._vertices = np.zeros((4, height, width + 1 + LANES), np.float32)
         self._pixels = np.zeros((2, *self._vertices.shape[1:]), np.float32)
@@ -149,7 +149,7 @@ class Rasterizer:
         )  # fmt: skip
 
 
-def _tables_for_vectors(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def tables_for_vectors(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Float32 sines and cosines of rows, and sine and negative cosine of columns."""
     sin_polar, cos_polar, sin_azimuth, cos_azimuth = (table.astype(np.float32) for table in direction_tables(*size))
     return sin_polar, cos_polar, sin_azimuth, -cos_azimuth

@@ -14,10 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Seen, Shader, make_texture, make_trust, trust_of_faces
+from omnisyn_cli.render.simplify import Tiles, simplify
+from omnisyn_cli.render.tiles import TileRasterizer
 from omnisyn_cli.render.two_pass import TwoPassRenderer
 from omnisyn_cli.types import RowRendering
 
@@ -26,6 +28,7 @@ __all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
 Image = Float[np.ndarray, "height width 3"]
 Mask = Bool[np.ndarray, "height width"]
 VertexImage = Float[np.ndarray, "rows cols"]
+Way = Float[np.ndarray, " 3"]
 
 
 class Renderer(Protocol):
@@ -42,7 +45,11 @@ class Renderer(Protocol):
 
 
 class MeshRenderer:
-    """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture."""
+    """A mesh cut at depth discontinuities, rasterised exactly, with the photograph as its texture.
+
+    Attributes:
+        triangles: how many are drawn for a frame, and how many the mesh has.
+    """
 
     def __init__(
         self,
@@ -53,26 +60,49 @@ class MeshRenderer:
         size: tuple[int, int],
         cut: Cut | None = None,
         threads: int | None = None,
+        way: Way | None = None,
     ) -> None:
-        self._mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
-        self._texture = make_texture(image, mask)
-        self._rasterizer = Rasterizer(self._mesh.size, size, threads)
-        self._shader = Shader(size, threads)
+        mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
+        self._texture, self._shader = make_texture(image, mask), Shader(size, threads)
+        every = len(mesh.faces())
+        self._see: Callable[[Pose], Seen]
+        if way is None:
+            self.triangles = (every, every)
+            self._see, self._trust = _of_mesh(mesh, size, threads), trust_of_faces(mesh)
+        else:
+            tiles = simplify(mesh, way, size[0], threads=threads)
+            self.triangles = (tiles.triangles, every)
+            self._see, self._trust = _of_tiles(tiles, size, threads), make_trust(mesh, self._texture)
 
     def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Renderer`."""
-        fragments = self._rasterizer(self._mesh, target_from_source)
-        return fragments.inverse_depth, self._shader(fragments, self._mesh, self._texture, target_from_source)
+        seen = self._see(target_from_source)
+        return seen[0], self._shader.surface(seen, self._trust, self._texture, target_from_source)
 
     def by_rows(self, target_from_source: Pose) -> RowRendering:
         """The same, with colours made as they are asked for: from any number of threads, until the next call."""
-        fragments = self._rasterizer(self._mesh, target_from_source)
-        seen, trust = (fragments.inverse_depth, fragments.face), (self._mesh.trust.ravel(),)
-        what = (seen, trust, self._texture, target_from_source)
+        seen = self._see(target_from_source)
+        what = (seen, self._trust, self._texture, target_from_source)
         return RowRendering(
-            fragments.inverse_depth, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what),
-            target_from_source,
-        )  # fmt: skip
+            seen[0], partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source
+        )
+
+
+def _of_mesh(mesh: Mesh, size: tuple[int, int], threads: int | None) -> Callable[[Pose], Seen]:
+    """Draws every quad."""
+    rasterizer = Rasterizer(mesh.size, size, threads)
+
+    def see(pose: Pose) -> Seen:
+        fragments = rasterizer(mesh, pose)
+        return fragments.inverse_depth, fragments.face
+
+    return see
+
+
+def _of_tiles(tiles: Tiles, size: tuple[int, int], threads: int | None) -> Callable[[Pose], Seen]:
+    """Draws the larger quads of a simplified mesh."""
+    rasterizer = TileRasterizer(size, threads)
+    return lambda pose: (rasterizer(tiles, pose), None)
 
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {
@@ -80,7 +110,7 @@ RENDERERS: dict[str, Callable[..., Renderer]] = {
     "points": PointRenderer,
     "two-pass": TwoPassRenderer,
 }
-"""Classes by name; all are made with the arguments of :class:`MeshRenderer`."""
+"""Classes by name; all are made with the arguments of :class:`MeshRenderer`, which alone knows a way."""
 
 
 def make_renderer(
@@ -92,6 +122,7 @@ def make_renderer(
     size: tuple[int, int],
     cut: Cut | None = None,
     threads: int | None = None,
+    way: Way | None = None,
 ) -> Renderer:
     """A renderer of one panorama.
 
@@ -104,10 +135,13 @@ def make_renderer(
         size: height and width of the targets.
         cut: where surfaces are separated.
         threads: at most this many; by default one per core.
+        way: metres in the panorama's frame: all targets will lie between the panorama and this point, so that ``mesh``
+            may draw what is flat as far as they can tell with fewer triangles. By default they may lie anywhere.
 
     Raises:
         ValueError: on an unknown name or inverse depths that are negative or not finite.
     """
     if name not in RENDERERS:
         raise ValueError(f"expected one of {', '.join(RENDERERS)} as renderer, got {name!r}")
-    return RENDERERS[name](image, mask, inverse_depth, confidence, size, cut, threads)
+    options = {"way": way} if name == "mesh" else {}
+    return RENDERERS[name](image, mask, inverse_depth, confidence, size, cut, threads, **options)

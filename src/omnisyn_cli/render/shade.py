@@ -20,17 +20,24 @@ from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.threads import run_bands
 
-__all__ = ["Shader", "Texture", "make_texture", "shade"]
+__all__ = ["Seen", "Shader", "Texture", "TrustMap", "make_texture", "make_trust", "shade", "trust_of_faces"]
 
 BORDER = 2
 """Pixels repeated around every level, across the seam and over the poles, so that kernels never wrap an index."""
 
 CHANNELS = 4
 
+NO_LAYOUT = np.zeros(5, np.float32)
+"""Of trust that faces lead to."""
+
 SMALLEST_LEVEL = 8
 """Rows of the smallest mip level."""
 
 ROWS_AT_A_TIME = 64
+
+
+Seen = tuple[Float32[np.ndarray, "height width"], Int32[np.ndarray, "height width"] | None]
+"""Inverse depth and, where there is one, face of every pixel."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,38 @@ class Texture:
     size: tuple[int, int]
     texels: Float32[np.ndarray, " numbers"] | UInt8[np.ndarray, " numbers"]
     layout: Float[np.ndarray, "levels 7"]
+
+
+@dataclass(frozen=True)
+class TrustMap:
+    """Trust in the quads of a mesh, to be looked up by face or by texture coordinates.
+
+    Attributes:
+        values: of the quads, row after row. For texture coordinates with a row for each polar cap and one column more,
+            before the first; empty where all of it is 1.
+        layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row. Zeros
+            where faces lead to the values.
+    """
+
+    values: Float32[np.ndarray, " numbers"]
+    layout: Float32[np.ndarray, 5]
+
+
+def trust_of_faces(mesh: Mesh) -> TrustMap:
+    """Trust in a mesh by face."""
+    return TrustMap(mesh.trust.ravel(), NO_LAYOUT)
+
+
+def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
+    """Trust in a mesh by the texture coordinates of its panorama."""
+    bordered = np.pad(np.pad(mesh.trust, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), constant_values=1.0)
+    layout: list[float] = []
+    for axis, offset in ((0, 2), (2, 4)):
+        scale, zero = texture.layout[0, offset : offset + 2]
+        mesh_scale, mesh_zero = pixel_scale(mesh.size)[axis : axis + 2]
+        layout += [mesh_scale / scale, mesh_zero + 1.0 - zero * mesh_scale / scale]
+    values = bordered.ravel() if (mesh.trust != 1.0).any() else bordered[:0].ravel()
+    return TrustMap(values.astype(np.float32), np.array([*layout, bordered.shape[1]], np.float32))
 
 
 def make_texture(
@@ -128,10 +167,6 @@ def _repeat_border(bordered: np.ndarray) -> None:
     bordered[:, -BORDER:] = bordered[:, BORDER : 2 * BORDER]
 
 
-Seen = tuple[Float32[np.ndarray, "height width"], Int32[np.ndarray, "height width"] | None]
-"""Inverse depth and, where there is one, face of every pixel."""
-
-
 class Shader:
     """Tables for one target size, and the image it writes; reused from frame to frame."""
 
@@ -144,28 +179,35 @@ class Shader:
         self, fragments: Fragments, mesh: Mesh, texture: Texture, target_from_source: Pose
     ) -> Float32[np.ndarray, "height width 4"]:
         """Colour and trust of every fragment; see :func:`shade`. The next call overwrites the result."""
-        rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
-        translation = np.ascontiguousarray(target_from_source.position, np.float32)
-        ratio = np.float32(texture.size[0] / self.size[0])
+        seen = fragments.inverse_depth, fragments.face
+        return self.surface(seen, trust_of_faces(mesh), texture, target_from_source)
 
-        def band(begin: int, end: int) -> None:
-            shade_rows(
-                fragments.inverse_depth, fragments.face, mesh.trust.ravel(), texture.texels, texture.layout,
-                *self._tables, rotation, translation, ratio, self.bicubic, self._image, begin, end,
-            )  # fmt: skip
+    def surface(
+        self, seen: Seen, trust: TrustMap, texture: Texture, target_from_source: Pose
+    ) -> Float32[np.ndarray, "height width 4"]:
+        """Colour and trust of a surface. The next call overwrites the result.
 
-        run_bands(band, self.size[0], self.threads)
+        Args:
+            seen: 1/metre from the target's centre, negative where nothing is seen; and faces, if they are known.
+            trust: in the faces or, where they are not known, by the direction in which the source sees a point.
+            texture: the photograph.
+            target_from_source: the transform.
+        """
+        shade_band = self._kernel(trust, texture, target_from_source)
+        run_bands(
+            lambda begin, end: shade_band(seen, self._tables, self._image, begin, end), self.size[0], self.threads
+        )
         return self._image
 
     def some_rows(
-        self, seen: Seen, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose,
+        self, seen: Seen, trust: TrustMap, texture: Texture, target_from_source: Pose,
         begin: int, end: int, out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
         """Rows ``begin`` to ``end`` of what a call gives, into memory of the caller's, in the caller's thread.
 
         Args:
             seen: inverse depth and face of every pixel.
-            trust: as the kernel takes it.
+            trust: in it.
             texture: the photograph.
             target_from_source: the transform.
             begin: first row.
@@ -178,7 +220,7 @@ class Shader:
         self._kernel(trust, texture, target_from_source)(some, tables, out, 0, end - begin)
 
     def crossings(
-        self, seen: Seen, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose,
+        self, seen: Seen, trust: TrustMap, texture: Texture, target_from_source: Pose,
         rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"],
     ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
         """What a call gives where some rows and columns cross; arguments as of :meth:`some_rows`."""
@@ -190,12 +232,12 @@ class Shader:
         run_bands(lambda begin, end: shade_band(some, tables, out, begin, end), len(rows), self.threads)
         return out
 
-    def _kernel(self, trust: tuple[np.ndarray, ...], texture: Texture, target_from_source: Pose) -> Callable[..., None]:
+    def _kernel(self, trust: TrustMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
         """Takes what is seen, direction tables, an image, first row and the row after the last."""
         rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
         translation = np.ascontiguousarray(target_from_source.position, np.float32)
         ratio = np.float32(texture.size[0] / self.size[0])
-        source = (*trust, texture.texels, texture.layout)
+        source = (trust.values, trust.layout, texture.texels, texture.layout)
 
         def band(seen: tuple[Any, ...], tables: tuple[Any, ...], image: np.ndarray, begin: int, end: int) -> None:
             shade_rows(*seen, *source, *tables, rotation, translation, ratio, self.bicubic, image, begin, end)
@@ -215,7 +257,7 @@ class Shader:
         seen = tuple(np.zeros((end - begin, self.size[1]), dtype) for dtype in (np.float32, np.int32))
         out = np.empty((*seen[0].shape, CHANNELS), np.float32)
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
-        self._kernel((_SKY.trust.ravel(),), texture, target_from_source)(seen, tables, out, 0, end - begin)
+        self._kernel(trust_of_faces(_SKY), texture, target_from_source)(seen, tables, out, 0, end - begin)
         return out
 
 

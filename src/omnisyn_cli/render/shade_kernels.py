@@ -38,10 +38,16 @@ CUBIC = 5
 
 @fast_kernel()
 def shade_rows(
-    rho, face, trust, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, bicubic, image, begin, end
+    rho, face, trust, trust_layout, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, bicubic, image,
+    begin, end,
 ):  # fmt: skip
-    """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector."""
+    """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector.
+
+    Trust is that of the quad of a face or, without faces, of the quad that a texture coordinate lies in:
+    ``trust_layout`` takes texel rows and columns to those of ``trust``. Without any ``trust`` it is 1.
+    """
     width = rho.shape[1]
+    quads = np.empty(RUN, np.int32)
     places, index = np.empty((CUBIC + 8, RUN), np.float32), np.empty(RUN, np.int32)
     flat = image.reshape(-1)
     starts, strides, factors = layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64), _levels_from_full(layout)
@@ -53,6 +59,8 @@ def shade_rows(
                 rho[row, left:right], sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], rotation, t, ratio,
                 layout, places, index,
             )  # fmt: skip
+            if face is None and len(trust) > 0:
+                _find_quads(places[Y], places[X], trust_layout, quads, right - left)
             if bicubic:
                 _find_cubic_weights(places[DOWN], places[CUBIC:])
                 _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
@@ -70,9 +78,10 @@ def shade_rows(
                     first = 4 * np.int64(index[col])
                     colour = _bilinear(texels, first, first + stride, places[DOWN, col], places[ACROSS, col])
                 store_half(flat, at, colour * splat(unit))
-                quad = face[row, left + col] >> FACE_BITS
-                if quad < trust.size and trust[quad] != 1.0:  # the caps beyond have all of it
-                    flat[at + 3] *= trust[quad]
+                if len(trust) > 0:
+                    quad = quads[col] if face is None else face[row, left + col] >> FACE_BITS
+                    if quad < len(trust) and trust[quad] != 1.0:  # the caps beyond have all of it
+                        flat[at + 3] *= trust[quad]
 
 
 @fast_kernel()
@@ -100,6 +109,16 @@ def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, 
         index[col] = np.int32(i * stride) + j
         places[Y, col], places[X, col] = texel_row, texel_col
         places[DOWN, col], places[ACROSS, col] = texel_row - np.float32(i), texel_col - np.float32(j)
+
+
+@fast_kernel()
+def _find_quads(y, x, trust_layout, quads, count):
+    """Index of the quad at each texture coordinate in an image of quads with a border."""
+    row_scale, row_zero, col_scale, col_zero = trust_layout[0], trust_layout[1], trust_layout[2], trust_layout[3]
+    stride = np.int32(trust_layout[4])
+    for k in range(count):
+        row, col = np.int32(y[k] * row_scale + row_zero), np.int32(x[k] * col_scale + col_zero)
+        quads[k] = np.int32(row * stride) + col
 
 
 @fast_kernel()
