@@ -16,7 +16,9 @@ further factor for the angle at which a surface was seen lost 0.1 dB and is left
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -28,7 +30,7 @@ from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering
 
-__all__ = ["BlendOptions", "GeometricFuser", "hiding_strength"]
+__all__ = ["BlendOptions", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
 
 STILL = 1e-6
 """Metres between two views below which they were taken from one place."""
@@ -64,22 +66,42 @@ class GeometricFuser:
         Where the views show different things the worth of one of them is set to 0, in place. From one place there is
         nothing to see but one picture turning into the other, and all of it cross-fades.
         """
-        strictness = hiding_strength(t, self.options.ends)
-        if not np.allclose(first.target_from_source.position, second.target_from_source.position, rtol=0.0, atol=STILL):
-            self._ghosts(first, second, t, strictness)
-        hidden = np.float32(self.options.hidden**strictness)
-        offsets = [np.ascontiguousarray(view.target_from_source.position, np.float32) for view in (first, second)]
-
-        def band(begin: int, end: int) -> None:
-            blend_rows(
-                first.colour, first.inverse_depth, offsets[0], second.colour, second.inverse_depth, offsets[1],
-                np.float32(t), np.float32(self.options.disagreement), hidden, *self._tables,
-                self._image, self._weight, begin, end,
-            )  # fmt: skip
-
-        run_bands(band, self.size[0], self.threads)
+        strictness = self._settle(first, second, t)
+        self._blend(first, second, t, strictness)
         self._filler(self._image, self._weight)
         return self._image
+
+    def _settle(self, first: Rendering, second: Rendering, t: float) -> float:
+        """Remove ghosts; how strictly the nearer surface hides the farther one."""
+        strictness = hiding_strength(t, self.options.ends)
+        if not is_in_place(first, second):
+            self._ghosts(first, second, t, strictness)
+        return strictness
+
+    def _blend(self, first: Rendering, second: Rendering, t: float, strictness: float) -> None:
+        """The picture, holes not filled: there its weight is 0."""
+        self._run(blend_rows, *self._inputs(first, second, t, strictness), self._image, self._weight)
+
+    def _inputs(self, first: Rendering, second: Rendering, t: float, strictness: float) -> tuple[Any, ...]:
+        """Both renderings and the rule, as the kernels take them."""
+        rule = np.float32(t), np.float32(self.options.disagreement), np.float32(self.options.hidden**strictness)
+        return (*kernel_views(first, second), *rule, *self._tables)
+
+    def _run(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """A kernel over the rows of the picture."""
+        run_bands(lambda begin, end: kernel(*arguments, begin, end), self.size[0], self.threads)
+
+
+def kernel_views(first: Rendering, second: Rendering) -> tuple[np.ndarray, ...]:
+    """Colours, inverse depths and offsets of two renderings, one after the other."""
+    offsets = [np.ascontiguousarray(view.target_from_source.position, np.float32) for view in (first, second)]
+    return first.colour, first.inverse_depth, offsets[0], second.colour, second.inverse_depth, offsets[1]
+
+
+def is_in_place(first: Rendering, second: Rendering) -> bool:
+    """Whether both views were taken from one place."""
+    positions = (first.target_from_source.position, second.target_from_source.position)
+    return np.allclose(*positions, rtol=0.0, atol=STILL)
 
 
 def hiding_strength(t: float, ends: float) -> float:
