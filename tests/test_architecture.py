@@ -18,7 +18,7 @@ LAYERS = (
     {"batch"},
     {"interpolation"},
     {"planning"},
-    {"estimators", "posing", "synthesis"},
+    {"estimators", "fusers", "posing", "synthesis"},
     {"crosscheck", "fallback"},
     {
         "confidence",

@@ -29,8 +29,7 @@ def test_the_plan_is_within_a_fifth_of_the_peak(tmp_path: Path, size: tuple[int,
     job = InterpolationJob(tuple(images), tmp_path / "poses.json", tmp_path / "a.mp4", frames=3, size=size)
     planned = plan_interpolation(job).memory
     options = ["--poses", job.poses, "-o", job.output, "--frames", 3, "--size", f"{size[1]}x{size[0]}", "-q"]
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURED, "interpolate", *map(str, [*images, *options])],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
+    command = [sys.executable, "-c", MEASURED, "interpolate", *map(str, [*images, *options]), "--overwrite"]
+    for _ in range(2):  # the first run may compile kernels, which takes memory of its own
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert 0.8 < int(done.stdout.split()[-1]) * 1024 / planned < 1.2

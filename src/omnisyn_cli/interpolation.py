@@ -22,6 +22,7 @@ from jaxtyping import Float, Shaped
 from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.estimators import make_estimator as estimator_named
+from omnisyn_cli.fusers import make_fuser
 from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.geometry.cap import outside_nadir
 from omnisyn_cli.io import (
@@ -180,8 +181,9 @@ def _frames(
         plan.size, job.renderer, job.cut, job.threads,
         cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None, adaptive=job.adaptive,
     )  # fmt: skip
+    fuser = make_fuser(job.fusion, plan.size, device=job.device, threads=job.threads)
     views, prepared = loader.views(), set()
-    for made in synthesize(views, plan.path, estimator, options, clock=clock, samples=ring):
+    for made in synthesize(views, plan.path, estimator, options, fuser, clock, ring):
         if isinstance(made, Segment):
             prepared.add(made.index)
             pairs[made.index] = made.check.confidence

@@ -34,7 +34,7 @@ from omnisyn_cli.io.paths import check_name
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
-from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.presets import DEFAULT_FUSION, DEFAULT_PRESET, FUSION_MODEL, FUSIONS, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import DEVICES
@@ -100,6 +100,7 @@ class InterpolationJob:
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``. All else runs on the processor.
         renderer: ``mesh``, ``points`` or ``two-pass``.
         cut: where meshes are cut.
+        fusion: ``geometric``, or ``network``, which corrects it where the views contradict each other.
         ease, heading: see :func:`omnisyn_cli.trajectory.plan_path`.
         codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.
@@ -132,6 +133,7 @@ class InterpolationJob:
     device: str = "auto"
     renderer: str = "mesh"
     cut: Cut = field(default_factory=Cut)
+    fusion: str = DEFAULT_FUSION
     ease: Ease = "linear"
     heading: Heading = "panoramas"
     codec: str | None = None
@@ -196,6 +198,7 @@ class InterpolationPlan:
             "depth": self.depth,
             "model": self.model or "",
             "renderer": self.job.renderer,
+            "fusion": self.job.fusion,
             "path_metres": round(self.length, 4),
             "memory_mib": round(self.memory / 2**20),
             "notes": list(self.notes),
@@ -217,6 +220,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     source_sizes = tuple(_size_of(image, job) for image in job.images)
     depth = _depth_method(job, entries)
     model = _model(job, depth)
+    if job.fusion == "network":
+        find_model(FUSION_MODEL)
     _check_companions(entries, depth)
     for mask in job.masks:
         read_header(mask)
@@ -361,6 +366,7 @@ def _check_choices(job: InterpolationJob) -> None:
         "preset": (job.preset, PRESETS),
         "depth": (job.depth, DEPTH_METHODS),
         "renderer": (job.renderer, RENDERERS),
+        "fusion": (job.fusion, FUSIONS),
         "ease": (job.ease, EASES),
         "heading": (job.heading, HEADINGS),
         "device": (job.device, DEVICES),
@@ -502,7 +508,7 @@ def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int]) -> float:
     kinds = {sample_type(path, codec) for path, codec in targets(job)}
     is_by_rows = (
         kinds == {"uint8"} and job.renderer == "mesh" and size[0] % 2 == 0 and size[0] >= LEAST_ROWS_BY_ROWS
-        and job.fallback != "crossfade" and job.save_confidence is None
+        and job.fusion == "geometric" and job.fallback != "crossfade" and job.save_confidence is None
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5
     waiting = frames_in_queue(size) + 2

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-__all__ = ["DEFAULT_PRESET", "PRESETS", "Preset"]
+__all__ = ["DEFAULT_FUSION", "DEFAULT_PRESET", "FUSIONS", "FUSION_MODEL", "PRESETS", "Preset"]
 
 
 @dataclass(frozen=True)
@@ -41,3 +41,11 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
 """By name, from the fastest to the most accurate."""
 
 DEFAULT_PRESET = "balanced"
+
+FUSIONS = ("geometric", "network")
+"""How two renderings become one picture, see :mod:`omnisyn_cli.fusers`."""
+
+DEFAULT_FUSION = "geometric"
+
+FUSION_MODEL = "fusion-residual"
+"""Name of the fusion network in the manifest."""

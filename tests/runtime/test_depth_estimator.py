@@ -8,8 +8,8 @@ import pytest
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame, free_space_agreement
-from omnisyn_cli.runtime.depth import LearnedDepthEstimator, turn
+from omnisyn_cli.geometry.sweep import epipole_frame, forward_frame, free_space_agreement
+from omnisyn_cli.runtime.depth import LearnedDepthEstimator, look_back, turn
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.types import View
 
@@ -28,13 +28,20 @@ def ball(pose, size=SIZE):
     return 1.0 / depth, 0.5 + 0.5 * (offset + depth[..., None] * directions) / RADIUS
 
 
+HOLD = {"epipole": (epipole_frame, turn), "forward": (forward_frame, look_back)}
+
+
 class Oracle:
     """Answers with the truth of the pair and remembers the images it was shown."""
 
-    def __init__(self, first, second):
-        frame, other, self.baseline = epipole_frame(first, second)
-        self.truth = [ball(frame)[0] * self.baseline, turn(ball(other)[0]) * self.baseline]
+    def __init__(self, first, second, frame="epipole"):
+        hold, exchange = HOLD[frame]
+        here, other, self.baseline = hold(first, second)
+        self.frame, self.truth = frame, [ball(here)[0] * self.baseline, exchange(ball(other)[0]) * self.baseline]
         self.seen = []
+
+    def get_modelmeta(self):
+        return SimpleNamespace(custom_metadata_map={"frame": self.frame} if self.frame != "epipole" else {})
 
     def get_inputs(self):
         return [SimpleNamespace(name=name, shape=[1, 3, *SIZE]) for name in ("first", "second")]
@@ -49,20 +56,27 @@ def view(pose, mask=None, size=SIZE):
     return View(ball(pose, size)[1].astype(np.float32), pose, mask)
 
 
+@pytest.mark.parametrize("frame", HOLD)
 @pytest.mark.parametrize("size", [SIZE, (128, 256), (32, 64)])
-def test_the_network_is_shown_the_epipole_frame_and_its_answer_comes_back_in_metres(size):
-    oracle = Oracle(FIRST, SECOND)
+def test_the_network_is_shown_its_frame_and_its_answer_comes_back_in_metres(size, frame):
+    oracle = Oracle(FIRST, SECOND, frame)
     estimates = LearnedDepthEstimator(oracle)(view(FIRST, size=size), view(SECOND, size=size))
-    frame, other, _ = epipole_frame(FIRST, SECOND)
-    expected = [ball(pose)[1].transpose(2, 0, 1)[None] for pose in (frame, other)]
+    hold, exchange = HOLD[frame]
+    here, other, _ = hold(FIRST, SECOND)
+    expected = [ball(pose)[1] for pose in (here, other)]
     for shown, truth in zip(oracle.seen[0], expected, strict=True):
-        assert np.abs(shown - truth).max() < 0.03
+        assert np.abs(shown[0].transpose(1, 2, 0) - truth).max() < 0.03
     for shown, truth in zip(oracle.seen[1], expected[::-1], strict=True):
-        assert np.abs(shown[..., ::-1, ::-1] - truth).max() < 0.03
+        assert np.abs(exchange(shown[0].transpose(1, 2, 0)) - truth).max() < 0.03
     for estimate, pose in zip(estimates, (FIRST, SECOND), strict=True):
         np.testing.assert_allclose(estimate.inverse_depth, ball(pose)[0], rtol=0.02)
         assert estimate.confidence.min() > 0.95
         assert estimate.inverse_depth.dtype == estimate.confidence.dtype == np.float32
+
+
+def test_looking_back_is_the_forward_frame_of_the_way_back():
+    there, back = forward_frame(FIRST, SECOND)[0], forward_frame(SECOND, FIRST)[1]
+    np.testing.assert_allclose(look_back(ball(there)[1]), ball(back)[1], atol=1e-9)
 
 
 def test_exchanging_the_views_exchanges_the_answers():

@@ -6,6 +6,7 @@ from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.refine import REFINE_VARIANTS
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
 
@@ -84,9 +85,15 @@ def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.pt").write_text("no checkpoint")
     with pytest.raises(InputError, match="cannot read"):
         load_network(tmp_path / "text.pt")
-    save_checkpoint(tmp_path / "other.pt", {"kind": "fusion"})
-    with pytest.raises(InputError, match="fusion"):
+    save_checkpoint(tmp_path / "other.pt", {"kind": "abacus"})
+    with pytest.raises(InputError, match="abacus"):
         load_network(tmp_path / "other.pt")
+
+
+def test_a_folder_of_another_kind_of_network_is_refused(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=1)
+    with pytest.raises(InputError, match=r"expected a refine network in .*got a depth network"):
+        train(REFINE_VARIANTS["balanced"], config, tmp_path / "run", steps=2)
 
 
 def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):

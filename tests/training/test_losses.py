@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from omnisyn_cli.networks.depth import DepthPrediction
-from omnisyn_cli.training.losses import depth_loss, depth_scores, polar_weights
+from omnisyn_cli.networks.paper import PaperPrediction
+from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss, polar_weights
 
 
 @pytest.fixture
@@ -65,3 +66,31 @@ def test_scores_of_the_truth_are_perfect_and_scale_with_the_baseline(target):
     assert (scores.delta_5, scores.delta_10) == (0.0, 1.0)
     wider = depth_scores(nearer, target, torch.tensor([4.0, 4.0]))
     assert 0 < wider.imae < scores.imae
+
+
+def test_the_papers_loss_is_l1_of_inverse_depth_by_solid_angle_and_half_of_the_low_head(target):
+    """Pixel by pixel; what is below zero is right in the sky, and the unknown does not count."""
+    torch.manual_seed(0)
+    low, high = torch.rand(2, 2, 1, 16, 32).unbind()
+    high[..., 20:24] = -0.1  # in the sky
+    truth = target.clone()
+    truth[:, :, 3, 2:9] = math.nan
+    total = 0.0
+    for row in range(16):
+        sine = math.sin((row + 0.5) / 16 * math.pi)
+        for image in range(2):
+            for col in range(32):
+                root = float(truth[image, 0, row, col])
+                if math.isnan(root):
+                    continue
+                for share, head in ((1.0, high), (0.5, low)):
+                    value = float(head[image, 0, row, col])
+                    error = abs(value - root**2) if root > 0 else max(value, 0.0)
+                    total += share * error * sine / polar_mean(16)
+    known = float(torch.isfinite(truth).float().mean())
+    expected = total / truth.numel() / known
+    assert float(paper_loss(PaperPrediction(low, high), truth)) == pytest.approx(expected, rel=1e-5)
+
+
+def polar_mean(rows):
+    return sum(math.sin((row + 0.5) / rows * math.pi) for row in range(rows)) / rows

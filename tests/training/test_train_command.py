@@ -1,8 +1,17 @@
 import pytest
 from click.testing import CliRunner
+from training_samples import make_pool
 
 from omnisyn_cli.cli.train import train
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import VARIANTS
+from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
+from omnisyn_cli.runtime.models import find_model
+from omnisyn_cli.runtime.session import open_session
+from omnisyn_cli.training.checkpoint import load_checkpoint
+from omnisyn_cli.training.publish import publish
+
+SMALL = {"widths": (4, 6, 8, 8, 8, 8), "volume_widths": (4, 6, 8, 8), "levels": 16}
 
 
 def run(*arguments):
@@ -16,10 +25,46 @@ def test_an_unknown_kind_of_scene_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", [*VARIANTS, *PAPER_VARIANTS])
 def test_a_height_that_the_network_cannot_halve_often_enough_is_refused(tmp_path, variant):
     pools = ("--pool", tmp_path, "--validation-pool", tmp_path)
     result = run("depth", tmp_path / "run", *pools, "--variant", variant, "--height", 100)
     assert result.exit_code == 2
-    assert f"multiple of {VARIANTS[variant].size_multiple} for" in result.output
+    assert f"multiple of {(VARIANTS | PAPER_VARIANTS)[variant].size_multiple} for" in result.output
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("variant", "size"), [("paper", (64, 128)), ("paper-square", (64, 64))])
+def test_the_papers_network_is_trained_published_and_found_by_its_name(tmp_path, monkeypatch, variant, size):
+    monkeypatch.setitem(PAPER_VARIANTS, variant, PaperConfig(variant, size, **SMALL))
+    pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]
+    result = run("depth", tmp_path / "run", *pools, "--variant", variant, "--height", 64, "--steps", 2, "--batch", 1)
+    assert result.exit_code == 0, result.output
+    state = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
+    assert (state["kind"], state["step"]) == ("paper", 2)
+    assert (state["training"]["size"], state["training"]["rate"]) == (size, 1e-4)
+    entry, difference = publish(
+        tmp_path / "run" / "checkpoint.pt", tmp_path / "models", name=None, pool=tmp_path / "pool", training="",
+        licence="MIT",
+    )  # fmt: skip
+    assert difference < 1e-4
+    assert (entry.name, entry.role, entry.variant, entry.size) == (f"depth-{variant}", "depth", variant, size)
+    session = open_session(find_model(f"depth-{variant}", tmp_path / "models"), device="cpu")
+    assert session.get_modelmeta().custom_metadata_map["frame"] == "forward"
+
+
+def test_rates_are_those_of_the_variant_unless_told(tmp_path):
+    pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]
+    for rate, expected in (([], 6e-4), (["--rate", "2e-3"], 2e-3)):
+        folder = tmp_path / f"run{len(rate)}"
+        result = run("depth", folder, *pools, "--height", 64, "--steps", 1, "--batch", 1, *rate)
+        assert result.exit_code == 0, result.output
+        assert load_checkpoint(folder / "checkpoint.pt")["training"]["rate"] == expected
+
+
+def test_a_gpu_that_is_not_there_is_refused_before_anything_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]
+    result = run("depth", tmp_path / "run", *pools, "--device", "cuda", "--steps", 1)
+    assert isinstance(result.exception, InputError)
+    assert not (tmp_path / "run").exists()

@@ -32,6 +32,7 @@ COMMANDS = {
     "export-onnx": ("omnisyn_cli.cli.export_onnx", "Turn a trained network into an ONNX model for interpolate."),
     "poses": ("omnisyn_cli.cli.poses", "Import, export, check, refine and estimate poses."),
     "eval": ("omnisyn_cli.cli.evaluate", "Compare methods on scenes with true frames and depth."),
+    "depth-table": ("omnisyn_cli.cli.depth_table", "Compare estimated with true depth, as the paper's table does."),
     "bench": ("omnisyn_cli.cli.bench", "Measure what settings cost and what they are worth on this machine."),
     "scenes": ("omnisyn_cli.cli.scenes", "Make procedural scenes with exact depth and poses."),
 }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.presets import DEFAULT_FUSION, DEFAULT_PRESET, FUSIONS, PRESETS
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation import Summary
@@ -96,6 +96,11 @@ class Size(SizeType):
 @click.option(
     "--adaptive/--no-adaptive", default=False, show_default=True,
     help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
+)  # fmt: skip
+@click.option(
+    "--fusion", type=click.Choice(FUSIONS), default=DEFAULT_FUSION, show_default=True,
+    help="How two renderings become one picture: by rules, or by rules that a network corrects where the panoramas "
+    "contradict each other.",
 )  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,

@@ -8,11 +8,18 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.cli.scenes import KINDS
 
 __all__ = ["train"]
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
+
+DEVICES = ("auto", "cpu", "cuda")
+"""Those of :mod:`omnisyn_cli.training.precision`, written out because ``--help`` should not load them."""
+
+RATE, PAPER_RATE = 6e-4, 1e-4
+"""Learning rates of the depth networks; the second is the authors'."""
 
 
 @click.group()
@@ -43,6 +50,37 @@ def pool(folder: Path, scenes: int, seed: int, height: int, views: int, kinds: t
 
 
 @train.command()
+@click.argument("dataset", type=FOLDER)
+@click.argument("folder", type=FOLDER)
+@click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
+@click.option(
+    "--pairs", metavar="0:4|every:N|FILE", default="every:1", show_default=True, help="Of frames, see omnisyn eval."
+)
+@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
+def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
+    """Add the pairs of DATASET, panoramas with poses and depth in files, to the pool FOLDER for `train depth`.
+
+    Those that are there already stay; pairs without depth are named and left out.
+    """
+    from omnisyn_cli.errors import InputError
+    from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
+    from omnisyn_cli.evaluation.views import load_pair
+    from omnisyn_cli.training.folders import add_pair, pair_path
+
+    choose = choose_pairs(pairs)
+    for pair in (pair for source in find_scenes(dataset, layout) for pair in choose(source.read())):
+        path = pair_path(folder, pair.scene, pair.first.name, pair.second.name)
+        if path.exists():
+            continue
+        try:
+            add_pair(path, *load_pair(pair).views, (height, 2 * height))
+        except InputError as error:
+            click.echo(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
+        else:
+            click.echo(path)
+
+
+@train.command()
 @click.argument("folder", type=FOLDER)
 @click.option("--scenes", default=500, show_default=True, type=click.IntRange(1), help="How many scenes.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
@@ -60,8 +98,9 @@ def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int) ->
         click.echo(path)
 
 
-def _stage_options(pool: str, batch: int, rate: float) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """What every training command takes."""
+    by_variant = "" if rate is not None else "  [default: 6e-4, for paper 1e-4]"
     learn, judge = f"Scenes to learn from, made by `omnisyn train {pool}`.", "Scenes to be judged by: other seeds."
     at_least_0, at_least_1 = click.IntRange(0), click.IntRange(1)
     shown: dict[str, Any] = {"show_default": True}
@@ -70,12 +109,14 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[[Callable[...
         click.option("--pool", required=True, type=FOLDER, help=learn),
         click.option("--validation-pool", required=True, type=FOLDER, help=judge),
         click.option("--batch", default=batch, type=at_least_1, help="Pairs per step.", **shown),
-        click.option("--rate", default=rate, type=float, help="Learning rate after the warm-up.", **shown),
+        click.option("--rate", default=rate, type=float, help=f"Learning rate after the warm-up.{by_variant}", **shown),
         click.option("--cooldown-steps", default=0, type=at_least_0, help="Take the rate to 0, end.", **shown),
         click.option("--minutes", default=float("inf"), type=float, help="Stop after this time. [default: never]"),
         click.option("--steps", default=None, type=at_least_1, help="Stop at this step. [default: never]"),
         click.option("--seed", default=0, type=at_least_0, help="Of the weights and the batches.", **shown),
         click.option("--threads", default=0, type=at_least_0, help="Of the processor. [default: all]"),
+        click.option("--device", default="auto", type=click.Choice(DEVICES), help="CUDA means bfloat16.", **shown),
+        click.option("--tensorboard", type=FOLDER, help="Write curves and pictures for TensorBoard here as well."),
     ]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -87,20 +128,27 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[[Callable[...
 
 
 @train.command()
-@_stage_options("pool", batch=4, rate=6e-4)
-@click.option("--variant", default="fast", show_default=True, help="Network of a fresh run.")
+@_stage_options("pool", batch=4, rate=None)
+@click.option(
+    "--variant", default="fast", show_default=True, help="Network of a fresh run: fast, accurate, paper, paper-square."
+)
 @click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
-def depth(variant: str, height: int, **options: Any) -> None:
-    """Train the depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
+def depth(variant: str, height: int, rate: float | None, **options: Any) -> None:
+    """Train a depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
     from omnisyn_cli.networks.depth import VARIANTS
+    from omnisyn_cli.networks.paper import PAPER_VARIANTS
 
-    _check_variant(variant, VARIANTS)
-    multiple = VARIANTS[variant].size_multiple
-    if height % multiple:
+    known: dict[str, Any] = {**VARIANTS, **PAPER_VARIANTS}
+    _check_variant(variant, known)
+    network = known[variant]
+    if height % network.size_multiple:
         raise click.BadParameter(
-            f"expected a multiple of {multiple} for the {variant} network, got {height}", param_hint="--height"
+            f"expected a multiple of {network.size_multiple} for the {variant} network, got {height}",
+            param_hint="--height",
         )
-    _train(VARIANTS[variant], size=(height, 2 * height), **options)
+    if rate is None:
+        rate = PAPER_RATE if variant in PAPER_VARIANTS else RATE
+    _train(network, size=(height, height * network.size[1] // network.size[0]), rate=rate, **options)
 
 
 @train.command()
@@ -114,21 +162,63 @@ def refine(variant: str, **options: Any) -> None:
     _train(REFINE_VARIANTS[variant], **options)
 
 
+@train.command("fusion-pool")
+@click.argument("folder", type=FOLDER)
+@click.option("--scenes", default=200, show_default=True, type=click.IntRange(1), help="How many scenes.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
+@click.option("--height", default=256, show_default=True, type=click.IntRange(32), help="Rows of every picture.")
+@click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
+def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int) -> None:
+    """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
+    from functools import partial
+
+    from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
+    from omnisyn_cli.training.pool import fill_pool
+
+    make = partial(make_fusion_scene, config=FusionPoolConfig(size=(height, 2 * height), rows=2 * height))
+    for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
+        click.echo(path)
+
+
+@train.command()
+@_stage_options("fusion-pool", batch=4, rate=1e-3)
+@click.option("--variant", default="residual", show_default=True, help="Network of a fresh run.")
+def fusion(variant: str, **options: Any) -> None:
+    """Train the network that joins two renderings in FOLDER; a run that is there goes on."""
+    from omnisyn_cli.networks.fusion import FUSION_VARIANTS
+
+    _check_variant(variant, FUSION_VARIANTS)
+    _train(FUSION_VARIANTS[variant], **options)
+
+
 def _check_variant(variant: str, known: Mapping[str, Any]) -> None:
     if variant not in known:
         raise click.BadParameter(f"expected one of {', '.join(known)}, got {variant!r}", param_hint="--variant")
 
 
-def _train(network: Any, folder: Path, threads: int, minutes: float, steps: int | None, **options: Any) -> None:
+def _train(
+    network: Any, folder: Path, threads: int, minutes: float, steps: int | None, device: str,
+    tensorboard: Path | None, **options: Any,
+) -> None:  # fmt: skip
+    from contextlib import ExitStack, closing
+
     import torch
 
     from omnisyn_cli.training.loop import TrainConfig
     from omnisyn_cli.training.loop import train as run
+    from omnisyn_cli.training.precision import choose_precision
+    from omnisyn_cli.training.tensorboard import Board
 
     if threads:
         torch.set_num_threads(threads)
+    precision = choose_precision(device)
     folders: dict[str, Any] = {name: str(options.pop(name)) for name in ("pool", "validation_pool")}
-    run(network, TrainConfig(**folders, **options), folder, minutes=minutes, steps=steps, report=_show)
+    config = TrainConfig(**folders, **options)
+    with ExitStack() as stack:
+        board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
+        run(
+            network, config, folder, minutes=minutes, steps=steps, report=_show, precision=precision, board=board
+        )  # fmt: skip
 
 
 @train.command("compact")

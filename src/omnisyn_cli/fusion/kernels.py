@@ -8,7 +8,7 @@ import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
 
-__all__ = ["blend_rows", "pull", "push", "quantize_rows"]
+__all__ = ["UNSEEN", "blend_rows", "pull", "push", "quantize_rows", "view_weights"]
 
 FAR_PREFERENCE = 0.01
 """1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
@@ -28,6 +28,41 @@ def _nearness(rho, x, y, z, t):
     return np.float32(1.0) / (squared * math.sqrt(squared))
 
 
+@inlined(fastmath=True)
+def view_weights(
+    worth_a, near_a, first_offset, worth_b, near_b, second_offset, x, y, z, t, disagreement, hidden
+):  # fmt: skip
+    """Weights of what two views show along the direction ``(x, y, z)``, not normalised; 0 for a view that shows none.
+
+    Args:
+        worth_a: of the first's colour.
+        near_a: the first's inverse depth from the target, >= 0.
+        first_offset: its position in the frame of the target.
+        worth_b: of the second's colour.
+        near_b: as ``near_a``.
+        second_offset: as ``first_offset``.
+        x: of a unit vector, as ``y`` and ``z``.
+        y: upwards.
+        z: backwards.
+        t: share of the way.
+        disagreement: relative difference of inverse depth at which the farther surface has lost most of its weight.
+        hidden: the least share of its weight that it keeps.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    a = worth_a * _nearness(near_a, x, y, z, first_offset)
+    b = worth_b * _nearness(near_b, x, y, z, second_offset)
+    a = a if worth_a > UNSEEN else zero
+    b = b if worth_b > UNSEEN else zero
+    if a > zero and b > zero:
+        a, b = (one - t) * a, t * b
+        gap = (near_a - near_b) / (max(near_a, near_b) * disagreement + np.float32(1e-9))
+        believed = worth_a if gap > zero else worth_b
+        believed = min(one, np.float32(BELIEF) * believed)
+        rest = one - believed * (one - max(math.exp(-gap * gap), hidden))
+        a, b = (a * rest, b) if gap < zero else (a, b * rest)
+    return a, b
+
+
 @fast_kernel()
 def blend_rows(
     first, first_rho, first_offset, second, second_rho, second_offset, t, disagreement, hidden,
@@ -42,17 +77,10 @@ def blend_rows(
             x, z = sp * sin_a[col], -sp * cos_a[col]
             rho_a, rho_b = first_rho[row, col], second_rho[row, col]
             near_a, near_b = max(rho_a, zero), max(rho_b, zero)
-            a = first[row, col, 3] * _nearness(near_a, x, y, z, first_offset)
-            b = second[row, col, 3] * _nearness(near_b, x, y, z, second_offset)
-            a = a if first[row, col, 3] > UNSEEN else zero
-            b = b if second[row, col, 3] > UNSEEN else zero
-            if a > zero and b > zero:
-                a, b = (one - t) * a, t * b
-                gap = (near_a - near_b) / (max(near_a, near_b) * disagreement + np.float32(1e-9))
-                believed = first[row, col, 3] if gap > zero else second[row, col, 3]
-                believed = min(one, np.float32(BELIEF) * believed)
-                rest = one - believed * (one - max(math.exp(-gap * gap), hidden))
-                a, b = (a * rest, b) if gap < zero else (a, b * rest)
+            a, b = view_weights(
+                first[row, col, 3], near_a, first_offset, second[row, col, 3], near_b, second_offset,
+                x, y, z, t, disagreement, hidden,
+            )  # fmt: skip
             total = a + b
             if total > zero:
                 smaller = min(a, b) / total  # the larger share is 1 minus this: exactly 1 where the other is 0

@@ -228,9 +228,11 @@ def lookup(
 ) -> Float[Tensor, "batch groups candidates rows_first width"]:
     """The products at the rows where points at the candidate roots are seen, linearly interpolated.
 
-    No gradient reaches the roots. Rows beyond a pole read the last row.
+    No gradient reaches the roots. Rows beyond a pole read the last row. Rows of half-precision products are found in
+    single precision, as eight bits cannot tell where between two rows a point lies.
     """
     rows_first, rows_second = sizes(products)[-2:]
+    products = at_least_single(products)
     with torch.no_grad():
         row = torch.arange(rows_first, dtype=roots.dtype, device=roots.device).view(1, 1, -1, 1)
         seen = _row_in_second(row, roots.clamp(min=0.0), rows_first, rows_second)
@@ -244,8 +246,16 @@ def lookup(
     return torch.lerp(above, below, share).permute(0, 1, 4, 3, 2)
 
 
+def at_least_single(x: Tensor) -> Tensor:
+    """The same values in single precision, where they came in half precision (autocast)."""
+    return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x
+
+
 class DepthNetwork(nn.Module):
     """Two panoramas in, the root of the first one's ``inverse depth × baseline`` out; see the module's docstring."""
+
+    frame = "epipole"
+    """How the panoramas are held, see :mod:`omnisyn_cli.geometry.sweep`."""
 
     def __init__(self, config: DepthConfig) -> None:
         super().__init__()
@@ -344,9 +354,10 @@ class CoarseMatcher(nn.Module):
         volume = self.volume(first, second, narrow, of_second[-1])
         x = functional.leaky_relu(self.spheres(volume) + self.context(narrow), LEAK)
         x = self.aggregate(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
-        roots = torch.from_numpy(level_roots(self.config)).to(x).view(1, -1, 1, 1)
-        root = (self.logits(x).softmax(dim=1) * roots).sum(dim=1, keepdim=True)
-        return convex_upsample(root, self.upsample(x)), x
+        logits = at_least_single(self.logits(x))
+        roots = torch.from_numpy(level_roots(self.config)).to(logits).view(1, -1, 1, 1)
+        root = (logits.softmax(dim=1) * roots).sum(dim=1, keepdim=True)
+        return convex_upsample(root, at_least_single(self.upsample(x))), x
 
     def volume(self, first: Tensor, second: Tensor, narrow: Tensor, of_second: Tensor) -> Tensor:
         """Similarity of the first image to each sphere, ``(batch, levels·kinds, height, width)``."""
@@ -354,7 +365,8 @@ class CoarseMatcher(nn.Module):
         learned = meridian_products(
             unit_groups(self.match_first(narrow), groups), unit_groups(self.match_second(of_second), groups)
         )
-        classical = classical_products(first, second, self.config.coarse_stride)
+        with torch.autocast(first.device.type, enabled=False):
+            classical = classical_products(first, second, self.config.coarse_stride)
         products = torch.cat([learned, classical], dim=1)
         matrix = _resampling_tensor(self.config, *sizes(products)[-2:]).to(products)
         return torch.flatten(self.filters(sphere_volume(products, matrix)), 1, 2)
@@ -460,13 +472,16 @@ class Refinement(nn.Module):
         offsets = offsets.view(1, -1, 1, 1)
         candidates = root.detach() + offsets
         learned = lookup(self.products(own, other), candidates).squeeze(1)
-        classical = lookup(self.classical(first, second), candidates).squeeze(1)
+        with torch.autocast(first.device.type, enabled=False):
+            classical = lookup(self.classical(first, second), candidates).squeeze(1)
         x = self.from_similarity(torch.cat([learned, classical, root.detach()], dim=1)) + self.from_features(own)
         x = functional.leaky_relu(x + upsample_nearest(self.from_hidden(hidden)), LEAK)
         x = self.mix(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
-        refined = root + (self.choice(x).softmax(dim=1) * offsets).sum(dim=1, keepdim=True)
-        both = torch.cat([refined, self.confidence(x)], dim=1)
-        fine_root, fine_confidence = convex_upsample(both, self.upsample(x)).chunk(2, dim=1)
+        choice = at_least_single(self.choice(x)).softmax(dim=1)
+        refined = root + (choice * offsets).sum(dim=1, keepdim=True)
+        both = torch.cat([refined, self.confidence(x).to(refined.dtype)], dim=1)
+        upsample = at_least_single(self.upsample(x))
+        fine_root, fine_confidence = convex_upsample(both, upsample).chunk(2, dim=1)
         return fine_root, x, fine_confidence
 
     def products(self, own: Tensor, other: Tensor) -> Tensor:

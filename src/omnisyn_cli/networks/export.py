@@ -14,9 +14,11 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 
 from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.fusion import FusionNetwork, PaintingNetwork
+from omnisyn_cli.networks.paper import PaperNetwork
 from omnisyn_cli.networks.refine import RefineNetwork
 
-__all__ = ["OPSET", "PARITY", "export_depth", "export_refine", "largest_difference"]
+__all__ = ["OPSET", "PARITY", "export_depth", "export_fusion", "export_refine", "largest_difference"]
 
 OPSET = 18
 
@@ -26,10 +28,13 @@ PARITY = 1e-4
 """Largest difference between torch and ONNX Runtime, relative to the largest value, that is accepted."""
 
 
+Network = DepthNetwork | PaperNetwork | RefineNetwork | FusionNetwork | PaintingNetwork
+
+
 class _DepthOutputs(nn.Module):
     """A depth network with the outputs that leave the program: inverse depth × baseline, and confidence."""
 
-    def __init__(self, network: DepthNetwork | RefineNetwork) -> None:
+    def __init__(self, network: DepthNetwork | PaperNetwork | RefineNetwork) -> None:
         super().__init__()
         self.network = network
 
@@ -38,15 +43,19 @@ class _DepthOutputs(nn.Module):
         return prediction.inverse_depth(), prediction.confidence()
 
 
-def export_depth(network: DepthNetwork, path: Path) -> None:
+def export_depth(network: DepthNetwork | PaperNetwork, path: Path) -> None:
     """Write ``network`` at its configured size, weights inside; the file is checked by ONNX.
 
-    Inputs ``first`` and ``second``, ``(1, 3, height, width)`` in [0, 1] in the epipole frame; outputs ``inverse_depth``
-    (× baseline) and ``confidence``, ``(1, 1, height, width)``. The size is fixed, as the volume's matrix is.
+    Inputs ``first`` and ``second``, ``(1, 3, height, width)`` in [0, 1] in the frame that the metadata ``frame`` names;
+    outputs ``inverse_depth`` (× baseline) and ``confidence``, ``(1, 1, height, width)``. The size is fixed, as the
+    sweep is.
     """
     height, width = network.config.size
     image = torch.rand(1, 3, height, width)
     _export(network, (image, image), path, ["first", "second"])
+    model = onnx.load(str(path))
+    onnx.helper.set_model_props(model, {"frame": network.frame})
+    onnx.save(model, str(path))
 
 
 def export_refine(network: RefineNetwork, path: Path) -> None:
@@ -61,21 +70,55 @@ def export_refine(network: RefineNetwork, path: Path) -> None:
     _export(network, (planes,), path, ["planes"], axes)
 
 
+class _FusionOutputs(nn.Module):
+    """A fusion network with plain outputs: shift and colour, or the colours that it paints."""
+
+    def __init__(self, network: FusionNetwork | PaintingNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, planes: Tensor) -> tuple[Tensor, ...]:
+        answer = self.network(planes)
+        return (answer,) if isinstance(answer, Tensor) else (answer.shift, answer.colour)
+
+
+def export_fusion(network: FusionNetwork | PaintingNetwork, path: Path) -> None:
+    """Write ``network``, weights inside; the file is checked by ONNX.
+
+    Input ``planes``, ``(1, planes, height, width)``; outputs ``shift`` ``(1, 1, height, width)`` and ``colour``
+    ``(1, 3, height, width)``, of a network that paints ``colour`` alone. Height and width are free, multiples of
+    ``network.config.size_multiple``.
+    """
+    side = 2 * network.config.size_multiple
+    planes = torch.rand(1, network.config.planes, side, 2 * side)
+    outputs = ("colour",) if network.config.paints else ("shift", "colour")
+    axes = {name: {2: "height", 3: "width"} for name in ("planes", *outputs)}
+    _export(network, (planes,), path, ["planes"], axes, outputs)
+
+
+def _with_outputs(network: Network) -> nn.Module:
+    """A network with the outputs that leave the program."""
+    if isinstance(network, FusionNetwork | PaintingNetwork):
+        return _FusionOutputs(network).eval()
+    return _DepthOutputs(network).eval()
+
+
 def _export(
-    network: DepthNetwork | RefineNetwork,
+    network: Network,
     example: tuple[Tensor, ...],
     path: Path,
     inputs: list[str],
     dynamic_axes: dict[str, dict[int, str]] | None = None,
+    outputs: tuple[str, ...] = OUTPUTS,
 ) -> None:
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the tracer's remarks on sizes, which are meant to be fixed
         torch.onnx.export(
-            _DepthOutputs(network).eval(),
+            _with_outputs(network),
             example,
             str(path),
             input_names=inputs,
-            output_names=list(OUTPUTS),
+            output_names=list(outputs),
             dynamic_axes=dynamic_axes,
             opset_version=OPSET,
             external_data=False,
@@ -84,9 +127,7 @@ def _export(
     onnx.checker.check_model(str(path), full_check=True)
 
 
-def largest_difference(
-    network: DepthNetwork | RefineNetwork, path: Path, examples: Iterable[tuple[Float32[np.ndarray, ...], ...]]
-) -> float:
+def largest_difference(network: Network, path: Path, examples: Iterable[tuple[Float32[np.ndarray, ...], ...]]) -> float:
     """Between torch and ONNX Runtime over all outputs of all examples, relative to the largest value of each output.
 
     Args:
@@ -96,7 +137,7 @@ def largest_difference(
     """
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     names = [entry.name for entry in session.get_inputs()]
-    outputs, worst = _DepthOutputs(network).eval(), 0.0
+    outputs, worst = _with_outputs(network), 0.0
     for example in examples:
         with torch.no_grad():
             expected = [output.numpy() for output in outputs(*(torch.from_numpy(array) for array in example))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["DEVICES", "open_session", "run_depth_network"]
+__all__ = ["DEVICES", "open_session", "run_depth_network", "run_network"]
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -62,23 +62,40 @@ def run_depth_network(
     Raises:
         InputError: the model does not take these inputs, or answers something else.
     """
+    inverse_depth, confidence = (answer[0, 0] for answer in run_network(session, inputs, [(1, 1, *size)] * 2))
+    if not (inverse_depth >= 0).all():
+        raise InputError("expected a model whose inverse depths are not negative, got others; name another (--model)")
+    return inverse_depth, np.clip(confidence, 0.0, 1.0)
+
+
+def run_network(
+    session: Any, inputs: Mapping[str, np.ndarray], shapes: Sequence[tuple[int, ...]]
+) -> list[Float32[np.ndarray, ...]]:
+    """All outputs of a model, finite, of these shapes.
+
+    Args:
+        session: of the model.
+        inputs: by name.
+        shapes: of its outputs, in their order.
+
+    Raises:
+        InputError: the model does not take these inputs, or answers something else.
+    """
     try:
         answers = session.run(None, dict(inputs))
     except Exception as error:
+        height, width = shapes[0][-2:]
         raise InputError(
-            f"expected a model that works on {size[1]}×{size[0]} pixels, ONNX Runtime says: {_short(error)}; "
+            f"expected a model that works on {width}×{height} pixels, ONNX Runtime says: {_short(error)}; "
             "name another (--model)"
         ) from error
-    shapes = [np.shape(answer) for answer in answers]
-    if shapes != [(1, 1, *size)] * 2:
-        raise InputError(f"expected a model with two outputs {(1, 1, *size)}, got {shapes}; name another (--model)")
-    inverse_depth, confidence = (np.asarray(answer[0, 0], np.float32) for answer in answers)
-    if not (np.isfinite(inverse_depth).all() and np.isfinite(confidence).all() and (inverse_depth >= 0).all()):
-        raise InputError(
-            "expected a model whose inverse depths and confidences are finite and not negative, got others; "
-            "name another (--model)"
-        )
-    return inverse_depth, np.clip(confidence, 0.0, 1.0)
+    found = [np.shape(answer) for answer in answers]
+    if found != list(shapes):
+        raise InputError(f"expected a model with outputs of {list(shapes)}, got {found}; name another (--model)")
+    arrays = [np.asarray(answer, np.float32) for answer in answers]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise InputError("expected a model whose answers are finite, got others; name another (--model)")
+    return arrays
 
 
 def _short(error: Exception) -> str:

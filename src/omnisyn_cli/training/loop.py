@@ -19,23 +19,31 @@ from typing import Any
 import numpy as np
 import torch
 
-from omnisyn_cli.io.paths import write_errors
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.io import write_image
+from omnisyn_cli.io.paths import make_folder, write_errors
 from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool
+from omnisyn_cli.training.pictures import contact_sheet
+from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.tasks import TASKS, NetworkConfig, TrainConfig, task_named, task_of
+from omnisyn_cli.training.tensorboard import Board
 
 __all__ = ["TrainConfig", "Trainer", "load_network", "train"]
+
+PROCESSOR = Precision(torch.device("cpu"))
 
 
 class Trainer:
     """Network, average, optimiser and step: what a checkpoint holds."""
 
-    def __init__(self, network: NetworkConfig, config: TrainConfig) -> None:
+    def __init__(self, network: NetworkConfig, config: TrainConfig, precision: Precision = PROCESSOR) -> None:
         torch.manual_seed(config.seed)
         self.config = config
+        self.precision = precision
         self.kind = task_of(network)
         self.task = TASKS[self.kind]
-        self.network = self.task.build(network)
+        self.network = self.task.build(network).to(precision.device)
         self.optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
@@ -62,7 +70,7 @@ class Trainer:
         """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""
         self.network.load_state_dict(state.get("weights", state["average"]))
         own = self.network.state_dict()
-        self.average = {name: value.to(own[name].dtype, copy=True) for name, value in state["average"].items()}
+        self.average = {name: value.to(own[name], copy=True) for name, value in state["average"].items()}
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
         self.step = state["step"]
@@ -88,7 +96,8 @@ class Trainer:
         rng = np.random.default_rng([config.seed, self.step])
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate()
-        loss = self.task.loss(self.network, pool, rng, config)
+        with self.precision.autocast():
+            loss = self.task.loss(self.network, pool, rng, config)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
@@ -108,7 +117,7 @@ class Trainer:
         """The network with averaged weights, for use."""
         network = self.task.build(self.network.config)
         network.load_state_dict(self.average)
-        return network.eval()
+        return network.to(self.precision.device).eval()
 
 
 def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -132,10 +141,13 @@ def train(
     minutes: float = math.inf,
     steps: int | None = None,
     report: Callable[[dict[str, Any]], None] = lambda row: None,
+    precision: Precision = PROCESSOR,
+    board: Board | None = None,
 ) -> Trainer:
     """Train until the time or the steps are over or a cool-down has ended; goes on where ``folder`` was left.
 
-    Writes ``checkpoint.pt`` (to resume) and ``log.jsonl`` (one object per validation) into ``folder``.
+    Writes ``checkpoint.pt`` (to resume) and ``log.jsonl`` (one object per validation) into ``folder``, and for networks
+    whose answers can be looked at ``pictures/NNNNNNNN.png`` by step.
 
     Args:
         network: of a fresh run; a run that goes on keeps its own.
@@ -144,18 +156,23 @@ def train(
         minutes: of wall clock, at most.
         steps: total number of steps to reach, at most.
         report: called with each row of the log.
+        precision: where and how to compute; a checkpoint can go on with another one.
+        board: gets each row and the pictures as well.
     """
     path = folder / "checkpoint.pt"
-    trainer = open_trainer(network, config, path)
+    trainer = open_trainer(network, config, path, precision)
     started, losses = time.monotonic(), list[float]()
     pool = list_pool(Path(config.pool))
     while not trainer.is_finished() and (steps is None or trainer.step < steps):
         losses.append(trainer.advance(pool))
         out_of_time = time.monotonic() - started > 60.0 * minutes
         if trainer.step % config.validate_every == 0:
-            row = _log_row(trainer, losses, time.monotonic() - started)
+            row, pictures = _log_row(trainer, losses, time.monotonic() - started)
             _append(folder / "log.jsonl", row)
+            _keep_pictures(folder / "pictures", trainer.step, pictures)
             report(row)
+            if board is not None:
+                board.add(row, pictures)
             losses, pool = [], list_pool(Path(config.pool))
         if trainer.step % config.save_every == 0 or out_of_time:
             save_checkpoint(path, trainer.state())
@@ -165,13 +182,20 @@ def train(
     return trainer
 
 
-def open_trainer(network: NetworkConfig, config: TrainConfig, path: Path) -> Trainer:
-    """A fresh trainer, or the one of the checkpoint at ``path``; a cool-down asked for begins at its step."""
+def open_trainer(network: NetworkConfig, config: TrainConfig, path: Path, precision: Precision = PROCESSOR) -> Trainer:
+    """A fresh trainer, or the one of the checkpoint at ``path``; a cool-down asked for begins at its step.
+
+    Raises:
+        InputError: the checkpoint is of another kind than ``network``, whose data and rate would not suit it.
+    """
     if not path.exists():
-        trainer = Trainer(network, config)
+        trainer = Trainer(network, config, precision)
     else:
         state = load_checkpoint(path)
-        trainer = Trainer(task_named(state.get("kind"), path).config.from_dict(state["network"]), config)
+        task, kind = task_named(state.get("kind"), path), task_of(network)
+        if state["kind"] != kind:
+            raise InputError(f"expected a {kind} network in {path}, got a {state['kind']} network; name another folder")
+        trainer = Trainer(task.config.from_dict(state["network"]), config, precision)
         trainer.restore(state)
     if config.cooldown_steps == 0:
         trainer.cooldown_start = None
@@ -180,11 +204,19 @@ def open_trainer(network: NetworkConfig, config: TrainConfig, path: Path) -> Tra
     return trainer
 
 
-def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> dict[str, Any]:
-    scores = trainer.task.validate(trainer.averaged_network(), trainer.config)
+def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A row of the log, and pictures where the network has some."""
+    network, task = trainer.averaged_network(), trainer.task
+    scores = task.validate(network, trainer.config)
     trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
     row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate(), "loss": float(np.mean(losses))}
-    return row | trainer.scores
+    return row | trainer.scores, task.pictures(network, trainer.config) if task.pictures else {}
+
+
+def _keep_pictures(folder: Path, step: int, pictures: dict[str, np.ndarray]) -> None:
+    if pictures:
+        make_folder(folder, "pictures")
+        write_image(folder / f"{step:08d}.png", contact_sheet(pictures))
 
 
 def _append(path: Path, row: dict[str, Any]) -> None:

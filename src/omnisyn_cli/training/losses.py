@@ -1,7 +1,8 @@
 """What the depth network is told about its answers, and the figures it is judged by.
 
 Targets are roots (the square root of inverse depth × baseline, see :mod:`omnisyn_cli.networks.depth`); every mean over
-pixels is weighted by the sine of the polar angle, that is, by solid angle.
+pixels is weighted by the sine of the polar angle, that is, by solid angle. Targets may be NaN where the truth is not
+known (:func:`depth_loss`, :func:`paper_loss`, :func:`depth_scores`): nothing is taught or judged there.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.networks.refine import RefinePrediction
 
-__all__ = ["DepthScores", "Prediction", "depth_loss", "depth_scores", "polar_weights", "refine_loss"]
+__all__ = ["DepthScores", "Prediction", "depth_loss", "depth_scores", "paper_loss", "polar_weights", "refine_loss"]
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
@@ -75,14 +77,44 @@ def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 heigh
     Source: OmniSyn, section 3.6, in the root instead of inverse depth itself.
     """
     *coarse, final = prediction.roots
-    loss = _root_error(final, target).mean() + GRADIENT_WEIGHT * _gradient_error(final, target)
+    known, target = _known(target)
+    loss = _mean_of(_root_error(final, target), known) + GRADIENT_WEIGHT * _gradient_error(final, target, known)
     for root in coarse:
         stride = target.shape[-1] // root.shape[-1]
-        thinned = target[..., stride // 2 :: stride, stride // 2 :: stride]
-        loss = loss + STAGE_WEIGHT / len(coarse) * _root_error(root, thinned).mean()
+        thin = (..., slice(stride // 2, None, stride), slice(stride // 2, None, stride))
+        loss = loss + STAGE_WEIGHT / len(coarse) * _mean_of(_root_error(root, target[thin]), known[thin])
     right = _is_right(prediction.inverse_depth(), target.square())
     confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
-    return loss + CONFIDENCE_WEIGHT * (confidence * polar_weights(target)).mean()
+    return loss + CONFIDENCE_WEIGHT * _mean_of(confidence * polar_weights(target), known)
+
+
+def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
+    """L1 of inverse depth · baseline of the high head, and half of that of the low head, a scalar.
+
+    Source: OmniSyn, section 3.6. Unlike there an estimate below zero is right where the target is infinitely far.
+
+    Args:
+        prediction: of the paper's network.
+        target: true roots.
+    """
+    known, root = _known(target)
+    inverse_depth, weights = root.square(), polar_weights(root)
+    high, low = (
+        _mean_of(_beyond_zero(estimate, inverse_depth) * weights, known)
+        for estimate in (prediction.high, prediction.low)
+    )
+    return high + STAGE_WEIGHT * low
+
+
+def _known(target: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the truth is known, as zeros and ones, and the target with zeros elsewhere."""
+    known = torch.isfinite(target)
+    return known.to(target.dtype), torch.where(known, target, torch.zeros_like(target))
+
+
+def _mean_of(error: Tensor, known: Tensor) -> Tensor:
+    """Mean over what is known; 0 where nothing is."""
+    return (error * known).mean() / known.mean().clamp(min=torch.finfo(known.dtype).tiny)
 
 
 def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
@@ -110,7 +142,7 @@ def _root_error(root: Tensor, target: Tensor) -> Tensor:
     return _beyond_zero(root, target) * (1.0 + 0.25 / (RELATIVE_FLOOR + target)) * polar_weights(target)
 
 
-def _gradient_error(root: Tensor, target: Tensor) -> Tensor:
+def _gradient_error(root: Tensor, target: Tensor, known: Tensor) -> Tensor:
     """L1 of the difference to the right (over the seam) and downward neighbour, with edges of the target forgiven.
 
     Where the target jumps by more than a tenth the position of the edge is left to the plain L1.
@@ -120,8 +152,10 @@ def _gradient_error(root: Tensor, target: Tensor) -> Tensor:
     for dimension in (-1, -2):
         step = root.roll(-1, dimension) - root
         true_step = target.roll(-1, dimension) - target
+        both_known = known * known.roll(-1, dimension)
         error = (step - true_step).abs() * (true_step.abs() < 0.1) * weights
-        total = total + (error if dimension == -1 else error[..., :-1, :]).mean()
+        kept = slice(None) if dimension == -1 else slice(-1)
+        total = total + _mean_of(error[..., kept, :], both_known[..., kept, :])
     return total
 
 
@@ -162,6 +196,7 @@ def depth_scores(
     estimate, truth = prediction.inverse_depth() / scale, target.square() / scale
     scored = (truth < 1.0 / SCORED_DEPTH[0]) & (truth > 1.0 / SCORED_DEPTH[1])
     ratio = torch.maximum(estimate / truth, truth / estimate.clamp(min=1e-6))[scored]
+    known = torch.isfinite(target)
     right = _is_right(prediction.inverse_depth(), target.square())
     sky = target == 0
     return DepthScores(
@@ -169,6 +204,6 @@ def depth_scores(
         delta_5=float((ratio < 1.05).float().mean()),
         delta_10=float((ratio < 1.10).float().mean()),
         delta_25=float((ratio < 1.25).float().mean()),
-        confidence_error=float((prediction.confidence() - right).abs().mean()),
+        confidence_error=float((prediction.confidence() - right).abs()[known].mean()),
         sky_zero=float((prediction.inverse_depth()[sky] < FARTHEST).float().mean()),
     )

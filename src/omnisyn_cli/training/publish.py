@@ -14,14 +14,22 @@ import numpy as np
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.io.paths import replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
-from omnisyn_cli.networks.export import PARITY, export_depth, export_refine, largest_difference
+from omnisyn_cli.networks.export import PARITY, export_depth, export_fusion, export_refine, largest_difference
+from omnisyn_cli.networks.fusion import FusionConfig
+from omnisyn_cli.networks.paper import PaperConfig
 from omnisyn_cli.networks.refine import RefineConfig
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
 from omnisyn_cli.training.data import draw_batch, list_pool
 from omnisyn_cli.training.evidence import draw_evidence
+from omnisyn_cli.training.frames import forward_batch
+from omnisyn_cli.training.fusion import draw_fusion
+from omnisyn_cli.training.fusion_losses import inputs_of
 from omnisyn_cli.training.loop import load_network
 
 __all__ = ["publish", "write_manifest"]
+
+ROLES: Mapping[str, str] = MappingProxyType({"paper": "depth"})
+"""What a model is for, by the kind of its network, where that is not the kind itself."""
 
 COMPARED = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
@@ -35,7 +43,7 @@ def publish(
     Args:
         checkpoint: of :func:`omnisyn_cli.training.loop.train`.
         folder: gets ``NAME.onnx`` and a new manifest.
-        name: ``KIND-VARIANT`` unless given.
+        name: ``ROLE-VARIANT`` unless given.
         pool: scenes to compare on, besides random inputs.
         training: on what and for how long, for the manifest.
         licence: of the weights.
@@ -48,13 +56,13 @@ def publish(
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
     network, state = load_network(checkpoint)
-    kind = state["kind"]
-    name = name or f"{kind}-{network.config.name}"
+    kind, role = state["kind"], ROLES.get(state["kind"], state["kind"])
+    name = name or f"{role}-{network.config.name}"
     folder.mkdir(parents=True, exist_ok=True)
     path, partial = folder / f"{name}.onnx", folder / f"{name}.partial.onnx"
     export, examples = EXPORTS[kind]
     export(network, partial)
-    size = network.config.size if kind == "depth" else tuple(state["training"]["size"])
+    size = network.config.size if role == "depth" else tuple(state["training"]["size"])
     difference = largest_difference(network, partial, examples(network.config, size, pool))
     if not difference <= PARITY:
         partial.unlink()
@@ -64,7 +72,7 @@ def publish(
     partial.replace(path)
     entry = ModelEntry(
         name=name,
-        role=kind,
+        role=role,
         variant=network.config.name,
         file=path.name,
         sha256=sha256_of(path),
@@ -100,6 +108,15 @@ def _pairs(_config: DepthConfig, size: tuple[int, int], pool: Path | None) -> It
         yield batch.first.numpy(), batch.second.numpy()
 
 
+def _paper_pairs(_config: PaperConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
+    rng = np.random.default_rng(0)
+    for _ in range(COMPARED):
+        yield tuple(rng.random((2, 1, 3, *size), dtype=np.float32))
+    for _ in range(COMPARED if pool is not None else 0):
+        batch = forward_batch(draw_batch(list_pool(pool or Path()), rng, 1, (size[0], 2 * size[0])), size)
+        yield batch.first.numpy(), batch.second.numpy()
+
+
 def _planes(config: RefineConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
     rng = np.random.default_rng(0)
     for _ in range(COMPARED):
@@ -108,7 +125,22 @@ def _planes(config: RefineConfig, size: tuple[int, int], pool: Path | None) -> I
         yield (draw_evidence(list_pool(pool or Path()), rng, 1).planes.numpy(),)
 
 
+def _fusion_planes(config: FusionConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
+    rng = np.random.default_rng(0)
+    for _ in range(COMPARED):
+        yield (rng.random((1, config.planes, *size), dtype=np.float32),)
+    for _ in range(COMPARED if pool is not None else 0):
+        yield (inputs_of(config, draw_fusion(list_pool(pool or Path()), rng, 1).planes).numpy(),)
+
+
 EXPORTS: Mapping[str, tuple[Callable[[Any, Path], None], Callable[..., Iterator[tuple[np.ndarray, ...]]]]] = (
-    MappingProxyType({"depth": (export_depth, _pairs), "refine": (export_refine, _planes)})
+    MappingProxyType(
+        {
+            "depth": (export_depth, _pairs),
+            "paper": (export_depth, _paper_pairs),
+            "refine": (export_refine, _planes),
+            "fusion": (export_fusion, _fusion_planes),
+        }
+    )
 )
 """By the kind of network: how it is written, and what it is compared on."""

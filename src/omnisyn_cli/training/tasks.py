@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -11,19 +11,26 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import Module
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthConfig, DepthNetwork
+from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork, build_fusion
+from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork
 from omnisyn_cli.networks.refine import RefineConfig, RefineNetwork
-from omnisyn_cli.training.data import Augmentation, draw_batch, list_pool
+from omnisyn_cli.training.data import Augmentation, Batch, draw_batch, list_pool
 from omnisyn_cli.training.evidence import draw_evidence, load_evidence
-from omnisyn_cli.training.losses import DepthScores, depth_loss, depth_scores, refine_loss
+from omnisyn_cli.training.frames import forward_batch
+from omnisyn_cli.training.fusion import draw_fusion, load_fusion
+from omnisyn_cli.training.fusion_losses import FusionScores, fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.losses import DepthScores, depth_loss, depth_scores, paper_loss, refine_loss
+from omnisyn_cli.training.pictures import depth_pictures
 
 __all__ = ["TASKS", "NetworkConfig", "Task", "TrainConfig", "task_named", "task_of"]
 
 VALIDATION_SEED = 1
 
-NetworkConfig = DepthConfig | RefineConfig
+NetworkConfig = DepthConfig | PaperConfig | RefineConfig | FusionConfig
 
 
 @dataclass(frozen=True)
@@ -71,34 +78,66 @@ class Task:
         build: a fresh network of a configuration.
         loss: of a network on a batch drawn from a pool, a scalar.
         validate: figures of a network on fixed pairs without augmentation, the mean over pairs.
+        pictures: what a network makes of the first of these pairs, RGB in [0, 1] by name; None where nobody looks.
     """
 
     config: type[Any]
     build: Callable[[Any], Any]
     loss: Callable[[Any, list[Path], np.random.Generator, TrainConfig], Tensor]
     validate: Callable[[Any, TrainConfig], dict[str, float]]
+    pictures: Callable[[Any, TrainConfig], dict[str, np.ndarray]] | None = None
+
+
+def on_device(network: Module, *tensors: Tensor) -> list[Tensor]:
+    """The tensors where the network's weights are."""
+    device = next(network.parameters()).device
+    return [tensor.to(device) for tensor in tensors]
 
 
 def _depth_loss(network: DepthNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
     batch = draw_batch(pool, rng, config.batch, config.size, Augmentation(), network.config.greatest_root)
-    return depth_loss(network(batch.first, batch.second), batch.root)
+    first, second, root = on_device(network, batch.first, batch.second, batch.root)
+    return depth_loss(network(first, second), root)
+
+
+def _paper_loss(network: PaperNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
+    height = config.size[0]
+    drawn = draw_batch(pool, rng, config.batch, (height, 2 * height), Augmentation())
+    batch = forward_batch(drawn, config.size)
+    first, second, root = on_device(network, batch.first, batch.second, batch.root)
+    return paper_loss(network(first, second), root)
 
 
 @torch.no_grad()
-def _validate_depth(network: DepthNetwork, config: TrainConfig) -> dict[str, float]:
-    pool = list_pool(Path(config.validation_pool))
+def _validate_depth(network: DepthNetwork | PaperNetwork, config: TrainConfig) -> dict[str, float]:
     scores = []
     for index in range(config.validation_pairs):
-        rng = np.random.default_rng([VALIDATION_SEED, index])
-        scene = pool[index % len(pool)]
-        batch = draw_batch([scene], rng, 1, config.size, greatest_root=network.config.greatest_root)
-        scores.append(depth_scores(network(batch.first, batch.second), batch.root, batch.baseline))
+        batch = _validation_batch(network, config, index)
+        first, second, root, baseline = on_device(network, batch.first, batch.second, batch.root, batch.baseline)
+        scores.append(depth_scores(network(first, second), root, baseline))
     return _mean(scores)
+
+
+def _validation_batch(network: DepthNetwork | PaperNetwork, config: TrainConfig, index: int) -> Batch:
+    """A pair of the scene at ``index``, always the same, in the network's frame."""
+    pool, height = list_pool(Path(config.validation_pool)), config.size[0]
+    rng, scenes = np.random.default_rng([VALIDATION_SEED, index]), [pool[index % len(pool)]]
+    if isinstance(network, PaperNetwork):
+        return forward_batch(draw_batch(scenes, rng, 1, (height, 2 * height)), config.size)
+    return draw_batch(scenes, rng, 1, config.size, greatest_root=network.config.greatest_root)
+
+
+@torch.no_grad()
+def _show_depth(network: DepthNetwork | PaperNetwork, config: TrainConfig) -> dict[str, np.ndarray]:
+    batch = _validation_batch(network, config, 0)
+    found = network(*on_device(network, batch.first, batch.second)).inverse_depth().sqrt().cpu()
+    return depth_pictures(batch.first[0].permute(1, 2, 0).numpy(), found[0, 0].numpy(), batch.root[0, 0].numpy())
 
 
 def _refine_loss(network: RefineNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
     batch = draw_evidence(pool, rng, config.batch)
-    return refine_loss(network(batch.planes), batch.root)
+    planes, root = on_device(network, batch.planes, batch.root)
+    return refine_loss(network(planes), root)
 
 
 @torch.no_grad()
@@ -107,22 +146,43 @@ def _validate_refine(network: RefineNetwork, config: TrainConfig) -> dict[str, f
     scores = []
     for index in range(config.validation_pairs):
         pair = load_evidence(pool[index % len(pool)])[index // len(pool) % 2]
-        planes = torch.from_numpy(pair.planes)[None]
-        root, baseline = torch.from_numpy(pair.root)[None, None], torch.tensor([pair.baseline])
+        plain = torch.from_numpy(pair.planes)[None], torch.from_numpy(pair.root)[None, None]
+        planes, root, baseline = on_device(network, *plain, torch.tensor([pair.baseline]))
         scores.append(depth_scores(network(planes), root, baseline))
     return _mean(scores)
 
 
-def _mean(scores: list[DepthScores]) -> dict[str, float]:
+def _fusion_loss(
+    network: FusionNetwork | PaintingNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig
+) -> Tensor:
+    batch = draw_fusion(pool, rng, config.batch)
+    planes, truth = on_device(network, batch.planes, batch.truth)
+    return fusion_loss(fused_by(network, planes), truth)
+
+
+@torch.no_grad()
+def _validate_fusion(network: FusionNetwork | PaintingNetwork, config: TrainConfig) -> dict[str, float]:
+    pool = list_pool(Path(config.validation_pool))
+    scores = []
+    for index in range(config.validation_pairs):
+        sample = load_fusion(pool[index % len(pool)], index // len(pool))[0]
+        planes, truth = on_device(network, torch.from_numpy(sample.planes)[None], torch.from_numpy(sample.truth)[None])
+        scores.append(fusion_scores(fused_by(network, planes), planes, truth))
+    return _mean(scores)
+
+
+def _mean(scores: Sequence[DepthScores | FusionScores]) -> dict[str, float]:
     """Over pairs; NaN, as of pairs without sky, is left out."""
     rows = torch.tensor([list(asdict(score).values()) for score in scores])
-    return asdict(DepthScores(*rows.nanmean(dim=0).tolist()))
+    return dict(zip(asdict(scores[0]), rows.nanmean(dim=0).tolist(), strict=True))
 
 
 TASKS: Mapping[str, Task] = MappingProxyType(
     {
-        "depth": Task(DepthConfig, DepthNetwork, _depth_loss, _validate_depth),
+        "depth": Task(DepthConfig, DepthNetwork, _depth_loss, _validate_depth, _show_depth),
+        "paper": Task(PaperConfig, PaperNetwork, _paper_loss, _validate_depth, _show_depth),
         "refine": Task(RefineConfig, RefineNetwork, _refine_loss, _validate_refine),
+        "fusion": Task(FusionConfig, build_fusion, _fusion_loss, _validate_fusion),
     }
 )
 """By the kind that a checkpoint names."""

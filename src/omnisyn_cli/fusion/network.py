@@ -1,0 +1,104 @@
+"""Fusion with a network: the geometric fusion, corrected where the views contradict each other, and better holes.
+
+The network looks at both renderings at a size of its own and says, for each pixel, by how much the geometric weights
+are to be shifted from one view to the other, and what is to be added to the colour that a hole was filled with. What is
+seen keeps the sharpness of the photographs at any size of the frames; where both views agree nothing changes; towards
+the ends of the way the corrections fade, so that both ends are the photographs themselves.
+
+Source: OmniSyn, section 3.5, with weights in the place of colours.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.fusion.geometric import BlendOptions, GeometricFuser, is_in_place
+from omnisyn_cli.fusion.network_kernels import colour_holes, correct_rows
+from omnisyn_cli.fusion.planes import FusionPlanes, PlaneMaker
+from omnisyn_cli.types import Rendering
+
+__all__ = ["MULTIPLE", "WORKING_ROWS", "FusionCorrection", "NetworkFuser", "working_size"]
+
+WORKING_ROWS = 256
+"""Rows that the network looks at: those that it was trained with."""
+
+MULTIPLE = 32
+"""It halves its input five times."""
+
+
+LEAST_STRENGTH = 1e-6
+"""So close to an end the correction could change no colour, and weights may be too small for their ratio to be one."""
+
+
+class FusionCorrection(Protocol):
+    """A trained fusion network, however it is run."""
+
+    def __call__(
+        self, planes: Float32[np.ndarray, "planes height width"]
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "3 height width"]]:
+        """What to add to the log-ratio of the weights, and to the colours of holes; ``planes`` as in ``planes``."""
+        ...
+
+
+def working_size(size: tuple[int, int], rows: int = WORKING_ROWS) -> tuple[int, int] | None:
+    """Height and width that the network works at for frames of ``size``; None where frames are too small for it."""
+    height = min(rows, size[0], size[1] // 2) // MULTIPLE * MULTIPLE
+    return (height, 2 * height) if height else None
+
+
+class NetworkFuser(GeometricFuser):
+    """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
+
+    Args:
+        size: height and width of the frames; where they are lower than :data:`MULTIPLE` the fusion is geometric.
+        correction: the network.
+        options: of the geometric fusion.
+        threads: at most this many; None is one per core.
+        rows: that the network looks at, at most.
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        correction: FusionCorrection,
+        options: BlendOptions | None = None,
+        threads: int | None = None,
+        rows: int = WORKING_ROWS,
+    ) -> None:
+        super().__init__(size, options, threads)
+        self._correction = correction
+        small = working_size(size, rows)
+        self._planes = None if small is None else PlaneMaker(small, self.options.disagreement, threads)
+
+    def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
+        """The fused picture, every pixel of it filled, never negative; the next call overwrites it.
+
+        Worths are changed in place as in :class:`~omnisyn_cli.fusion.geometric.GeometricFuser`.
+
+        Raises:
+            InputError: the network does not take the planes, or answers something else.
+        """
+        strictness = self._settle(first, second, t)
+        self._blend(first, second, t, strictness)
+        seen = self._look(first, second, t, strictness)
+        if seen is None:
+            self._filler(self._image, self._weight)
+            return self._image
+        correction, colours = self._correction(seen.planes)
+        strength = np.float32(strictness)
+        inputs = self._inputs(first, second, t, strictness)
+        shift = strength * seen.doubt * correction
+        self._run(correct_rows, *inputs, shift, seen.log_ratio, seen.both, self._image)
+        self._filler(self._image, self._weight)
+        self._run(colour_holes, self._weight, colours, seen.holes, strength, self._image)
+        return self._image
+
+    def _look(self, first: Rendering, second: Rendering, t: float, strictness: float) -> FusionPlanes | None:
+        """What the network is to see; None where it has no say."""
+        if self._planes is None or strictness < LEAST_STRENGTH or is_in_place(first, second):
+            return None
+        seen = self._planes(first, second, t, self.options.hidden**strictness)
+        return None if seen.is_settled else seen

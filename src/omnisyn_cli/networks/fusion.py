@@ -1,0 +1,212 @@
+"""Two renderings become one picture: the paper's UNet, and a smaller network that corrects the geometric fusion.
+
+``paper`` paints: renderings and visibility masks in, colours out, at one resolution. ``residual`` sees more (inverse
+depth, the position on the way, what the geometric fusion makes of it, see :mod:`omnisyn_cli.fusion.planes`) and answers
+less: a shift of the blend weights and an addition to the colours of holes. The shift is made of how much more or less
+decided the weights are to be than the geometric ones, and of a preference for one of the views. All of it is 0 in a
+fresh network, which therefore is the geometric fusion; and because photographs are chosen from, not painted, the frames
+are as sharp as they are, at any size.
+
+Source: OmniSyn, section 3.5.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from omnisyn_cli.networks.layers import (
+    LEAK,
+    ResidualBlock,
+    WrappedConv,
+    initialise,
+    sizes,
+    upsample_nearest,
+    wrap_columns,
+)
+
+__all__ = [
+    "FUSION_VARIANTS",
+    "FusionConfig",
+    "FusionCorrections",
+    "FusionNetwork",
+    "PaintingNetwork",
+    "build_fusion",
+    "upsample_bilinear",
+]
+
+GREATEST_SHIFT = 8.0
+"""Of the log-ratio of two weights: enough to turn almost any of them round."""
+
+LOG_RATIO_PLANE, GREATEST_LOG = 13, 8.0
+"""Of the input: the log-ratio of the geometric weights, and what it was divided by."""
+
+PACE = 8.0
+"""Answers are this many times what the last convolution says, so that they leave zero soon."""
+
+PAPER_LEAK = 0.01
+
+
+@dataclass(frozen=True)
+class FusionConfig:
+    """What makes one fusion network differ from another.
+
+    Attributes:
+        name: of the variant.
+        planes: input channels.
+        widths: channels, from fine to coarse; those of ``paints`` begin at full resolution and end in the middle, the
+            others begin at stride 2.
+        fine: channels at full resolution of a network that does not paint.
+        paints: whether it answers with colours, as in the paper, or with corrections.
+    """
+
+    name: str
+    planes: int
+    widths: tuple[int, ...]
+    fine: int = 0
+    paints: bool = False
+
+    @property
+    def size_multiple(self) -> int:
+        """Heights and widths have to be a multiple of this."""
+        return int(2 ** (len(self.widths) - self.paints))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> FusionConfig:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        return FusionConfig(**plain)
+
+
+FUSION_VARIANTS = {
+    "residual": FusionConfig("residual", planes=20, widths=(20, 32, 48, 64, 96), fine=8),
+    "paper": FusionConfig("paper", planes=8, widths=(16, 32, 64, 128, 256, 512, 1024), paints=True),
+}
+"""The networks by name."""
+
+
+@dataclass(frozen=True)
+class FusionCorrections:
+    """What is changed in the geometric fusion.
+
+    Attributes:
+        shift: ``(batch, 1, height, width)`` added to log(weight of the first / weight of the second).
+        colour: ``(batch, 3, height, width)`` added to the colours of holes.
+    """
+
+    shift: Tensor
+    colour: Tensor
+
+
+class FusionNetwork(nn.Module):
+    """Planes in, corrections out; any size that is a multiple of ``config.size_multiple``."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        super().__init__()
+        self.config = config
+        widths = config.widths
+        self.stem = ResidualBlock(4 * config.planes, widths[0])
+        self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
+        self.middle = ResidualBlock(widths[-1], widths[-1])
+        self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
+        self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
+        self.spread = nn.Conv2d(widths[0], 4 * config.fine, 1)
+        self.look = WrappedConv(config.planes, config.fine)
+        self.fine = ResidualBlock(config.fine, config.fine)
+        self.answer = WrappedConv(config.fine, 5)
+        initialise(self)
+        nn.init.zeros_(self.answer.weight)
+
+    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> FusionCorrections:
+        """Correct.
+
+        Raises:
+            ValueError: the size is not a multiple of ``config.size_multiple``.
+        """
+        _check_size(planes, self.config.size_multiple)
+        x = self.stem(functional.pixel_unshuffle(planes, 2))
+        skips = []
+        for block in self.down:
+            skips.append(x)
+            x = block(x)
+        x = self.middle(x)
+        for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
+            x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
+        x = functional.pixel_shuffle(self.spread(x), 2)
+        x = self.fine(functional.leaky_relu(x + self.look(planes), LEAK))
+        stretch, shift, colour = self.answer(x).split([1, 1, 3], dim=1)
+        log_ratio = GREATEST_LOG * planes[:, LOG_RATIO_PLANE : LOG_RATIO_PLANE + 1]
+        shift = log_ratio * (torch.exp(PACE * stretch) - 1.0) + PACE * shift
+        return FusionCorrections(GREATEST_SHIFT * torch.tanh(shift / GREATEST_SHIFT), colour)
+
+
+class PaintingBlock(nn.Module):
+    """Two times pad, convolution, LeakyReLU (paper, section 3.5)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.first = WrappedConv(inputs, outputs)
+        self.second = WrappedConv(outputs, outputs)
+
+    def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Float[Tensor, "batch outputs height width"]:
+        """The same size."""
+        inner = functional.leaky_relu(self.first(x), PAPER_LEAK)
+        return functional.leaky_relu(self.second(inner), PAPER_LEAK)
+
+
+class PaintingNetwork(nn.Module):
+    """The UNet of the paper: colours of two renderings and two visibility masks in, colours out."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        super().__init__()
+        self.config = config
+        *widths, middle = config.widths
+        self.down = nn.ModuleList(PaintingBlock(a, b) for a, b in itertools.pairwise([config.planes, *widths]))
+        self.middle = PaintingBlock(widths[-1], middle)
+        inputs, outputs = [middle, *(2 * width for width in widths[-2::-1])], [*widths[-2::-1], widths[0]]
+        self.up = nn.ModuleList(PaintingBlock(a, b) for a, b in zip(inputs, outputs, strict=True))
+        self.answer = WrappedConv(widths[0], 3)
+        initialise(self, gain=1.0)
+
+    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 3 height width"]:
+        """Paint.
+
+        Raises:
+            ValueError: the size is not a multiple of ``config.size_multiple``.
+        """
+        _check_size(planes, self.config.size_multiple)
+        x, skips = planes, []
+        for block in self.down:
+            x = block(x)
+            skips.append(x)
+            x = functional.avg_pool2d(x, 2)
+        x = self.up[0](upsample_bilinear(self.middle(x)))
+        for block, skip in zip(self.up[1:], skips[-2::-1], strict=True):
+            x = block(torch.cat([upsample_bilinear(x), skip], dim=1))
+        colours: Tensor = self.answer(x)
+        return colours
+
+
+def build_fusion(config: FusionConfig) -> FusionNetwork | PaintingNetwork:
+    """A fresh network of a configuration."""
+    return PaintingNetwork(config) if config.paints else FusionNetwork(config)
+
+
+def upsample_bilinear(x: Float[Tensor, "batch channels height width"]) -> Tensor:
+    """Twice the size, bilinear, across the seam as everywhere else; the first and last row repeat at the poles."""
+    return functional.interpolate(wrap_columns(x, 1, 1), scale_factor=2.0, mode="bilinear")[..., 2:-2]
+
+
+def _check_size(planes: Tensor, multiple: int) -> None:
+    if any(size % multiple for size in sizes(planes)[-2:]):
+        raise ValueError(f"expected a size of multiples of {multiple}, got {sizes(planes)[-2:]}")

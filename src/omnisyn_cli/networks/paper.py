@@ -1,0 +1,326 @@
+"""The depth network of the paper, layer for layer: a sphere sweep of learned features, a 3-D UNet, two heads.
+
+Both panoramas come in the frame of :func:`omnisyn_cli.geometry.sweep.forward_frame`: the second camera lies straight
+ahead and up is up, so that the sweep is a constant. Everything is in ``inverse depth · baseline``, dimensionless.
+
+1. A UNet makes 32 features of each panorama at a quarter of its size.
+2. For each of 64 spheres, even in inverse depth, the second panorama's features as the first camera would see them
+   painted on that sphere; the absolute difference from the first panorama's own.
+3. A 3-D UNet takes this volume to one number for each sphere and direction.
+4. The low head, a 1×1 convolution, makes inverse depth of them; the high head does it at full size with the first
+   panorama's features beside them (the monocular skip).
+
+Blocks are two convolutions with LeakyReLU, without normalisation; a channel with the row comes before the first. What
+the authors' own programs do at edges is not repeated: pixels are sampled where they are (theirs: half a pixel off), the
+sweep and every enlargement go across the seam, the frame is turned in full 3-D, and inverse depth is never negative.
+
+Source: OmniSyn, sections 3.1 to 3.4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_to_angles
+from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
+
+__all__ = [
+    "AHEAD",
+    "PAPER_VARIANTS",
+    "PaperConfig",
+    "PaperNetwork",
+    "PaperPrediction",
+    "sphere_inverse_depths",
+    "sweep_grid",
+    "sweep_volume",
+]
+
+LEAK = 0.01
+"""Slope of the LeakyReLU below zero."""
+
+FEATURE_STRIDE = 4
+"""Pixels of the image per cell of the sphere volume."""
+
+NEAREST = 4.0
+"""Largest ``inverse depth · baseline`` that is answered."""
+
+AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
+"""Second from first camera in the forward frame, in baselines: what the first sees straight ahead comes nearer."""
+
+AGREEMENT = 0.1
+"""Relative difference between both heads at which the confidence is a half."""
+
+AGREEMENT_FLOOR = 0.02
+"""Inverse depth · baseline below which differences are no longer relative."""
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """The network's sizes; those of the paper unless changed.
+
+    Attributes:
+        name: of the variant.
+        size: ``(height, width)`` it is trained and exported at; multiples of 32.
+        widths: channels of the features' encoder; the last is the bottleneck. Features have as many as the second.
+        volume_widths: the same for the 3-D UNet.
+        levels: spheres of the volume, a multiple of 8.
+        nearest_sphere: its inverse depth · baseline; the farthest is at infinity.
+    """
+
+    name: str
+    size: tuple[int, int]
+    widths: tuple[int, ...] = (16, 32, 64, 128, 256, 512)
+    volume_widths: tuple[int, ...] = (64, 128, 256, 512)
+    levels: int = 64
+    nearest_sphere: float = 2.0
+
+    @property
+    def size_multiple(self) -> int:
+        """Heights and widths have to be a multiple of this."""
+        return max(int(2 ** (len(self.widths) - 1)), FEATURE_STRIDE * int(2 ** (len(self.volume_widths) - 1)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> PaperConfig:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        return PaperConfig(**plain)
+
+
+PAPER_VARIANTS = {
+    "paper": PaperConfig("paper", (256, 512)),
+    "paper-square": PaperConfig("paper-square", (256, 256)),
+}
+"""The network by name: with square pixels, and with the authors' square images."""
+
+
+@dataclass(frozen=True)
+class PaperPrediction:
+    """What the network says about the first panorama.
+
+    Attributes:
+        low: ``(batch, 1, height, width)`` inverse depth · baseline of the low head, enlarged to the image's size.
+        high: ``(batch, 1, height, width)`` of the high head. Slightly negative values mean "infinitely far".
+    """
+
+    low: Tensor
+    high: Tensor
+
+    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
+        """Inverse depth · baseline of the high head, bounded, never negative."""
+        return self.high.clamp(0.0, NEAREST)
+
+    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
+        """How well both heads agree, in (0, 1]; the paper's network has no confidence of its own."""
+        high, low = self.inverse_depth(), self.low.clamp(0.0, NEAREST)
+        apart = (high - low) / (AGREEMENT * torch.maximum(high, low).clamp(min=AGREEMENT_FLOOR))
+        return 1.0 / (1.0 + apart.square())
+
+
+def sphere_inverse_depths(config: PaperConfig) -> Float[np.ndarray, " levels"]:
+    """Inverse depth · baseline of the spheres, in even steps from infinity to the nearest."""
+    spheres: np.ndarray = np.linspace(0.0, config.nearest_sphere, config.levels)
+    return spheres
+
+
+def sweep_grid(
+    inverse_depths: Float[np.ndarray, " levels"], size: tuple[int, int], second_from_first: Pose = AHEAD
+) -> Float[np.ndarray, "levels height width 2"]:
+    """Where the second camera sees the points of each sphere, for ``grid_sample`` with aligned corners, float32.
+
+    The coordinates are those of features with a column more at each side and a row more at each pole
+    (:func:`sweep_volume` adds them), so that no sample falls into a gap at the seam.
+
+    Args:
+        inverse_depths: of the spheres around the first camera, 1/m.
+        size: height and width of the features.
+        second_from_first: rigid transform, metres.
+    """
+    height, width = size
+    directions = np.broadcast_to(pixel_directions(height, width), (len(inverse_depths), height, width, 3))
+    moved = sweep_directions(directions, inverse_depths[:, None, None], second_from_first)
+    row, col = direction_to_pixel(moved, size)
+    x, y = 2.0 * (col + 1.0) / (width + 1.0) - 1.0, 2.0 * (row + 1.0) / (height + 1.0) - 1.0
+    return np.stack([x, y], axis=-1).astype(np.float32)
+
+
+def sweep_volume(
+    first: Float[Tensor, "batch channels height width"],
+    second: Float[Tensor, "batch channels height width"],
+    grid: Float[Tensor, "levels height width 2"],
+) -> Float[Tensor, "batch channels levels height width"]:
+    """Absolute difference of the first panorama's features and the second's on each sphere, single precision."""
+    batch, channels, height, width = sizes(first)
+    levels = sizes(grid)[0]
+    flat = grid.to(first.device).reshape(1, levels * height, width, 2).expand(batch, -1, -1, -1)
+    swept = functional.grid_sample(
+        _around(second.float()), flat, mode="bilinear", padding_mode="border", align_corners=True
+    )
+    return (swept.view(batch, channels, levels, height, width) - first.float().unsqueeze(2)).abs()
+
+
+def _around(features: Tensor) -> Tensor:
+    """A column more at each side, from over the seam, and a row more at each pole, from over the pole."""
+    half = sizes(features)[-1] // 2
+    opposite = torch.cat([features[..., half:], features[..., :half]], dim=-1)
+    return wrap_columns(torch.cat([opposite[..., :1, :], features, opposite[..., -1:, :]], dim=-2), 1, 1)
+
+
+@lru_cache(maxsize=4)
+def _grid(config: PaperConfig, height: int, width: int) -> Tensor:
+    return torch.from_numpy(sweep_grid(sphere_inverse_depths(config), (height, width)))
+
+
+class PaperNetwork(nn.Module):
+    """Two panoramas in, the first one's ``inverse depth · baseline`` out; see the module's docstring."""
+
+    frame = "forward"
+    """How the panoramas are held, see :mod:`omnisyn_cli.geometry.sweep`."""
+
+    def __init__(self, config: PaperConfig) -> None:
+        super().__init__()
+        self.config = config
+        features = config.widths[1]
+        self.features = UNet(3, config.widths, finest=FEATURE_STRIDE.bit_length() - 1)
+        self.volume = UNet(features, config.volume_widths, finest=0, volumetric=True)
+        self.low_head = nn.Conv2d(config.levels, 1, 1)
+        self.high_head = nn.Sequential(
+            Block(config.levels + features, features, enlarge=True),
+            Block(features, config.widths[0], enlarge=True),
+            Block(config.widths[0], 1, leak=1.0),
+        )
+        initialise(self)
+
+    def forward(
+        self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
+    ) -> PaperPrediction:
+        """Estimate the first panorama's depth.
+
+        Args:
+            first: colours in [0, 1], in the forward frame, the centre looking at the second camera.
+            second: the same for the other camera, in the same frame.
+
+        Raises:
+            ValueError: the height or the width is not a multiple of 32.
+        """
+        height, width = sizes(first)[-2:]
+        multiple = self.config.size_multiple
+        if height % multiple or width % multiple:
+            raise ValueError(f"expected images of multiples of {multiple} rows and columns, got {height}×{width}")
+        of_first, of_second = self.features(torch.cat([first, second])).chunk(2)
+        grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE)
+        spheres = self.volume(sweep_volume(of_first, of_second, grid)).squeeze(1)  # (batch, levels, height/4, width/4)
+        low = enlarged(self.low_head(spheres), FEATURE_STRIDE)
+        high = self.high_head(torch.cat([spheres, of_first.to(spheres.dtype)], dim=1))
+        return PaperPrediction(low.float(), high.float())
+
+    def grid(self, height: int, width: int) -> Float[Tensor, "levels height width 2"]:
+        """The sweep for features of a size."""
+        return _grid(self.config, height, width)
+
+
+class UNet(nn.Module):
+    """Blocks downwards with average pooling, and upwards with linear enlargement and skips.
+
+    As in the authors' network the first block on the way up has no skip, and every block there has half the channels
+    of the level that it comes from.
+
+    Args:
+        inputs: channels.
+        widths: channels of the levels downwards; the last is the bottleneck.
+        finest: level that the way up ends at; where it is 0 there is one output channel.
+        volumetric: volumes instead of images.
+    """
+
+    def __init__(self, inputs: int, widths: tuple[int, ...], *, finest: int, volumetric: bool = False) -> None:
+        super().__init__()
+        self.finest, self.deepest = finest, len(widths) - 2
+        self.pool: nn.Module = nn.AvgPool3d(2) if volumetric else nn.AvgPool2d(2)
+        entering = (inputs, *widths[:-1])
+        self.down = nn.ModuleList(Block(a, b, volumetric=volumetric) for a, b in zip(entering, widths, strict=True))
+        self.up = nn.ModuleList(
+            Block(
+                widths[-1] if level == self.deepest else 2 * widths[level],
+                widths[level - 1] if level else 1,
+                volumetric=volumetric,
+            )
+            for level in range(self.deepest, finest - 1, -1)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(batch, channels, *sizes)``, smaller by ``2 ** finest`` than the input."""
+        skips = []
+        for block in self.down[:-1]:
+            skips.append(block(x))
+            x = self.pool(skips[-1])
+        x = self.down[-1](x)
+        for level, block in zip(range(self.deepest, self.finest - 1, -1), self.up, strict=True):
+            x = enlarged(x, 2)
+            x = block(x if level == self.deepest else torch.cat([x, skips[level].to(x.dtype)], dim=1))
+        return x
+
+
+class Block(nn.Module):
+    """Two 3×3 (or 3×3×3) convolutions with LeakyReLU; columns wrap, the other sides see zeros.
+
+    Args:
+        inputs: channels, without the row.
+        outputs: channels.
+        volumetric: volumes instead of images.
+        enlarge: the input becomes twice as large first.
+        leak: slope below zero; 1 leaves both convolutions linear.
+    """
+
+    def __init__(
+        self, inputs: int, outputs: int, *, volumetric: bool = False, enlarge: bool = False, leak: float = LEAK
+    ) -> None:
+        super().__init__()
+        convolution = nn.Conv3d if volumetric else nn.Conv2d
+        padding = (1, 1, 0) if volumetric else (1, 0)
+        self.enlarge, self.leak = enlarge, leak
+        self.first = convolution(inputs + 1, outputs, 3, padding=padding)  # type: ignore[arg-type]
+        self.second = convolution(outputs, outputs, 3, padding=padding)  # type: ignore[arg-type]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``(batch, outputs, *sizes)``."""
+        x = torch.cat([x, row_channel(x)], dim=1)
+        if self.enlarge:
+            x = enlarged(x, 2)
+        for convolution in (self.first, self.second):
+            x = functional.leaky_relu(convolution(wrap_columns(x, 1, 1)), self.leak)
+        return x
+
+
+def row_channel(like: Tensor) -> Tensor:
+    """CoordConv: one channel with the polar angle as a share of a half turn, in (0, 1).
+
+    Args:
+        like: ``(batch, channels, *sizes)``, rows and columns last.
+    """
+    batch, _, *inner = sizes(like)
+    row = torch.arange(inner[-2], dtype=torch.float32, device=like.device)
+    polar_angle: Tensor = pixel_to_angles(row, row, (inner[-2], inner[-1]))[1] / math.pi
+    return polar_angle.to(like.dtype)[:, None].expand(batch, 1, *inner)
+
+
+def enlarged(x: Tensor, factor: int) -> Tensor:
+    """Linear interpolation between the centres of cells, across the seam, in all dimensions but batch and channels."""
+    mode = "trilinear" if x.ndim == 5 else "bilinear"
+    wide: Tensor = functional.interpolate(
+        wrap_columns(x, 1, 1), scale_factor=float(factor), mode=mode, align_corners=False
+    )
+    return wide[..., factor:-factor]

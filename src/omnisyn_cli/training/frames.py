@@ -1,0 +1,68 @@
+"""Training pairs in the paper's frame: pools hold them with the other camera at the zenith, the paper looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.training.data import Batch
+
+__all__ = ["EPIPOLE_FROM_FORWARD", "forward_batch"]
+
+EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""The same rotation for every pair: straight ahead becomes the zenith, up becomes the rear (the seam's middle)."""
+
+EDGE = 0.05
+"""Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
+
+BORDER = 3
+"""Pixels from over the seam and the poles that interpolation may reach for."""
+
+
+def forward_batch(batch: Batch, size: tuple[int, int]) -> Batch:
+    """A batch in the epipole frame, turned into the forward frame and taken to ``size``, which may be square.
+
+    Colours are interpolated with cubic weights, roots linearly on surfaces and not at all across edges.
+    """
+    height = batch.first.shape[-2]
+    first, second = (_turned_colours(images, (height, 2 * height), size) for images in (batch.first, batch.second))
+    root = np.stack([_turned_roots(root, size) for root in batch.root[:, 0].numpy()])
+    return replace(batch, first=first, second=second, root=torch.from_numpy(root).unsqueeze(1))
+
+
+def _turned_colours(images: Tensor, turned: tuple[int, int], size: tuple[int, int]) -> Tensor:
+    made = []
+    for image in images.permute(0, 2, 3, 1).numpy():
+        sharp = np.clip(_remapped(image, turned, cv2.INTER_CUBIC), 0.0, 1.0)
+        made.append(sharp if size == turned else cv2.resize(sharp, size[::-1], interpolation=cv2.INTER_AREA))
+    return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2).contiguous()
+
+
+def _turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) -> Float32[np.ndarray, "height width"]:
+    smooth, nearest = (_remapped(root, size, kind) for kind in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))
+    return np.where(np.abs(smooth - nearest) <= EDGE * nearest, smooth, nearest)  # what is unknown stays unknown
+
+
+def _remapped(
+    image: Float32[np.ndarray, "rows cols *channels"], size: tuple[int, int], interpolation: int
+) -> np.ndarray:
+    rows, cols = image.shape[:2]
+    row, col = np.mgrid[-BORDER : rows + BORDER, -BORDER : cols + BORDER]
+    padded = np.ascontiguousarray(image[wrap_pixel(row, col, rows, cols)])
+    row_map, col_map = _maps((rows, cols), size)
+    return np.asarray(cv2.remap(padded, col_map, row_map, interpolation))
+
+
+@lru_cache(maxsize=4)
+def _maps(source: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the bordered source that pixels of the turned image look at."""
+    row, col = direction_to_pixel(pixel_directions(*size) @ EPIPOLE_FROM_FORWARD.T, source)
+    return (row + BORDER).astype(np.float32), (col + BORDER).astype(np.float32)

@@ -1,0 +1,255 @@
+"""Training data for the fusion network: renderings from estimated depth as the program makes them, and the truth.
+
+A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a straight way through the scene are
+photographed, their depth is estimated, both surfaces are rendered from places in between. For each place ``k``:
+
+* ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes`,
+* ``truth_k`` ``(3, height, width)`` float16, the scene as it is seen from there, in [0, 1].
+
+Renderings are made at twice that size and reduced as in the program, and some poses are a little wrong, as in life.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from omnisyn_cli.estimators import make_estimator
+from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.network import NetworkFuser
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector, slerp
+from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.scenes import Scene, generate_scene, render_panorama, sample_path
+from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.training.pool import scene_path
+from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimator, View
+
+__all__ = [
+    "FusionBatch",
+    "FusionPoolConfig",
+    "FusionSample",
+    "draw_fusion",
+    "exchanged",
+    "load_fusion",
+    "make_fusion_scene",
+]
+
+OVERSIZE = 2
+"""Photographs and renderings are this many times as high as the planes."""
+
+WINDOWS = 4
+"""A step looks at this fraction of the columns of a sample: most pixels teach nothing."""
+
+LEAST_RELEVANCE = 1e-3
+
+PAIRS_OF_VIEWS = (
+    (plane.FIRST, plane.SECOND, 3),
+    (plane.WORTH, plane.WORTH + 1, 1),
+    (plane.ROOT, plane.ROOT + 1, 1),
+    (plane.SEEN, plane.SEEN + 1, 1),
+)
+"""Of the first view, of the second, and how many: what changes places when the views do."""
+
+SIGNED = (plane.LOG_RATIO, plane.GAP, plane.TIME)
+"""What changes its sign then."""
+
+
+@dataclass(frozen=True)
+class FusionPoolConfig:
+    """How scenes are rendered.
+
+    Attributes:
+        size: ``(height, width)`` of the planes.
+        kinds: of scenes, in turn by seed.
+        places: per scene.
+        shares: of the way, between which the places lie.
+        matched: share of scenes whose depth comes from matching alone, the others' being refined by a network.
+        rows: that matching works towards.
+        model: that refines.
+        tilts: standard deviations of pitch and roll that a scene draws one of, radians.
+        turned: share of scenes with pose errors.
+        turned_by: standard deviation of those, radians.
+    """
+
+    size: tuple[int, int] = (256, 512)
+    kinds: tuple[str, ...] = ("room", "street")
+    places: int = 3
+    shares: tuple[float, float] = (0.1, 0.9)
+    matched: float = 0.25
+    rows: int = 512
+    model: str = "refine-balanced"
+    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
+    turned: float = 0.3
+    turned_by: float = 0.002
+
+
+@dataclass(frozen=True)
+class FusionSample:
+    """One place: what the network sees, and what there is to be seen."""
+
+    planes: Float32[np.ndarray, "planes height width"]
+    truth: Float32[np.ndarray, "3 height width"]
+
+
+@dataclass(frozen=True)
+class FusionBatch:
+    """Windows of some of them for one step: ``(batch, planes, height, width)`` and ``(batch, 3, height, width)``."""
+
+    planes: Float[Tensor, "batch planes height width"]
+    truth: Float[Tensor, "batch 3 height width"]
+
+
+class _Recorder:
+    """Stands in for the network: keeps what it is shown, corrects nothing."""
+
+    def __init__(self) -> None:
+        self.planes: list[np.ndarray] = []
+
+    def __call__(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.planes.append(planes)
+        return np.zeros_like(planes[0]), np.zeros_like(planes[:3])
+
+
+def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
+    """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided."""
+    rng = np.random.default_rng([23, seed])
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    try:
+        ends = sample_path(scene, seed, 2)
+    except ValueError:
+        return None
+    depth = "matching" if rng.random() < config.matched else "refined"
+    estimator = _estimator(depth, config.rows, config.model)
+    samples = list(_samples(scene, ends, estimator, rng, config))
+    if not samples:
+        return None
+    file = scene_path(folder, seed)
+    _save(file, samples)
+    return file
+
+
+@lru_cache(maxsize=2)
+def _estimator(depth: str, rows: int, model: str) -> DepthEstimator:
+    return make_estimator(depth, rows=rows, model=model if depth == "refined" else None, device="cpu", threads=1)
+
+
+def _samples(
+    scene: Scene, ends: Sequence[Pose], estimator: DepthEstimator, rng: np.random.Generator, config: FusionPoolConfig
+) -> Iterator[FusionSample]:
+    size = (OVERSIZE * config.size[0], OVERSIZE * config.size[1])
+    tilt = float(rng.choice(config.tilts))
+    spread = config.turned_by if rng.random() < config.turned else 0.0
+    views = [_photograph(scene, end.position, tilt, spread, size, rng) for end in ends]
+    recorder = _Recorder()
+    fuser = NetworkFuser(size, recorder, threads=1, rows=config.size[0])
+    path = [_between(views, share) for share in np.sort(rng.uniform(*config.shares, config.places))]
+    for made in synthesize(views, path, estimator, SynthesisOptions(size, threads=1), fuser):
+        if isinstance(made, Frame) and recorder.planes:
+            truth = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
+            small = cv2.resize(truth, config.size[::-1], interpolation=cv2.INTER_AREA)
+            yield FusionSample(recorder.planes.pop(), np.ascontiguousarray(small.transpose(2, 0, 1), np.float32))
+
+
+def _photograph(
+    scene: Scene, position: np.ndarray, tilt: float, spread: float, size: tuple[int, int], rng: np.random.Generator
+) -> View:
+    """A panorama with the pose that it is said to have."""
+    rotation = rotation_from_heading(rng.uniform(-np.pi, np.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
+    image = render_panorama(scene, Pose(rotation, position), size, supersample=1, threads=1)[0]
+    told = rotation @ rotation_from_rotation_vector(spread * rng.standard_normal(3))
+    return View(np.asarray(image, np.float32), Pose(told, position))
+
+
+def _between(views: Sequence[View], share: float) -> Waypoint:
+    first, second = (view.pose for view in views)
+    position = (1.0 - share) * first.position + share * second.position
+    return Waypoint(0, share, Pose(slerp(first.rotation, second.rotation, share), position))
+
+
+def _save(path: Path, samples: Sequence[FusionSample]) -> None:
+    """A kill leaves no partial file under its name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {
+        f"{name}_{k}": getattr(sample, name).astype(np.float16)
+        for k, sample in enumerate(samples)
+        for name in ("planes", "truth")
+    }
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    with partial.open("wb") as file:
+        np.savez(file, **arrays)
+    partial.replace(path)
+
+
+def load_fusion(path: Path, which: int | None = None) -> list[FusionSample]:
+    """All places of one scene, or the one at ``which``, counted on beyond the last from the first again."""
+    with np.load(path) as file:
+        places = len(file.files) // 2
+        return [
+            FusionSample(file[f"planes_{k}"].astype(np.float32), file[f"truth_{k}"].astype(np.float32))
+            for k in (range(places) if which is None else (which % places,))
+        ]
+
+
+def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:
+    """Windows of random places of random scenes, varied at random in ways that change nothing about the geometry.
+
+    They are mirrored, lit and tinted otherwise, and the views change places. A window has all rows and a quarter of the
+    columns; it lies, across the seam or not, preferably where the views contradict each other.
+    """
+    drawn = [
+        _varied(load_fusion(pool[rng.integers(len(pool))], int(rng.integers(1 << 16)))[0], rng) for _ in range(batch)
+    ]
+    return FusionBatch(
+        planes=torch.from_numpy(np.stack([sample.planes for sample in drawn])),
+        truth=torch.from_numpy(np.stack([sample.truth for sample in drawn])),
+    )
+
+
+def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
+    """All that is done to colours is linear, so that blends of varied colours are varied blends."""
+    begin = _beginning(sample.planes[plane.RELEVANCE], rng)
+    planes, truth = (_window(x, begin) for x in (sample.planes, sample.truth))
+    tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
+    order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
+    for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
+        planes[begin : begin + 3] = (planes[begin : begin + 3] * tint)[order]
+    truth = (truth * tint)[order]
+    if rng.random() < 0.5:
+        planes = exchanged(planes)
+    if rng.random() < 0.5:
+        planes, truth = planes[..., ::-1], truth[..., ::-1]
+    return FusionSample(np.ascontiguousarray(planes), np.ascontiguousarray(truth))
+
+
+def _beginning(relevance: Float32[np.ndarray, "height width"], rng: np.random.Generator) -> int:
+    """First column of a window, drawn in proportion to how much of what matters is in it."""
+    height, width = relevance.shape
+    columns = direction_tables(height, width)[0] @ relevance + LEAST_RELEVANCE
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
+    inside = sums[width // WINDOWS :][:width] - sums[:width]
+    return int(rng.choice(width, p=inside / inside.sum()))
+
+
+def _window(values: np.ndarray, begin: int) -> np.ndarray:
+    width = values.shape[-1]
+    return values[..., (begin + np.arange(width // WINDOWS)) % width]
+
+
+def exchanged(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes height width"]:
+    """What the network sees when the views change places and the way is walked from its other end."""
+    other = planes.copy()
+    for first, second, count in PAIRS_OF_VIEWS:
+        other[first : first + count] = planes[second : second + count]
+        other[second : second + count] = planes[first : first + count]
+    other[list(SIGNED)] *= -1.0
+    return other

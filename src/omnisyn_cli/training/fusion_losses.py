@@ -1,0 +1,94 @@
+"""What the fusion network is told about its pictures, and the figures it is judged by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, FusionNetwork, PaintingNetwork
+from omnisyn_cli.training.losses import polar_weights
+
+__all__ = ["FusionScores", "corrected", "fused_by", "fusion_loss", "fusion_scores", "inputs_of"]
+
+SQUARED_WEIGHT = 4.0
+"""Of squared errors beside absolute ones: both count alike at an error of a quarter."""
+
+LEAST_ERROR = 1e-10
+
+
+def inputs_of(
+    config: FusionConfig, planes: Float[Tensor, "batch planes height width"]
+) -> Float[Tensor, "batch inputs height width"]:
+    """What a network takes of the planes: all, or as in the paper both renderings and both visibility masks."""
+    if not config.paints:
+        return planes
+    return torch.cat([planes[:, plane.FIRST : plane.SECOND + 3], planes[:, plane.SEEN : plane.SEEN + 2]], dim=1)
+
+
+def fused_by(
+    network: FusionNetwork | PaintingNetwork, planes: Float[Tensor, "batch planes height width"]
+) -> Float[Tensor, "batch 3 height width"]:
+    """The picture that a network makes of the planes."""
+    answer = network(inputs_of(network.config, planes))
+    return corrected(planes, answer) if isinstance(answer, FusionCorrections) else answer
+
+
+def corrected(
+    planes: Float[Tensor, "batch planes height width"], corrections: FusionCorrections
+) -> Float[Tensor, "batch 3 height width"]:
+    """The geometric fusion with shifted weights and other colours in holes, as the program corrects it."""
+    first, second = planes[:, plane.FIRST : plane.FIRST + 3], planes[:, plane.SECOND : plane.SECOND + 3]
+    seen = planes[:, plane.SEEN : plane.SEEN + 2]
+    both, hole = seen.prod(dim=1, keepdim=True), (1.0 - seen).prod(dim=1, keepdim=True)
+    relevance = planes[:, plane.RELEVANCE : plane.RELEVANCE + 1]
+    log_ratio = plane.GREATEST_LOG * planes[:, plane.LOG_RATIO : plane.LOG_RATIO + 1]
+    more = torch.sigmoid(log_ratio + relevance * corrections.shift) - torch.sigmoid(log_ratio)
+    fused = planes[:, plane.FUSED : plane.FUSED + 3]
+    return fused + both * more * (first - second) + hole * corrections.colour
+
+
+def fusion_loss(picture: Float[Tensor, "batch 3 height width"], truth: Tensor) -> Tensor:
+    """Absolute and squared differences from the truth, weighted by the sine of the polar angle; a scalar.
+
+    Source: OmniSyn, section 3.6; the squares, which large mistakes are made dear by, are ours.
+    """
+    error = (picture - truth).abs()
+    return ((error + SQUARED_WEIGHT * error.square()) * polar_weights(truth)).mean()
+
+
+@dataclass(frozen=True)
+class FusionScores:
+    """Figures of one picture.
+
+    Attributes:
+        ws_psnr: dB.
+        gain: dB more than the geometric fusion.
+        hole_error: mean absolute error in holes; NaN where there are none.
+        hole_gain: by how much it is less than that of the geometric fusion.
+    """
+
+    ws_psnr: float
+    gain: float
+    hole_error: float
+    hole_gain: float
+
+
+@torch.no_grad()
+def fusion_scores(
+    picture: Float[Tensor, "1 3 height width"], planes: Float[Tensor, "1 planes height width"], truth: Tensor
+) -> FusionScores:
+    """Compare a picture, and the geometric fusion, with the truth."""
+    geometric = planes[:, plane.FUSED : plane.FUSED + 3]
+    hole = (planes[:, plane.SEEN : plane.SEEN + 2].sum(dim=1, keepdim=True) == 0).expand_as(truth)
+    ours, theirs = (_decibels(x, truth) for x in (picture, geometric))
+    errors = [float((x - truth).abs()[hole].mean()) for x in (picture, geometric)]
+    return FusionScores(ours, ours - theirs, errors[0], errors[1] - errors[0])
+
+
+def _decibels(picture: Tensor, truth: Tensor) -> float:
+    squared = ((picture.clamp(0.0, 1.0) - truth).square() * polar_weights(truth)).mean()
+    return float(-10.0 * torch.log10(squared.clamp(min=LEAST_ERROR)))

@@ -1,0 +1,62 @@
+"""What a depth network says, to look at while it learns: the picture, its answer, the truth, and the error."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+
+__all__ = ["contact_sheet", "depth_pictures"]
+
+LARGEST_ERROR = 0.25
+"""Difference of roots that has the brightest colour; fixed, so that pictures of different steps can be compared."""
+
+NEAREST_SHARE = 99.0
+"""Percentile of the true roots that has the last colour."""
+
+GAP = 4
+"""Pixels between the pictures of a sheet."""
+
+
+def depth_pictures(
+    image: Float32[np.ndarray, "height width 3"],
+    root: Float32[np.ndarray, "height width"],
+    truth: Float32[np.ndarray, "height width"],
+) -> dict[str, Float32[np.ndarray, "height width 3"]]:
+    """``input``, ``prediction``, ``truth`` and ``error`` as RGB in [0, 1].
+
+    Roots have the Turbo colours (red is near, dark blue infinitely far, both on one scale), errors those of Inferno;
+    what is not known (NaN) is black.
+
+    Args:
+        image: the panorama.
+        root: estimated square root of inverse depth · baseline.
+        truth: the true one.
+    """
+    known = np.isfinite(truth)
+    largest = max(float(np.percentile(truth[known], NEAREST_SHARE)), 1e-3) if known.any() else 1.0
+    error = np.where(known, np.abs(root - np.where(known, truth, 0.0)), 0.0)
+    return {
+        "input": np.asarray(image, np.float32),
+        "prediction": _coloured(root / largest, cv2.COLORMAP_TURBO),
+        "truth": np.where(known[..., None], _coloured(truth / largest, cv2.COLORMAP_TURBO), np.float32(0.0)),
+        "error": _coloured(error / LARGEST_ERROR, cv2.COLORMAP_INFERNO),
+    }
+
+
+def contact_sheet(pictures: dict[str, Float32[np.ndarray, "height width 3"]]) -> Float32[np.ndarray, "rows cols 3"]:
+    """All pictures, of one size, two in a row, with black between them."""
+    listed = list(pictures.values())
+    height, width = listed[0].shape[:2]
+    down = -(-len(listed) // 2)
+    sheet = np.zeros((down * (height + GAP) - GAP, 2 * (width + GAP) - GAP, 3), np.float32)
+    for index, picture in enumerate(listed):
+        row, col = index // 2 * (height + GAP), index % 2 * (width + GAP)
+        sheet[row : row + height, col : col + width] = picture
+    return sheet
+
+
+def _coloured(share: np.ndarray, colours: int) -> Float32[np.ndarray, "height width 3"]:
+    """RGB of values in [0, 1]; beyond, the last colour."""
+    level = np.rint(np.clip(np.nan_to_num(share), 0.0, 1.0) * 255.0).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(level, colours)[..., ::-1], np.float32) / np.float32(255.0)

@@ -1,0 +1,326 @@
+"""A network corrects the geometric fusion where the views contradict each other, and nowhere else."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.geometric import BlendOptions
+from omnisyn_cli.fusion.network import NetworkFuser, working_size
+from omnisyn_cli.fusion.network_kernels import reduce_rows
+from omnisyn_cli.fusion.planes import PLANES, PlaneMaker, doubt_of
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.types import Rendering
+
+ROWS = 32
+
+
+def rendering(seed, size=(ROWS, 2 * ROWS), offset=(0.0, 0.0, 0.5), holes=0.2):
+    """Random colours and worths at random distances from 2 m on, with holes in blocks of 4."""
+    rng = np.random.default_rng(seed)
+    colour = rng.random((*size, 4), np.float32)
+    colour[..., 3] = 0.2 + 0.8 * colour[..., 3]
+    rho = rng.random(size, np.float32) * 0.5
+    blocks = rng.random((size[0] // 4, size[1] // 4)) < holes
+    hole = np.kron(blocks, np.ones((4, 4), bool))
+    colour[hole], rho[hole] = 0.0, -1.0
+    return Rendering(rho, colour, Pose(np.eye(3), np.array(offset, float)))
+
+
+def pair(size=(ROWS, 2 * ROWS), holes=0.2):
+    return rendering(1, size, (0.1, 0.0, 0.5), holes), rendering(2, size, (0.0, -0.1, -0.5), holes)
+
+
+def copy(view):
+    return Rendering(view.inverse_depth.copy(), view.colour.copy(), view.target_from_source)
+
+
+class Answers:
+    """Stands in for the network: constant or given corrections; remembers what it was shown."""
+
+    def __init__(self, shift=0.0, colour=0.0):
+        self.shift, self.colour, self.shown = shift, colour, []
+
+    def __call__(self, planes):
+        self.shown.append(planes.copy())
+        return (
+            np.broadcast_to(np.float32(self.shift), planes.shape[1:]).copy(),
+            np.broadcast_to(np.float32(self.colour), (3, *planes.shape[1:])).copy(),
+        )
+
+
+def fuse(views, t, network, threads=1, rows=ROWS, options=None):
+    size = views[0].inverse_depth.shape
+    return NetworkFuser(size, network, options, threads, rows)(*map(copy, views), t).copy()
+
+
+def geometric(views, t):
+    return GeometricFuser(views[0].inverse_depth.shape, threads=1)(*map(copy, views), t).copy()
+
+
+def seen(views):
+    return [view.colour[..., 3] > 0 for view in views]
+
+
+@pytest.mark.parametrize("size", [(32, 64), (64, 128), (80, 160)])
+@pytest.mark.parametrize("t", [0.0, 0.03, 0.5, 0.8])
+def test_a_network_that_says_nothing_is_the_geometric_fusion(size, t):
+    views = pair(size)
+    np.testing.assert_array_equal(fuse(views, t, Answers()), geometric(views, t))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-6, 6), st.floats(-1, 1), st.sampled_from([0.0, 1.0]))
+def test_the_ends_are_the_photographs_whatever_the_network_says(shift, colour, t):
+    views = pair(holes=0.0)
+    np.testing.assert_array_equal(fuse(views, t, Answers(shift, colour)), views[int(t)].colour[..., :3])
+
+
+def test_towards_the_ends_its_word_counts_less_and_less():
+    views = pair()
+    changes = [
+        np.abs(fuse(views, t, Answers(2.0, 0.3)) - geometric(views, t)).max() for t in (1e-3, 0.01, 0.03, 0.1, 0.3)
+    ]
+    assert changes[:4] == sorted(changes[:4])
+    assert changes[0] < 1e-3
+    assert changes[-1] > 0.25
+
+
+@pytest.mark.parametrize("size", [(32, 64), (64, 128)])
+def test_a_shift_moves_the_weights_by_its_exponential(size):
+    """Against the share of the first view that the geometric picture has, worked out from the picture itself."""
+    views, shift, t = pair(size, holes=0.0), 1.5, 0.5
+    before, after = geometric(views, t), fuse(views, t, Answers(shift))
+    a, b = (view.colour[..., :3].astype(float) for view in views)
+    difference = a - b
+    far = np.sqrt((difference**2).mean(axis=-1)) > 0.06
+    channel = np.abs(difference).argmax(axis=-1)[..., None]
+
+    def share(image):
+        return (np.take_along_axis((image - b) / difference, channel, -1))[..., 0]
+
+    old, new = share(before)[far], share(after)[far]
+    odds = old / (1 - old) * np.exp(shift)
+    sure = (old > 0.01) & (old < 0.99)
+    assert sure.mean() > 0.15
+    np.testing.assert_allclose(new[sure], (odds / (1 + odds))[sure], atol=2e-4)
+
+
+def test_what_both_show_alike_and_what_one_shows_does_not_change():
+    views = pair()
+    alike = np.zeros((ROWS, 2 * ROWS), bool)
+    alike[8:24, 10:50] = True
+    views[1].colour[alike, :3] = views[0].colour[alike, :3] + 0.005
+    a, b = seen(views)
+    still = (alike & a & b) | (a ^ b)
+    changed, plain = fuse(views, 0.5, Answers(3.0, 0.5)), geometric(views, 0.5)
+    np.testing.assert_array_equal(changed[still], plain[still])
+    assert np.abs(changed - plain)[~still].max() > 0.2
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 99), st.floats(-6, 6), st.floats(0, 1))
+def test_what_both_show_stays_between_their_colours(seed, shift, t):
+    views = rendering(seed), rendering(seed + 1, offset=(0.0, 0.0, -0.5))
+    fused = fuse(views, t, Answers(shift, 0.7))
+    both = np.logical_and(*seen(views))
+    low, high = (f(views[0].colour, views[1].colour)[..., :3] for f in (np.minimum, np.maximum))
+    assert (fused[both] >= low[both] - 1e-6).all()
+    assert (fused[both] <= high[both] + 1e-6).all()
+
+
+@pytest.mark.parametrize("size", [(32, 64), (64, 128), (72, 144)])
+def test_colours_are_added_in_holes_alone(size):
+    views = pair(size, holes=0.5)
+    hole = ~np.logical_or(*seen(views))
+    rows = 32
+    plain, coloured = geometric(views, 0.5), fuse(views, 0.5, Answers(colour=0.25), rows=rows)
+    np.testing.assert_array_equal(coloured[~hole], plain[~hole])
+    added = (coloured - plain)[hole]
+    assert ((np.abs(added - 0.25) < 1e-5) | (added == 0)).all()  # holes finer than the network's pixels stay
+    assert (np.abs(added - 0.25) < 1e-5).mean() > (0.99 if size[0] % rows == 0 else 0.5)
+
+
+def test_no_hole_becomes_darker_than_black():
+    assert fuse(pair(holes=0.5), 0.5, Answers(colour=-3.0)).min() == 0.0
+
+
+def test_turning_everything_by_columns_turns_the_result():
+    """What fills the holes before the network has its say is tested by itself."""
+    turn, size = 10, (64, 128)  # taken close together: the geometric weights are the same in all directions
+    views = rendering(1, size, (0.0, 0.0, 5e-5)), rendering(2, size, (0.0, 0.0, -5e-5))
+    turned = [
+        Rendering(np.roll(v.inverse_depth, turn, 1), np.roll(v.colour, turn, 1), v.target_from_source) for v in views
+    ]
+    shift = np.random.default_rng(0).normal(0.0, 2.0, (32, 64))
+    whole = np.roll(fuse(views, 0.4, Answers(shift)), turn, 1)
+    moved = fuse(turned, 0.4, Answers(np.roll(shift, turn // 2, 1)))
+    either = np.roll(np.logical_or(*seen(views)), turn, 1)
+    np.testing.assert_allclose(whole[either], moved[either], atol=1e-3)
+
+
+def test_a_correction_does_not_cross_an_edge_of_the_weights():
+    """Left of a fine column the first view is trusted more, right of it the second; coarse pixels do not end there.
+
+    Each side is to be corrected towards the view that it trusts less, from odds of 50 to odds of 50 · exp(−3).
+    """
+    size, edge = (128, 256), 102
+    first, second = rendering(1, size, (0, 0, 5e-5), 0.0), rendering(2, size, (0, 0, -5e-5), 0.0)
+    left = np.arange(size[1]) < edge
+    for view, trusted in ((first, left), (second, ~left)):
+        view.inverse_depth[:] = 0.5 if view is first else 0.25
+        view.colour[..., :3] = 1.0 if view is first else 0.0  # the picture is the share of the first view
+        view.colour[..., 3] = np.where(trusted, 1.0, 0.02)
+    coarse = np.where(np.arange(64) < edge // 4, -3.0, 3.0)
+    coarse[edge // 4] = 0.0
+    nothing_hides = BlendOptions(hidden=1.0)
+    share = fuse((first, second), 0.5, Answers(coarse), options=nothing_hides)[64, :, 0]
+    position = (np.arange(size[1]) + 0.5) / 4 - 0.5
+    odds = np.where(left, 50.0, 0.02) * np.exp(np.interp(position, np.arange(64), coarse))
+    wanted, bilinear = 1 / (1 + np.exp(np.where(left, -1, 1) * (np.log(50) - 3))), odds / (1 + odds)
+    beside = slice(edge - 4, edge + 4)
+    assert np.abs(share - wanted)[beside].max() < 0.06
+    assert np.abs(bilinear - wanted)[beside].max() > 0.2
+
+
+def test_means_over_blocks_count_what_is_seen_by_its_worth():
+    view = rendering(3, (40, 72), holes=0.4)
+    coarse, rho = np.empty((12, 20, 4), np.float32), np.empty((12, 20), np.float32)
+    reduce_rows(view.colour, view.inverse_depth, coarse, rho, 0, 12)
+    for i in range(12):
+        for j in range(20):
+            block = np.s_[i * 40 // 12 : (i + 1) * 40 // 12, j * 72 // 20 : (j + 1) * 72 // 20]
+            worth = view.colour[block][..., 3].astype(float)
+            if worth.sum() == 0:
+                assert (coarse[i, j] == 0).all()
+                assert rho[i, j] == -1
+                continue
+            np.testing.assert_allclose(coarse[i, j, 3], worth.mean(), rtol=1e-5)
+            expected = (view.colour[block][..., :3] * worth[..., None]).sum((0, 1)) / worth.sum()
+            np.testing.assert_allclose(coarse[i, j, :3], expected, rtol=1e-5)
+            expected_rho = (np.maximum(view.inverse_depth[block], 0) * worth).sum() / worth.sum()
+            np.testing.assert_allclose(rho[i, j], expected_rho, rtol=1e-5)
+
+
+def test_the_planes_are_what_they_are_said_to_be():
+    """Written out in NumPy from the definitions, at the size of the renderings."""
+    (first, second), t, size = pair(), 0.3, (ROWS, 2 * ROWS)
+    made = PlaneMaker(size, 0.06, threads=1)(first, second, t, 0.003)
+    planes, (a, b) = made.planes, seen((first, second))
+    assert planes.shape == (PLANES, *size)
+    directions = pixel_directions(*size)
+    weights = []
+    for view, share in ((first, 1 - t), (second, t)):
+        away = directions - np.maximum(view.inverse_depth, 0)[..., None] * view.target_from_source.position
+        weights.append(share * view.colour[..., 3] * ((away**2).sum(-1) + 1e-8) ** -1.5)
+    rhos = [np.maximum(view.inverse_depth, 0).astype(float) for view in (first, second)]
+    gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * 0.06 + 1e-9)
+    trust = np.where(gap > 0, first.colour[..., 3], second.colour[..., 3])
+    rest = 1 - np.minimum(1, 4 * trust) * (1 - np.maximum(np.exp(-(gap**2)), 0.003))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.log(weights[0] / weights[1]) + np.where(gap > 0, -np.log(rest), np.log(rest))
+    np.testing.assert_allclose(made.log_ratio[a & b], ratio[a & b], atol=1e-3)
+    np.testing.assert_allclose(planes[plane.LOG_RATIO][a & b], np.clip(ratio / 8, -1, 1)[a & b], atol=1e-3)
+    np.testing.assert_allclose(planes[plane.GAP][a & b], np.clip(gap / 4, -1, 1)[a & b], atol=1e-4)
+    assert not planes[[plane.LOG_RATIO, plane.GAP]][:, ~(a & b)].any()
+    np.testing.assert_array_equal(planes[plane.SEEN : plane.SEEN + 2], np.stack([a, b]))
+    np.testing.assert_array_equal(made.both, a & b)
+    np.testing.assert_array_equal(made.holes, ~a & ~b)
+    baseline = np.linalg.norm(first.target_from_source.position - second.target_from_source.position)
+    for k, view in enumerate((first, second)):
+        colour = planes[(plane.FIRST, plane.SECOND)[k] :][:3].transpose(1, 2, 0)
+        np.testing.assert_allclose(colour, view.colour[..., :3], atol=1e-6)
+        np.testing.assert_allclose(planes[plane.WORTH + k], view.colour[..., 3], atol=1e-6)
+        np.testing.assert_allclose(planes[plane.ROOT + k], np.sqrt(rhos[k] * baseline), atol=1e-5)
+    difference = np.sqrt(((first.colour - second.colour)[..., :3] ** 2).mean(-1))
+    sure = a & b & (difference > 0.06)
+    np.testing.assert_array_equal(planes[plane.RELEVANCE][sure], made.doubt[sure])
+    np.testing.assert_array_equal(made.doubt, doubt_of(np.where(a & b, gap, 0).astype(np.float32)))
+    assert (planes[plane.RELEVANCE][~a & ~b] == 1).all()
+    assert (planes[plane.RELEVANCE][a ^ b] == 0).all()
+    np.testing.assert_allclose(planes[plane.TIME], 2 * t - 1)
+    np.testing.assert_allclose(planes[plane.LATITUDE], directions[..., 1], atol=1e-6)
+    np.testing.assert_allclose(
+        planes[plane.FUSED : plane.FUSED + 3].transpose(1, 2, 0), geometric((first, second), t), atol=1e-6
+    )
+
+
+def test_doubt_is_where_distances_disagree_and_around_there():
+    """Against the definition, column by column around the seam."""
+    gap = np.zeros((32, 64), np.float32)
+    gap[10, 62], gap[25, 30] = 3.0, -0.5
+    doubt = doubt_of(gap)
+    near = np.zeros_like(gap)
+    for row, col in ((10, 62), (25, 30)):
+        for i in range(row - 4, row + 5):
+            for j in range(col - 4, col + 5):
+                near[i, j % 64] = max(near[i, j % 64], 1 - np.exp(-(gap[row, col] ** 2)))
+    wrapped = np.pad(np.pad(near, ((2, 2), (0, 0)), mode="edge"), ((0, 0), (2, 2)), mode="wrap")
+    mean = sum(wrapped[i : i + 32, j : j + 64] for i in range(5) for j in range(5)) / 25
+    np.testing.assert_allclose(doubt, mean, atol=1e-6)
+    np.testing.assert_array_equal(doubt_of(np.roll(gap, 7, axis=1)), np.roll(doubt, 7, axis=1))
+
+
+def test_where_distances_agree_the_sharper_view_is_left_alone():
+    """Both views show one surface in different colours, as they do where one of them is displaced or blurred."""
+    first, second = rendering(1, holes=0.0), rendering(2, offset=(0.0, 0.0, -0.5), holes=0.0)
+    second.inverse_depth[:] = first.inverse_depth
+    views, network = (first, second), Answers(3.0)
+    np.testing.assert_allclose(fuse(views, 0.5, network), geometric(views, 0.5), atol=1e-6)
+
+
+def test_the_network_is_not_asked_where_it_has_no_say():
+    view = rendering(1, holes=0.0)
+    same = Rendering(view.inverse_depth.copy(), view.colour.copy(), Pose(np.eye(3), np.array([0.0, 0.0, -0.5])))
+    small = (16, 32)
+    cases = {
+        "both show the same": ((view, same), 0.5),
+        "an end of the way": (pair(), 0.0),
+        "one place": ((rendering(1), rendering(2)), 0.5),
+        "tiny frames": (pair(small), 0.5),
+    }
+    for name, (views, t) in cases.items():
+        network = Answers(3.0, 0.5)
+        np.testing.assert_array_equal(fuse(views, t, network), geometric(views, t), err_msg=name)
+        assert not network.shown, name
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"),
+    [((2048, 4096), (256, 512)), ((256, 512), (256, 512)), ((250, 500), (224, 448)), ((31, 62), None)],
+)
+def test_the_size_that_the_network_works_at(size, expected):
+    assert working_size(size) == expected
+
+
+def test_the_number_of_threads_does_not_show():
+    views = pair((64, 128))
+    shift = np.random.default_rng(0).normal(0.0, 2.0, (32, 64))
+    one, three = (fuse(views, 0.4, Answers(shift, 0.3), threads) for threads in (1, 3))
+    np.testing.assert_array_equal(one, three)
+
+
+def test_nothing_pops_up_along_the_way():
+    """The network's answer being constant, the picture is a continuous function of the way, ends included."""
+    views = pair()
+    for t in (0.0, 0.001, 0.03, 0.0999, 0.5, 0.9, 0.97, 0.9989):
+        now, soon = (fuse(views, place, Answers(2.0, 0.3)) for place in (t, t + 1e-4))
+        assert np.abs(soon - now).max() < 0.01, t
+
+
+def test_holes_filled_by_a_network_start_from_the_same_filling():
+    """The filler alone, given the corrected picture, is what the network's colours are added to."""
+    views = pair(holes=0.5)
+    filled = fuse(views, 0.5, Answers(2.0))
+    either = np.logical_or(*seen(views))
+    hole = ~either
+    assert hole.any()
+    fuser = NetworkFuser(hole.shape, Answers(2.0), threads=1, rows=ROWS)
+    fuser(*map(copy, views), 0.5)
+    image = np.where(either[..., None], filled, np.float32(0))
+    HoleFiller(hole.shape, 1)(image, fuser._weight.copy())
+    np.testing.assert_array_equal(image, filled)

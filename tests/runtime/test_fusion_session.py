@@ -1,0 +1,52 @@
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.runtime.fusion import SessionFusion
+
+
+class Session:
+    """Answers with what it is given; says what it takes and gives as ONNX Runtime does."""
+
+    def __init__(self, answers, inputs=("planes",), outputs=("shift", "colour")):
+        self.answers, self.inputs, self.outputs = answers, inputs, outputs
+
+    def get_inputs(self):
+        return [SimpleNamespace(name=name) for name in self.inputs]
+
+    def get_outputs(self):
+        return [SimpleNamespace(name=name) for name in self.outputs]
+
+    def run(self, _, inputs):
+        assert inputs["planes"].shape == (1, 20, 32, 64)
+        return self.answers
+
+
+PLANES = np.zeros((20, 32, 64), np.float32)
+
+
+def test_answers_lose_their_batch():
+    shift, colour = np.arange(2048.0).reshape(1, 1, 32, 64), np.ones((1, 3, 32, 64))
+    found = SessionFusion(Session([shift, colour]))(PLANES)
+    np.testing.assert_array_equal(found[0], shift[0, 0])
+    np.testing.assert_array_equal(found[1], colour[0])
+
+
+@pytest.mark.parametrize("names", [{"inputs": ("first", "second")}, {"outputs": ("colour",)}])
+def test_other_models_are_refused(names):
+    with pytest.raises(InputError, match="expected a fusion model"):
+        SessionFusion(Session([], **names))
+
+
+@pytest.mark.parametrize(
+    ("answers", "complaint"),
+    [
+        ([np.zeros((1, 1, 32, 64)), np.zeros((1, 1, 32, 64))], "outputs of"),
+        ([np.full((1, 1, 32, 64), np.nan), np.zeros((1, 3, 32, 64))], "finite"),
+    ],
+)
+def test_broken_answers_are_refused(answers, complaint):
+    with pytest.raises(InputError, match=complaint):
+        SessionFusion(Session(answers))(PLANES)

@@ -1,0 +1,124 @@
+"""Pairs of a data set become scenes of a pool: what is known about them survives the turn."""
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from omnisyn_cli.cli.train import train as train_command
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.training.data import draw_batch, list_pool, load_scene
+from omnisyn_cli.training.folders import add_pair, pair_path, pool_scene
+from omnisyn_cli.training.losses import depth_loss, depth_scores
+from omnisyn_cli.types import DepthEstimate, View
+
+RADIUS, CENTRE = 3.0, np.array([0.3, -0.2, 0.4])
+FIRST = Pose(rotation_from_rotation_vector(np.array([0.2, 1.0, -0.1])), np.array([0.1, 0.2, -0.3]))
+SECOND = Pose(rotation_from_rotation_vector(np.array([-0.3, -2.0, 0.4])), np.array([0.9, 0.4, 0.7]))
+SIZE = (64, 128)
+
+
+def ball(pose, size):
+    """Inverse depth and colours seen from inside a ball."""
+    directions = pixel_directions(*size) @ pose.rotation.T
+    offset = pose.position - CENTRE
+    slope = directions @ offset
+    depth = -slope + np.sqrt(slope**2 - offset @ offset + RADIUS**2)
+    return 1.0 / depth, (0.5 + 0.5 * (offset + depth[..., None] * directions) / RADIUS).astype(np.float32)
+
+
+def view(pose, size, *, hole=False, mask=None):
+    inverse_depth, image = ball(pose, size)
+    known = np.ones(size, np.float32)
+    if hole:
+        known[size[0] // 4 : size[0] // 2, : size[1] // 4] = 0
+    return View(image, pose, mask, DepthEstimate(np.where(known > 0, inverse_depth, 0.0), known))
+
+
+@pytest.mark.parametrize("size", [SIZE, (128, 256)])
+def test_a_pair_is_held_as_pools_are(size):
+    scene = pool_scene(view(FIRST, size), view(SECOND, size), SIZE)
+    frame, other, baseline = epipole_frame(FIRST, SECOND)
+    np.testing.assert_allclose(scene.along, [0.0, baseline], rtol=1e-6)
+    for pose, image, inverse_depth in zip((frame, other), scene.images, scene.inverse_depth, strict=True):
+        np.testing.assert_allclose(inverse_depth, ball(pose, SIZE)[0], rtol=0.05)
+        np.testing.assert_allclose(image / 255.0, ball(pose, SIZE)[1], atol=0.02)
+
+
+def test_holes_and_masks_are_unknown_and_teach_nothing(tmp_path):
+    mask = np.ones(SIZE, bool)
+    mask[:, 64:] = False
+    folder = tmp_path / "pool"
+    add_pair(folder / "a.npz", view(FIRST, SIZE, hole=True), view(SECOND, SIZE, mask=mask), SIZE)
+    stored = load_scene(folder / "a.npz")
+    shares = np.isnan(stored.inverse_depth).mean(axis=(1, 2))
+    assert 0.03 < shares[0] < 0.2
+    assert 0.4 < shares[1] < 0.6
+    batch = draw_batch(list_pool(folder), np.random.default_rng(0), 4, SIZE)
+    unknown = torch.isnan(batch.root)
+    assert unknown.any()
+    roots = [torch.rand(4, 1, 32, 64), torch.rand(4, 1, *SIZE)]
+    changed = [roots[0].clone(), torch.where(unknown, torch.rand(4, 1, *SIZE), roots[1])]
+    changed[0][unknown[..., 1::2, 1::2]] = 9.0
+    one, other = (figures(each, batch) for each in (roots, changed))
+    assert one == pytest.approx(other)
+    assert all(np.isfinite(one))
+
+
+def figures(roots, batch):
+    """Loss and scores; gradients are finite, and nothing where the truth is unknown."""
+    leaves = [root.clone().requires_grad_() for root in roots]
+    prediction = DepthPrediction(tuple(leaves), torch.zeros_like(roots[-1]))
+    loss = depth_loss(prediction, batch.root)
+    loss.backward()
+    unknown = torch.isnan(batch.root)
+    assert all(torch.all(torch.isfinite(leaf.grad)) for leaf in leaves)
+    assert torch.all(leaves[-1].grad[unknown] == 0)
+    scores = depth_scores(prediction, batch.root, batch.baseline)
+    return loss.item(), scores.imae, scores.delta_25, scores.confidence_error
+
+
+def test_pairs_without_depth_or_without_a_baseline_are_refused():
+    plain = View(ball(FIRST, SIZE)[1], FIRST)
+    with pytest.raises(InputError, match="true depth"):
+        pool_scene(plain, view(SECOND, SIZE), SIZE)
+    with pytest.raises(InputError, match="different places"):
+        pool_scene(view(FIRST, SIZE), view(FIRST, SIZE), SIZE)
+
+
+def test_names_of_files_are_plain(tmp_path):
+    assert pair_path(tmp_path, "a b/c", "0.png", "ü?.png").name == "a_b_c-0.png-ü_.png.npz"
+
+
+def write_walk(folder, *, with_depth=True):
+    folder.mkdir(parents=True)
+    entries = {}
+    for index in range(3):
+        pose = Pose(FIRST.rotation, FIRST.position + 0.4 * index * np.array([1.0, 0.0, 0.2]))
+        inverse_depth, image = ball(pose, SIZE)
+        write_image(folder / f"{index}.png", image)
+        if with_depth:
+            write_depth(folder / f"{index}.exr", (1.0 / inverse_depth).astype(np.float32))
+        entries[f"{index}.png"] = PosedPanorama(pose, depth=folder / f"{index}.exr" if with_depth else None)
+    write_poses(folder / "poses.json", entries)
+
+
+def test_a_folder_of_scenes_becomes_a_pool_once(tmp_path):
+    write_walk(tmp_path / "data" / "walk")
+    write_walk(tmp_path / "data" / "blind", with_depth=False)
+    arguments = ["convert", str(tmp_path / "data"), str(tmp_path / "pool"), "--height", "64"]
+    result = CliRunner().invoke(train_command, arguments)
+    assert result.exit_code == 0, result.output
+    names = [path.name for path in list_pool(tmp_path / "pool")]
+    assert names == ["walk-0.png-1.png.npz", "walk-1.png-2.png.npz"]
+    assert result.output.count("expected true depth of both panoramas") == 2
+    scene = load_scene(tmp_path / "pool" / names[0])
+    assert scene.images.shape == (2, 64, 128, 3)
+    assert scene.along[1] == pytest.approx(0.4 * np.sqrt(1.04), rel=1e-4)
+    again = CliRunner().invoke(train_command, arguments)
+    assert ".npz" not in again.output

@@ -1,0 +1,193 @@
+import numpy as np
+import pytest
+import torch
+
+from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.network import NetworkFuser
+from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.networks import fusion as networks
+from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, build_fusion
+from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.training.fusion import (
+    WINDOWS,
+    FusionPoolConfig,
+    _beginning,
+    draw_fusion,
+    exchanged,
+    load_fusion,
+    make_fusion_scene,
+)
+from omnisyn_cli.training.fusion_losses import corrected, fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.loop import TrainConfig, load_network, train
+from omnisyn_cli.training.publish import publish
+from omnisyn_cli.types import Rendering
+
+TINY = FusionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
+TINY_PAPER = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
+SIZE = (32, 64)
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    """Two scenes of two places each, matched at a small size."""
+    folder = tmp_path_factory.mktemp("fusion")
+    config = FusionPoolConfig(size=SIZE, places=2, matched=1.0, rows=2 * SIZE[0])
+    paths = [make_fusion_scene(folder, seed, config) for seed in (0, 1)]
+    return [path for path in paths if path is not None]
+
+
+def rendering(seed, offset):
+    rng = np.random.default_rng(seed)
+    colour, rho = rng.random((*SIZE, 4), np.float32), rng.random(SIZE, np.float32) * 0.5
+    hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((4, 4), bool))
+    colour[hole], rho[hole] = 0.0, -1.0
+    return Rendering(rho, colour, Pose(np.eye(3), np.array(offset, float)))
+
+
+def test_the_network_learns_on_the_picture_that_the_program_makes():
+    """The program's fusion with random answers is the picture that the loss is computed of, holes included."""
+    rng = np.random.default_rng(0)
+    shift, colour = (rng.normal(0.0, 1.0, (n, *SIZE)).astype(np.float32) for n in (1, 3))
+    shown = []
+
+    def network(planes):
+        shown.append(planes)
+        return shift[0], 0.1 * colour
+
+    fuser = NetworkFuser(SIZE, network, threads=1, rows=SIZE[0])
+    picture = fuser(rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5)), 0.4)
+    batch = torch.from_numpy(shown[0])[None]
+    corrections = FusionCorrections(torch.from_numpy(shift)[None], torch.from_numpy(0.1 * colour)[None])
+    expected = corrected(batch, corrections)[0].permute(1, 2, 0).numpy()
+    hole = shown[0][plane.SEEN : plane.SEEN + 2].sum(axis=0) == 0
+    np.testing.assert_allclose(picture[~hole], np.maximum(expected, 0)[~hole], atol=2e-3)
+    # holes are filled from what is around them, which the program corrects first
+    assert np.abs(picture - np.maximum(expected, 0))[hole].max() < 0.3
+    assert hole.any()
+
+
+def test_the_network_knows_where_the_weights_are():
+    """Networks and fusion do not know each other, so the place of the plane is written down twice."""
+    assert (networks.LOG_RATIO_PLANE, networks.GREATEST_LOG) == (plane.LOG_RATIO, plane.GREATEST_LOG)
+
+
+def test_exchanging_the_views_exchanges_the_planes():
+    first, second = rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))
+    make = PlaneMaker(SIZE, 0.06, threads=1)
+    there, back = make(first, second, 0.3, 0.003).planes, make(second, first, 0.7, 0.003).planes
+    np.testing.assert_allclose(exchanged(there), back, atol=1e-4)
+    np.testing.assert_array_equal(exchanged(exchanged(there)), there)
+
+
+def test_samples_hold_what_the_program_sees_and_the_truth(pool):
+    assert pool
+    for path in pool:
+        samples = load_fusion(path)
+        assert len(samples) == 2
+        for sample in samples:
+            assert sample.planes.shape == (PLANES, *SIZE)
+            assert sample.truth.shape == (3, *SIZE)
+            assert 0.1 <= (sample.planes[plane.TIME].mean() + 1) / 2 <= 0.9
+            assert np.isfinite(sample.planes).all()
+            fused = sample.planes[plane.FUSED : plane.FUSED + 3]
+            assert np.abs(fused - sample.truth).mean() < 0.5 * np.abs(np.roll(fused, 32, -1) - sample.truth).mean()
+        np.testing.assert_array_equal(load_fusion(path, 3)[0].truth, samples[1].truth)
+
+
+def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
+    config = FusionPoolConfig(size=SIZE, places=2, matched=1.0, rows=2 * SIZE[0])
+    again = make_fusion_scene(tmp_path, int(pool[0].stem), config)
+    for one, other in zip(load_fusion(pool[0]), load_fusion(again), strict=True):
+        np.testing.assert_array_equal(one.planes, other.planes)
+
+
+def test_a_batch_is_the_same_for_the_same_seed_and_variations_keep_the_geometric_picture(pool):
+    """Recoloured, mirrored, turned and exchanged planes still hold the blend of their own renderings."""
+    one, same = (draw_fusion(pool, np.random.default_rng(3), 6) for _ in range(2))
+    assert torch.equal(one.planes, same.planes)
+    assert torch.equal(one.truth, same.truth)
+    seen = one.planes[:, plane.SEEN : plane.SEEN + 2]
+    share = torch.sigmoid(plane.GREATEST_LOG * one.planes[:, plane.LOG_RATIO : plane.LOG_RATIO + 1])
+    first, second = (one.planes[:, k : k + 3] for k in (plane.FIRST, plane.SECOND))
+    blend = share * first + (1 - share) * second
+    both = (seen.prod(dim=1, keepdim=True) > 0) & ((share - 0.5).abs() < 0.499)
+    difference = (blend - one.planes[:, plane.FUSED : plane.FUSED + 3]).abs()
+    assert difference[both.expand_as(blend)].max() < 0.01
+    fused = one.planes[:, plane.FUSED : plane.FUSED + 3]
+    assert fused.shape == (6, 3, SIZE[0], SIZE[1] // WINDOWS)
+    own, others = (fused - one.truth).abs().mean(), (fused - one.truth.roll(1, 0)).abs().mean()
+    assert own < 0.7 * others
+
+
+def test_windows_lie_where_the_views_contradict_each_other():
+    """All that matters being in one column, almost all windows hold it; where nothing does, they lie anywhere."""
+    relevance = np.zeros(SIZE, np.float32)
+    relevance[10:20, 2] = 1.0
+    rng = np.random.default_rng(0)
+    begins = np.array([_beginning(relevance, rng) for _ in range(200)])
+    assert ((2 - begins) % SIZE[1] < SIZE[1] // WINDOWS).mean() > 0.95
+    assert len(np.unique([_beginning(np.zeros(SIZE, np.float32), rng) for _ in range(200)])) > 50
+
+
+def test_the_loss_is_least_for_the_truth_and_counts_by_solid_angle():
+    truth = torch.rand((1, 3, *SIZE), generator=torch.Generator().manual_seed(0))
+    assert float(fusion_loss(truth, truth)) == 0.0
+    at_pole, at_equator = truth.clone(), truth.clone()
+    at_pole[..., 0, :] += 0.1
+    at_equator[..., 16, :] += 0.1
+    ratio = float(fusion_loss(at_equator, truth) / fusion_loss(at_pole, truth))
+    assert ratio == pytest.approx(np.sin(16.5 / 32 * np.pi) / np.sin(0.5 / 32 * np.pi), rel=1e-3)
+    assert float(fusion_loss(truth + 0.25, truth)) == pytest.approx(0.25 + 4 * 0.25**2, rel=1e-4)
+
+
+def test_scores_are_those_of_the_metrics():
+    from omnisyn_cli.metrics import ws_psnr
+
+    planes = torch.rand((1, PLANES, *SIZE), generator=torch.Generator().manual_seed(0))
+    planes[:, plane.SEEN : plane.SEEN + 2] = (planes[:, plane.SEEN : plane.SEEN + 2] > 0.5).float()
+    truth = torch.rand((1, 3, *SIZE), generator=torch.Generator().manual_seed(1))
+    picture = 0.9 * truth + 0.05
+    scores = fusion_scores(picture, planes, truth)
+    arrays = [x[0].permute(1, 2, 0).numpy() for x in (picture, truth, planes[:, plane.FUSED : plane.FUSED + 3])]
+    assert scores.ws_psnr == pytest.approx(ws_psnr(arrays[0], arrays[1]), abs=1e-3)
+    assert scores.gain == pytest.approx(scores.ws_psnr - ws_psnr(arrays[2], arrays[1]), abs=1e-3)
+    hole = planes[0, plane.SEEN : plane.SEEN + 2].sum(dim=0).numpy() == 0
+    error = [np.abs(image - arrays[1])[hole].mean() for image in (arrays[0], arrays[2])]
+    assert scores.hole_error == pytest.approx(error[0], rel=1e-4)
+    assert scores.hole_gain == pytest.approx(error[1] - error[0], rel=1e-4)
+
+
+def test_a_fresh_network_scores_as_the_geometric_fusion(pool):
+    sample = load_fusion(pool[0], 0)[0]
+    planes, truth = torch.from_numpy(sample.planes)[None], torch.from_numpy(sample.truth)[None]
+    torch.manual_seed(0)
+    with torch.no_grad():
+        scores = fusion_scores(fused_by(build_fusion(TINY), planes), planes, truth)
+    assert scores.gain == 0.0
+
+
+@pytest.mark.parametrize("config", [TINY, TINY_PAPER], ids=lambda config: config.name)
+def test_a_network_is_trained_and_published(tmp_path, pool, config):
+    folder = str(pool[0].parent)
+    stage = TrainConfig(
+        folder, folder, size=SIZE, batch=4, rate=3e-3, warmup_steps=5, validate_every=20, validation_pairs=4, ema=0.8
+    )
+    rows = []
+    train(config, stage, tmp_path / "run", steps=40, report=rows.append)
+    assert rows[-1]["ws_psnr"] > rows[0]["ws_psnr"]
+    if config is TINY:
+        assert rows[-1]["gain"] > 0
+    network, state = load_network(tmp_path / "run" / "checkpoint.pt")
+    assert (state["kind"], state["step"], network.config) == ("fusion", 40, config)
+    entry, difference = publish(
+        tmp_path / "run" / "checkpoint.pt",
+        tmp_path / "models",
+        name=None,
+        pool=pool[0].parent,
+        training="",
+        licence="MIT",
+    )
+    assert difference < 1e-4
+    assert (entry.role, entry.size) == ("fusion", SIZE)
+    assert read_manifest(tmp_path / "models") == {f"fusion-{config.name}": entry}
