@@ -76,8 +76,7 @@ def _surround(moved, k, margin, height, width, box):
     radius = math.acos(max(closeness - 1e-6, -1.0)) + margin
     if radius > STEEP:
         return
-    height_of_axis: float = max(-1.0, min(1.0, ay / length))
-    polar, azimuth = math.acos(height_of_axis), math.atan2(ax, -az)
+    polar, azimuth = math.acos(max(-1.0, min(1.0, float(ay / length)))), math.atan2(ax, -az)
     rows, cols = height / math.pi, width / (2.0 * math.pi)
     box[0, k] = max(box[0, k], np.float32(math.floor((polar - radius) * rows - 0.5)))
     box[1, k] = min(box[1, k], np.float32(math.ceil((polar + radius) * rows - 0.5)))
