@@ -99,7 +99,7 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option(
     "--fusion", type=click.Choice(FUSIONS), default=DEFAULT_FUSION, show_default=True,
-    help="How two renderings become one picture: by rules, or by rules that a network corrects where the panoramas "
+    help="How two renderings become one picture: by rules, or by rules that a network corrects where estimated depths "
     "contradict each other.",
 )  # fmt: skip
 @click.option(
