@@ -45,32 +45,57 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
         assert load_evidence(path, 2)[0].baseline == load_evidence(path)[2].baseline
 
 
-def test_a_batch_is_the_same_for_the_same_seed_and_mirrors_planes_with_the_truth(pool):
+@pytest.mark.parametrize("halved", [0.0, 1.0])
+def test_a_batch_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(monkeypatch, pool, halved):
+    monkeypatch.setattr(evidence, "HALVED", halved)
     one, same = (draw_evidence(pool, np.random.default_rng(3), 4) for _ in range(2))
     assert torch.equal(one.planes, same.planes)
-    assert one.planes.shape == (4, PLANES, *SIZE)
-    assert one.root.shape == (4, 1, *SIZE)
-    stored = [pair for path in pool for pair in load_evidence(path)]
+    count, size = (12, (SIZE[0] // 2, SIZE[1] // 2)) if halved else (4, SIZE)
+    assert one.planes.shape == (count, PLANES, *size)
+    assert one.root.shape == (count, 1, *size)
+    stored = [
+        (part, nearest)
+        for path in pool
+        for pair in load_evidence(path)
+        for part, nearest in (halves(pair) if halved else [(pair.planes[3], pair.root)])
+    ]
     for planes, root in zip(one.planes.numpy(), one.root.numpy(), strict=True):
-        matches = [
-            flip
-            for pair in stored
+        shown = [
+            (np.roll(part[:, ::flip], turn, axis=1), np.roll(nearest[:, ::flip], turn, axis=1))
+            for part, nearest in stored
             for flip in (1, -1)
-            if np.array_equal(root[0], pair.root[:, ::flip]) and np.array_equal(planes[3], pair.planes[3][:, ::flip])
+            for turn in range(size[1])
         ]
-        assert matches
+        assert any(np.array_equal(planes[3], part) and np.array_equal(root[0], nearest) for part, nearest in shown)
+
+
+def halves(pair):
+    """Every second pixel of the filled roots in four ways, with the nearest of four true surfaces."""
+    parts = [pair.planes[3, row::2, col::2] for row in (0, 1) for col in (0, 1)]
+    roots = [pair.root[row::2, col::2] for row in (0, 1) for col in (0, 1)]
+    return [(part, np.maximum.reduce(roots)) for part in parts]
 
 
 def test_the_loss_is_least_for_the_truth_and_counts_nothing_below_zero_in_the_sky():
     target = torch.tensor([0.0, 0.4, 0.8]).reshape(1, 1, 1, 3).expand(1, 1, 2, 3)
 
     def loss(roots):
-        both = torch.as_tensor(roots).reshape(1, 1, 1, 3).expand(1, 2, 2, 3)
+        candidates = torch.as_tensor(roots).reshape(1, 1, 1, 3).expand(1, 2, 2, 3)
         flat = torch.zeros((1, 1, 2, 3))
-        return float(refine_loss(RefinePrediction(both, torch.full_like(both, -3.0), flat, flat), target))
+        return float(refine_loss(RefinePrediction(candidates, torch.zeros((1, 2, 2, 3)), flat, flat, flat), target))
 
     assert loss([0.0, 0.4, 0.8]) == pytest.approx(loss([-0.3, 0.4, 0.8]))
     assert loss([0.0, 0.4, 0.8]) < min(loss([0.1, 0.4, 0.8]), loss([0.0, 0.5, 0.8]), loss([0.0, 0.4, 0.7]))
+
+
+def test_the_loss_falls_when_the_share_of_a_right_candidate_grows():
+    candidates = torch.tensor([0.4, 0.9]).reshape(1, 2, 1, 1).expand(1, 2, 2, 3)
+    target, flat = torch.full((1, 1, 2, 3), 0.4), torch.zeros((1, 1, 2, 3))
+    losses = []
+    for logit in (-1.0, 1.0, 3.0):
+        logits = torch.tensor([logit, 0.0]).reshape(1, 2, 1, 1).expand(1, 2, 2, 3)
+        losses.append(float(refine_loss(RefinePrediction(candidates, logits, flat, flat, flat), target)))
+    assert losses == sorted(losses, reverse=True)
 
 
 def test_a_network_is_trained_and_published(tmp_path, pool):

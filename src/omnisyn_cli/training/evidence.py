@@ -39,6 +39,9 @@ PAIRS = 4
 COLOURED = (0, 8, 11)
 """First of three planes that hold a picture."""
 
+HALVED = 0.5
+"""Share of batches that have half of the pool's size."""
+
 
 @dataclass(frozen=True)
 class EvidenceConfig:
@@ -158,9 +161,14 @@ def load_evidence(path: Path, which: int | None = None) -> list[EvidencePair]:
 
 
 def draw_evidence(pool: list[Path], rng: np.random.Generator, batch: int) -> EvidenceBatch:
-    """Random pairs of random scenes, mirrored and recoloured at random (all pictures of a pair alike)."""
+    """Random pairs of random scenes, turned, mirrored and recoloured at random (all pictures of a pair alike).
+
+    Every second batch has half the size and three times as many pairs: things look larger there.
+    """
+    is_half = rng.random() < HALVED
     drawn = [
-        _varied(load_evidence(pool[rng.integers(len(pool))], int(rng.integers(PAIRS)))[0], rng) for _ in range(batch)
+        _varied(load_evidence(pool[rng.integers(len(pool))], int(rng.integers(PAIRS)))[0], rng, is_half=is_half)
+        for _ in range(3 * batch if is_half else batch)
     ]
     return EvidenceBatch(
         planes=torch.from_numpy(np.stack([planes for planes, _ in drawn])),
@@ -168,8 +176,8 @@ def draw_evidence(pool: list[Path], rng: np.random.Generator, batch: int) -> Evi
     )
 
 
-def _varied(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    planes, root = pair.planes, pair.root
+def _varied(pair: EvidencePair, rng: np.random.Generator, *, is_half: bool) -> tuple[np.ndarray, np.ndarray]:
+    planes, root = _halved(pair, rng) if is_half else (pair.planes, pair.root)
     gain, gamma = np.float32(rng.uniform(0.8, 1.2)), np.float32(rng.uniform(0.8, 1.2))
     tint = rng.uniform(0.95, 1.05, (3, 1, 1)).astype(np.float32)
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
@@ -178,4 +186,16 @@ def _varied(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, n
         planes[begin : begin + 3] = (colour * tint if begin else colour)[order]
     if rng.random() < 0.5:
         planes, root = planes[..., ::-1], root[..., ::-1]
-    return np.ascontiguousarray(planes), np.ascontiguousarray(root)
+    turn = int(rng.integers(root.shape[1]))
+    return np.roll(planes, turn, axis=-1), np.roll(root, turn, axis=-1)
+
+
+def _halved(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """One of four pixels, the same in all planes but colours, which are averaged; the nearest of four true surfaces."""
+    height, width = pair.root.shape
+    row, col = rng.integers(2, size=2)
+    planes = pair.planes[:, row::2, col::2].copy()
+    for begin in COLOURED:
+        colours = pair.planes[begin : begin + 3].reshape(3, height // 2, 2, width // 2, 2)
+        planes[begin : begin + 3] = colours.mean(axis=(2, 4))
+    return planes, pair.root.reshape(height // 2, 2, width // 2, 2).max(axis=(1, 3))

@@ -41,12 +41,18 @@ SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
 
 
-LIKELIHOOD_WEIGHT = 0.1
-CHOSEN_WEIGHT = 2.0
-REFINED_CONFIDENCE_WEIGHT = 0.1
+CHOICE_SCALE = 0.02
+"""Error of a root that makes a candidate e times less likely to be the right one."""
 
-SURPRISE = 8.0
-"""Negative log-likelihoods of a root above this are outliers that teach nothing."""
+CHOICE_WEIGHT = 0.05
+
+FREE_WEIGHT = 0.3
+"""Of the error of the candidate that the network makes up, whatever its share."""
+
+EASY = 0.02
+"""Mean error of a root at which a pair counts half."""
+
+REFINED_CONFIDENCE_WEIGHT = 0.02
 
 
 class Prediction(Protocol):
@@ -118,17 +124,23 @@ def _mean_of(error: Tensor, known: Tensor) -> Tensor:
 
 
 def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
-    """Negative log-likelihood of the mixture, L1 of the mode that is chosen, log-loss of the confidence; a scalar.
+    """Log-loss of the choice, expected L1 over the candidates, L1 of the answer, log-loss of the confidence; a scalar.
 
-    The likelihood makes both modes sharp, the L1 makes large mistakes of the choice expensive.
+    A candidate is right with a likelihood that falls exponentially with its error; candidates that are equally right
+    share the credit as they like. Pairs count less the worse the first candidate is, so that pairs that matching could
+    not make sense of do not teach distrust of those that it could.
     """
-    error = _beyond_zero(prediction.roots, target)
-    density = prediction.log_shares() - prediction.log_scales - error * torch.exp(-prediction.log_scales)
-    surprise = (-torch.logsumexp(density, dim=1, keepdim=True)).clamp(max=SURPRISE)
-    chosen = _beyond_zero(prediction.root(), target)
+    shares, errors = prediction.logits.log_softmax(dim=1), _beyond_zero(prediction.candidates, target)
+    likelihood = torch.logsumexp(shares - errors / CHOICE_SCALE, dim=1, keepdim=True)
+    surprise = torch.logsumexp(-errors / CHOICE_SCALE, dim=1, keepdim=True) - likelihood
+    expected = (shares.exp() * errors).sum(dim=1, keepdim=True)
+    answer = _beyond_zero(prediction.root(), target)
     right = _is_right(prediction.inverse_depth(), target.square())
     confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right)
-    weighted = (LIKELIHOOD_WEIGHT * surprise + CHOSEN_WEIGHT * chosen) * polar_weights(target)
+    difficulty = errors[:, :1].mean(dim=(1, 2, 3), keepdim=True)
+    weight = polar_weights(target) * EASY / (EASY + difficulty)
+    own = FREE_WEIGHT * (1.0 - prediction.sure) * errors[:, -1:]
+    weighted = (expected + answer + CHOICE_WEIGHT * surprise + own) * weight
     return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * confidence
 
 

@@ -122,7 +122,7 @@ def _planes(config: RefineConfig, size: tuple[int, int], pool: Path | None) -> I
     for _ in range(COMPARED):
         yield (rng.random((1, config.planes, *size), dtype=np.float32),)
     for _ in range(COMPARED if pool is not None else 0):
-        yield (draw_evidence(list_pool(pool or Path()), rng, 1).planes.numpy(),)
+        yield (draw_evidence(list_pool(pool or Path()), rng, 1).planes[:1].numpy(),)
 
 
 def _fusion_planes(config: FusionConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
