@@ -180,8 +180,10 @@ def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> Non
 def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     """Refuse a folder that the files could not be put into, or that has one of them unless ``overwrite``."""
     from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.paths import check_name
     from omnisyn_cli.io.staging import check_staged_folder
 
+    check_name(folder)
     check_staged_folder(next(path for path in (folder, *folder.parents) if path.exists()))
     if folder.is_dir():
         for file in files:
