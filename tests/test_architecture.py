@@ -19,7 +19,7 @@ LAYERS = (
     {"interpolation"},
     {"planning"},
     {"estimators", "fusers", "posing", "synthesis"},
-    {"crosscheck", "fallback"},
+    {"crosscheck", "fallback", "rows"},
     {
         "confidence",
         "fusion",

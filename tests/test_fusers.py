@@ -7,7 +7,6 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from omnisyn_cli import fusers, planning
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
@@ -77,8 +76,8 @@ def test_from_files_to_frames(tmp_path, models, monkeypatch):
     images = tuple(write_hall(tmp_path, POSES))
     job = InterpolationJob(images, tmp_path / "poses.json", tmp_path / "plain", frames=3, threads=1)
     run_interpolation(plan_interpolation(job))
-    for module in (fusers, planning):
-        monkeypatch.setattr(module, "FUSION_MODEL", models["fresh"])
+    for module in ("fusers", "planning.plan"):
+        monkeypatch.setattr(f"omnisyn_cli.{module}.FUSION_MODEL", models["fresh"])
     plan = plan_interpolation(dataclasses.replace(job, output=tmp_path / "fused", fusion="network"))
     assert plan.describe()["fusion"] == "network"
     run_interpolation(plan)
@@ -90,7 +89,7 @@ def test_from_files_to_frames(tmp_path, models, monkeypatch):
 def test_what_is_missing_or_unknown_is_refused_before_the_work(tmp_path, monkeypatch):
     images = tuple(write_hall(tmp_path, POSES))
     job = InterpolationJob(images, tmp_path / "poses.json", tmp_path / "out", frames=3)
-    monkeypatch.setattr(planning, "FUSION_MODEL", "no-such-network")
+    monkeypatch.setattr("omnisyn_cli.planning.plan.FUSION_MODEL", "no-such-network")
     with pytest.raises(InputError, match="no-such-network"):
         plan_interpolation(dataclasses.replace(job, fusion="network"))
     with pytest.raises(InputError, match="as fusion, got 'magic'"):

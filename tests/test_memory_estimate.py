@@ -2,11 +2,16 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation
+from interpolation_samples import CHAIN, job_of
+from omnisyn_cli.io import write_image
+from omnisyn_cli.planning import InterpolationJob, plan_interpolation
+from omnisyn_cli.rows import LEAST_ROWS
 from synthesis_samples import posed, write_hall
 
 MEASURED = """
@@ -33,3 +38,31 @@ def test_the_plan_is_within_a_fifth_of_the_peak(tmp_path: Path, size: tuple[int,
     for _ in range(2):  # the first run may compile kernels, which takes memory of its own
         done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert 0.8 < int(done.stdout.split()[-1]) * 1024 / planned < 1.2
+
+
+def test_the_estimate_of_memory_grows_with_every_size(tmp_path: Path) -> None:
+    small = write_hall(tmp_path, CHAIN[:2], (16, 32))
+    targets = [plan_interpolation(job_of(tmp_path, small, size=(h, 2 * h))).memory for h in (16, 64, 1024, 4096)]
+    assert targets == sorted(set(targets))
+    write_image(small[0], np.zeros((512, 1024, 3), np.uint8))
+    assert plan_interpolation(job_of(tmp_path, small, size=(1024, 2048))).memory > targets[2]
+    assert 5e8 < plan_interpolation(job_of(tmp_path, small, size=(4096, 8192))).memory < 1e10
+
+
+def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    sizes = [
+        plan_interpolation(job_of(tmp_path, images, renderer=name)).memory for name in ("mesh", "points", "two-pass")
+    ]
+    assert sizes == sorted(set(sizes))
+
+
+def test_frames_by_rows_take_less_than_whole_ones(tmp_path: Path) -> None:
+    """Less by both renderings' colours and the frame as numbers; from the same size on as they are made so."""
+    images = write_hall(tmp_path, CHAIN[:2])
+    saved = []
+    for rows in (LEAST_ROWS - 1, LEAST_ROWS + 1):
+        job = job_of(tmp_path, images, size=(rows, 2 * rows))
+        whole = plan_interpolation(replace(job, save_confidence=tmp_path / "confidence")).memory
+        saved.append((whole - plan_interpolation(job).memory) / (2 * rows**2))
+    assert saved == [0, pytest.approx(2 * 16 + 16 - 1, abs=1e-3)]

@@ -28,9 +28,19 @@ from omnisyn_cli.photometry import ExposureMatcher, equalized
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
 from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.rows import row_makers
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.trajectory import STILL, Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, RowRendering, View
+from omnisyn_cli.types import (
+    DepthEstimate,
+    DepthEstimator,
+    Fuser,
+    Rendering,
+    RowFuser,
+    RowRenderer,
+    RowRendering,
+    View,
+)
 
 __all__ = ["Frame", "Segment", "Stopwatch", "SynthesisOptions", "prepare_segment", "synthesize", "turned_panorama"]
 
@@ -318,18 +328,9 @@ def _fused(
     """The frame of two renderings that were given one exposure."""
     expose = ExposureMatcher(segment.check.curve, options.threads)
     is_judged = options.confidence or segment.cross_fade is not None
-    one, other = segment.renderers
-    if (
-        samples is not None and not is_judged and type(fuser) is GeometricFuser and fuser.takes_rows()
-        and isinstance(one, MeshRenderer) and isinstance(other, MeshRenderer)
-    ):  # fmt: skip
-        world_to_target = waypoint.pose.inverse()
-        with clock("render"):
-            rows = one.by_rows(world_to_target @ segment.poses[0]), other.by_rows(world_to_target @ segment.poses[1])
-        with clock("fuse"):
-            rounded = samples()
-            fuser.samples(*expose.by_rows(*rows, waypoint.t), waypoint.t, rounded)
-        return _Fused(Frame(rounded, waypoint, None), rows)
+    makers = row_makers(segment.renderers, fuser, is_rounded=samples is not None, is_judged=is_judged)
+    if makers is not None and samples is not None:
+        return _fused_by_rows(segment, waypoint, makers, expose, clock, samples)
     with clock("render"):
         first, second = _renderings(segment, waypoint, needs_both=is_judged)
     with clock("fuse"):
@@ -339,6 +340,21 @@ def _fused(
         if segment.cross_fade is not None and confidence is not None:
             segment.cross_fade(image, confidence, waypoint.pose, waypoint.t)
     return _Fused(Frame(image, waypoint, None, confidence), (first, second))
+
+
+def _fused_by_rows(
+    segment: Segment, waypoint: Waypoint, makers: tuple[RowRenderer, RowRenderer, RowFuser], expose: ExposureMatcher,
+    clock: Stopwatch, samples: MemoryForFrames,
+) -> _Fused:  # fmt: skip
+    """The same, coloured, blended and rounded some rows at a time."""
+    one, other, fuser = makers
+    with clock("render"):
+        target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in segment.poses)
+        first, second = one.by_rows(target_from_first), other.by_rows(target_from_second)
+    with clock("fuse"):
+        rounded = samples()
+        fuser.samples(*expose.by_rows(first, second, waypoint.t), waypoint.t, rounded)
+    return _Fused(Frame(rounded, waypoint, None), (first, second))
 
 
 def _renderings(segment: Segment, waypoint: Waypoint, *, needs_both: bool) -> tuple[Rendering, Rendering]:

@@ -16,9 +16,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import (
     Pose,
-    rotation_from_rotation_vector,
     rotation_taking,
-    rotation_vector_from_rotation,
     slerp,
 )
 
@@ -127,7 +125,7 @@ def _rotations(poses: Sequence[Pose], segment: int, t: np.ndarray, heading: Head
         return np.broadcast_to(poses[0].rotation, (len(t), 3, 3))
     if heading == "travel":
         return _travel_rotations(poses, segment, t)
-    return _turned(poses[segment].rotation, poses[segment + 1].rotation, t)
+    return slerp(poses[segment].rotation, poses[segment + 1].rotation, t)
 
 
 def _travel_rotations(poses: Sequence[Pose], segment: int, t: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
@@ -139,14 +137,7 @@ def _travel_rotations(poses: Sequence[Pose], segment: int, t: np.ndarray) -> Flo
     begin = slerp(_level_direction(poses, segment - 1), here, 0.5)
     end = slerp(here, _level_direction(poses, segment + 1), 0.5)
     is_early = (t < 0.5)[:, None, None]
-    return np.where(is_early, _turned(begin, here, 2.0 * t), _turned(here, end, 2.0 * t - 1.0))
-
-
-def _turned(first: np.ndarray, second: np.ndarray, t: np.ndarray) -> Float[np.ndarray, "frames 3 3"]:
-    """:func:`omnisyn_cli.geometry.pose.slerp` for many shares at once."""
-    turn = rotation_vector_from_rotation(first.T @ second)
-    between = first @ rotation_from_rotation_vector(t[:, None] * turn)
-    return np.where((t == 1.0)[:, None, None], second, between)
+    return np.where(is_early, slerp(begin, here, 2.0 * t), slerp(here, end, 2.0 * t - 1.0))
 
 
 def _level_direction(poses: Sequence[Pose], segment: int) -> Float[np.ndarray, "3 3"]:

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
 
-__all__ = ["DepthEstimate", "DepthEstimator", "Fuser", "KnownDepth", "Rendering", "RowRendering", "View"]
+__all__ = [
+    "DepthEstimate",
+    "DepthEstimator",
+    "Fuser",
+    "KnownDepth",
+    "Rendering",
+    "RowFuser",
+    "RowRenderer",
+    "RowRendering",
+    "View",
+]
 
 
 @dataclass(frozen=True)
@@ -90,6 +100,15 @@ class RowRendering:
     target_from_source: Pose
 
 
+@runtime_checkable
+class RowRenderer(Protocol):
+    """A panorama with its depth that gives its colours row by row."""
+
+    def by_rows(self, target_from_source: Pose) -> RowRendering:
+        """What the target sees; colours can be asked for from any number of threads, until the next call."""
+        ...
+
+
 class KnownDepth:
     """The depth that came with the panoramas; implements :class:`DepthEstimator`."""
 
@@ -109,4 +128,19 @@ class Fuser(Protocol):
 
     def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
         """The picture at a share ``t`` of the way from the first to the second; the next call may overwrite it."""
+        ...
+
+
+@runtime_checkable
+class RowFuser(Protocol):
+    """Something that may make pictures of renderings that are coloured row by row."""
+
+    def takes_rows(self) -> bool:
+        """Whether it does, for frames of its size."""
+        ...
+
+    def samples(
+        self, first: RowRendering, second: RowRendering, t: float, out: UInt8[np.ndarray, "height width 3"]
+    ) -> None:
+        """Write the picture at a share ``t`` of the way, rounded to 8 bits; not called unless it takes rows."""
         ...

@@ -21,6 +21,7 @@ from fuzz_mutations import mutated
 from fuzz_targets import MEMORY, Target, targets
 
 from omnisyn_cli.errors import OmnisynError
+from process_memory import peak_memory
 
 LONGEST_MESSAGE = 20_000
 """Characters; a message is for people."""
@@ -41,7 +42,7 @@ def hostile(name: str, target: Target, seed: int, index: int) -> tuple[str, byte
 
 def outcome(target: Target, folder: Path) -> str:
     """What came of reading: ``accepted``, ``refused``, or ``finding …``."""
-    begin, peak = time.process_time(), _peak()
+    begin, peak = time.process_time(), peak_memory()
     try:
         target.read(folder)
         result = "accepted"
@@ -55,7 +56,7 @@ def outcome(target: Target, folder: Path) -> str:
         result = f"finding {type(error).__name__}: {words!r} at {where.filename}:{where.lineno}"
     if (seconds := time.process_time() - begin) > SLOW:
         result = f"finding {seconds:.1f} s"
-    if (more := _peak() - peak) > MEMORY:
+    if (more := peak_memory() - peak) > MEMORY:
         result = f"finding {more >> 20} MiB"
     return result
 
@@ -83,13 +84,6 @@ def run(name: str, seed: int, begin: int, end: int, speaker: TextIO) -> None:
             put(folder, *hostile(name, target, seed, index))
             print(f"> {name} {index}", file=speaker, flush=True)
             print(outcome(target, folder), file=speaker, flush=True)
-
-
-def _peak() -> int:
-    status = Path("/proc/self/status")
-    if status.exists():  # what getrusage says is inherited from the process that started this one
-        return next(int(line.split()[1]) for line in status.read_text().splitlines() if line.startswith("VmHWM")) * 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _fast_folder() -> str | None:

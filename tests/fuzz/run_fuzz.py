@@ -71,7 +71,7 @@ def _without(todo: dict[str, tuple[int, int]], name: str, index: int) -> dict[st
 def _lines_of_worker(seed: int, todo: dict[str, tuple[int, int]]) -> Iterator[str]:
     """Lines that a process prints; one that begins with ``!`` says how it ended before its time."""
     work = [f"{name}:{begin}:{end}" for name, (begin, end) in todo.items()]
-    path = os.pathsep.join(entry for entry in sys.path if entry)
+    path = os.pathsep.join([*filter(None, sys.path), str(HERE.parent)])
     worker = subprocess.Popen(
         [sys.executable, str(HERE / "fuzz_worker.py"), str(seed), *work],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,

@@ -3,7 +3,6 @@
 import ast
 import json
 import os
-import resource
 import subprocess
 import sys
 import zlib
@@ -23,6 +22,7 @@ from omnisyn_cli.io.describe import describe_file
 from omnisyn_cli.io.pose_formats import ImportOptions, import_poses
 from omnisyn_cli.planning import InterpolationJob, plan_interpolation
 from omnisyn_cli.runtime.models import find_model
+from process_memory import STATUS, peak_memory, renewed_peak_memory
 
 SOURCE = Path(omnisyn_cli.__file__).parent
 
@@ -55,23 +55,28 @@ def wide_exr(path: Path, channels: int = 3, full: tuple[int, int] = (16, 32), **
     return path
 
 
-def peak() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+@pytest.mark.skipif(not STATUS.exists(), reason="nobody tells the peak of memory there")
+def test_memory_that_is_taken_shows_even_if_it_is_given_back() -> None:
+    """Once more after the same has been taken before: what this file measures is not hidden by other tests."""
+    for _ in range(2):
+        before = renewed_peak_memory()
+        np.ones(96 << 20, np.uint8)
+        assert 64 << 20 < peak_memory() - before < 128 << 20
 
 
 @pytest.mark.parametrize("size", [(100_000, 50_000), (2**31 - 2, 2**30 - 1), (MAX_PIXELS // 8192 * 2, 16384)])
 def test_a_gigapixel_header_is_refused_before_memory_is_taken(tmp_path: Path, size: tuple[int, int]) -> None:
     image = png_that_says(tmp_path / "a.png", *size)
-    before = peak()
+    before = renewed_peak_memory()
     with pytest.raises(ImageError, match="expected"):
         read_panorama(image)
     with pytest.raises(ImageError, match="expected"):
         read_depth(image)
-    assert peak() - before < 64 << 20
+    assert peak_memory() - before < 64 << 20
 
 
 def test_a_window_or_tags_of_a_giant_sphere_are_refused(tmp_path: Path) -> None:
-    before = peak()
+    before = renewed_peak_memory()
     tags = {"GPano:FullPanoWidthPixels": 2_000_000, "GPano:FullPanoHeightPixels": 1_000_000,
             "GPano:CroppedAreaImageWidthPixels": 32, "GPano:CroppedAreaImageHeightPixels": 16}  # fmt: skip
     for image in (
@@ -80,7 +85,7 @@ def test_a_window_or_tags_of_a_giant_sphere_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(ImageError, match="expected at most 268,435,456 pixels"):
             read_panorama(image)
-    assert peak() - before < 64 << 20
+    assert peak_memory() - before < 64 << 20
 
 
 def test_thousands_of_channels_are_refused(tmp_path: Path) -> None:
@@ -95,10 +100,10 @@ def test_a_decompression_bomb_is_stopped_by_max_pixels(tmp_path: Path) -> None:
     """Half a megabyte… of zeros would be 100 MB of samples and 400 MB of floats."""
     bomb = png_that_says(tmp_path / "a.png", 8192, 4096, rows=4096)
     assert bomb.stat().st_size < 400_000
-    before = peak()
+    before = renewed_peak_memory()
     with pytest.raises(ImageError, match=r"at most 1,000,000 pixels, got 8192×4096 = 33,554,432; .*--max-pixels"):
         read_panorama(bomb, max_pixels=1_000_000)
-    assert peak() - before < 64 << 20
+    assert peak_memory() - before < 64 << 20
 
 
 def small_pair(folder: Path) -> list[Path]:

@@ -129,6 +129,17 @@ class TestInterpolation:
         part = rotation_angle(np.swapaxes(first, -1, -2) @ slerp(first, second, 0.25))
         np.testing.assert_allclose(part, whole / 4, atol=1e-7)
 
+    def test_many_shares_at_once_are_one_after_the_other(self):
+        first, second = rotations()[:2]
+        shares = np.array([0.0, 0.1, 0.5, 1.0 - 1e-9, 1.0])
+        found = slerp(first, second, shares)
+        for rotation, share in zip(found, shares, strict=True):
+            np.testing.assert_array_equal(rotation, slerp(first, second, float(share)))
+        pairs = slerp(rotations()[:5], rotations()[5:10], shares)
+        for index, share in enumerate(shares):
+            one = slerp(rotations()[index], rotations()[5 + index], float(share))
+            np.testing.assert_allclose(pairs[index], one, atol=1e-15)
+
     def test_is_the_same_from_either_end(self):
         first = rotation_from_rotation_vector(np.array([0.3, -0.2, 1.0]))
         second = rotation_from_rotation_vector(np.array([-1.0, 0.5, 0.2]))

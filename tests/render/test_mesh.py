@@ -43,6 +43,14 @@ def test_faces_are_numbered_in_ascending_order_without_repetition():
     assert faces.max() < FACES_PER_QUAD * 7 * 12 + 2 * 12
 
 
+@pytest.mark.parametrize("masked", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("cut", CUTS.values(), ids=CUTS)
+def test_faces_are_counted_without_being_made(cut, masked):
+    """Whole, quartered and removed quads, quarters without a surface, and caps with and without one."""
+    mesh = build_mesh(rough(9, 14), cut, np.random.default_rng(2).random((9, 14)) >= masked)
+    assert mesh.face_count() == len(mesh.faces())
+
+
 @pytest.mark.parametrize("cut", CUTS.values(), ids=CUTS)
 def test_each_corner_of_a_quad_keeps_the_inverse_depth_of_its_pixel(cut):
     rho = rough(6, 12)

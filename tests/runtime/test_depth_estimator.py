@@ -8,8 +8,14 @@ import pytest
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame, forward_frame, free_space_agreement
-from omnisyn_cli.runtime.depth import LearnedDepthEstimator, look_back, turn
+from omnisyn_cli.geometry.sweep import (
+    epipole_frame,
+    exchanged_in_epipole_frame,
+    exchanged_in_forward_frame,
+    forward_frame,
+    free_space_agreement,
+)
+from omnisyn_cli.runtime.depth import LearnedDepthEstimator
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.types import View
 
@@ -28,7 +34,10 @@ def ball(pose, size=SIZE):
     return 1.0 / depth, 0.5 + 0.5 * (offset + depth[..., None] * directions) / RADIUS
 
 
-HOLD = {"epipole": (epipole_frame, turn), "forward": (forward_frame, look_back)}
+HOLD = {
+    "epipole": (epipole_frame, exchanged_in_epipole_frame),
+    "forward": (forward_frame, exchanged_in_forward_frame),
+}
 
 
 class Oracle:
@@ -74,9 +83,12 @@ def test_the_network_is_shown_its_frame_and_its_answer_comes_back_in_metres(size
         assert estimate.inverse_depth.dtype == estimate.confidence.dtype == np.float32
 
 
-def test_looking_back_is_the_forward_frame_of_the_way_back():
-    there, back = forward_frame(FIRST, SECOND)[0], forward_frame(SECOND, FIRST)[1]
-    np.testing.assert_allclose(look_back(ball(there)[1]), ball(back)[1], atol=1e-9)
+@pytest.mark.parametrize("frame", HOLD)
+def test_exchanging_the_roles_is_the_frame_of_the_way_back(frame):
+    hold, exchange = HOLD[frame]
+    there, back = hold(FIRST, SECOND)[0], hold(SECOND, FIRST)[1]
+    np.testing.assert_allclose(exchange(ball(there)[1]), ball(back)[1], atol=1e-9)
+    np.testing.assert_array_equal(exchange(exchange(ball(there)[1])), ball(there)[1])
 
 
 def test_exchanging_the_views_exchanges_the_answers():

@@ -116,3 +116,20 @@ def test_names_must_fit_the_frames(tmp_path):
 
 def test_every_kind_can_be_asked_for():
     assert set(KINDS) == set(GENERATORS)
+
+
+@pytest.mark.parametrize("options", [["--count", "2", "--frames", "1"], ["--suite"]])
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path, monkeypatch, options):
+    def refuse(folder, **_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
+    error = CliRunner().invoke(scenes, ["make", str(tmp_path / "new"), "--size", "64x32", *options]).exception
+    assert isinstance(error, OutputPathError)
+    assert str(error).endswith("new: expected a folder for scenes, got 'No space left on device'; choose another place")
+
+
+def test_a_name_that_is_too_long_is_refused(tmp_path):
+    error = make(tmp_path / ("x" * 300) / "scene", "--frames", 1).exception
+    assert isinstance(error, OutputPathError)
+    assert "File name too long" in str(error)

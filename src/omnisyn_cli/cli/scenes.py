@@ -99,6 +99,7 @@ def make(
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.suite import POSES_NAME, depth_name, write_scene
+    from omnisyn_cli.io.paths import make_folder
     from omnisyn_cli.io.staging import staged_folder
     from omnisyn_cli.scenes import generate_scene, sample_path
 
@@ -119,7 +120,7 @@ def make(
             path = sample_path(scene, number, frames, baseline=baseline, vertical=upright, tilt=math.radians(tilt))
         except ValueError as error:
             raise InputError(f"{kind} of seed {number}: {error}") from error
-        _make_folder(folder.parent)
+        make_folder(folder.parent, "scenes")
         with staged_folder(folder) as staged:
             write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
         if not quiet:
@@ -143,12 +144,13 @@ def _check_suite_options(context: click.Context) -> None:
 def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
     from omnisyn_cli.evaluation.suite import suite_files, suite_scenes, write_suite_scene
+    from omnisyn_cli.io.paths import make_folder
     from omnisyn_cli.io.staging import staged_folder
 
     walks = list(suite_scenes())
     for walk in walks:
         _check_folder(out / walk.name, suite_files(), overwrite)
-    _make_folder(out)
+    make_folder(out, "scenes")
     for walk in walks:
         if walk.path:
             with staged_folder(out / walk.name) as staged:
@@ -175,20 +177,13 @@ def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> Non
         image_suffix(Path(name))
 
 
-def _make_folder(folder: Path) -> None:
-    from omnisyn_cli.errors import WriteError
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{folder}: expected to make it, got '{error.strerror}'; choose another place") from error
-
-
 def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     """Refuse a folder that the files could not be put into, or that has one of them unless ``overwrite``."""
     from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.paths import check_name
     from omnisyn_cli.io.staging import check_staged_folder
 
+    check_name(folder)
     check_staged_folder(next(path for path in (folder, *folder.parents) if path.exists()))
     if folder.is_dir():
         for file in files:

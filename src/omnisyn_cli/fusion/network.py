@@ -96,6 +96,10 @@ class NetworkFuser(GeometricFuser):
         self._run(colour_holes, self._weight, colours, seen.holes, strength, self._image)
         return self._image
 
+    def takes_rows(self) -> bool:
+        """No: the network looks at whole renderings."""
+        return False
+
     def _look(self, first: Rendering, second: Rendering, t: float, strictness: float) -> FusionPlanes | None:
         """What the network is to see; None where it has no say."""
         if self._planes is None or strictness < LEAST_STRENGTH or is_in_place(first, second):

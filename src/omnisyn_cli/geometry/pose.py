@@ -131,16 +131,15 @@ def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarra
 
 
 def slerp(
-    first: Float[np.ndarray, "*batch 3 3"], second: Float[np.ndarray, "*batch 3 3"], t: float
-) -> Float[np.ndarray, "*batch 3 3"]:
+    first: Float[np.ndarray, "*#batch 3 3"],
+    second: Float[np.ndarray, "*#batch 3 3"],
+    t: float | Float[np.ndarray, "*#batch"],
+) -> Float[np.ndarray, "*#batch 3 3"]:
     """The rotation a share ``t`` of the shortest way from ``first`` to ``second``; exact at 0 and 1."""
-    if t == 0:
-        return first
-    if t == 1:
-        return second
+    share = np.asarray(t)[..., None]
     turn = rotation_vector_from_rotation(np.swapaxes(first, -1, -2) @ second)
-    rotation: np.ndarray = first @ rotation_from_rotation_vector(t * turn)
-    return rotation
+    between = first @ rotation_from_rotation_vector(share * turn)
+    return np.where(share[..., None] == 0, first, np.where(share[..., None] == 1, second, between))
 
 
 def interpolate_pose(first: Pose, second: Pose, t: float) -> Pose:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from array_api_compat import array_namespace
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 from omnisyn_cli.geometry.sampling import sample_nearest
@@ -26,6 +26,8 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 
 __all__ = [
     "epipole_frame",
+    "exchanged_in_epipole_frame",
+    "exchanged_in_forward_frame",
     "forward_frame",
     "free_space_agreement",
     "inverse_depth_from_parallax",
@@ -70,6 +72,16 @@ def forward_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
     right = _orthogonal_to(along, hint=np.cross(along, UP))
     rotation = np.stack([right, np.cross(right, along), -along], axis=-1)
     return Pose(rotation, first.position), Pose(rotation, second.position), baseline
+
+
+def exchanged_in_epipole_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+    """An image in the epipole frame as it looks when the roles of both cameras are exchanged; its own inverse."""
+    return np.ascontiguousarray(image[::-1, ::-1])
+
+
+def exchanged_in_forward_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+    """An image in the forward frame as it looks when the roles of both cameras are exchanged; its own inverse."""
+    return np.roll(image, image.shape[1] // 2, axis=1)
 
 
 def parallax_from_inverse_depth(polar_angle: Array, inverse_depth: Array, baseline: float = 1.0) -> Array:

@@ -12,9 +12,10 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import Placement, placement_of
 
-__all__ = ["Panorama", "read_mask", "read_panorama"]
+__all__ = ["INTEGER_PEAKS", "Panorama", "read_mask", "read_panorama"]
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
+"""Samples of white, by their type."""
 
 FLOATS = frozenset({"float16", "float32", "float64"})
 

@@ -51,7 +51,9 @@ def make_folder(folder: Path, what: str) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputPathError(f"{folder}: expected a folder for {what}, got '{error.strerror}'") from error
+        raise OutputPathError(
+            f"{folder}: expected a folder for {what}, got '{error.strerror}'; choose another place"
+        ) from error
 
 
 def check_output(path: Path | str, overwrite: bool = False) -> None:

@@ -64,7 +64,7 @@ class MeshRenderer:
     ) -> None:
         mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
         self._texture, self._shader = make_texture(image, mask), Shader(size, threads)
-        every = len(mesh.faces())
+        every = mesh.face_count()
         self._see: Callable[[Pose], Seen]
         if way is None:
             self.triangles = (every, every)

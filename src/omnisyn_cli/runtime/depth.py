@@ -7,15 +7,21 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame, forward_frame, free_space_agreement
+from omnisyn_cli.geometry.sweep import (
+    epipole_frame,
+    exchanged_in_epipole_frame,
+    exchanged_in_forward_frame,
+    forward_frame,
+    free_space_agreement,
+)
+from omnisyn_cli.geometry.turning import turned_directions, turned_image
 from omnisyn_cli.runtime.session import run_depth_network
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -74,11 +80,7 @@ class LearnedDepthEstimator:
 
     def _rectified(self, view: View, frame: Pose) -> Float[np.ndarray, "height width 3"]:
         """The panorama as a camera held like ``frame`` would have taken it, at the network's size."""
-        image = np.asarray(view.image, np.float32)
-        if image.shape[0] > self.size[0]:
-            image = np.asarray(cv2.resize(image, self.size[::-1], interpolation=cv2.INTER_AREA))
-        directions = pixel_directions(*self.size) @ (view.pose.rotation.T @ frame.rotation).T
-        return np.asarray(np.clip(sample_bicubic(image, directions), 0.0, 1.0), np.float32)
+        return np.asarray(turned_image(view.image, view.pose.rotation, frame.rotation, self.size), np.float32)
 
     def _run(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth × baseline and confidence of ``first``, both in the network's frame."""
@@ -88,26 +90,16 @@ class LearnedDepthEstimator:
 
     def _estimate(self, view: View, frame: Pose, inverse_depth: np.ndarray, trust: np.ndarray) -> DepthEstimate:
         """Both maps as the camera was held."""
-        own = pixel_directions(*self._estimate_size)
-        directions = own @ (frame.rotation.T @ view.pose.rotation).T
+        directions = turned_directions(self._estimate_size, frame.rotation, view.pose.rotation)
         confidence = np.clip(sample_bilinear(trust, directions), 0.0, 1.0)
         if view.mask is not None:
+            own = pixel_directions(*self._estimate_size)
             confidence = confidence * sample_nearest(view.mask.astype(np.float32), own)
         inside = _sample_between_edges(inverse_depth, directions)
         return DepthEstimate(inside.astype(np.float32), confidence.astype(np.float32))
 
     def _nothing(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self._estimate_size, np.float32), np.zeros(self._estimate_size, np.float32))
-
-
-def turn(image: np.ndarray) -> np.ndarray:
-    """An image in the epipole frame as it looks when the roles of both cameras are exchanged, and back."""
-    return np.ascontiguousarray(image[::-1, ::-1])
-
-
-def look_back(image: np.ndarray) -> np.ndarray:
-    """An image in the forward frame as it looks when the roles of both cameras are exchanged, and back."""
-    return np.roll(image, image.shape[1] // 2, axis=1)
 
 
 @dataclass(frozen=True)
@@ -127,8 +119,8 @@ class _Frame:
 
 FRAMES: Mapping[str, _Frame] = MappingProxyType(
     {
-        "epipole": _Frame(epipole_frame, turn, (0.0, 1.0, 0.0)),
-        "forward": _Frame(forward_frame, look_back, (0.0, 0.0, -1.0)),
+        "epipole": _Frame(epipole_frame, exchanged_in_epipole_frame, (0.0, 1.0, 0.0)),
+        "forward": _Frame(forward_frame, exchanged_in_forward_frame, (0.0, 0.0, -1.0)),
     }
 )
 """By the name in a model's metadata."""

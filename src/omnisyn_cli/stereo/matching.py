@@ -16,9 +16,10 @@ from jaxtyping import Bool
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
 from omnisyn_cli.stereo.evidence import Evidence
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
-from omnisyn_cli.stereo.rectify import RectifiedPair, flip, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
 from omnisyn_cli.stereo.thread_limit import limited_threads
@@ -130,7 +131,7 @@ def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.nd
 def _agreeing(both: list[Matches], options: MatchingOptions) -> list[Matches]:
     """Left-right check: keep as seen what the other direction saw at the same depth."""
     return [
-        replace(a, seen=a.seen & _confirmed(a.disparity, flip(b.disparity), options.agreement))
+        replace(a, seen=a.seen & _confirmed(a.disparity, exchanged_in_epipole_frame(b.disparity), options.agreement))
         for a, b in (both, both[::-1])
     ]
 

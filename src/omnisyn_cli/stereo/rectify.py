@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
+from omnisyn_cli.geometry.turning import turned_directions
 from omnisyn_cli.types import View
 
 __all__ = ["RectifiedPair", "rectify", "resize_area", "usable_pixels"]
@@ -55,17 +55,17 @@ class RectifiedPair:
     def reversed(self) -> RectifiedPair:
         """The same pair seen from the second panorama."""
         return RectifiedPair(
-            first=flip(self.second),
-            second=flip(self.first),
-            first_usable=flip(self.second_usable),
-            second_usable=flip(self.first_usable),
+            first=exchanged_in_epipole_frame(self.second),
+            second=exchanged_in_epipole_frame(self.first),
+            first_usable=exchanged_in_epipole_frame(self.second_usable),
+            second_usable=exchanged_in_epipole_frame(self.first_usable),
             world_from_frame=self.world_from_frame @ HALF_TURN,
             baseline=self.baseline,
         )
 
     def to_camera(self, values: np.ndarray, pose: Pose, size: tuple[int, int]) -> np.ndarray:
         """An image of the first panorama in this frame, as the camera held it (nearest pixel: edges stay edges)."""
-        directions = pixel_directions(*size) @ (self.world_from_frame.T @ pose.rotation).T
+        directions = turned_directions(size, self.world_from_frame, pose.rotation)
         return np.asarray(sample_nearest(values.astype(np.float32), directions)).astype(values.dtype)
 
 
@@ -75,11 +75,6 @@ def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
     images = [_turn(resize_area(v.image, size), v.pose, frame, size) for v in (first, second)]
     usable = [_turn_mask(v, frame, size) for v in (first, second)]
     return RectifiedPair(images[0], images[1], usable[0], usable[1], frame.rotation, baseline)
-
-
-def flip(values: np.ndarray) -> np.ndarray:
-    """An image upside down: what :meth:`RectifiedPair.reversed` does to a map."""
-    return np.ascontiguousarray(values[::-1, ::-1])
 
 
 def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -93,8 +88,7 @@ def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _turn(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:
-    directions = pixel_directions(*size) @ (pose.rotation.T @ frame.rotation).T
-    return np.asarray(sample_bilinear(image, directions), np.float32)
+    return np.asarray(sample_bilinear(image, turned_directions(size, pose.rotation, frame.rotation)), np.float32)
 
 
 def usable_pixels(view: View, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:

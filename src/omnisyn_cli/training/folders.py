@@ -9,15 +9,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.geometry.turning import turned_directions, turned_image
 from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.training.data import PoolScene, save_scene
 from omnisyn_cli.types import View
@@ -65,11 +64,8 @@ def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
 
 def _turned(view: View, frame: Pose, size: tuple[int, int]) -> tuple[np.ndarray, Float[np.ndarray, "height width"]]:
     """Colours (uint8) and inverse depth of a panorama as a camera held like ``frame`` would have taken it."""
-    image = np.asarray(view.image, np.float32)
-    if image.shape[0] > size[0]:
-        image = np.asarray(cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA))
-    directions = pixel_directions(*size) @ (view.pose.rotation.T @ frame.rotation).T
-    colours = np.clip(sample_bicubic(image, directions), 0.0, 1.0)
+    colours = turned_image(view.image, view.pose.rotation, frame.rotation, size)
+    directions = turned_directions(size, view.pose.rotation, frame.rotation)
     return (colours * 255.0 + 0.5).astype(np.uint8), _known_inverse_depth(view, directions)
 
 

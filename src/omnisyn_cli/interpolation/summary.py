@@ -1,0 +1,64 @@
+"""What was done: how long it took, and how far it can be relied on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import fmean
+from typing import Any
+
+from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
+from omnisyn_cli.planning import InterpolationPlan
+
+__all__ = ["Summary", "warning_about"]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What was done.
+
+    Attributes:
+        plan: what was planned.
+        seconds: wall time by stage; ``total`` is all of it. Encoding runs beside the other stages: ``encode`` is the
+            time that they waited for it.
+        pairs: how far the frames between two panoramas can be relied on, by the index of the first; pairs without a
+            frame of their own are left out.
+        triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the same index.
+    """
+
+    plan: InterpolationPlan
+    seconds: dict[str, float]
+    pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
+    triangles: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+
+    def describe(self) -> dict[str, Any]:
+        """The summary as plain values, for people and for JSON."""
+        stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
+        triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
+        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence(), "triangles": triangles}
+
+    def warnings(self) -> list[str]:
+        """A line for every pair that scores too low to be relied on."""
+        return [warning_about(self.plan, index, pair) for index, pair in self.pairs.items() if pair.score < LEAST_SCORE]
+
+    def _confidence(self) -> dict[str, Any]:
+        """The clip's score is that of its worst pair; its shares are the means."""
+        if not self.pairs:
+            return {"score": 1.0, "pairs": []}
+        described = [pair.describe() for pair in self.pairs.values()]
+        shares = {key: round(fmean(pair[key] for pair in described), 4) for key in described[0] if key != "score"}
+        return {
+            "score": min(pair["score"] for pair in described),
+            **shares,
+            "pairs": [{"first": index, **pair} for index, pair in zip(self.pairs, described, strict=True)],
+        }
+
+
+def warning_about(plan: InterpolationPlan, index: int, pair: PairConfidence) -> str:
+    """What is wrong with a pair and what to do about it, in one line."""
+    first, second = plan.job.images[index : index + 2]
+    return (
+        f"{first.name} and {second.name}: expected a confidence of at least {LEAST_SCORE:g}, got {pair.score:.2f} "
+        f"({pair.unseen:.0%} unseen, {pair.disagreement:.0%} in disagreement); check the poses, take panoramas that "
+        "are closer together, or show a cross-fade there (--fallback crossfade)"
+    )

@@ -1,0 +1,33 @@
+"""What is going to be done: a user's wishes, checked against the files, before any picture is decoded.
+
+Whatever can be refused is refused here, so that nothing fails after minutes of work that could have been known before.
+"""
+
+from omnisyn_cli.planning.job import (
+    DEPTH_METHODS,
+    FALLBACKS,
+    POSES_FROM_PICTURES,
+    RENDERERS,
+    InterpolationJob,
+    depth_name,
+    is_rounded,
+    sample_types,
+    targets,
+)
+from omnisyn_cli.planning.plan import SECONDS_PER_PAIR, InterpolationPlan, plan_interpolation, with_preset
+
+__all__ = [
+    "DEPTH_METHODS",
+    "FALLBACKS",
+    "POSES_FROM_PICTURES",
+    "RENDERERS",
+    "SECONDS_PER_PAIR",
+    "InterpolationJob",
+    "InterpolationPlan",
+    "depth_name",
+    "is_rounded",
+    "plan_interpolation",
+    "sample_types",
+    "targets",
+    "with_preset",
+]

@@ -1,0 +1,62 @@
+"""The memory that a job will take, estimated from the sizes of what is held at its two peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from omnisyn_cli.io import read_header
+from omnisyn_cli.io.background import frames_in_queue
+from omnisyn_cli.planning.job import InterpolationJob, is_rounded, sample_types
+from omnisyn_cli.rows import are_frames_by_rows
+
+__all__ = ["estimated_memory"]
+
+PROGRAM = 450e6
+"""Bytes of the interpreter, its libraries, compiled kernels and matching."""
+
+BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
+"""Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
+
+MIP_LEVELS = 4 / 3
+"""Pixels of a texture with its mip levels, in those of the picture."""
+
+
+def estimated_memory(
+    job: InterpolationJob, size: tuple[int, int], sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]]
+) -> int:
+    """Bytes, estimated: the most of what is held while a pair is prepared and while frames are made of it.
+
+    Args:
+        job: what is asked for.
+        size: height and width of the frames.
+        sources: those of the panoramas.
+        depths: those of the surfaces.
+
+    Raises:
+        ImageError: a panorama is missing or unreadable.
+    """
+    largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
+    has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
+    is_kept_as_samples = has_samples and job.renderer == "mesh"
+    kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
+    numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
+    surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
+    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size) + numbers * largest)
+    return int(PROGRAM + surfaces + 2 * kept * largest + held)
+
+
+def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int]) -> float:
+    """What making frames takes: two renderings, the pyramid that fills holes, frames on their way to the encoder."""
+    pixels = size[0] * size[1]
+    is_by_rows = are_frames_by_rows(
+        job.renderer, job.fusion, size,
+        is_rounded=is_rounded(job), is_judged=job.fallback == "crossfade" or job.save_confidence is not None,
+    )  # fmt: skip
+    pyramid, planes = 16 / 3, 1.5
+    waiting = frames_in_queue(size) + 2
+    if is_by_rows:
+        return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
+    largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
+    return pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)

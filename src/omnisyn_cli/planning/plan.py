@@ -1,0 +1,238 @@
+"""A job that has been checked: its poses and path, where its depth comes from, what there is to say about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.io import PosedPanorama, PoseFile, read_header, read_poses
+from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.sequence import image_sequence, is_sequence
+from omnisyn_cli.planning.checks import (
+    check_choices,
+    check_companions,
+    check_inputs_survive,
+    check_names,
+    check_outputs,
+    checked_size,
+)
+from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
+from omnisyn_cli.planning.memory import estimated_memory
+from omnisyn_cli.presets import FUSION_MODEL, PRESETS
+from omnisyn_cli.runtime.models import find_model
+from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
+
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "plan_interpolation", "with_preset"]
+
+MODELLED = ("refined", "network")
+"""Sources of depth that a network has a part in."""
+
+SECONDS_PER_PAIR = 3.0
+"""Length of the video between two panoramas unless the user says otherwise."""
+
+MOST_FRAMES = 1_000_000
+"""Nine hours; more is taken for a mistake."""
+
+
+@dataclass(frozen=True)
+class InterpolationPlan:
+    """A job that has been checked.
+
+    Attributes:
+        job: what was asked for.
+        entries: the pose file's entry of every panorama.
+        source_sizes: (height, width) of every panorama.
+        size: (height, width) of the video.
+        path: a waypoint for every frame.
+        depth: where depth comes from, one of :data:`omnisyn_cli.estimators.DEPTH_SOURCES`.
+        model: the network that has a part in it; None if none has.
+        length: metres from the first panorama to the last.
+        memory: bytes that the pictures and buffers will take, estimated.
+        notes: what the user should know.
+    """
+
+    job: InterpolationJob
+    entries: tuple[PosedPanorama, ...]
+    source_sizes: tuple[tuple[int, int], ...]
+    size: tuple[int, int]
+    path: tuple[Waypoint, ...]
+    depth: str
+    model: str | None
+    length: float
+    memory: int
+    notes: tuple[str, ...]
+
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        height, width = self.size
+        return {
+            "inputs": [str(image) for image in self.job.images],
+            "output": str(self.job.output),
+            "frames": len(self.path),
+            "fps": self.job.fps,
+            "seconds_of_video": round(len(self.path) / self.job.fps, 3),
+            "size": f"{width}x{height}",
+            "encoder": _encoder(self.job),
+            "preset": self.job.preset,
+            "depth": self.depth,
+            "model": self.model or "",
+            "renderer": self.job.renderer,
+            "fusion": self.job.fusion,
+            "path_metres": round(self.length, 4),
+            "memory_mib": round(self.memory / 2**20),
+            "notes": list(self.notes),
+        }
+
+
+def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
+    """Check a job without writing anything; pictures are decoded only to find or to refine poses.
+
+    Raises:
+        InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
+    """
+    if len(job.images) < 2:
+        raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
+    check_names(job)
+    check_choices(job)
+    pose_file, remarks = _poses(job)
+    entries = tuple(pose_file.of(image) for image in job.images)
+    source_sizes = tuple(checked_size(image, job) for image in job.images)
+    depth = _depth_method(job, entries)
+    model = _model(job, depth)
+    if job.fusion == "network":
+        find_model(FUSION_MODEL)
+    check_companions(entries, depth)
+    for mask in job.masks:
+        read_header(mask)
+    size = job.size or _even(max(source_sizes))
+    check_outputs(job, size)
+    check_inputs_survive(job, entries)
+    poses = [entry.pose for entry in entries]
+    path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
+    memory = estimated_memory(job, size, source_sizes, _depth_sizes(entries, depth, PRESETS[job.preset].depth_rows))
+    return InterpolationPlan(
+        job, entries, source_sizes, size, path, depth, model, path_length(poses), memory,
+        (*remarks, *_notes(job, entries, depth)),
+    )  # fmt: skip
+
+
+def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
+    """The plan with another preset; its poses are not looked for again.
+
+    Raises:
+        InputError: the preset's network is not installed.
+    """
+    job = replace(plan.job, preset=preset)
+    depth = _depth_method(job, plan.entries)
+    sizes = _depth_sizes(plan.entries, depth, PRESETS[preset].depth_rows)
+    memory = estimated_memory(job, plan.size, plan.source_sizes, sizes)
+    return replace(plan, job=job, depth=depth, model=_model(job, depth), memory=memory)
+
+
+def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
+    """The poses, read, refined or found, and what there is to say about them."""
+    is_found = job.poses == POSES_FROM_PICTURES
+    if job.baseline is not None and not is_found:
+        raise InputError(
+            f"expected a baseline only where poses are found in the pictures (--poses auto), got {job.baseline:g} m "
+            f"and {job.poses}; leave out one of them"
+        )
+    if not (is_found or job.refine):
+        return read_poses(job.poses, allow_outside=job.allow_outside), ()
+    # OpenCV takes a while to import and is needed for poses from pictures only.
+    from omnisyn_cli.posing import PictureOptions, estimate_poses, refine_poses
+
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels)
+    if is_found:
+        found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
+    else:
+        found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
+    return PoseFile(job.poses, found.panoramas), found.notes
+
+
+def _even(size: tuple[int, int]) -> tuple[int, int]:
+    """The 2:1 size with an even height that is closest to an image of this height."""
+    height = size[0] + size[0] % 2
+    return height, 2 * height
+
+
+def _frame_count(job: InterpolationJob) -> int:
+    if job.frames is not None and job.duration is not None:
+        raise InputError(
+            f"expected either frames or a duration, got {job.frames} frames and {job.duration:g} s; name one, and the "
+            "frames per second"
+        )
+    seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
+    count = job.frames if job.frames is not None else seconds * job.fps
+    if not math.isfinite(count) or count > MOST_FRAMES:
+        raise InputError(f"expected at most {MOST_FRAMES:,} frames, got {count:g}; ask for fewer")
+    if round(count) < len(job.images):
+        raise InputError(
+            f"expected at least {len(job.images)} frames, one for each panorama, got {round(count)}; "
+            "ask for more frames or a longer duration"
+        )
+    return round(count)
+
+
+def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> str:
+    without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
+    if job.depth == "auto":
+        return PRESETS[job.preset].depth if without or job.model is not None else "file"
+    if job.depth == "file" and without:
+        raise PoseError(
+            f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
+            "name one or choose another depth method"
+        )
+    return job.depth
+
+
+def _model(job: InterpolationJob, depth: str) -> str | None:
+    """The network that finds or refines depth, if one does; it has to be there."""
+    preset = PRESETS[job.preset]
+    model = job.model or (preset.model if depth == preset.depth else None)
+    if depth not in MODELLED:
+        if job.model is not None:
+            raise InputError(
+                f"expected a model only for depth {' or '.join(MODELLED)}, got depth {depth!r} and model "
+                f"{job.model!r}; leave one of them out"
+            )
+        return None
+    if model is None:
+        raise InputError(f"expected a model for depth {depth!r}, got none; name one (--model)")
+    find_model(model)
+    return model
+
+
+def _depth_sizes(entries: Sequence[PosedPanorama], depth: str, rows: int) -> list[tuple[int, int]]:
+    """Rows and columns of the surfaces; estimated depth has at most ``rows``."""
+    headers = [read_header(entry.depth) for entry in entries if entry.depth is not None] if depth == "file" else []
+    return [(header.height, header.width) for header in headers] or [(rows, 2 * rows)]
+
+
+def _encoder(job: InterpolationJob) -> str:
+    """The codec and its settings in a few words."""
+    if is_sequence(job.output):
+        sequence = image_sequence(job.output, f".{job.codec or 'png'}")
+        return f"{Path(sequence.after).suffix.lstrip('.') or sequence.after.lstrip('.')} images"
+    codec = CODECS[job.codec or "h264"]
+    crf = codec.crf if job.crf is None else job.crf
+    quality = "" if crf is None else f" crf {crf:g}"
+    return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
+
+
+def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) -> Iterator[str]:
+    named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
+    if job.depth == "auto" and depth != "file" and named:
+        yield f"{job.poses.name} names depth for {', '.join(named)} only: depth of all comes from matching"
+    for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
+        if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
+            same = second.pose.almost_equals(first.pose)
+            how = "cross-fades" if same else "turns in place and cross-fades"
+            yield f"{a.name} and {b.name} have the same position: there is no parallax to follow, the video {how}"

@@ -1,0 +1,161 @@
+"""What is refused, and what follows from a job, before any picture is decoded."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interpolation_samples import CHAIN, job_of, listing
+from omnisyn_cli import planning
+from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
+from omnisyn_cli.io import PosedPanorama, write_image, write_poses
+from omnisyn_cli.planning import plan_interpolation
+from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.render import renderer
+from synthesis_samples import as_bytes, hall_image, write_hall
+
+
+def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    assert plan_interpolation(job_of(tmp_path, images)).depth == "file"
+    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
+    entries = {path.name: PosedPanorama(pose) for path, pose in zip(images, CHAIN, strict=False)}
+    write_poses(tmp_path / "poses.json", entries)
+    plan = plan_interpolation(job_of(tmp_path, images))
+    assert (plan.depth, plan.model) == (PRESETS[DEFAULT_PRESET].depth, PRESETS[DEFAULT_PRESET].model)
+    with pytest.raises(PoseError, match=r"'depth' file for every panorama, got none for p0\.png, p1\.png"):
+        plan_interpolation(job_of(tmp_path, images, depth="file"))
+
+
+def test_a_missing_depth_or_mask_file_is_found_before_any_work(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    (tmp_path / "p1_depth.exr").unlink()
+    with pytest.raises(ImageError, match=r"p1_depth\.exr"):
+        plan_interpolation(job_of(tmp_path, images))
+    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
+
+
+def test_the_size_is_that_of_the_largest_panorama_unless_asked_for(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2], (33, 66))
+    assert plan_interpolation(job_of(tmp_path, images)).size == (34, 68)
+    assert plan_interpolation(job_of(tmp_path, images, size=(16, 32))).size == (16, 32)
+    with pytest.raises(InputError, match="try 32x16"):
+        plan_interpolation(job_of(tmp_path, images, size=(16, 30)))
+    write_image(images[1], as_bytes(hall_image(CHAIN[1], (64, 128))))
+    assert plan_interpolation(job_of(tmp_path, images)).size == (64, 128)
+
+
+def test_frames_follow_from_duration_and_rate(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    assert len(plan_interpolation(job_of(tmp_path, images, frames=None)).path) == 180
+    assert len(plan_interpolation(job_of(tmp_path, images, frames=None, duration=2.0, fps=12.5)).path) == 25
+
+
+REFUSED = {
+    "one image": ({"images": 1}, InputError, "two or more panoramas, got 1"),
+    "too few frames": ({"frames": 2, "images": 3}, InputError, "at least 3 frames"),
+    "too short": ({"frames": None, "duration": 0.01}, InputError, "at least 2 frames"),
+    "endless": ({"frames": None, "duration": float("inf")}, InputError, "at most 1,000,000 frames, got inf"),
+    "undefined": ({"frames": None, "fps": float("nan")}, InputError, "at most 1,000,000 frames, got nan"),
+    "frames as a video": ({"save_frames": "b.mp4"}, OutputPathError, "folder or a pattern"),
+    "frames where frames go": ({"save_frames": "out"}, OutputPathError, "another place"),
+    "no folder for depth": ({"save_depth": "none/depth"}, OutputPathError, "create it first"),
+    "depth into a file": ({"save_depth": "poses.json"}, OutputPathError, "got a file"),
+    "odd size for video": ({"output": "a.mp4", "size": (17, 34)}, InputError, "even width and height"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_work_is_refused_before_any_work(tmp_path: Path, case: str) -> None:
+    changes, error, words = REFUSED[case]
+    images = write_hall(tmp_path, CHAIN)[: changes.get("images", 2)]
+    before = listing(tmp_path)
+    paths = {key: tmp_path / value for key, value in changes.items() if isinstance(value, str)}
+    others = {key: value for key, value in changes.items() if key not in paths and key != "images"}
+    with pytest.raises(error, match=words):
+        plan_interpolation(job_of(tmp_path, images, **paths, **others))
+    assert listing(tmp_path) == before
+
+
+def test_overwriting_never_reaches_the_inputs(tmp_path: Path) -> None:
+    """A folder of numbered panoramas as the output would be emptied of its former frames: of the inputs."""
+    images = write_hall(tmp_path, CHAIN[:2])
+    numbered = [image.rename(tmp_path / f"{index:06d}.png") for index, image in enumerate(images)]
+    entries = {path.name: PosedPanorama(pose, tmp_path / f"p{index}_depth.exr")
+               for index, (path, pose) in enumerate(zip(numbered, CHAIN, strict=False))}  # fmt: skip
+    write_poses(tmp_path / "poses.json", entries)
+    for place in ({"output": tmp_path}, {"save_frames": tmp_path, "output": tmp_path / "a.mp4"}):
+        with pytest.raises(OutputPathError, match=r"000000\.png: expected inputs that are not overwritten"):
+            plan_interpolation(job_of(tmp_path, numbered, overwrite=True, **place))
+    assert plan_interpolation(job_of(tmp_path, numbered, output=tmp_path / "f_%03d.png", overwrite=True))
+
+
+def test_a_model_without_a_network_and_unknown_choices_are_refused(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    with pytest.raises(InputError, match="found none"):
+        plan_interpolation(job_of(tmp_path, images, model="some.onnx"))
+    with pytest.raises(InputError, match="only for depth refined or network"):
+        plan_interpolation(job_of(tmp_path, images, depth="matching", model="some.onnx"))
+    with pytest.raises(InputError, match="name one"):
+        plan_interpolation(job_of(tmp_path, images, depth="network"))
+    for wrong in (
+        {"preset": "hasty"},
+        {"depth": "nonsense"},
+        {"renderer": "wires"},
+        {"heading": "north"},
+        {"ease": "fast"},
+    ):
+        with pytest.raises(InputError, match="expected one of"):
+            plan_interpolation(job_of(tmp_path, images, **wrong))
+
+
+def test_the_names_of_the_renderers_are_those_that_there_are() -> None:
+    assert set(planning.RENDERERS) == set(renderer.RENDERERS)
+
+
+def test_a_plan_is_made_without_kernels(tmp_path: Path) -> None:
+    images = [str(path) for path in write_hall(tmp_path, CHAIN[:2])]
+    arguments = ["interpolate", *images, "--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "a.mp4")]
+    code = (
+        "import sys; from omnisyn_cli.cli import cli; "
+        f"cli.main({[*arguments, '--dry-run', '-q']!r}, standalone_mode=False); "
+        "print([name for name in ('numba', 'torch', 'onnxruntime', 'cv2') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_encoder_is_named_after_the_pattern(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    plan = plan_interpolation(job_of(tmp_path, images, output=tmp_path / "frame_%05d.jpg"))
+    assert plan.describe()["encoder"] == "jpg images"
+
+
+def test_what_headers_tell_is_refused_before_anything_is_decoded(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    with pytest.raises(InputError, match="either frames or a duration"):
+        plan_interpolation(job_of(tmp_path, images, duration=2.0))
+    with pytest.raises(InputError, match="at most"):
+        plan_interpolation(job_of(tmp_path, images, size=(50_000, 100_000)))
+    write_image(tmp_path / "p0_depth.png", as_bytes(hall_image(CHAIN[0])))
+    text = (tmp_path / "poses.json").read_text().replace("p0_depth.exr", "p0_depth.png")
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(ImageError, match="expected depth as EXR"):
+        plan_interpolation(job_of(tmp_path, images))
+    write_image(images[0], np.zeros((1, 2, 3), np.uint8))
+    with pytest.raises(ImageError, match="at least 4×2"):
+        plan_interpolation(job_of(tmp_path, images))
+
+
+def test_depth_of_some_panoramas_only_is_said_not_to_be_used(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    text = (tmp_path / "poses.json").read_text()
+    entries = json.loads(text)
+    del entries["panoramas"][images[1].name]["depth"]
+    (tmp_path / "poses.json").write_text(json.dumps(entries))
+    (note,) = plan_interpolation(job_of(tmp_path, images)).notes
+    assert images[0].name in note
+    assert "matching" in note
