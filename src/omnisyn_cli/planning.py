@@ -49,6 +49,7 @@ __all__ = [
     "InterpolationJob",
     "InterpolationPlan",
     "depth_name",
+    "networks_of",
     "plan_interpolation",
     "targets",
     "with_preset",
@@ -220,8 +221,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     source_sizes = tuple(_size_of(image, job) for image in job.images)
     depth = _depth_method(job, entries)
     model = _model(job, depth)
-    if job.fusion == "network":
-        find_model(FUSION_MODEL)
+    for network in networks_of(job, entries):
+        find_model(network)
     _check_companions(entries, depth)
     for mask in job.masks:
         read_header(mask)
@@ -245,9 +246,21 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     """
     job = replace(plan.job, preset=preset)
     depth = _depth_method(job, plan.entries)
+    for network in networks_of(job, plan.entries):
+        find_model(network)
     sizes = _depth_sizes(plan.entries, depth, PRESETS[preset].depth_rows)
     memory = _memory(job, plan.size, plan.source_sizes, sizes)
     return replace(plan, job=job, depth=depth, model=_model(job, depth), memory=memory)
+
+
+def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
+    """Networks that have a part in a job's frames, by name in the manifest or as paths: of depth, then of fusion.
+
+    Raises:
+        InputError, PoseError: depth cannot be had as the job asks for it.
+    """
+    model = _model(job, _depth_method(job, entries))
+    return (*(() if model is None else (model,)), *((FUSION_MODEL,) if job.fusion == "network" else ()))
 
 
 def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
@@ -344,7 +357,7 @@ def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> st
 
 
 def _model(job: InterpolationJob, depth: str) -> str | None:
-    """The network that finds or refines depth, if one does; it has to be there."""
+    """The network that finds or refines depth, if one does."""
     preset = PRESETS[job.preset]
     model = job.model or (preset.model if depth == preset.depth else None)
     if depth not in MODELLED:
@@ -356,7 +369,6 @@ def _model(job: InterpolationJob, depth: str) -> str | None:
         return None
     if model is None:
         raise InputError(f"expected a model for depth {depth!r}, got none; name one (--model)")
-    find_model(model)
     return model
 
 

@@ -1,20 +1,22 @@
-"""What a result was made of: the files with their hashes, the poses, the options."""
+"""What a result was made of: the files and the networks with their hashes, the poses, the options."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.runtime.models import find_model
+from omnisyn_cli.planning import networks_of
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
-__all__ = ["has_same_sources", "hash_file", "sources", "stamp"]
+__all__ = ["digest_of_network", "has_same_sources", "hash_file", "sources", "stamp"]
 
 Stamp = tuple[str, int, int]
 
@@ -51,26 +53,60 @@ def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     return {str(path) for path in paths} == set(known) and all(_is_same(path, known[str(path)]) for path in paths)
 
 
+def digest_of_network(name: str, made_of: Mapping[str, Any]) -> str | None:
+    """The digest of a network, by its name or path, in what :func:`sources` says of a job that uses it."""
+    known = made_of["files"].get(str(Path(name)), {}).get("sha256") if _is_path(name) else made_of["models"].get(name)
+    return None if known is None else str(known)
+
+
 def _settings(job: BatchJob) -> dict[str, Any]:
     entries = _entries(job)
+    installed = _installed()
+    digests = {name: installed[name].sha256 if name in installed else None for name in _networks(job)}
     return {
         "inputs": [str(image) for image in job.images],
         "outputs": job.outputs,
         "options": json.loads(json.dumps(job.options, default=str)),
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
+        "models": {name: digest for name, digest in digests.items() if not _is_path(name)},
     }
 
 
 def _files(job: BatchJob) -> Iterator[Path]:
-    """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count."""
-    yield from dict.fromkeys(job.images)
+    """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count.
+
+    Networks that come with the program are not among them: they lie elsewhere on every machine.
+    """
+    yield from dict.fromkeys((*job.images, *job.masks))
     companions = [file for entry in _entries(job) for file in (entry.depth, entry.mask) if file is not None]
     yield from dict.fromkeys(companions)
-    if (model := job.options.get("model")) is not None:
-        try:
-            yield find_model(model)
-        except OmnisynError:
-            yield Path(model)
+    yield from (Path(name) for name in _networks(job) if _is_path(name))
+
+
+def _networks(job: BatchJob) -> tuple[str, ...]:
+    """Names and paths of the networks that a job uses; none where it cannot be done, as the job itself will say."""
+    bare = [PosedPanorama(Pose.identity())] * len(job.images)  # what there is where poses are found in the pictures
+    try:
+        return networks_of(job.interpolation(Path()), _entries(job) or bare)
+    except OmnisynError:
+        return ()
+
+
+def _is_path(network: str) -> bool:
+    return network.endswith(".onnx")
+
+
+def _installed() -> Mapping[str, ModelEntry]:
+    """The networks that come with the program; their files are compared with these entries when they are loaded."""
+    try:
+        return _manifest(stamp(models_folder() / MANIFEST))
+    except (OmnisynError, OSError):
+        return {}
+
+
+@lru_cache(maxsize=1)
+def _manifest(mark: Stamp) -> Mapping[str, ModelEntry]:
+    return read_manifest(Path(mark[0]).parent)
 
 
 def _entries(job: BatchJob) -> list[PosedPanorama]:
