@@ -93,6 +93,7 @@ def test_all_problems_are_listed_with_their_lines(tmp_path: Path) -> None:
      ({"cut": 0}, "cut"), ({"depth": "guess"}, "depth"), ({"preset": "best"}, "preset"), ({"renderer": "x"}, "rend"),
      ({"inputs": ["p0.png"]}, "inputs"), ({"inputs": ["p0.png", "p2.exr"]}, "p2.exr"), ({"fps": 1e999}, "fps"),
      ({"nadir": 90}, "nadir"), ({"masks": ["p0.png"]}, "one mask"), ({"masks": ["p0.png", "m.png"]}, "m.png"),
+     ({"baseline": 2}, "baseline"), ({"poses": "auto", "baseline": 0}, "baseline"),
      ({"threads": 2}, "threads"), ({"overwrite": True}, "overwrite")],
 )  # fmt: skip
 def test_what_no_job_may_say_is_refused(tmp_path: Path, changes: dict[str, Any], word: str) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from batch_samples import SIZE, InlineCrew, contents, line, records, write_lines, write_row
 
-from omnisyn_cli import interpolation
+from omnisyn_cli import interpolation, posing
 from omnisyn_cli.batch import interpolations, provenance, run
 from omnisyn_cli.batch.engine import Work
 from omnisyn_cli.batch.interpolations import Settings, make_interpolator
@@ -25,9 +25,12 @@ from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation import plan_interpolation, run_interpolation
-from omnisyn_cli.io import read_poses, write_image, write_poses
+from omnisyn_cli.io import PosedPanorama, read_panorama, read_poses, write_image, write_poses
+from omnisyn_cli.posing import FoundPoses
 from omnisyn_cli.runtime import models
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.types import DepthEstimate, View
+from synthesis_samples import as_bytes, ws_psnr
 
 
 @pytest.fixture(autouse=True)
@@ -262,6 +265,50 @@ def test_fewer_frames_leave_none_of_the_former_ones(tmp_path: Path) -> None:
     batch(tmp_path, line(0, 1, frames=5))
     batch(tmp_path, line(0, 1, frames=3))
     assert len(contents(tmp_path / "out")) == 3
+
+
+def test_poses_are_found_in_the_pictures_as_well_as_given(tmp_path: Path) -> None:
+    """``auto`` and a baseline: the middle frame is the true one nearly as much as with the poses of the generator."""
+    scene = generate_scene("street", 101)
+    path = sample_path(scene, 101, 3, baseline=1.0)
+    truth = []
+    for name, pose in zip(("a.png", "b.png", "c.png"), path, strict=True):
+        image, _ = render_panorama(scene, pose, (192, 384), supersample=2, threads=1)
+        truth.append(np.asarray(image))
+        write_image(tmp_path / name, as_bytes(image))
+    write_poses(tmp_path / "poses.json", {"a.png": PosedPanorama(path[0]), "c.png": PosedPanorama(path[2])})
+    baseline = float(np.linalg.norm(path[2].position - path[0].position))
+    common = {"inputs": ["a.png", "c.png"], "frames": 3, "depth": "matching", "preset": "fast"}
+    lines = [{"id": "found", "output": "found", "poses": "auto", "baseline": baseline, **common},
+             {"id": "given", "output": "given", "poses": "poses.json", **common}]  # fmt: skip
+    report = batch(tmp_path, *lines)
+    assert (ids(report.done), report.failed) == (["found", "given"], [])
+    found, given = (ws_psnr(read_panorama(tmp_path / "out" / name / "000001.png").image, truth[1])
+                    for name in ("found", "given"))  # fmt: skip
+    assert found > given - 0.5 > ws_psnr((truth[0] + truth[2]) / 2, truth[1]) + 3
+    by_id = {record["id"]: record["summary"] for record in records(tmp_path / "out")}
+    assert by_id["found"]["path_metres"] == pytest.approx(baseline, abs=1e-4)
+    assert any("matches agree" in note for note in by_id["found"]["notes"])
+    assert ids(batch(tmp_path, *lines).kept) == ["found", "given"]
+
+
+def test_another_baseline_or_picture_does_a_job_with_found_poses_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And one that is tried without features in the pictures fails alone, saying what is missing."""
+    write_row(tmp_path, 3)
+    lines = [line(0, 1, poses="auto", baseline=1.5), line(1, 2)]
+    failed = batch(tmp_path, *lines).failed
+    assert ids(failed) == ["0-1"]
+    assert "matches that agree" in failed[0]["error"]
+    monkeypatch.setattr(posing, "estimate_poses", lambda images, *_: FoundPoses(
+        read_poses(tmp_path / "poses.json").panoramas, (), 1))  # fmt: skip
+    assert ids(batch(tmp_path, *lines, retry_failed=True).done) == ["0-1"]
+    assert ids(batch(tmp_path, *lines).kept) == ["0-1", "1-2"]
+    other = line(0, 1, poses="auto", baseline=2.5)
+    assert ids(batch(tmp_path, other, lines[1]).done) == ["0-1"]
+    write_image(tmp_path / "p0.png", np.zeros((*SIZE, 3), np.uint8))
+    assert (ids(batch(tmp_path, other, lines[1]).done)) == ["0-1"]
 
 
 def test_a_bad_pair_stops_nothing_and_is_tried_again_when_told_or_mended(tmp_path: Path) -> None:

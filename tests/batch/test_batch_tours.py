@@ -70,6 +70,16 @@ def test_a_tour_becomes_a_manifest_without_problems(tmp_path: Path) -> None:
         write_manifest(path, lines)
 
 
+def test_a_tour_whose_poses_are_rough_can_have_them_found(tmp_path: Path) -> None:
+    (tmp_path / "tour").mkdir()
+    write_row(tmp_path / "tour", 2)
+    options = TourOptions(options={"poses": "auto", "baseline": 1})
+    write_manifest(tmp_path / "jobs.jsonl", plan_tours(tmp_path / "tour", options))
+    manifest = read_manifest(tmp_path / "jobs.jsonl")
+    assert not manifest.problems
+    assert {job.poses for job in manifest.jobs} == {Path("auto")}
+
+
 def test_a_folder_of_scenes_keeps_them_apart(tmp_path: Path) -> None:
     for name in ("hall", "the yard"):
         (tmp_path / name).mkdir()

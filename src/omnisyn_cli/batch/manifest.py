@@ -81,6 +81,7 @@ CONSTRAINED: dict[str, Any] = {
     "device": (Literal[DEVICES], "auto"),
     "renderer": (Literal[RENDERERS], "mesh"),
     "fusion": (Literal[FUSIONS], DEFAULT_FUSION),
+    "baseline": (Positive | None, None),
     "cut": (Fraction | None, None),
     "cut_metres": (Positive | None, None),
     "encoder_preset": (Name | None, None),
@@ -228,7 +229,7 @@ class _Reader:
             for image in images:
                 pose_file.of(image)
         options = line.model_dump(exclude=set(PLACES), exclude_defaults=True)
-        _check_together(options, len(images))
+        _check_together(options, len(images), is_found=pose_file is None)
         if "masks" in options:
             options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]
         if (model := options.get("model")) is not None and self._exists(self._folder / model):
@@ -304,7 +305,7 @@ def _ends(poses: PoseFile | None) -> list[str]:
     return [names[0], names[-1]]
 
 
-def _check_together(options: dict[str, Any], panoramas: int) -> None:
+def _check_together(options: dict[str, Any], panoramas: int, *, is_found: bool) -> None:
     """What options say together."""
     if "masks" in options and len(options["masks"]) != panoramas:
         raise InputError(
@@ -315,6 +316,8 @@ def _check_together(options: dict[str, Any], panoramas: int) -> None:
         raise InputError("expected either frames or a duration, got both; name one")
     if "cut" in options and "cut_metres" in options:
         raise InputError("expected either cut or cut_metres, got both; name one")
+    if "baseline" in options and not is_found:
+        raise InputError("expected a baseline only where poses are found in the pictures, got a pose file; name one")
     if "size" in options:
         width, _, height = options["size"].partition("x")
         if int(width) != 2 * int(height):

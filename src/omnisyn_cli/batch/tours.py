@@ -18,6 +18,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import check_output, read_poses
 from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.planning import POSES_FROM_PICTURES
 from omnisyn_cli.trajectory import STILL
 
 __all__ = ["TourOptions", "neighbours", "plan_tours", "walks", "write_manifest"]
@@ -180,4 +181,5 @@ def _relative(line: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         except ValueError:  # another drive
             return path.absolute().as_posix()
 
-    return {**line, "inputs": [name(path) for path in line["inputs"]], "poses": name(line["poses"])}
+    poses = line["poses"] if line["poses"] == str(POSES_FROM_PICTURES) else name(line["poses"])
+    return {**line, "inputs": [name(path) for path in line["inputs"]], "poses": poses}
