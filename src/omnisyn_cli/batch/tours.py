@@ -141,7 +141,7 @@ def _pose_files(source: Path) -> list[Path]:
 
 
 def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, Any]]:
-    poses = read_poses(file)
+    poses = read_poses(file, allow_outside=options.options.get("allow_outside") is True)
     names = list(poses.panoramas)
     positions = np.array([entry.pose.position for entry in poses.panoramas.values()]).reshape(-1, 3)
     scene = "" if file.parent == source or file == source else f"{_plain(file.parent.name)}-"
