@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -38,18 +38,22 @@ def hash_file(path: Path) -> dict[str, Any]:
 
 def sources(job: BatchJob) -> dict[str, Any]:
     """What the result of a job depends on, as plain values for JSON."""
-    files = {str(path): hash_file(path) for path in _files(job)}
-    return {**_settings(job), "files": files}
+    entries = _entries(job)
+    networks = _networks(job, entries)
+    files = {str(path): hash_file(path) for path in _files(job, entries, networks)}
+    return {**_settings(job, entries, networks), "files": files}
 
 
 def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     """Whether a job would be made of the same as a recorded one; files are only read if they have been touched."""
     if not isinstance(recorded, dict):
         return False
-    known = recorded.get("files")
-    if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in _settings(job).items()):
+    known, entries = recorded.get("files"), _entries(job)
+    networks = _networks(job, entries)
+    settings = _settings(job, entries, networks)
+    if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in settings.items()):
         return False
-    paths = list(_files(job))
+    paths = list(_files(job, entries, networks))
     return {str(path) for path in paths} == set(known) and all(_is_same(path, known[str(path)]) for path in paths)
 
 
@@ -59,35 +63,34 @@ def digest_of_network(name: str, made_of: Mapping[str, Any]) -> str | None:
     return None if known is None else str(known)
 
 
-def _settings(job: BatchJob) -> dict[str, Any]:
-    entries = _entries(job)
-    installed = _installed()
-    digests = {name: installed[name].sha256 if name in installed else None for name in _networks(job)}
+def _settings(job: BatchJob, entries: Sequence[PosedPanorama], networks: Sequence[str]) -> dict[str, Any]:
+    named = [name for name in networks if not _is_path(name)]
+    installed = _installed() if named else {}
     return {
         "inputs": [str(image) for image in job.images],
         "outputs": job.outputs,
         "options": json.loads(json.dumps(job.options, default=str)),
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
-        "models": {name: digest for name, digest in digests.items() if not _is_path(name)},
+        "models": {name: installed[name].sha256 if name in installed else None for name in named},
     }
 
 
-def _files(job: BatchJob) -> Iterator[Path]:
+def _files(job: BatchJob, entries: Sequence[PosedPanorama], networks: Sequence[str]) -> Iterator[Path]:
     """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count.
 
     Networks that come with the program are not among them: they lie elsewhere on every machine.
     """
     yield from dict.fromkeys((*job.images, *job.masks))
-    companions = [file for entry in _entries(job) for file in (entry.depth, entry.mask) if file is not None]
+    companions = [file for entry in entries for file in (entry.depth, entry.mask) if file is not None]
     yield from dict.fromkeys(companions)
-    yield from (Path(name) for name in _networks(job) if _is_path(name))
+    yield from (Path(name) for name in networks if _is_path(name))
 
 
-def _networks(job: BatchJob) -> tuple[str, ...]:
+def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
     """Names and paths of the networks that a job uses; none where it cannot be done, as the job itself will say."""
     bare = [PosedPanorama(Pose.identity())] * len(job.images)  # what there is where poses are found in the pictures
     try:
-        return networks_of(job.interpolation(Path()), _entries(job) or bare)
+        return networks_of(job.interpolation(Path()), entries or bare)
     except OmnisynError:
         return ()
 
