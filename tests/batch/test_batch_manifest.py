@@ -49,12 +49,14 @@ def test_every_option_of_interpolate_is_one_of_a_line() -> None:
 
 def test_csv_says_the_same_as_jsonl(tmp_path: Path) -> None:
     write_row(tmp_path, 3)
-    lines = [line(0, 1, fps=25, allow_aspect=True), line(1, 2, size="64x32")]
-    columns = ["id", "inputs", "poses", "output", "frames", "fps", "allow_aspect", "size"]
+    lines = [line(0, 1, fps=25, allow_aspect=True), line(1, 2, size="64x32", masks=["p0.png", "p1.png"])]
+    columns = ["id", "inputs", "poses", "output", "frames", "fps", "allow_aspect", "size", "masks"]
     with (tmp_path / "jobs.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
-        writer.writerows({**one, "inputs": ";".join(one["inputs"])} for one in lines)
+        writer.writerows(
+            {key: ";".join(cell) if isinstance(cell, list) else cell for key, cell in one.items()} for one in lines
+        )
     from_csv = read_manifest(tmp_path / "jobs.csv")
     assert not from_csv.problems
     assert from_csv.jobs == read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
@@ -90,6 +92,8 @@ def test_all_problems_are_listed_with_their_lines(tmp_path: Path) -> None:
      ({"size": "64x64"}, "twice"), ({"size": "64"}, "size"), ({"cut": 0.1, "cut_metres": 1}, "either"),
      ({"cut": 0}, "cut"), ({"depth": "guess"}, "depth"), ({"preset": "best"}, "preset"), ({"renderer": "x"}, "rend"),
      ({"inputs": ["p0.png"]}, "inputs"), ({"inputs": ["p0.png", "p2.exr"]}, "p2.exr"), ({"fps": 1e999}, "fps"),
+     ({"nadir": 90}, "nadir"), ({"masks": ["p0.png"]}, "one mask"), ({"masks": ["p0.png", "m.png"]}, "m.png"),
+     ({"baseline": 2}, "baseline"), ({"poses": "auto", "baseline": 0}, "baseline"),
      ({"threads": 2}, "threads"), ({"overwrite": True}, "overwrite")],
 )  # fmt: skip
 def test_what_no_job_may_say_is_refused(tmp_path: Path, changes: dict[str, Any], word: str) -> None:

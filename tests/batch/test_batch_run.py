@@ -1,6 +1,8 @@
 """A batch does what interpolating one pair after another does, and started again it does only what is missing."""
 
+import hashlib
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -12,17 +14,23 @@ import numpy as np
 import pytest
 from batch_samples import SIZE, InlineCrew, contents, line, records, write_lines, write_row
 
-from omnisyn_cli.batch import interpolations, run
+from omnisyn_cli import interpolation, posing
+from omnisyn_cli.batch import interpolations, provenance, run
 from omnisyn_cli.batch.engine import Work
 from omnisyn_cli.batch.interpolations import Settings, make_interpolator
 from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.batch.places import WORKSHOP, open_workshop, unpack
 from omnisyn_cli.batch.run import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation import plan_interpolation, run_interpolation
-from omnisyn_cli.io import read_poses, write_image, write_poses
+from omnisyn_cli.io import PosedPanorama, read_panorama, read_poses, write_image, write_poses
+from omnisyn_cli.posing import FoundPoses
+from omnisyn_cli.runtime import models
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.types import DepthEstimate, View
+from synthesis_samples import as_bytes, ws_psnr
 
 
 @pytest.fixture(autouse=True)
@@ -138,11 +146,169 @@ def test_only_what_changed_is_done_again(tmp_path: Path, change: Callable[[Path]
     assert len(list((tmp_path / "out" / "1-2").iterdir())) == 3
 
 
+NETWORKS = {"refine-balanced": "refine", "fusion-residual": "fusion"}
+
+
+def install(folder: Path, **contents: str) -> None:
+    """Networks of the manifest with these contents, by their roles; those that are not named stay as they were."""
+    entries = []
+    for name, role in NETWORKS.items():
+        file = folder / f"{name}.onnx"
+        if role in contents or not file.exists():
+            file.write_text(contents.get(role, "first"))
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        entries.append(
+            f'[[models]]\nname = "{name}"\nrole = "{role}"\nvariant = ""\nfile = "{file.name}"\nsha256 = "{digest}"\n'
+            'size = [16, 32]\nparameters = 1\ntraining = ""\nlicence = ""\n'
+        )
+    (folder / "manifest.toml").write_text("version = 1\n" + "\n".join(entries))
+
+
+@pytest.fixture
+def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of networks that is the program's; nothing is computed with them."""
+    folder = tmp_path / "models"
+    folder.mkdir()
+    install(folder)
+    for module in (models, provenance):
+        monkeypatch.setattr(module, "models_folder", lambda: folder)
+    monkeypatch.setattr(interpolations, "make_estimator", lambda plan: lopsided)
+    monkeypatch.setattr(interpolation, "make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("change", "again"),
+    [
+        (lambda folder: install(folder), []),
+        (lambda folder: os.utime(folder / "manifest.toml", ns=(1, 1)), []),
+        (lambda folder: install(folder, refine="second"), ["preset"]),
+        (lambda folder: install(folder, fusion="second"), ["fusion"]),
+        (lambda folder: (folder.parent / "mine.onnx").write_text("other"), ["mine"]),
+        (lambda folder: os.utime(folder.parent / "mine.onnx", ns=(1, 1)), []),
+    ],
+    ids=["the same", "touched", "of the preset", "for fusion", "of the user", "of the user touched"],
+)
+def test_another_network_does_the_jobs_again_that_use_it(
+    tmp_path: Path, installed: Path, change: Callable[[Path], Any], again: list[str]
+) -> None:
+    """One job without a network, one with that of its preset, one with that for fusion, one with a file."""
+    write_row(tmp_path, 2)
+    (tmp_path / "mine.onnx").write_text("mine")
+    wishes = {"none": {}, "preset": {"depth": "refined"}, "fusion": {"fusion": "network"},
+              "mine": {"depth": "network", "model": "mine.onnx"}}  # fmt: skip
+    lines = [line(0, 1, **wish) | {"id": name, "output": name} for name, wish in wishes.items()]
+    first = batch(tmp_path, *lines)
+    assert (ids(first.done), first.failed) == (sorted(wishes), [])
+    change(installed)
+    second = batch(tmp_path, *lines)
+    assert (ids(second.done), ids(second.kept)) == (again, sorted(set(wishes) - set(again)))
+    assert ids(batch(tmp_path, *lines).kept) == sorted(wishes)
+
+
+def test_a_job_that_lacked_its_network_is_tried_again_when_there_is_one(tmp_path: Path, installed: Path) -> None:
+    write_row(tmp_path, 2)
+    manifest = (installed / "manifest.toml").read_text()
+    (installed / "manifest.toml").unlink()
+    assert ids(batch(tmp_path, line(0, 1, depth="refined")).failed) == ["0-1"]
+    assert ids(batch(tmp_path, line(0, 1, depth="refined")).failed) == ["0-1"]
+    assert len(records(tmp_path / "out")) == 1, "it was not tried a second time"
+    (installed / "manifest.toml").write_text(manifest)
+    assert ids(batch(tmp_path, line(0, 1, depth="refined")).done) == ["0-1"]
+
+
+def test_a_worker_loads_a_network_once_and_again_when_it_changes(
+    tmp_path: Path, installed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = []
+    monkeypatch.setattr(interpolations, "make_estimator", lambda plan: loaded.append(plan.model) or lopsided)
+    write_row(tmp_path, 3)
+    (tmp_path / "mine.onnx").write_text("mine")
+    lines = [line(0, 1, depth="refined"), line(1, 2, depth="refined", ease="smooth", nadir=9),
+             line(0, 2, depth="network", model="mine.onnx")]  # fmt: skip
+    jobs = read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
+    (tmp_path / "out").mkdir()
+    with open_workshop(tmp_path / "out") as token:
+        work = make_interpolator(Settings(tmp_path / "out", token, 1))
+        for _ in range(2):
+            for job in jobs:
+                work(job)
+        mine = jobs[2].options["model"]
+        assert loaded == ["refine-balanced", mine]
+        install(installed, refine="second")
+        (tmp_path / "mine.onnx").write_text("other")
+        for job in jobs:
+            work(job)
+    assert loaded == ["refine-balanced", mine] * 2
+
+
+def test_masks_are_the_manifests_and_changing_one_does_the_job_again(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    for name in ("m0.png", "m1.png"):
+        write_image(tmp_path / name, np.full(SIZE, 255, np.uint8))
+    asked = line(0, 1, masks=["m0.png", "m1.png"], nadir=20, save_confidence="doubts/%03d.png")
+    (job,) = read_manifest(write_lines(tmp_path / "jobs.jsonl", [asked])).jobs
+    made = job.interpolation(tmp_path / "out")
+    assert (made.masks, made.nadir) == ((tmp_path / "m0.png", tmp_path / "m1.png"), math.radians(20))
+    assert made.save_confidence == tmp_path / "out" / "doubts" / "%03d.png"
+    assert len(batch(tmp_path, asked).done) == 1
+    assert sum(name.startswith("doubts/") for name in contents(tmp_path / "out")) == 3
+    assert len(batch(tmp_path, asked).kept) == 1
+    mask = np.full(SIZE, 255, np.uint8)
+    mask[:4] = 0
+    write_image(tmp_path / "m1.png", mask)
+    assert len(batch(tmp_path, asked).done) == 1
+
+
 def test_fewer_frames_leave_none_of_the_former_ones(tmp_path: Path) -> None:
     write_row(tmp_path, 2)
     batch(tmp_path, line(0, 1, frames=5))
     batch(tmp_path, line(0, 1, frames=3))
     assert len(contents(tmp_path / "out")) == 3
+
+
+def test_poses_are_found_in_the_pictures_as_well_as_given(tmp_path: Path) -> None:
+    """``auto`` and a baseline: the middle frame is the true one nearly as much as with the poses of the generator."""
+    scene = generate_scene("street", 101)
+    path = sample_path(scene, 101, 3, baseline=1.0)
+    truth = []
+    for name, pose in zip(("a.png", "b.png", "c.png"), path, strict=True):
+        image, _ = render_panorama(scene, pose, (192, 384), supersample=2, threads=1)
+        truth.append(np.asarray(image))
+        write_image(tmp_path / name, as_bytes(image))
+    write_poses(tmp_path / "poses.json", {"a.png": PosedPanorama(path[0]), "c.png": PosedPanorama(path[2])})
+    baseline = float(np.linalg.norm(path[2].position - path[0].position))
+    common = {"inputs": ["a.png", "c.png"], "frames": 3, "depth": "matching", "preset": "fast"}
+    lines = [{"id": "found", "output": "found", "poses": "auto", "baseline": baseline, **common},
+             {"id": "given", "output": "given", "poses": "poses.json", **common}]  # fmt: skip
+    report = batch(tmp_path, *lines)
+    assert (ids(report.done), report.failed) == (["found", "given"], [])
+    found, given = (ws_psnr(read_panorama(tmp_path / "out" / name / "000001.png").image, truth[1])
+                    for name in ("found", "given"))  # fmt: skip
+    assert found > given - 0.5 > ws_psnr((truth[0] + truth[2]) / 2, truth[1]) + 3
+    by_id = {record["id"]: record["summary"] for record in records(tmp_path / "out")}
+    assert by_id["found"]["path_metres"] == pytest.approx(baseline, abs=1e-4)
+    assert any("matches agree" in note for note in by_id["found"]["notes"])
+    assert ids(batch(tmp_path, *lines).kept) == ["found", "given"]
+
+
+def test_another_baseline_or_picture_does_a_job_with_found_poses_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And one that is tried without features in the pictures fails alone, saying what is missing."""
+    write_row(tmp_path, 3)
+    lines = [line(0, 1, poses="auto", baseline=1.5), line(1, 2)]
+    failed = batch(tmp_path, *lines).failed
+    assert ids(failed) == ["0-1"]
+    assert "matches that agree" in failed[0]["error"]
+    monkeypatch.setattr(posing, "estimate_poses", lambda images, *_: FoundPoses(
+        read_poses(tmp_path / "poses.json").panoramas, (), 1))  # fmt: skip
+    assert ids(batch(tmp_path, *lines, retry_failed=True).done) == ["0-1"]
+    assert ids(batch(tmp_path, *lines).kept) == ["0-1", "1-2"]
+    other = line(0, 1, poses="auto", baseline=2.5)
+    assert ids(batch(tmp_path, other, lines[1]).done) == ["0-1"]
+    write_image(tmp_path / "p0.png", np.zeros((*SIZE, 3), np.uint8))
+    assert (ids(batch(tmp_path, other, lines[1]).done)) == ["0-1"]
 
 
 def test_a_bad_pair_stops_nothing_and_is_tried_again_when_told_or_mended(tmp_path: Path) -> None:

@@ -70,6 +70,32 @@ def test_a_tour_becomes_a_manifest_without_problems(tmp_path: Path) -> None:
         write_manifest(path, lines)
 
 
+def test_a_tour_whose_poses_are_rough_can_have_them_found(tmp_path: Path) -> None:
+    (tmp_path / "tour").mkdir()
+    write_row(tmp_path / "tour", 2)
+    options = TourOptions(options={"poses": "auto", "baseline": 1})
+    write_manifest(tmp_path / "jobs.jsonl", plan_tours(tmp_path / "tour", options))
+    manifest = read_manifest(tmp_path / "jobs.jsonl")
+    assert not manifest.problems
+    assert {job.poses for job in manifest.jobs} == {Path("auto")}
+
+
+def test_a_tour_with_depth_elsewhere_needs_what_its_jobs_need(tmp_path: Path) -> None:
+    (tmp_path / "tour").mkdir()
+    write_row(tmp_path, 2)
+    for name in ("p0.png", "p1.png"):
+        (tmp_path / name).rename(tmp_path / "tour" / name)
+    poses = json.loads((tmp_path / "poses.json").read_text())
+    for entry in poses["panoramas"].values():
+        entry["depth"] = f"../{entry['depth']}"
+    (tmp_path / "tour" / "poses.json").write_text(json.dumps(poses))
+    with pytest.raises(InputError, match="allow-outside"):
+        plan_tours(tmp_path / "tour", TourOptions())
+    lines = plan_tours(tmp_path / "tour", TourOptions(options={"allow_outside": True}))
+    write_manifest(tmp_path / "jobs.jsonl", lines)
+    assert not read_manifest(tmp_path / "jobs.jsonl").problems
+
+
 def test_a_folder_of_scenes_keeps_them_apart(tmp_path: Path) -> None:
     for name in ("hall", "the yard"):
         (tmp_path / name).mkdir()

@@ -66,6 +66,24 @@ def test_what_is_broken_is_named_and_the_exit_code_is_1(capsys: pytest.CaptureFi
     assert "crossfade" in result.out
 
 
+def test_depth_outside_of_a_scene_is_read_only_if_allowed(capsys: pytest.CaptureFixture[str], scenes: Path) -> None:
+    hall = scenes / "hall"
+    elsewhere = scenes.parent / "depth"
+    elsewhere.mkdir()
+    poses = json.loads((hall / "poses.json").read_text())
+    for entry in poses["panoramas"].values():
+        (hall / entry["depth"]).rename(elsewhere / entry["depth"])
+        entry["depth"] = f"../../depth/{entry['depth']}"
+    (hall / "poses.json").write_text(json.dumps(poses))
+    refused = run_cli(capsys, *arguments(hall))
+    assert refused.code == 1
+    assert "commands with --allow-outside accept it" in refused.out
+    allowed = run_cli(capsys, *arguments(hall, "--allow-outside", "--json"))
+    assert allowed.code == 0
+    done = {unit["method"]: unit for unit in json.loads(allowed.out)["units"] if unit["status"] == "done"}
+    assert len(done["oracle-depth"]["depths"]) == 2
+
+
 def test_pairs_can_be_chosen(capsys: pytest.CaptureFixture[str], scenes: Path) -> None:
     result = run_cli(capsys, *arguments(scenes / "hall", "--pairs", "0:1", "--json"))
     (unit,) = json.loads(result.out)["units"]

@@ -151,6 +151,36 @@ def test_inputs_are_not_overwritten(tour: Path, capsys: Capture) -> None:
     assert "not overwritten" in result.err
 
 
+def test_masks_outside_of_the_folder_are_read_only_if_allowed(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+    """And written: the refined file names the same mask, from where that file is."""
+    (tmp_path / "poses").mkdir()
+    write_image(tmp_path / "mask.png", np.full((192, 384), 255, np.uint8))
+    document = json.loads((tour / "poses.json").read_text())
+    document["panoramas"]["a.png"]["mask"] = "../mask.png"
+    file, output = tmp_path / "poses" / "poses.json", tmp_path / "refined.json"
+    file.write_text(json.dumps(document))
+    size = ("--size", "384x192")
+    commands = {
+        "check": (*images(tour), "--poses", file),
+        "refine": (*images(tour), "--poses", file, "-o", output),
+        "export": (file, "--format", "tum", "-o", tmp_path / "out.tum", *size),
+    }
+    for command, arguments in commands.items():
+        refused = run_cli(capsys, "poses", command, *arguments)
+        assert refused.code == 3
+        assert "--allow-outside" in refused.err
+        allowed = run_cli(capsys, "poses", command, *arguments, "--allow-outside")
+        assert allowed.code == 0, allowed.err
+    assert json.loads(output.read_text())["panoramas"]["a.png"]["mask"] == "mask.png"
+    deeper = tmp_path / "a" / "b"
+    deeper.mkdir(parents=True)
+    run_cli(capsys, "poses", "refine", *images(tour), "--poses", file, "-o", deeper / "p.json", "--allow-outside")
+    assert json.loads((deeper / "p.json").read_text())["panoramas"]["a.png"]["mask"] == "../../mask.png"
+    mask = read_poses(deeper / "p.json", allow_outside=True).of("a.png").mask
+    assert mask is not None
+    assert mask.samefile(tmp_path / "mask.png")
+
+
 def test_with_too_few_matches_refine_keeps_what_was_given(tour: Path, tmp_path: Path, capsys: Capture) -> None:
     write_poses(tmp_path / "p.json", {name: PosedPanorama(Pose.identity()) for name in ("a.png", "blank.png")})
     arguments = (tour / "a.png", tour / "blank.png", "--poses", tmp_path / "p.json")

@@ -1,5 +1,7 @@
 """Parameters after a colon: each changes what its name says and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hall_samples import loaded_hall
@@ -8,7 +10,10 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.methods import MethodOptions, find_method
 from omnisyn_cli.evaluation.synthesizers import GeometricSynthesizer, MethodUnavailableError, Recipe, first_view_only
 from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.fusers import make_fuser
+from omnisyn_cli.presets import FUSION_MODEL
 from omnisyn_cli.render.renderer import RENDERERS
+from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis import Stopwatch
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
@@ -46,9 +51,47 @@ def test_with_one_view_the_picture_of_the_second_is_never_seen(hall: LoadedPair)
     assert np.abs(two - other).max() > 0.1
 
 
-@pytest.mark.parametrize("parameter", ["renderer=nosuch", "renderer=", "views=2", "views=", "view=1"])
+def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
+    """With wrong depth the views contradict each other; then the pictures are those of the product's fuser."""
+    first, second = hall.views
+    wrong = View(first.image, first.pose, first.mask, replace(
+        first.known_depth, inverse_depth=1.5 * first.known_depth.inverse_depth))  # fmt: skip
+    recipe = Recipe("lies", KnownDepth(), sees_truth=True, fuser=lambda size, threads: make_fuser(
+        "network", size, threads=threads))  # fmt: skip
+    path = [truth.waypoint for truth in hall.truths]
+    synthesizer = GeometricSynthesizer(recipe, (wrong, second), 1)
+    expected = [picture.image for picture in synthesizer.pictures(path, hall.size, Stopwatch())]
+    corrected = images("oracle-depth:fusion=network", hall, (wrong, second))
+    np.testing.assert_array_equal(corrected, expected)
+    assert np.abs(corrected - images("oracle-depth", hall, (wrong, second))).max() > 0.01
+
+
+def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
+    digest = models.read_manifest()[FUSION_MODEL].sha256
+    assert find_method("matching:fusion=network").ingredients() == (digest,)
+    assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
+    for name in ("matching", "omnisyn-balanced", "oracle-depth:views=1"):
+        assert digest not in find_method(name).ingredients()
+
+
+def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(
+    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
+    with pytest.raises(MethodUnavailableError, match=FUSION_MODEL):
+        images("oracle-depth:fusion=network", hall)
+
+
+def test_one_view_is_not_fused() -> None:
+    with pytest.raises(InputError, match="got both in 'oracle-depth:views=1:fusion=network'"):
+        find_method("oracle-depth:views=1:fusion=network")
+
+
+@pytest.mark.parametrize(
+    "parameter", ["fusion=geometric", "fusion=", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
+)
 def test_what_is_no_parameter_is_refused(parameter: str) -> None:
-    with pytest.raises(InputError, match="renderer=points or views=1"):
+    with pytest.raises(InputError, match="renderer=points, fusion=network or views=1"):
         find_method(f"oracle-depth:{parameter}")
 
 

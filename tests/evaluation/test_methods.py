@@ -153,6 +153,7 @@ def test_names_that_mean_nothing_are_refused(name: str) -> None:
 def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
     assert [method.name for method in find_methods("all")] == list(METHODS)
     assert len(METHODS) == len(set(METHODS))
+    assert "omnisyn-balanced:fusion=network" in METHODS
     assert [method.name for method in find_methods("flow, matching:cut=0.3,flow")] == ["flow", "matching:cut=0.3"]
     assert all(method.description for method in METHODS.values())
 
@@ -161,7 +162,7 @@ def test_a_preset_without_its_network_is_unavailable_and_says_which(
     hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "blend", "first-view-only"):
+    for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "first-view-only"):
         with pytest.raises(MethodUnavailableError, match="none installed"):
             find_method(name).make(hall.views, OPTIONS)
     with pytest.raises(MethodUnavailableError, match="'paper'"):

@@ -128,6 +128,9 @@ def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path: Path) -
     assert len(tables) == 9
     for lines in tables:
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
+    assert "| matching | 24.00 |" in text, "it lacks the frames of the scene a|b"
+    write_report(tmp_path, some_records())
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "| matching | **24.00** |" in text
     assert "| oracle-depth (upper bound) | 32.00 |" in text
 

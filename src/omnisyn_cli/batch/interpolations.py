@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.batch.memory import DepthMemory, PanoramaMemory
 from omnisyn_cli.batch.places import attempt_folder, measure, pack, publish, workshop_is_seen
-from omnisyn_cli.batch.provenance import sources
+from omnisyn_cli.batch.provenance import digest_of_network, sources
 from omnisyn_cli.interpolation import InterpolationPlan, make_estimator, plan_interpolation, run_interpolation
 
 __all__ = ["Settings", "make_interpolator"]
-
-OF_ONE_VIDEO: dict[str, Any] = {
-    "images": (), "poses": Path(), "output": Path(), "save_depth": None, "save_frames": None, "frames": None,
-    "duration": None, "fps": 30.0, "ease": "linear", "heading": "panoramas", "codec": None, "crf": None,
-    "encoder_preset": None, "overwrite": False, "allow_aspect": False,
-}  # fmt: skip
-"""Fields of a job that have nothing to do with how depth is found."""
 
 MOST_ESTIMATORS = 4
 """Kept at a time by a worker; jobs that want depth found in more ways than that load networks again."""
@@ -61,7 +54,7 @@ class _Interpolator:
         with attempt_folder(folder if is_shared else None) as attempt:
             for place in job.places:
                 (attempt / place).parent.mkdir(parents=True, exist_ok=True)
-            made = self._interpolate(job, attempt)
+            made = self._interpolate(job, attempt, made_of)
             outputs = measure(attempt, job.places)
             files = None if is_shared else pack(attempt, job.places)
             if is_shared:
@@ -69,9 +62,9 @@ class _Interpolator:
         seconds = round(time.perf_counter() - begin, 3)
         return {"seconds": seconds, "outputs": outputs, **made, "sources": made_of, "files": files}
 
-    def _interpolate(self, job: BatchJob, attempt: Path) -> dict[str, Any]:
+    def _interpolate(self, job: BatchJob, attempt: Path, made_of: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
-        memory = None if plan.depth == "file" else self._memory(plan)
+        memory = None if plan.depth == "file" else self._memory(plan, made_of)
         decoded, found = self._panoramas.decoded, memory.found if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
         return {
@@ -80,9 +73,10 @@ class _Interpolator:
             "summary": {key: value for key, value in summary.items() if key not in ("inputs", "output")},
         }
 
-    def _memory(self, plan: InterpolationPlan) -> DepthMemory:
-        """The estimator that jobs with the same wishes for depth share; a network is loaded once."""
-        key = (replace(plan.job, **OF_ONE_VIDEO), plan.depth, plan.size)
+    def _memory(self, plan: InterpolationPlan, made_of: Mapping[str, Any]) -> DepthMemory:
+        """The estimator that jobs with the same wishes for depth share; a network is loaded once, until it changes."""
+        digest = None if plan.model is None else digest_of_network(plan.model, made_of)
+        key = (plan.depth, plan.job.preset, plan.model, digest, plan.job.device)
         if key not in self._estimators:
             while len(self._estimators) >= MOST_ESTIMATORS:
                 self._estimators.popitem(last=False)

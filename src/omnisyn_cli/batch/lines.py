@@ -15,6 +15,9 @@ __all__ = ["read_lines"]
 
 LARGEST_FILE = 1 << 30
 
+LISTS = frozenset({"inputs", "masks"})
+"""Columns of CSV with several file names, separated by semicolons."""
+
 
 def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
     """Number and fields of every line that is not empty; a string says what is wrong with one.
@@ -48,6 +51,6 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
     if None in row:
         return f"expected as many cells as columns, got {len(row[None])} more"
     cells: dict[str, Any] = {key: cell for key, cell in row.items() if cell not in (None, "")}
-    if "inputs" in cells:
-        cells["inputs"] = [name.strip() for name in cells["inputs"].split(";")]
+    for key in LISTS & cells.keys():
+        cells[key] = [name.strip() for name in cells[key].split(";")]
     return cells

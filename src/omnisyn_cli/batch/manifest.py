@@ -5,12 +5,13 @@ A line has an ``id``, the panoramas, and any option of ``omnisyn interpolate`` u
     {"id": "a-b", "inputs": ["a.jpg", "b.jpg"], "poses": "poses.json", "frames": 60, "size": "2048x1024"}
     {"id": "hall", "scene": "scenes/hall", "output": "hall.mov", "codec": "prores"}
 
-File names are relative to the manifest, outputs to the folder of the batch. In CSV the first line names the columns,
-empty cells are left out and ``inputs`` are separated by ``;``.
+File names are relative to the manifest, outputs to the folder of the batch, angles are degrees. In CSV the first line
+names the columns, empty cells are left out and ``inputs`` and ``masks`` are separated by ``;``.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -37,7 +38,7 @@ RECORDS = "results.jsonl"
 WORKSHOP = ".omnisyn-batch"
 """Hidden folder for what is not finished yet."""
 
-OUTPUTS = ("output", "save_depth", "save_frames")
+OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence")
 """What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
 
 PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
@@ -61,6 +62,7 @@ class _Places(BaseModel):
     output: Name | None = None
     save_depth: Name | None = None
     save_frames: Name | None = None
+    save_confidence: Name | None = None
 
     @model_validator(mode="after")
     def _has_panoramas(self) -> Self:
@@ -79,9 +81,12 @@ CONSTRAINED: dict[str, Any] = {
     "device": (Literal[DEVICES], "auto"),
     "renderer": (Literal[RENDERERS], "mesh"),
     "fusion": (Literal[FUSIONS], DEFAULT_FUSION),
+    "baseline": (Positive | None, None),
     "cut": (Fraction | None, None),
     "cut_metres": (Positive | None, None),
     "encoder_preset": (Name | None, None),
+    "masks": (list[Name] | None, None),
+    "nadir": (Annotated[float, Field(ge=0, lt=90)], 0.0),
     "max_pixels": (Annotated[int, Field(ge=1)], MAX_PIXELS),
 }
 """Options whose values can be checked more closely than the types of :class:`InterpolationJob` say."""
@@ -113,8 +118,9 @@ class BatchJob:
         id: unique in the manifest.
         images: panoramas, in walking order.
         poses: pose file that names them all, or ``auto`` where they are found in the pictures.
-        outputs: by kind (``output``, ``save_depth``, ``save_frames``) the place below the folder of the batch.
-        options: of the interpolation, as the manifest names and writes them; defaults are left out.
+        outputs: by kind (``output``, ``save_depth``, …) the place below the folder of the batch.
+        options: of the interpolation, as the manifest names and writes them (``nadir`` in degrees), but for file names,
+            which are absolute; defaults are left out.
         group: jobs that share panoramas.
     """
 
@@ -130,6 +136,11 @@ class BatchJob:
         """Files and folders below the folder of the batch that the job makes; for numbered images their folder."""
         return [str(_inside(place)) for place in self.outputs.values()]
 
+    @property
+    def masks(self) -> tuple[Path, ...]:
+        """An image for every panorama, besides those of the pose file; or none."""
+        return tuple(map(Path, self.options.get("masks", ())))
+
     def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
         """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
         options = dict(self.options)
@@ -141,6 +152,9 @@ class BatchJob:
         if "size" in options:
             width, _, height = options["size"].partition("x")
             options["size"] = int(height), int(width)
+        if "nadir" in options:
+            options["nadir"] = math.radians(options["nadir"])
+        options["masks"] = self.masks
         places: dict[str, Any] = {kind: folder / place for kind, place in self.outputs.items()}
         return InterpolationJob(images=self.images, poses=self.poses, threads=threads, **places, **options)
 
@@ -210,14 +224,14 @@ class _Reader:
         if isinstance(pose_file, str):
             raise InputError(pose_file)
         names = line.inputs or _ends(pose_file)
-        images = tuple(self._place(base / name) for name in names)
-        for image in images:
-            if not self._exists(image):
-                raise InputError(f"expected a panorama, got no file {image}; check the name")
-            if pose_file is not None:
+        images = tuple(self._file(base / name, "a panorama") for name in names)
+        if pose_file is not None:
+            for image in images:
                 pose_file.of(image)
         options = line.model_dump(exclude=set(PLACES), exclude_defaults=True)
-        _check_together(options)
+        _check_together(options, len(images), is_found=pose_file is None)
+        if "masks" in options:
+            options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]
         if (model := options.get("model")) is not None and self._exists(self._folder / model):
             options["model"] = str(self._place(self._folder / model))
         outputs = {kind: place for kind in OUTPUTS if (place := getattr(line, kind)) is not None}
@@ -229,6 +243,13 @@ class _Reader:
             return self._place(base / "poses.json")
         given = Path(line.poses)
         return given if given == POSES_FROM_PICTURES else self._place(self._folder / given)
+
+    def _file(self, path: Path, what: str) -> Path:
+        """A place where there is a file."""
+        place = self._place(path)
+        if not self._exists(place):
+            raise InputError(f"expected {what}, got no file {place}; check the name")
+        return place
 
     def _place(self, path: Path) -> Path:
         """Absolute and without dots; the name itself may be that of a link."""
@@ -284,12 +305,19 @@ def _ends(poses: PoseFile | None) -> list[str]:
     return [names[0], names[-1]]
 
 
-def _check_together(options: dict[str, Any]) -> None:
+def _check_together(options: dict[str, Any], panoramas: int, *, is_found: bool) -> None:
     """What options say together."""
+    if "masks" in options and len(options["masks"]) != panoramas:
+        raise InputError(
+            f"expected one mask for each of {panoramas} panoramas, got {len(options['masks'])}; name them in the order "
+            "of the panoramas"
+        )
     if "frames" in options and "duration" in options:
         raise InputError("expected either frames or a duration, got both; name one")
     if "cut" in options and "cut_metres" in options:
         raise InputError("expected either cut or cut_metres, got both; name one")
+    if "baseline" in options and not is_found:
+        raise InputError("expected a baseline only where poses are found in the pictures, got a pose file; name one")
     if "size" in options:
         width, _, height = options["size"].partition("x")
         if int(width) != 2 * int(height):

@@ -1,20 +1,22 @@
-"""What a result was made of: the files with their hashes, the poses, the options."""
+"""What a result was made of: the files and the networks with their hashes, the poses, the options."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.runtime.models import find_model
+from omnisyn_cli.planning import networks_of
+from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
-__all__ = ["has_same_sources", "hash_file", "sources", "stamp"]
+__all__ = ["digest_of_network", "has_same_sources", "hash_file", "sources", "stamp"]
 
 Stamp = tuple[str, int, int]
 
@@ -36,41 +38,78 @@ def hash_file(path: Path) -> dict[str, Any]:
 
 def sources(job: BatchJob) -> dict[str, Any]:
     """What the result of a job depends on, as plain values for JSON."""
-    files = {str(path): hash_file(path) for path in _files(job)}
-    return {**_settings(job), "files": files}
+    entries = _entries(job)
+    networks = _networks(job, entries)
+    files = {str(path): hash_file(path) for path in _files(job, entries, networks)}
+    return {**_settings(job, entries, networks), "files": files}
 
 
 def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     """Whether a job would be made of the same as a recorded one; files are only read if they have been touched."""
     if not isinstance(recorded, dict):
         return False
-    known = recorded.get("files")
-    if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in _settings(job).items()):
+    known, entries = recorded.get("files"), _entries(job)
+    networks = _networks(job, entries)
+    settings = _settings(job, entries, networks)
+    if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in settings.items()):
         return False
-    paths = list(_files(job))
+    paths = list(_files(job, entries, networks))
     return {str(path) for path in paths} == set(known) and all(_is_same(path, known[str(path)]) for path in paths)
 
 
-def _settings(job: BatchJob) -> dict[str, Any]:
-    entries = _entries(job)
+def digest_of_network(name: str, made_of: Mapping[str, Any]) -> str | None:
+    """The digest of a network, by its name or path, in what :func:`sources` says of a job that uses it."""
+    known = made_of["files"].get(str(Path(name)), {}).get("sha256") if _is_path(name) else made_of["models"].get(name)
+    return None if known is None else str(known)
+
+
+def _settings(job: BatchJob, entries: Sequence[PosedPanorama], networks: Sequence[str]) -> dict[str, Any]:
+    named = [name for name in networks if not _is_path(name)]
+    installed = _installed() if named else {}
     return {
         "inputs": [str(image) for image in job.images],
         "outputs": job.outputs,
         "options": json.loads(json.dumps(job.options, default=str)),
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
+        "models": {name: installed[name].sha256 if name in installed else None for name in named},
     }
 
 
-def _files(job: BatchJob) -> Iterator[Path]:
-    """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count."""
-    yield from dict.fromkeys(job.images)
-    companions = [file for entry in _entries(job) for file in (entry.depth, entry.mask) if file is not None]
+def _files(job: BatchJob, entries: Sequence[PosedPanorama], networks: Sequence[str]) -> Iterator[Path]:
+    """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count.
+
+    Networks that come with the program are not among them: they lie elsewhere on every machine.
+    """
+    yield from dict.fromkeys((*job.images, *job.masks))
+    companions = [file for entry in entries for file in (entry.depth, entry.mask) if file is not None]
     yield from dict.fromkeys(companions)
-    if (model := job.options.get("model")) is not None:
-        try:
-            yield find_model(model)
-        except OmnisynError:
-            yield Path(model)
+    yield from (Path(name) for name in networks if _is_path(name))
+
+
+def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
+    """Names and paths of the networks that a job uses; none where it cannot be done, as the job itself will say."""
+    bare = [PosedPanorama(Pose.identity())] * len(job.images)  # what there is where poses are found in the pictures
+    try:
+        return networks_of(job.interpolation(Path()), entries or bare)
+    except OmnisynError:
+        return ()
+
+
+def _is_path(network: str) -> bool:
+    return network.endswith(".onnx")
+
+
+def _installed() -> Mapping[str, ModelEntry]:
+    """The networks that come with the program; their files are compared with these entries when they are loaded."""
+    try:
+        return _manifest(stamp(models_folder() / MANIFEST))
+    except (OmnisynError, OSError):
+        return {}
+
+
+@lru_cache(maxsize=1)
+def _manifest(mark: Stamp) -> Mapping[str, ModelEntry]:
+    return read_manifest(Path(mark[0]).parent)
 
 
 def _entries(job: BatchJob) -> list[PosedPanorama]:

@@ -116,7 +116,7 @@ def run_batch(
     if manifest.problems:
         raise InputError(f"{manifest.path}: expected lines without problems, got {len(manifest.problems)}; mend them")
     places = [place for job in manifest.jobs for place in job.places]
-    inputs = {path for job in manifest.jobs for path in (*job.images, job.poses)} | {manifest.path}
+    inputs = {path for job in manifest.jobs for path in (*job.images, *job.masks, job.poses)} | {manifest.path}
     prepare_folder(folder, places, inputs, overwrite=options.overwrite)
     report = BatchReport()
     with Records(folder / RECORDS) as records, open_workshop(folder) as token:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import check_output, read_poses
 from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.planning import POSES_FROM_PICTURES
 from omnisyn_cli.trajectory import STILL
 
 __all__ = ["TourOptions", "neighbours", "plan_tours", "walks", "write_manifest"]
@@ -140,7 +141,7 @@ def _pose_files(source: Path) -> list[Path]:
 
 
 def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, Any]]:
-    poses = read_poses(file)
+    poses = read_poses(file, allow_outside=options.options.get("allow_outside") is True)
     names = list(poses.panoramas)
     positions = np.array([entry.pose.position for entry in poses.panoramas.values()]).reshape(-1, 3)
     scene = "" if file.parent == source or file == source else f"{_plain(file.parent.name)}-"
@@ -180,4 +181,5 @@ def _relative(line: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         except ValueError:  # another drive
             return path.absolute().as_posix()
 
-    return {**line, "inputs": [name(path) for path in line["inputs"]], "poses": name(line["poses"])}
+    poses = line["poses"] if line["poses"] == str(POSES_FROM_PICTURES) else name(line["poses"])
+    return {**line, "inputs": [name(path) for path in line["inputs"]], "poses": poses}

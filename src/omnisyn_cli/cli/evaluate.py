@@ -65,6 +65,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
     "a line: scene, first, second.  [default: the first and the last]",
 )  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
+@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the folders of poses.json.")
 @click.option("--lpips", metavar="FILE.onnx", type=FilePath, help="Measure LPIPS with this network as well.")
 @click.option("--no-pictures", is_flag=True, help="Keep no frames, error maps and depth as pictures.")
 @click.option(

@@ -20,6 +20,9 @@ output_option = click.option("-o", "--output", required=True, type=FilePath, hel
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 threads_option = click.option("--threads", type=click.IntRange(1), help="At most this many.  [default: one per core]")
 aspect_option = click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1.")
+outside_option = click.option(
+    "--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder."
+)
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 
 
@@ -28,8 +31,9 @@ quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing b
 @poses_option
 @threads_option
 @aspect_option
+@outside_option
 @click.option("--json", "as_json", is_flag=True, help="Print the measurements as JSON.")
-def check(images: tuple[Path, ...], poses: Path, as_json: bool, **options: Any) -> None:
+def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: bool, **options: Any) -> None:
     """Do the poses fit the pictures, and if not, what was done wrong?
 
     Points that neighbouring panoramas have in common are compared with the poses. The distance between two panoramas
@@ -42,7 +46,8 @@ def check(images: tuple[Path, ...], poses: Path, as_json: bool, **options: Any) 
     from omnisyn_cli.registration.words import diagnosis_sentences, diagnosis_values
 
     does_fit, values = True, []
-    for pair in check_poses(images, read_poses(poses), PictureOptions(**options)):
+    pose_file = read_poses(poses, allow_outside=allow_outside)
+    for pair in check_poses(images, pose_file, PictureOptions(**options)):
         does_fit &= pair.diagnosis.verdict not in ("mistake", "contradiction")
         values.append({"first": str(pair.first), "second": str(pair.second), **diagnosis_values(pair.diagnosis)})
         if not as_json:
@@ -61,8 +66,12 @@ def check(images: tuple[Path, ...], poses: Path, as_json: bool, **options: Any) 
 @overwrite_option
 @threads_option
 @aspect_option
+@outside_option
 @quiet_option
-def refine(images: tuple[Path, ...], poses: Path, output: Path, overwrite: bool, quiet: bool, **options: Any) -> None:
+def refine(
+    images: tuple[Path, ...], poses: Path, output: Path, overwrite: bool, allow_outside: bool, quiet: bool,
+    **options: Any,
+) -> None:  # fmt: skip
     """Correct rotations and directions of poses that nearly fit.
 
     The first panorama and the distances between neighbours stay as they are. What cannot be improved is written as it
@@ -71,11 +80,11 @@ def refine(images: tuple[Path, ...], poses: Path, output: Path, overwrite: bool,
     from omnisyn_cli.io import check_output, read_poses, write_poses
     from omnisyn_cli.posing import PictureOptions, refine_poses
 
-    pose_file = read_poses(poses)
+    pose_file = read_poses(poses, allow_outside=allow_outside)
     check_output(output, overwrite)
     _check_kept(output, (poses, *images))
     refined = refine_poses(images, pose_file, PictureOptions(**options))
-    write_poses(output, refined.panoramas)
+    write_poses(output, refined.panoramas, allow_outside=allow_outside)
     _report(refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined", quiet)
 
 

@@ -22,6 +22,9 @@ FORMATS = ("colmap", "nerfstudio", "tum")
 @click.option("--format", "format_name", type=click.Choice(FORMATS), required=True)
 @click.option("--images", type=click.Path(path_type=Path), help="Folder of the panoramas.  [default: that of POSES]")
 @click.option("--size", type=Size(), help="Of all panoramas.  [default: read from their files]")
+@click.option(
+    "--allow-outside", is_flag=True, help="Accept depth and masks outside of POSES' folder (none is exported)."
+)
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def export(
@@ -30,6 +33,7 @@ def export(
     format_name: str,
     images: Path | None,
     size: tuple[int, int] | None,
+    allow_outside: bool,
     overwrite: bool,
     quiet: bool,
 ) -> None:
@@ -43,7 +47,7 @@ def export(
     from omnisyn_cli.io import read_poses
     from omnisyn_cli.io.pose_formats import export_poses
 
-    pose_file = read_poses(poses)
+    pose_file = read_poses(poses, allow_outside=allow_outside)
     notes = export_poses(pose_file, output, format_name, images=images, size=size, overwrite=overwrite)
     if not quiet:
         for note in notes:

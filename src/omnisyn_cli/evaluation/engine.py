@@ -51,6 +51,7 @@ class EvaluationJob:
         pictures: keep frames, error maps and depth as pictures.
         device: where networks run.
         threads: at most this many; None is one per core.
+        allow_outside: accept depth and masks that ``poses.json`` names outside of its folder.
     """
 
     dataset: Path
@@ -63,6 +64,7 @@ class EvaluationJob:
     pictures: bool = True
     device: str = "auto"
     threads: int | None = None
+    allow_outside: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     methods, choose = find_methods(job.methods), choose_pairs(job.pairs)
     pairs: list[Pair] = []
     findings: list[UnitRecord] = []
-    for source in find_scenes(job.dataset, job.layout):
+    for source in find_scenes(job.dataset, job.layout, allow_outside=job.allow_outside):
         try:
             found = choose(source.read())
         except NoScaleError as error:

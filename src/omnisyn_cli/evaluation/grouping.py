@@ -11,6 +11,7 @@ from omnisyn_cli.evaluation.records import FrameRecord, UnitRecord
 
 __all__ = [
     "Gap",
+    "Pair",
     "band_name",
     "distance_band",
     "finished",
@@ -41,6 +42,7 @@ STAGES = ("depth", "flow", "mesh", "render", "fuse")
 """Stages in the order in which they are gone through; others follow."""
 
 Pair = tuple[str, str, str]
+"""Scene, first and second panorama."""
 
 
 def finished(records: Iterable[UnitRecord]) -> list[UnitRecord]:

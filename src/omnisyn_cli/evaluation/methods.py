@@ -2,8 +2,9 @@
 
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
-estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``) and ``views=1`` (only the first
-panorama is shown): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``, ``oracle-depth:renderer=points``.
+estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
+fusion is corrected by a network) or ``views=1`` (only the first panorama is shown): ``matching:cut=0.02``,
+``oracle-depth:metres=2:depth=512x256``, ``omnisyn-balanced:fusion=network``.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from omnisyn_cli.evaluation.synthesizers import (
     Recipe,
     Synthesizer,
     first_view_only,
-    geometric_fuser,
+    network_fuser,
 )
-from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODEL, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
@@ -99,13 +100,17 @@ def _preset(name: str) -> RecipeFactory:
     return make
 
 
-def _installed(name: str) -> tuple[str, ...]:
-    """A preset and the digest of its network, as far as they are there."""
-    if name not in PRESETS:
-        return ()
-    model = PRESETS[name].model
+def _installed(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
+    """A preset, and the digests of its network and of that for fusion, as far as they are there and take part."""
+    preset = PRESETS.get(name)
+    settings = () if preset is None else (repr(preset), _digest(preset.model))
+    return (*settings, _digest(FUSION_MODEL)) if NETWORK_FUSION in parameters else settings
+
+
+def _digest(model: str | None) -> str:
+    """Of a network of the manifest; empty where there is none."""
     entry = read_manifest().get(model) if model else None
-    return repr(PRESETS[name]), entry.sha256 if entry else ""
+    return entry.sha256 if entry else ""
 
 
 def _changed(base: RecipeFactory, **changes: object) -> RecipeFactory:
@@ -150,10 +155,6 @@ RECIPES: Mapping[str, _Entry] = MappingProxyType(
         "omnisyn-two-pass": _of_preset(
             "the default preset with the paper's two-pass rasteriser", DEFAULT_PRESET, renderer="two-pass"
         ),
-        "blend": _of_preset(
-            "the default preset's depth, fused without a network; no preset has one for fusion, so both are the same",
-            DEFAULT_PRESET, fuser=geometric_fuser,
-        ),
         "first-view-only": _of_preset(
             "the default preset's depth, only the first panorama is shown", DEFAULT_PRESET, fuser=first_view_only
         ),
@@ -173,7 +174,12 @@ PLAIN: Mapping[str, tuple[str, Callable[[tuple[View, View], int | None], Synthes
 )
 """Methods without geometry."""
 
+NETWORK_FUSION = "fusion=network"
+
+ONE_VIEW = "views=1"
+
 VARIANTS = (
+    f"omnisyn-{DEFAULT_PRESET}:{NETWORK_FUSION}",
     "matching:metres=2",
     "matching:cut=0.02",
     "matching:cut=0.1",
@@ -200,39 +206,45 @@ def find_method(name: str) -> Method:
     entry = RECIPES[base]
     description = entry.description
     changes = [_change(parameter, name) for parameter in parameters]
+    if {NETWORK_FUSION, ONE_VIEW} <= set(parameters):
+        raise InputError(f"expected {NETWORK_FUSION} or {ONE_VIEW}, got both in {name!r}: one view has nothing to fuse")
     if parameters:
         description = f"{description}; {', '.join(parameters)}"
 
     def make_geometric(views: tuple[View, View], options: MethodOptions) -> Synthesizer:
         made = entry.recipe(options)
         for change in changes:
-            made = change(made)
+            made = change(made, options)
         _check_truth(made, views)
         return GeometricSynthesizer(made, views, options.threads, options.memory)
 
-    return Method(name, description, make_geometric, partial(_installed, entry.preset), entry.absence)
+    return Method(
+        name, description, make_geometric, partial(_installed, entry.preset, tuple(parameters)), entry.absence
+    )
 
 
-def _change(parameter: str, name: str) -> Callable[[Recipe], Recipe]:
+def _change(parameter: str, name: str) -> Callable[[Recipe, MethodOptions], Recipe]:
     key, _, value = parameter.partition("=")
     try:
         if key == "cut" and 0 < float(value) <= 1:
-            return lambda recipe: replace(recipe, cut=Cut(relative=float(value)))
+            return lambda recipe, _: replace(recipe, cut=Cut(relative=float(value)))
         if key == "metres" and float(value) > 0:
-            return lambda recipe: replace(recipe, cut=Cut(relative=None, metres=float(value)))
+            return lambda recipe, _: replace(recipe, cut=Cut(relative=None, metres=float(value)))
         if key == "renderer" and value in RENDERERS:
-            return lambda recipe: replace(recipe, renderer=value)
-        if (key, value) == ("views", "1"):
-            return lambda recipe: replace(recipe, fuser=first_view_only)
+            return lambda recipe, _: replace(recipe, renderer=value)
+        if parameter == NETWORK_FUSION:
+            return lambda recipe, options: replace(recipe, fuser=network_fuser(options.device))
+        if parameter == ONE_VIEW:
+            return lambda recipe, _: replace(recipe, fuser=first_view_only)
         if key == "depth":
             width, height = (int(number) for number in value.lower().split("x"))
             if width == 2 * height > 0:
-                return lambda recipe: replace(recipe, depth_size=(height, width))
+                return lambda recipe, _: replace(recipe, depth_size=(height, width))
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points or views=1 after the colon, got {parameter!r} in "
-        f"{name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {NETWORK_FUSION} or {ONE_VIEW} after the colon, "
+        f"got {parameter!r} in {name!r}"
     )
 
 

@@ -15,7 +15,8 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.errors import InputError, OmnisynError
+from omnisyn_cli.fusers import make_fuser
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -33,6 +34,7 @@ __all__ = [
     "Synthesizer",
     "first_view_only",
     "geometric_fuser",
+    "network_fuser",
 ]
 
 
@@ -77,6 +79,18 @@ MakeFuser = Callable[[tuple[int, int], int | None], Fuser]
 def geometric_fuser(size: tuple[int, int], threads: int | None) -> Fuser:
     """The fusion without a network."""
     return GeometricFuser(size, threads=threads)
+
+
+def network_fuser(device: str) -> MakeFuser:
+    """The fusion with the network that is installed; making it raises MethodUnavailableError where there is none."""
+
+    def make(size: tuple[int, int], threads: int | None) -> Fuser:
+        try:
+            return make_fuser("network", size, device=device, threads=threads)
+        except InputError as error:
+            raise MethodUnavailableError(str(error)) from error
+
+    return make
 
 
 def first_view_only(size: tuple[int, int], threads: int | None) -> Fuser:

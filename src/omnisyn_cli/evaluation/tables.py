@@ -1,7 +1,7 @@
 """The tables of a report as values: rows, columns, means, and which of them are the best.
 
-A mean is over all frames (or panoramas, or pairs) that a method measured. A method that measured less than half as many
-as another one is not called the best, since it may have been lucky with what it measured; tables show the numbers.
+A mean is over all frames (or panoramas, or pairs) that a method measured. A method that lacks one which another method
+measured is not called the best, since it may have been lucky with what it measured; tables show the numbers.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from omnisyn_cli.evaluation.grouping import (
+    Pair,
     band_name,
     distance_band,
     finished,
@@ -98,10 +99,10 @@ TEMPORAL_COLUMNS = {
     "end_second": Column("At the second panorama", -1, 4),
 }
 
-COMPARABLE_SHARE = 0.5
-"""Share of the largest count that a mean has to be over to be called the best."""
-
 Values = Iterable[Mapping[str, float]]
+
+Placed = tuple[tuple[Pair, int], Mapping[str, float]]
+"""Values with their pair and their number there."""
 
 
 def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
@@ -209,20 +210,28 @@ def _method_table(
     counted: str,
 ) -> Table:
     """One row for each method, best first; columns that nobody has are left out, the last one counts the values."""
-    per_method = {
-        method: [
-            values for record in finished(records) if record.method == method for values in figures(record) if values
-        ]
-        for method in ranked_methods(records)
-    }
-    present = [key for key in columns if any(key in values for listed in per_method.values() for values in listed)]
+    placed = {method: _placed(records, method, figures) for method in ranked_methods(records)}
+    every = [one for listed in placed.values() for one in listed]
+    present = [key for key in columns if any(key in values for _, values in every)]
+    totals = [len({where for where, values in every if key in values}) for key in present]
     rows = [
         Row(method, (*(_cell(listed, key) for key in present), Cell(len(listed))), is_bound=is_bound(method))
-        for method, listed in per_method.items()
+        for method, listed in placed.items()
         if listed
     ]
     shown = (*(columns[key] for key in present), Column(counted, 0, 0))
-    return Table(title, note, "Method", shown, _marked_columns(shown, rows))
+    return Table(title, note, "Method", shown, _marked_columns(shown, rows, [*totals, len(rows)]))
+
+
+def _placed(records: Sequence[UnitRecord], method: str, figures: Callable[[UnitRecord], Values]) -> list[Placed]:
+    """The values of a method, each with its pair and its number there, which are the same for all methods."""
+    return [
+        ((pair_of(record), number), values)
+        for record in finished(records)
+        if record.method == method
+        for number, values in enumerate(figures(record))
+        if values
+    ]
 
 
 def _score_table(
@@ -234,33 +243,40 @@ def _score_table(
     """Mean WS-PSNR with a column for each method and a row for each group of frames, in order of ``place``."""
     methods = [method for method in ranked_methods(records) if any(frames_of(records, method))]
     groups: dict[tuple[float, str], dict[str, list[float]]] = {}
+    shown: dict[tuple[float, str], set[tuple[Pair, str]]] = {}
     for record in finished(records):
         for frame in record.frames:
             if "ws_psnr" in frame.scores:
-                group = groups.setdefault(place(record, frame), {})
-                group.setdefault(record.method, []).append(frame.scores["ws_psnr"])
-    rows = [
-        Row(name, tuple(Cell(mean(group.get(method, ())), len(group.get(method, ()))) for method in methods))
-        for (_, name), group in sorted(groups.items(), key=lambda item: item[0][0])
-    ]
+                where = place(record, frame)
+                groups.setdefault(where, {}).setdefault(record.method, []).append(frame.scores["ws_psnr"])
+                shown.setdefault(where, set()).add((pair_of(record), frame.name))
     columns = tuple(Column(method, 1) for method in methods)
-    return Table(title, "Mean WS-PSNR, dB.", corner, columns, tuple(_marked_row(columns, row) for row in rows))
+    rows = [
+        _marked_row(
+            columns,
+            Row(where[1], tuple(Cell(mean(group.get(method, ())), len(group.get(method, ()))) for method in methods)),
+            len(shown[where]),
+        )
+        for where, group in sorted(groups.items(), key=lambda item: item[0][0])
+    ]
+    return Table(title, "Mean WS-PSNR, dB.", corner, columns, tuple(rows))
 
 
 def _frame_scores(record: UnitRecord) -> Values:
     return ({key: frame.scores[key] for key in SCORES if key in frame.scores} for frame in record.frames)
 
 
-def _cell(listed: Sequence[Mapping[str, float]], key: str) -> Cell:
-    values = [values[key] for values in listed if key in values]
+def _cell(listed: Sequence[Placed], key: str) -> Cell:
+    values = [values[key] for _, values in listed if key in values]
     return Cell(mean(values), len(values))
 
 
-def _marked_columns(columns: Sequence[Column], rows: Sequence[Row]) -> tuple[Row, ...]:
-    """The rows with the best of each column marked."""
+def _marked_columns(columns: Sequence[Column], rows: Sequence[Row], every: Sequence[int]) -> tuple[Row, ...]:
+    """The rows with the best of each column marked; ``every`` is how many values there are for a column."""
+    bounds = [row.is_bound for row in rows]
     by_column = [
-        _marked([row.cells[index] for row in rows], [column.better] * len(rows), [row.is_bound for row in rows])
-        for index, column in enumerate(columns)
+        _marked([row.cells[index] for row in rows], [column.better] * len(rows), bounds, number)
+        for index, (column, number) in enumerate(zip(columns, every, strict=True))
     ]
     return tuple(
         Row(row.name, tuple(cells[index] for cells in by_column), row.reason, row.is_bound)
@@ -268,17 +284,17 @@ def _marked_columns(columns: Sequence[Column], rows: Sequence[Row]) -> tuple[Row
     )
 
 
-def _marked_row(columns: Sequence[Column], row: Row) -> Row:
-    """The row with its best marked."""
-    cells = _marked(row.cells, [column.better for column in columns], [is_bound(column.title) for column in columns])
+def _marked_row(columns: Sequence[Column], row: Row, every: int) -> Row:
+    """The row with its best marked; ``every`` is how many values there are for it."""
+    bounds = [is_bound(column.title) for column in columns]
+    cells = _marked(row.cells, [column.better for column in columns], bounds, every)
     return Row(row.name, tuple(cells), row.reason, row.is_bound)
 
 
-def _marked(cells: Sequence[Cell], better: Sequence[int], bounds: Sequence[bool]) -> list[Cell]:
-    """The cells with the best of them marked, equal ones together; those of a much smaller count do not take part."""
-    enough = COMPARABLE_SHARE * max((cell.count for cell in cells), default=0)
+def _marked(cells: Sequence[Cell], better: Sequence[int], bounds: Sequence[bool], every: int) -> list[Cell]:
+    """The cells with the best of them marked, equal ones together; means over less than ``every`` take no part."""
     takes_part = [
-        cell.count >= enough > 0 and sign != 0 and not bound and not math.isnan(cell.value)
+        cell.count == every > 0 and sign != 0 and not bound and not math.isnan(cell.value)
         for cell, sign, bound in zip(cells, better, bounds, strict=True)
     ]
     if sum(takes_part) < 2:

@@ -51,7 +51,7 @@ def path_problem(name: str, *, allow_outside: bool = False) -> str | None:
 
 def _inside_folder(name: str, info: ValidationInfo) -> str:
     if problem := path_problem(name, allow_outside=(info.context or {}).get(ALLOW_OUTSIDE, False)):
-        hint = "" if path_problem(name, allow_outside=True) else "; interpolate --allow-outside accepts it"
+        hint = "" if path_problem(name, allow_outside=True) else "; commands with --allow-outside accept it"
         raise ValueError(f"a file name relative to the pose file and inside its folder (this is {problem}{hint})")
     return name
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,12 +120,13 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     return PoseFile(source, MappingProxyType(panoramas))
 
 
-def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama]) -> None:
+def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:
     """Write a pose file, rotations as quaternions; an existing file is replaced.
 
     Args:
         path: where to.
         panoramas: entries by image file name; depth and mask files must lie in the folder of ``path``.
+        allow_outside: whether they may lie elsewhere; such a file can only be read where that is allowed as well.
 
     Raises:
         PoseError: a name, pose or file that could not be read back.
@@ -133,10 +135,10 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama]) -> Non
     """
     target = Path(path)
     check_output(target, overwrite=True)
-    entries = {name: _written(target, name, panorama) for name, panorama in panoramas.items()}
+    entries = {name: _written(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
     document = _validated(target, PoseDocument, {"version": VERSION, "panoramas": entries}, ())
     for name, value in document.panoramas.items():
-        _posed(target, name, _entry(target, name, value), None)
+        _posed(target, name, _entry(target, name, value, allow_outside), None)
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
     with replaced_when_complete(target) as temporary:
         temporary.write_text(f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n', encoding="utf-8")
@@ -296,17 +298,19 @@ def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
     return np.asarray(nearest_rotation(matrix), float)
 
 
-def _written(path: Path, name: str, panorama: PosedPanorama) -> dict[str, Any]:
+def _written(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
     rotation = _rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
     quaternion = quaternion_from_rotation(rotation)
     entry: dict[str, Any] = {"position": panorama.pose.position.tolist(), "rotation": quaternion.tolist()}
     for key, file in (("depth", panorama.depth), ("mask", panorama.mask)):
         if file is not None:
-            entry[key] = _relative(path, name, key, file)
+            entry[key] = _relative(path, name, key, file, allow_outside)
     return entry
 
 
-def _relative(path: Path, name: str, key: str, file: Path) -> str:
+def _relative(path: Path, name: str, key: str, file: Path, allow_outside: bool) -> str:
+    if allow_outside and not _is_below(path.parent, file):
+        return _outside(path, file)
     try:
         return file.absolute().relative_to(path.parent.absolute()).as_posix()
     except ValueError as error:
@@ -314,3 +318,17 @@ def _relative(path: Path, name: str, key: str, file: Path) -> str:
             f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
             "move it there"
         ) from error
+
+
+def _is_below(folder: Path, file: Path) -> bool:
+    """Whether a file can be named from a folder without going up."""
+    return ".." not in file.parts and file.absolute().is_relative_to(folder.absolute())
+
+
+def _outside(path: Path, file: Path) -> str:
+    """A name that leads from the folder of the pose file to a file elsewhere."""
+    place = file.parent.resolve()
+    try:
+        return Path(os.path.relpath(place, path.parent.resolve()), file.name).as_posix()
+    except ValueError:  # another drive
+        return (place / file.name).as_posix()

@@ -14,7 +14,7 @@ from omnisyn_cli.planning.job import (
     sample_types,
     targets,
 )
-from omnisyn_cli.planning.plan import SECONDS_PER_PAIR, InterpolationPlan, plan_interpolation, with_preset
+from omnisyn_cli.planning.plan import SECONDS_PER_PAIR, InterpolationPlan, networks_of, plan_interpolation, with_preset
 
 __all__ = [
     "DEPTH_METHODS",
@@ -26,6 +26,7 @@ __all__ = [
     "InterpolationPlan",
     "depth_name",
     "is_rounded",
+    "networks_of",
     "plan_interpolation",
     "sample_types",
     "targets",

@@ -29,7 +29,7 @@ from omnisyn_cli.presets import FUSION_MODEL, PRESETS
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
 
-__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "plan_interpolation", "with_preset"]
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "networks_of", "plan_interpolation", "with_preset"]
 
 MODELLED = ("refined", "network")
 """Sources of depth that a network has a part in."""
@@ -106,8 +106,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     source_sizes = tuple(checked_size(image, job) for image in job.images)
     depth = _depth_method(job, entries)
     model = _model(job, depth)
-    if job.fusion == "network":
-        find_model(FUSION_MODEL)
+    for network in networks_of(job, entries):
+        find_model(network)
     check_companions(entries, depth)
     for mask in job.masks:
         read_header(mask)
@@ -131,9 +131,21 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     """
     job = replace(plan.job, preset=preset)
     depth = _depth_method(job, plan.entries)
+    for network in networks_of(job, plan.entries):
+        find_model(network)
     sizes = _depth_sizes(plan.entries, depth, PRESETS[preset].depth_rows)
     memory = estimated_memory(job, plan.size, plan.source_sizes, sizes)
     return replace(plan, job=job, depth=depth, model=_model(job, depth), memory=memory)
+
+
+def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
+    """Networks that have a part in a job's frames, by name in the manifest or as paths: of depth, then of fusion.
+
+    Raises:
+        InputError, PoseError: depth cannot be had as the job asks for it.
+    """
+    model = _model(job, _depth_method(job, entries))
+    return (*(() if model is None else (model,)), *((FUSION_MODEL,) if job.fusion == "network" else ()))
 
 
 def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
@@ -194,7 +206,7 @@ def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> st
 
 
 def _model(job: InterpolationJob, depth: str) -> str | None:
-    """The network that finds or refines depth, if one does; it has to be there."""
+    """The network that finds or refines depth, if one does."""
     preset = PRESETS[job.preset]
     model = job.model or (preset.model if depth == preset.depth else None)
     if depth not in MODELLED:
@@ -206,7 +218,6 @@ def _model(job: InterpolationJob, depth: str) -> str | None:
         return None
     if model is None:
         raise InputError(f"expected a model for depth {depth!r}, got none; name one (--model)")
-    find_model(model)
     return model
 
 

@@ -1,6 +1,7 @@
 """Data sets: folders of scenes in the layouts that are around, read as posed panoramas in walking order."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -21,7 +22,9 @@ __all__ = [
     "find_scenes",
 ]
 
-FORMATS: Mapping[str, Callable[[Path], list[SceneSource]]] = MappingProxyType(
+Finder = Callable[[Path], list[SceneSource]]
+
+FORMATS: Mapping[str, Finder] = MappingProxyType(
     {"omnisyn": own.find_scenes, "carla": carla.find_scenes, "m3d": habitat.find_scenes, "zind": zind.find_scenes}
 )
 """What finds the scenes of a folder, by the name of the layout; tried in this order."""
@@ -29,20 +32,22 @@ FORMATS: Mapping[str, Callable[[Path], list[SceneSource]]] = MappingProxyType(
 EXPECTED = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
 
 
-def find_scenes(folder: Path, layout: str = "auto") -> list[SceneSource]:
+def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:
     """The scenes of a folder.
 
     Args:
         folder: of scenes, or a single scene.
         layout: a key of :data:`FORMATS`, or ``auto``: the first one that finds something.
+        allow_outside: whether a ``poses.json`` may name depth and masks outside of its folder.
 
     Raises:
         InputError: there is no such folder, or no scene in it.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got none; check the name")
-    for name in FORMATS if layout == "auto" else (layout,):
-        if scenes := FORMATS[name](folder):
+    finders: dict[str, Finder] = {**FORMATS, "omnisyn": partial(own.find_scenes, allow_outside=allow_outside)}
+    for name in finders if layout == "auto" else (layout,):
+        if scenes := finders[name](folder):
             return scenes
     wanted = EXPECTED if layout == "auto" else f"the layout '{layout}'"
     raise InputError(f"{folder}: expected scenes with {wanted}, got none; check the folder and --format")
