@@ -12,7 +12,7 @@ from interpolation_samples import CHAIN, job_of, listing
 from omnisyn_cli import planning
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
 from omnisyn_cli.io import PosedPanorama, write_image, write_poses
-from omnisyn_cli.planning import plan_interpolation
+from omnisyn_cli.planning import plan_interpolation, with_preset
 from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render import renderer
 from synthesis_samples import as_bytes, hall_image, write_hall
@@ -28,6 +28,26 @@ def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
     assert (plan.depth, plan.model) == (PRESETS[DEFAULT_PRESET].depth, PRESETS[DEFAULT_PRESET].model)
     with pytest.raises(PoseError, match=r"'depth' file for every panorama, got none for p0\.png, p1\.png"):
         plan_interpolation(job_of(tmp_path, images, depth="file"))
+
+
+@pytest.mark.parametrize(
+    ("asked", "fusion"),
+    [
+        ({"preset": "balanced", "depth": "refined"}, "geometric"),
+        ({"preset": "accurate", "depth": "refined"}, "network"),
+        ({"preset": "accurate"}, "geometric"),  # depth comes from files
+        ({"preset": "accurate", "fusion": "network"}, "network"),
+        ({"preset": "accurate", "depth": "refined", "fusion": "geometric"}, "geometric"),
+    ],
+)
+def test_the_preset_says_how_renderings_of_estimated_depth_are_fused(
+    tmp_path: Path, asked: dict[str, str], fusion: str
+) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    plan = plan_interpolation(job_of(tmp_path, images, **asked))
+    assert plan.fusion == plan.describe()["fusion"] == fusion
+    other = with_preset(plan, "fast")
+    assert other.fusion == asked.get("fusion", "geometric")
 
 
 def test_a_missing_depth_or_mask_file_is_found_before_any_work(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-__all__ = ["DEFAULT_FUSION", "DEFAULT_PRESET", "FUSIONS", "FUSION_MODEL", "PRESETS", "Preset"]
+__all__ = ["DEFAULT_PRESET", "FUSIONS", "FUSION_CHOICES", "FUSION_MODEL", "PRESETS", "Preset"]
 
 
 @dataclass(frozen=True)
@@ -16,25 +16,27 @@ class Preset:
     Attributes:
         name: what users call it.
         summary: one line for them.
-        depth: where depth comes from unless files have it, see :mod:`omnisyn_cli.estimators`.
         depth_rows: rows that matching works towards.
+        fusion: how renderings with depth of that kind become one picture, one of :data:`FUSIONS`.
+        depth: where depth comes from unless files have it, see :mod:`omnisyn_cli.estimators`.
         model: network that refines or replaces matching, by its name in the manifest; None where there is none.
     """
 
     name: str
     summary: str
-    depth: str
     depth_rows: int
-    model: str | None
+    fusion: str
+    depth: str = "refined"
+    model: str | None = "refine-balanced"
 
 
 PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         preset.name: preset
         for preset in (
-            Preset("fast", "matching at ¾ of the size, refined by a network", "refined", 384, "refine-balanced"),
-            Preset("balanced", "matching, refined by a network", "refined", 512, "refine-balanced"),
-            Preset("accurate", "matching at twice the size, refined by a network", "refined", 1024, "refine-balanced"),
+            Preset("fast", "matching at ¾ of the size, refined by a network", 384, "geometric"),
+            Preset("balanced", "matching, refined by a network", 512, "geometric"),
+            Preset("accurate", "matching at twice the size, refined by a network; another fuses", 1024, "network"),
         )
     }
 )
@@ -45,7 +47,8 @@ DEFAULT_PRESET = "balanced"
 FUSIONS = ("geometric", "network")
 """How two renderings become one picture, see :mod:`omnisyn_cli.fusers`."""
 
-DEFAULT_FUSION = "geometric"
+FUSION_CHOICES = ("auto", *FUSIONS)
+"""What users choose from: ``auto`` is the preset's where depth is estimated, and geometric where it is known."""
 
 FUSION_MODEL = "fusion-residual"
 """Name of the fusion network in the manifest."""

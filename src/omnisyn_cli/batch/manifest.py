@@ -25,7 +25,7 @@ from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.io import MAX_PIXELS, PoseFile, read_poses
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, InterpolationJob
-from omnisyn_cli.presets import DEFAULT_FUSION, DEFAULT_PRESET, FUSIONS, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.session import DEVICES
@@ -80,7 +80,7 @@ CONSTRAINED: dict[str, Any] = {
     "depth": (Literal[DEPTH_METHODS], "auto"),
     "device": (Literal[DEVICES], "auto"),
     "renderer": (Literal[RENDERERS], "mesh"),
-    "fusion": (Literal[FUSIONS], DEFAULT_FUSION),
+    "fusion": (Literal[FUSION_CHOICES], "auto"),
     "baseline": (Positive | None, None),
     "cut": (Fraction | None, None),
     "cut_metres": (Positive | None, None),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.presets import DEFAULT_FUSION, DEFAULT_PRESET, FUSIONS, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation import Summary
@@ -98,9 +98,9 @@ class Size(SizeType):
     help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
 )  # fmt: skip
 @click.option(
-    "--fusion", type=click.Choice(FUSIONS), default=DEFAULT_FUSION, show_default=True,
+    "--fusion", type=click.Choice(FUSION_CHOICES), default="auto", show_default=True,
     help="How two renderings become one picture: by rules, or by rules that a network corrects where estimated depths "
-    "contradict each other.",
+    "contradict each other; auto: the preset's, but rules where depth comes from files.",
 )  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,

@@ -24,6 +24,7 @@ from omnisyn_cli.evaluation.synthesizers import (
     Recipe,
     Synthesizer,
     first_view_only,
+    geometric_fuser,
     network_fuser,
 )
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODEL, PRESETS
@@ -95,7 +96,8 @@ def _preset(name: str) -> RecipeFactory:
             )
         except InputError as error:
             raise MethodUnavailableError(str(error)) from error
-        return Recipe(f"preset {name}", estimator)
+        fuser = network_fuser(options.device) if preset.fusion == "network" else geometric_fuser
+        return Recipe(f"preset {name}", estimator, fuser=fuser)
 
     return make
 
@@ -104,7 +106,8 @@ def _installed(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
     """A preset, and the digests of its network and of that for fusion, as far as they are there and take part."""
     preset = PRESETS.get(name)
     settings = () if preset is None else (repr(preset), _digest(preset.model))
-    return (*settings, _digest(FUSION_MODEL)) if NETWORK_FUSION in parameters else settings
+    is_network = NETWORK_FUSION in parameters or (preset is not None and preset.fusion == "network")
+    return (*settings, _digest(FUSION_MODEL)) if is_network else settings
 
 
 def _digest(model: str | None) -> str:

@@ -76,7 +76,7 @@ def _frames(
         plan.size, job.renderer, job.cut, job.threads,
         cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None, adaptive=job.adaptive,
     )  # fmt: skip
-    fuser = make_fuser(job.fusion, plan.size, device=job.device, threads=job.threads)
+    fuser = make_fuser(plan.fusion, plan.size, device=job.device, threads=job.threads)
     views, prepared = loader.views(), set()
     for made in synthesize(views, plan.path, estimator, options, fuser, clock, ring):
         if isinstance(made, Segment):

@@ -127,8 +127,8 @@ class RefinePrediction:
         shares = (CAUTION * self.logits).softmax(dim=1)
         expected = torch.cat(
             [
-                (shares * (self.candidates - candidate).abs()).sum(dim=1, keepdim=True)
-                for candidate in self.candidates.split(1, dim=1)
+                (shares * (self.candidates - self.candidates[:, k : k + 1]).abs()).sum(dim=1, keepdim=True)
+                for k in range(sizes(self.candidates)[1])
             ],
             dim=1,
         )

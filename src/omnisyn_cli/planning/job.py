@@ -8,7 +8,7 @@ from pathlib import Path
 
 from omnisyn_cli.estimators import DEPTH_SOURCES
 from omnisyn_cli.io import MAX_PIXELS, sample_type
-from omnisyn_cli.presets import DEFAULT_FUSION, DEFAULT_PRESET
+from omnisyn_cli.presets import DEFAULT_PRESET
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.trajectory import Ease, Heading
 
@@ -56,7 +56,8 @@ class InterpolationJob:
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``. All else runs on the processor.
         renderer: ``mesh``, ``points`` or ``two-pass``.
         cut: where meshes are cut.
-        fusion: ``geometric``, or ``network``, which corrects it where the views contradict each other.
+        fusion: ``geometric``, ``network``, which corrects it where the views contradict each other, or ``auto``: what
+            the preset says where depth is estimated, ``geometric`` where it comes from files.
         ease, heading: see :func:`omnisyn_cli.trajectory.plan_path`.
         codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.
@@ -89,7 +90,7 @@ class InterpolationJob:
     device: str = "auto"
     renderer: str = "mesh"
     cut: Cut = field(default_factory=Cut)
-    fusion: str = DEFAULT_FUSION
+    fusion: str = "auto"
     ease: Ease = "linear"
     heading: Heading = "panoramas"
     codec: str | None = None

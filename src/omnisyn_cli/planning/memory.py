@@ -24,7 +24,11 @@ MIP_LEVELS = 4 / 3
 
 
 def estimated_memory(
-    job: InterpolationJob, size: tuple[int, int], sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]]
+    job: InterpolationJob,
+    size: tuple[int, int],
+    sources: Sequence[tuple[int, int]],
+    depths: Sequence[tuple[int, int]],
+    fusion: str,
 ) -> int:
     """Bytes, estimated: the most of what is held while a pair is prepared and while frames are made of it.
 
@@ -33,6 +37,7 @@ def estimated_memory(
         size: height and width of the frames.
         sources: those of the panoramas.
         depths: those of the surfaces.
+        fusion: how renderings are fused.
 
     Raises:
         ImageError: a panorama is missing or unreadable.
@@ -43,15 +48,15 @@ def estimated_memory(
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
     surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
-    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size) + numbers * largest)
+    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size, fusion) + numbers * largest)
     return int(PROGRAM + surfaces + 2 * kept * largest + held)
 
 
-def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int]) -> float:
+def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], fusion: str) -> float:
     """What making frames takes: two renderings, the pyramid that fills holes, frames on their way to the encoder."""
     pixels = size[0] * size[1]
     is_by_rows = are_frames_by_rows(
-        job.renderer, job.fusion, size,
+        job.renderer, fusion, size,
         is_rounded=is_rounded(job), is_judged=job.fallback == "crossfade" or job.save_confidence is not None,
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5

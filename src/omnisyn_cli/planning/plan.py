@@ -53,6 +53,7 @@ class InterpolationPlan:
         path: a waypoint for every frame.
         depth: where depth comes from, one of :data:`omnisyn_cli.estimators.DEPTH_SOURCES`.
         model: the network that has a part in it; None if none has.
+        fusion: how two renderings become one picture, one of :data:`omnisyn_cli.presets.FUSIONS`.
         length: metres from the first panorama to the last.
         memory: bytes that the pictures and buffers will take, estimated.
         notes: what the user should know.
@@ -65,6 +66,7 @@ class InterpolationPlan:
     path: tuple[Waypoint, ...]
     depth: str
     model: str | None
+    fusion: str
     length: float
     memory: int
     notes: tuple[str, ...]
@@ -84,7 +86,7 @@ class InterpolationPlan:
             "depth": self.depth,
             "model": self.model or "",
             "renderer": self.job.renderer,
-            "fusion": self.job.fusion,
+            "fusion": self.fusion,
             "path_metres": round(self.length, 4),
             "memory_mib": round(self.memory / 2**20),
             "notes": list(self.notes),
@@ -105,7 +107,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checked_size(image, job) for image in job.images)
     depth = _depth_method(job, entries)
-    model = _model(job, depth)
+    model, fusion = _model(job, depth), _fusion(job, depth)
     for network in networks_of(job, entries):
         find_model(network)
     check_companions(entries, depth)
@@ -116,9 +118,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
-    memory = estimated_memory(job, size, source_sizes, _depth_sizes(entries, depth, PRESETS[job.preset].depth_rows))
+    memory = estimated_memory(job, size, source_sizes, _depth_sizes(job, entries, depth), fusion)
     return InterpolationPlan(
-        job, entries, source_sizes, size, path, depth, model, path_length(poses), memory,
+        job, entries, source_sizes, size, path, depth, model, fusion, path_length(poses), memory,
         (*remarks, *_notes(job, entries, depth)),
     )  # fmt: skip
 
@@ -133,9 +135,9 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     depth = _depth_method(job, plan.entries)
     for network in networks_of(job, plan.entries):
         find_model(network)
-    sizes = _depth_sizes(plan.entries, depth, PRESETS[preset].depth_rows)
-    memory = estimated_memory(job, plan.size, plan.source_sizes, sizes)
-    return replace(plan, job=job, depth=depth, model=_model(job, depth), memory=memory)
+    fusion = _fusion(job, depth)
+    memory = estimated_memory(job, plan.size, plan.source_sizes, _depth_sizes(job, plan.entries, depth), fusion)
+    return replace(plan, job=job, depth=depth, model=_model(job, depth), fusion=fusion, memory=memory)
 
 
 def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
@@ -144,8 +146,9 @@ def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tupl
     Raises:
         InputError, PoseError: depth cannot be had as the job asks for it.
     """
-    model = _model(job, _depth_method(job, entries))
-    return (*(() if model is None else (model,)), *((FUSION_MODEL,) if job.fusion == "network" else ()))
+    depth = _depth_method(job, entries)
+    model = _model(job, depth)
+    return (*(() if model is None else (model,)), *((FUSION_MODEL,) if _fusion(job, depth) == "network" else ()))
 
 
 def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
@@ -221,8 +224,16 @@ def _model(job: InterpolationJob, depth: str) -> str | None:
     return model
 
 
-def _depth_sizes(entries: Sequence[PosedPanorama], depth: str, rows: int) -> list[tuple[int, int]]:
-    """Rows and columns of the surfaces; estimated depth has at most ``rows``."""
+def _fusion(job: InterpolationJob, depth: str) -> str:
+    """How renderings are fused; the network never saw those of known depth and makes them worse."""
+    if job.fusion != "auto":
+        return job.fusion
+    return "geometric" if depth == "file" else PRESETS[job.preset].fusion
+
+
+def _depth_sizes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) -> list[tuple[int, int]]:
+    """Rows and columns of the surfaces; estimated depth has at most those of the preset."""
+    rows = PRESETS[job.preset].depth_rows
     headers = [read_header(entry.depth) for entry in entries if entry.depth is not None] if depth == "file" else []
     return [(header.height, header.width) for header in headers] or [(rows, 2 * rows)]
 
