@@ -12,6 +12,9 @@ __all__ = ["DEPTH_SOURCES", "make_estimator"]
 
 DEPTH_SOURCES = ("file", "matching", "refined", "network")
 
+REFINED_ROWS = 512
+"""Rows of matching at which the refinement network has been trained."""
+
 
 def make_estimator(
     source: str, *, rows: int = 512, model: str | None = None, device: str = "auto", threads: int | None = None
@@ -20,7 +23,8 @@ def make_estimator(
 
     Args:
         source: one of :data:`DEPTH_SOURCES`.
-        rows: that matching works towards; refined estimates have half of them.
+        rows: that matching works towards; refined estimates have half of them. For twice :data:`REFINED_ROWS` or more
+            the network refines half of that size, and matching at the full one adds what it is sure of.
         model: name in the manifest or path of an ONNX file, for ``refined`` and ``network``.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
@@ -46,7 +50,11 @@ def make_estimator(
     from omnisyn_cli.runtime.refinement import SessionRefinement
     from omnisyn_cli.stereo.refined import RefinedDepthEstimator
 
-    return RefinedDepthEstimator(matching, SessionRefinement(_session(model, device, threads)))
+    refinement = SessionRefinement(_session(model, device, threads))
+    if rows < 2 * REFINED_ROWS:
+        return RefinedDepthEstimator(matching, refinement)
+    coarse = MatchingDepthEstimator(MatchingOptions(size=(rows // 2, rows)), threads)
+    return RefinedDepthEstimator(coarse, refinement, fine=matching)
 
 
 def _session(model: str | None, device: str, threads: int | None) -> object:

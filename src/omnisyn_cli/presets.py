@@ -36,7 +36,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         for preset in (
             Preset("fast", "matching at ¾ of the size, refined by a network", 384, "geometric"),
             Preset("balanced", "matching, refined by a network", 512, "geometric"),
-            Preset("accurate", "matching at twice the size, refined by a network; another fuses", 1024, "network"),
+            Preset("accurate", "matching at two sizes, refined by a network; another fuses", 1024, "network"),
         )
     }
 )

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.geometry.sweep import free_space_agreement
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
@@ -19,13 +19,20 @@ __all__ = ["RefinedDepthEstimator", "Refinement"]
 WINDOW = 5
 """Side in pixels of the squares whose median answers where matching is unsure."""
 
+SAME = 0.15
+"""Relative difference of inverse depth up to which what was found at two sizes is the same surface."""
+
+FINE_CONFIDENCE = 0.8
+"""Least confidence of what matching at the larger size is sure of."""
+
+Answer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
+"""Inverse depth × baseline, and the probability that it is within 10 %."""
+
 
 class Refinement(Protocol):
     """A trained refinement network, however it is run."""
 
-    def __call__(
-        self, planes: Float32[np.ndarray, "planes height width"]
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Answer:
         """Inverse depth × baseline, and the probability that it is within 10 %; ``planes`` as in ``evidence``."""
         ...
 
@@ -34,33 +41,41 @@ class Refinement(Protocol):
 class RefinedDepthEstimator:
     """Inverse depth of both panoramas; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
-    Estimates have half of the matching's size: the resolution that it works at. Where matching is unsure the network
-    chooses for each pixel alone, so the median of its neighbours' answers is taken, which keeps edges. A place that the
-    other panorama looks through loses its confidence. Panoramas from one position have no parallax: everything is then
-    0 with confidence 0.
+    Estimates have half of the (finer) matching's size: the resolution that it works at. Where matching is unsure the
+    network chooses for each pixel alone, so the median of its neighbours' answers is taken, which keeps edges. A place
+    that the other panorama looks through loses its confidence.
+
+    In a larger picture matching and the network see less of the scene around a pixel, but matching measures more
+    exactly. So with ``fine`` the smaller size says what is there, and the larger one where exactly, where it is sure.
+
+    Panoramas from one position have no parallax: everything is then 0 with confidence 0.
 
     Attributes:
         matching: finds the evidence.
         refinement: the network.
+        fine: matching at a larger size; None leaves it at the smaller one.
     """
 
     matching: MatchingDepthEstimator
     refinement: Refinement
+    fine: MatchingDepthEstimator | None = None
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         if np.array_equal(first.pose.position, second.pose.position):
             return self.matching(first, second)
         there, back = self.matching.evidence(first, second)
-        baseline = np.linalg.norm(second.pose.position - first.pose.position)
         answers = [self._refined(a, b) for a, b in ((there, back), (back, there))]
+        if self.fine is not None:
+            coarse, (there, back) = (there, back), self.fine.evidence(first, second)
+            answers = [_sharpened(*each) for each in zip(answers, coarse, (there, back), strict=True)]
+        baseline = np.linalg.norm(second.pose.position - first.pose.position)
         return (
             _estimate(there, answers[0], answers[1][0], baseline),
             _estimate(back, answers[1], answers[0][0], baseline),
         )
 
-    def _refined(self, evidence: Evidence, other: Evidence) -> tuple[np.ndarray, np.ndarray]:
-        """Inverse depth × baseline, and the probability that it is within 10 %."""
+    def _refined(self, evidence: Evidence, other: Evidence) -> Answer:
         inverse_depth, confidence = self.refinement(evidence_planes(evidence, other))
         return np.where(evidence.agreed | evidence.sky, inverse_depth, _median(inverse_depth)), confidence
 
@@ -71,9 +86,26 @@ def _median(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, 
     return cv2.medianBlur(wrapped, WINDOW)[:, WINDOW // 2 : -(WINDOW // 2)]
 
 
-def _estimate(
-    evidence: Evidence, answer: tuple[np.ndarray, np.ndarray], other: np.ndarray, baseline: np.floating
-) -> DepthEstimate:
+def _sharpened(answer: Answer, coarse: Evidence, fine: Evidence) -> Answer:
+    """The answer at the larger size: what matching is sure of there, unless it was as sure of something else before."""
+    size = fine.filled.shape
+    inverse_depth, confidence = (_enlarged(values, size) for values in answer)
+    exact = np.where(fine.sky, 0.0, fine.filled).astype(np.float32)
+    is_same = np.abs(exact - inverse_depth) <= SAME * np.maximum(exact, inverse_depth)
+    taken = (fine.agreed | fine.sky) & (is_same | ~_enlarged(coarse.agreed | coarse.sky, size))
+    return (
+        np.where(taken, exact, inverse_depth),
+        np.where(taken, np.maximum(confidence, np.float32(FINE_CONFIDENCE)), confidence),
+    )
+
+
+def _enlarged(values: Shaped[np.ndarray, "rows cols"], size: tuple[int, int]) -> Shaped[np.ndarray, "height width"]:
+    """The nearest value for every pixel of a size: between two surfaces there is nothing to interpolate."""
+    row, col = (np.arange(count) * had // count for count, had in zip(size, values.shape, strict=True))
+    return np.asarray(values[row[:, None], col])
+
+
+def _estimate(evidence: Evidence, answer: Answer, other: np.ndarray, baseline: np.floating) -> DepthEstimate:
     inverse_depth, confidence = answer
     trust = confidence * free_space_agreement(inverse_depth, other, evidence.second_from_first) * evidence.usable
     return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32))
