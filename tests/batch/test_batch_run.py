@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from batch_samples import SIZE, InlineCrew, contents, line, records, write_lines, write_row
 
-from omnisyn_cli import interpolation, posing
+from omnisyn_cli import posing
 from omnisyn_cli.batch import interpolations, provenance, run
 from omnisyn_cli.batch.engine import Work
 from omnisyn_cli.batch.interpolations import Settings, make_interpolator
@@ -173,7 +173,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for module in (models, provenance):
         monkeypatch.setattr(module, "models_folder", lambda: folder)
     monkeypatch.setattr(interpolations, "make_estimator", lambda plan: lopsided)
-    monkeypatch.setattr(interpolation, "make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1))
+    monkeypatch.setattr(
+        "omnisyn_cli.interpolation.run.make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1)
+    )
     return folder
 
 
