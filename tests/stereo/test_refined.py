@@ -98,24 +98,22 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
     assert wrong.confidence[8:-8, :24].mean() < 0.5 < wrong.confidence[8:-8, 40:56].mean()
 
 
-def test_a_larger_size_adds_what_it_is_sure_of_unless_the_smaller_one_was_sure_of_something_else(monkeypatch, both):
-    """Columns in four quarters: the sizes agree; contradict each other; only the larger one is sure; neither is."""
-    width, offset = SIZE[1], np.linalg.norm(OFFSET)
-    quarter = np.arange(width) * 4 // width
-    is_sure = np.broadcast_to(quarter < 2, SIZE)
-    coarse = tuple(replace(each, agreed=is_sure) for each in both)
-    larger = [
+def test_a_larger_size_adds_what_it_is_sure_of_where_it_means_the_same_surface(monkeypatch, both):
+    """Columns in three parts: the sizes agree; contradict each other; only the smaller one is sure."""
+    third, offset = np.arange(SIZE[1]) * 3 // SIZE[1], np.linalg.norm(OFFSET)
+    double = (2 * SIZE[0], 2 * SIZE[1])
+    larger = tuple(
         replace(
             each,
-            filled=enlarged(each.filled * np.choose(quarter, [1.05, 1.5, 1.5, 1.5])),
-            agreed=enlarged(np.broadcast_to(quarter < 3, SIZE)),
-            sky=np.zeros((2 * SIZE[0], 2 * width), bool),
-            usable=np.ones((2 * SIZE[0], 2 * width), bool),
+            filled=enlarged(each.filled * np.choose(third, [1.05, 1.5, 1.05])),
+            agreed=enlarged(np.broadcast_to(third < 2, SIZE)),
+            sky=np.zeros(double, bool),
+            usable=np.ones(double, bool),
         )
         for each in both
-    ]
+    )
     small, large = (MatchingDepthEstimator(MatchingOptions(size=(n, 2 * n)), threads=1) for n in (64, 128))
-    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda self, *_: coarse if self is small else tuple(larger))
+    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda self, *_: both if self is small else larger)
 
     def told(planes):
         return planes[3] ** 2, np.full(SIZE, 0.5, np.float32)
@@ -123,12 +121,10 @@ def test_a_larger_size_adds_what_it_is_sure_of_unless_the_smaller_one_was_sure_o
     views = [View(both[0].image, Pose.identity()), View(both[1].image, Pose(TURN, OFFSET))]
     estimate = RefinedDepthEstimator(small, told, fine=large)(*views)[0]
     before = enlarged(RefinedDepthEstimator(small, told)(*views)[0].inverse_depth)
-    found = np.split(estimate.inverse_depth, 4, axis=1)
-    kept, exact = np.split(before, 4, axis=1), np.split(larger[0].filled / offset, 4, axis=1)
-    for part, expected in zip(found, (exact[0], kept[1], exact[2], kept[3]), strict=True):
-        np.testing.assert_allclose(part, expected, rtol=1e-5)
-    assert np.split(estimate.confidence, 4, axis=1)[0].max() == pytest.approx(0.8, abs=0.01)
-    assert estimate.confidence[:, width:].max() <= 0.81
+    expected = np.where(np.repeat(third, 2) == 0, larger[0].filled / offset, before)
+    np.testing.assert_allclose(estimate.inverse_depth, expected, rtol=1e-5)
+    assert estimate.confidence[:, : SIZE[1] // 2].max() == pytest.approx(0.8, abs=0.01)
+    assert estimate.confidence[:, SIZE[1] :].max() <= 0.51
 
 
 def enlarged(values):

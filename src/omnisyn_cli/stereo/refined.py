@@ -19,7 +19,7 @@ __all__ = ["RefinedDepthEstimator", "Refinement"]
 WINDOW = 5
 """Side in pixels of the squares whose median answers where matching is unsure."""
 
-SAME = 0.15
+SAME = 0.1
 """Relative difference of inverse depth up to which what was found at two sizes is the same surface."""
 
 FINE_CONFIDENCE = 0.8
@@ -67,8 +67,8 @@ class RefinedDepthEstimator:
         there, back = self.matching.evidence(first, second)
         answers = [self._refined(a, b) for a, b in ((there, back), (back, there))]
         if self.fine is not None:
-            coarse, (there, back) = (there, back), self.fine.evidence(first, second)
-            answers = [_sharpened(*each) for each in zip(answers, coarse, (there, back), strict=True)]
+            there, back = self.fine.evidence(first, second)
+            answers = [_sharpened(answer, fine) for answer, fine in zip(answers, (there, back), strict=True)]
         baseline = np.linalg.norm(second.pose.position - first.pose.position)
         return (
             _estimate(there, answers[0], answers[1][0], baseline),
@@ -86,13 +86,16 @@ def _median(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, 
     return cv2.medianBlur(wrapped, WINDOW)[:, WINDOW // 2 : -(WINDOW // 2)]
 
 
-def _sharpened(answer: Answer, coarse: Evidence, fine: Evidence) -> Answer:
-    """The answer at the larger size: what matching is sure of there, unless it was as sure of something else before."""
+def _sharpened(answer: Answer, fine: Evidence) -> Answer:
+    """The answer at the larger size: what matching is sure of there, where it means the same surface.
+
+    Elsewhere it is not better informed: next to the epipoles and on plain ground it is sure of noise.
+    """
     size = fine.filled.shape
     inverse_depth, confidence = (_enlarged(values, size) for values in answer)
     exact = np.where(fine.sky, 0.0, fine.filled).astype(np.float32)
     is_same = np.abs(exact - inverse_depth) <= SAME * np.maximum(exact, inverse_depth)
-    taken = (fine.agreed | fine.sky) & (is_same | ~_enlarged(coarse.agreed | coarse.sky, size))
+    taken = (fine.agreed | fine.sky) & is_same
     return (
         np.where(taken, exact, inverse_depth),
         np.where(taken, np.maximum(confidence, np.float32(FINE_CONFIDENCE)), confidence),
