@@ -6,14 +6,12 @@
 
 from __future__ import annotations
 
+from omnisyn_cli.stereo.sizes import coarse_rows
 from omnisyn_cli.types import DepthEstimator, KnownDepth
 
 __all__ = ["DEPTH_SOURCES", "make_estimator"]
 
 DEPTH_SOURCES = ("file", "matching", "refined", "network")
-
-REFINED_ROWS = 512
-"""Rows of matching at which the refinement network has been trained."""
 
 
 def make_estimator(
@@ -23,8 +21,8 @@ def make_estimator(
 
     Args:
         source: one of :data:`DEPTH_SOURCES`.
-        rows: that matching works towards; refined estimates have half of them. For twice :data:`REFINED_ROWS` or more
-            the network refines half of that size, and matching at the full one adds what it is sure of.
+        rows: that depth is looked for at; refined estimates have half of them, those of matching alone as many, but
+            not more than it is good at, see :mod:`omnisyn_cli.stereo.sizes`.
         model: name in the manifest or path of an ONNX file, for ``refined`` and ``network``.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
@@ -44,17 +42,15 @@ def make_estimator(
         return learned
     from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 
-    matching = MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
+    coarse = coarse_rows(rows)
+    matching = MatchingDepthEstimator(MatchingOptions(size=(coarse, 2 * coarse)), threads)
     if source == "matching":
         return matching
     from omnisyn_cli.runtime.refinement import SessionRefinement
     from omnisyn_cli.stereo.refined import RefinedDepthEstimator
 
     refinement = SessionRefinement(_session(model, device, threads))
-    if rows < 2 * REFINED_ROWS:
-        return RefinedDepthEstimator(matching, refinement)
-    coarse = MatchingDepthEstimator(MatchingOptions(size=(rows // 2, rows)), threads)
-    return RefinedDepthEstimator(coarse, refinement, fine=matching)
+    return RefinedDepthEstimator(matching, refinement, rows)
 
 
 def _session(model: str | None, device: str, threads: int | None) -> object:

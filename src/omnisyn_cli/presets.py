@@ -16,7 +16,7 @@ class Preset:
     Attributes:
         name: what users call it.
         summary: one line for them.
-        depth_rows: rows that matching works towards.
+        depth_rows: rows that depth is looked for at, see :mod:`omnisyn_cli.estimators`; estimates have half of them.
         fusion: how renderings with depth of that kind become one picture, one of :data:`FUSIONS`.
         depth: where depth comes from unless files have it, see :mod:`omnisyn_cli.estimators`.
         model: network that refines or replaces matching, by its name in the manifest; None where there is none.
@@ -35,8 +35,8 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         preset.name: preset
         for preset in (
             Preset("fast", "matching at ¾ of the size, refined by a network", 384, "geometric"),
-            Preset("balanced", "matching, refined by a network", 512, "geometric"),
-            Preset("accurate", "matching at two sizes, refined by a network; another fuses", 1024, "network"),
+            Preset("balanced", "matching, refined by a network, sharpened at twice the size", 1024, "geometric"),
+            Preset("accurate", "sharpened once more at four times the size; a network fuses", 2048, "network"),
         )
     }
 )

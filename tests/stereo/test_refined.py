@@ -91,44 +91,27 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
         return inverse_depth, np.ones(SIZE, np.float32)
 
     baseline = np.linalg.norm(OFFSET)
-    for estimate, known in zip(RefinedDepthEstimator(matching, true)(*views), both, strict=True):
+    for estimate, known in zip(RefinedDepthEstimator(matching, true, 64)(*views), both, strict=True):
         np.testing.assert_allclose(estimate.inverse_depth, known.filled / baseline, rtol=1e-5)
         assert estimate.confidence.min() > 0.8
-    wrong = RefinedDepthEstimator(matching, half_of_the_first_too_near)(*views)[0]
+    wrong = RefinedDepthEstimator(matching, half_of_the_first_too_near, 64)(*views)[0]
     assert wrong.confidence[8:-8, :24].mean() < 0.5 < wrong.confidence[8:-8, 40:56].mean()
 
 
-def test_a_larger_size_adds_what_it_is_sure_of_where_it_means_the_same_surface(monkeypatch, both):
-    """Columns in three parts: the sizes agree; contradict each other; only the smaller one is sure."""
-    third, offset = np.arange(SIZE[1]) * 3 // SIZE[1], np.linalg.norm(OFFSET)
-    double = (2 * SIZE[0], 2 * SIZE[1])
-    larger = tuple(
-        replace(
-            each,
-            filled=enlarged(each.filled * np.choose(third, [1.05, 1.5, 1.05])),
-            agreed=enlarged(np.broadcast_to(third < 2, SIZE)),
-            sky=np.zeros(double, bool),
-            usable=np.ones(double, bool),
-        )
-        for each in both
-    )
-    small, large = (MatchingDepthEstimator(MatchingOptions(size=(n, 2 * n)), threads=1) for n in (64, 128))
-    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda self, *_: both if self is small else larger)
+def test_estimates_have_the_last_size_that_the_pictures_have_pixels_for(monkeypatch, both):
+    matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)
+    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda *_: both)
 
-    def told(planes):
-        return planes[3] ** 2, np.full(SIZE, 0.5, np.float32)
+    def true(planes):
+        return planes[3] ** 2, np.ones(SIZE, np.float32)
 
     views = [View(both[0].image, Pose.identity()), View(both[1].image, Pose(TURN, OFFSET))]
-    estimate = RefinedDepthEstimator(small, told, fine=large)(*views)[0]
-    before = enlarged(RefinedDepthEstimator(small, told)(*views)[0].inverse_depth)
-    expected = np.where(np.repeat(third, 2) == 0, larger[0].filled / offset, before)
-    np.testing.assert_allclose(estimate.inverse_depth, expected, rtol=1e-5)
-    assert estimate.confidence[:, : SIZE[1] // 2].max() == pytest.approx(0.8, abs=0.01)
-    assert estimate.confidence[:, SIZE[1] :].max() <= 0.51
-
-
-def enlarged(values):
-    return values.repeat(2, axis=0).repeat(2, axis=1)
+    for estimate, position, rotation in zip(
+        RefinedDepthEstimator(matching, true, 256)(*views), (np.zeros(3), OFFSET), (np.eye(3), TURN), strict=True
+    ):
+        assert estimate.inverse_depth.shape == estimate.confidence.shape == (64, 128)
+        truth = inside_a_ball(position, rotation)[0].repeat(2, axis=0).repeat(2, axis=1)
+        assert np.isclose(estimate.inverse_depth, truth, rtol=0.1).mean() > 0.95
 
 
 def test_panoramas_of_one_place_have_nothing_to_refine():
@@ -137,6 +120,6 @@ def test_panoramas_of_one_place_have_nothing_to_refine():
 
     matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)
     view = View(np.zeros((64, 128, 3), np.float32), Pose.identity())
-    for estimate in RefinedDepthEstimator(matching, never)(view, view):
+    for estimate in RefinedDepthEstimator(matching, never, 64)(view, view):
         assert not estimate.inverse_depth.any()
         assert not estimate.confidence.any()

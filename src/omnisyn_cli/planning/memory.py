@@ -1,4 +1,4 @@
-"""The memory that a job will take, estimated from the sizes of what is held at its two peaks."""
+"""The memory that a job will take, estimated from the sizes of what is held at its three peaks."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ PROGRAM = 450e6
 BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
 """Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
 
+BYTES_PER_SHARPENED_PIXEL = 400
+"""Of an estimate while it is sharpened: the costs of some thirty disparities twice, and maps of both panoramas."""
+
 MIP_LEVELS = 4 / 3
 """Pixels of a texture with its mip levels, in those of the picture."""
 
@@ -29,8 +32,10 @@ def estimated_memory(
     sources: Sequence[tuple[int, int]],
     depths: Sequence[tuple[int, int]],
     fusion: str,
+    *,
+    is_sharpened: bool,
 ) -> int:
-    """Bytes, estimated: the most of what is held while a pair is prepared and while frames are made of it.
+    """Bytes, estimated: the most of what is held while depth is sharpened, surfaces are made, and frames are.
 
     Args:
         job: what is asked for.
@@ -38,6 +43,7 @@ def estimated_memory(
         sources: those of the panoramas.
         depths: those of the surfaces.
         fusion: how renderings are fused.
+        is_sharpened: whether estimates come to their size by :mod:`omnisyn_cli.stereo.sharpening`.
 
     Raises:
         ImageError: a panorama is missing or unreadable.
@@ -48,8 +54,10 @@ def estimated_memory(
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
     surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
-    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size, fusion) + numbers * largest)
-    return int(PROGRAM + surfaces + 2 * kept * largest + held)
+    sharpening = 2 * numbers * largest + BYTES_PER_SHARPENED_PIXEL * vertices if is_sharpened else 0
+    texturing_surfaces = surfaces + 2 * (numbers + texturing) * largest
+    frames = surfaces + _bytes_of_frames(job, size, fusion) + numbers * largest
+    return int(PROGRAM + 2 * kept * largest + max(sharpening, texturing_surfaces, frames))
 
 
 def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], fusion: str) -> float:

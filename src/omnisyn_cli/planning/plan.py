@@ -27,6 +27,7 @@ from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
 from omnisyn_cli.presets import FUSION_MODEL, PRESETS
 from omnisyn_cli.runtime.models import find_model
+from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
 
 __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "networks_of", "plan_interpolation", "with_preset"]
@@ -118,7 +119,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
-    memory = estimated_memory(job, size, source_sizes, _depth_sizes(job, entries, depth), fusion)
+    memory = _memory(job, entries, size, source_sizes, depth, fusion)
     return InterpolationPlan(
         job, entries, source_sizes, size, path, depth, model, fusion, path_length(poses), memory,
         (*remarks, *_notes(job, entries, depth)),
@@ -136,7 +137,7 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     for network in networks_of(job, plan.entries):
         find_model(network)
     fusion = _fusion(job, depth)
-    memory = estimated_memory(job, plan.size, plan.source_sizes, _depth_sizes(job, plan.entries, depth), fusion)
+    memory = _memory(job, plan.entries, plan.size, plan.source_sizes, depth, fusion)
     return replace(plan, job=job, depth=depth, model=_model(job, depth), fusion=fusion, memory=memory)
 
 
@@ -231,11 +232,21 @@ def _fusion(job: InterpolationJob, depth: str) -> str:
     return "geometric" if depth == "file" else PRESETS[job.preset].fusion
 
 
-def _depth_sizes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) -> list[tuple[int, int]]:
-    """Rows and columns of the surfaces; estimated depth has at most those of the preset."""
+def _memory(
+    job: InterpolationJob, entries: Sequence[PosedPanorama], size: tuple[int, int],
+    sources: Sequence[tuple[int, int]], depth: str, fusion: str,
+) -> int:  # fmt: skip
+    """Bytes, estimated; a network alone is taken to answer in the size of matching."""
     rows = PRESETS[job.preset].depth_rows
-    headers = [read_header(entry.depth) for entry in entries if entry.depth is not None] if depth == "file" else []
-    return [(header.height, header.width) for header in headers] or [(rows, 2 * rows)]
+    if depth == "file":
+        headers = [read_header(entry.depth) for entry in entries if entry.depth is not None]
+        surfaces = [(header.height, header.width) for header in headers]
+    elif depth == "refined":
+        surfaces = list(estimate_sizes(rows, max(height for height, _ in sources)))
+    else:
+        surfaces = [(coarse_rows(rows), 2 * coarse_rows(rows))]
+    is_sharpened = depth == "refined" and len(surfaces) > 1
+    return estimated_memory(job, size, sources, surfaces, fusion, is_sharpened=is_sharpened)
 
 
 def _encoder(job: InterpolationJob) -> str:

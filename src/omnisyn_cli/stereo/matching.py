@@ -25,7 +25,7 @@ from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, ass
 from omnisyn_cli.stereo.thread_limit import limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["MatchingDepthEstimator", "MatchingOptions"]
+__all__ = ["SPECKLE", "MatchingDepthEstimator", "MatchingOptions", "agreeing", "is_measurable"]
 
 HINT = 0.002
 """Weight of a disparity that only one direction believes, against 1 for what both agree on."""
@@ -69,11 +69,11 @@ class MatchingDepthEstimator:
         height, width = self.options.size
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
-            there, back = _match(pair, self._options(first, second))
+            there, back = _match(pair, self.options_for(first, second))
             return _evidence(first, second, pair, there), _evidence(second, first, pair.reversed(), back)
 
-    def _options(self, first: View, second: View) -> MatchingOptions:
-        """Colours count less where one of the pictures has lost some."""
+    def options_for(self, first: View, second: View) -> MatchingOptions:
+        """What may be believed of a pair: colours count less where one of the pictures has lost some."""
         if not (first.is_cut_off or second.is_cut_off):
             return self.options
         return replace(self.options, colour_share=self.options.doubtful_colour_share)
@@ -93,9 +93,9 @@ def _match(pair: RectifiedPair, options: MatchingOptions) -> tuple[Matches, Matc
     """Both directions; ``seen`` is what they agree on."""
     pairs = (pair, pair.reversed())
     grids = [Meridians.of(p) for p in pairs]
-    free = _agreeing([match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True)], options)
+    free = agreeing([match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True)], options)
     surfaces = [assign_surfaces(p, g, f, options) for p, g, f in zip(pairs, grids, free, strict=True)]
-    there, back = _agreeing(surfaces, options)
+    there, back = agreeing(surfaces, options)
     return there, back
 
 
@@ -121,15 +121,15 @@ def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.nd
     """Inverse depth in 1/baselines, where both directions agree about it, and the sky, in the frame of the camera."""
     size, pose, grid = pair.size, view.pose, Meridians.of(pair)
     inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
-    agreed = pair.to_camera(matches.seen & _measurable(grid, matches.disparity), pose, size)
+    agreed = pair.to_camera(matches.seen & is_measurable(grid, matches.disparity), pose, size)
     agreed = remove_speckles(inverse_depth, agreed & usable_pixels(view, size), SPECKLE, 0.1)
     rise = pixel_directions(*size) @ pose.rotation[1]
     sky = find_sky(inverse_depth, agreed & pair.to_camera(_is_sideways(grid), pose, size), rise, solid_angles(*size))
     return inverse_depth, agreed, sky
 
 
-def _agreeing(both: list[Matches], options: MatchingOptions) -> list[Matches]:
-    """Left-right check: keep as seen what the other direction saw at the same depth."""
+def agreeing(both: list[Matches], options: MatchingOptions) -> list[Matches]:
+    """Left-right check of both directions: keep as seen what the other one saw at the same depth."""
     return [
         replace(a, seen=a.seen & _confirmed(a.disparity, exchanged_in_epipole_frame(b.disparity), options.agreement))
         for a, b in (both, both[::-1])
@@ -144,7 +144,7 @@ def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bo
     return np.asarray((np.abs(found - disparity) <= tolerance) & (target <= height - 1))
 
 
-def _measurable(grid: Meridians, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:
+def is_measurable(grid: Meridians, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:
     """Not within 4° of an epipole, and no claim of infinity within 20°, where near things hardly move either."""
     away = np.sin(grid.polar_angle) > math.sin(math.radians(4.0))
     return np.asarray(away & ((disparity >= 1.0) | _is_sideways(grid)))

@@ -7,26 +7,22 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Shaped
+from jaxtyping import Float32
 
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sweep import free_space_agreement
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
+from omnisyn_cli.stereo.rectify import usable_pixels
+from omnisyn_cli.stereo.sharpening import Answer, sharpened
+from omnisyn_cli.stereo.sizes import doubled_sizes
+from omnisyn_cli.stereo.thread_limit import limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["RefinedDepthEstimator", "Refinement"]
 
 WINDOW = 5
 """Side in pixels of the squares whose median answers where matching is unsure."""
-
-SAME = 0.1
-"""Relative difference of inverse depth up to which what was found at two sizes is the same surface."""
-
-FINE_CONFIDENCE = 0.8
-"""Least confidence of what matching at the larger size is sure of."""
-
-Answer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
-"""Inverse depth × baseline, and the probability that it is within 10 %."""
 
 
 class Refinement(Protocol):
@@ -46,33 +42,35 @@ class RefinedDepthEstimator:
     that the other panorama looks through loses its confidence.
 
     In a larger picture matching and the network see less of the scene around a pixel, but matching measures more
-    exactly. So with ``fine`` the smaller size says what is there, and the larger one where exactly, where it is sure.
+    exactly. So they say what is there, and its place is measured again at twice the size, until there are enough rows
+    (:mod:`omnisyn_cli.stereo.sharpening`).
 
     Panoramas from one position have no parallax: everything is then 0 with confidence 0.
 
     Attributes:
         matching: finds the evidence.
         refinement: the network.
-        fine: matching at a larger size; None leaves it at the smaller one.
+        rows: that depth is looked for at, see :func:`omnisyn_cli.stereo.sizes.estimate_sizes`.
     """
 
     matching: MatchingDepthEstimator
     refinement: Refinement
-    fine: MatchingDepthEstimator | None = None
+    rows: int
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         if np.array_equal(first.pose.position, second.pose.position):
             return self.matching(first, second)
         there, back = self.matching.evidence(first, second)
-        answers = [self._refined(a, b) for a, b in ((there, back), (back, there))]
-        if self.fine is not None:
-            there, back = self.fine.evidence(first, second)
-            answers = [_sharpened(answer, fine) for answer, fine in zip(answers, (there, back), strict=True)]
-        baseline = np.linalg.norm(second.pose.position - first.pose.position)
+        answers = self._refined(there, back), self._refined(back, there)
+        picture_rows = max(view.image.shape[0] for view in (first, second))
+        for size in doubled_sizes(there.filled.shape[0], self.rows // 2, picture_rows)[1:]:
+            with limited_threads(self.matching.threads):
+                answers = sharpened(first, second, answers, size, self.matching.options_for(first, second))
+        baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
         return (
-            _estimate(there, answers[0], answers[1][0], baseline),
-            _estimate(back, answers[1], answers[0][0], baseline),
+            _estimate(first, second, answers[0], answers[1][0], baseline),
+            _estimate(second, first, answers[1], answers[0][0], baseline),
         )
 
     def _refined(self, evidence: Evidence, other: Evidence) -> Answer:
@@ -86,29 +84,11 @@ def _median(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, 
     return cv2.medianBlur(wrapped, WINDOW)[:, WINDOW // 2 : -(WINDOW // 2)]
 
 
-def _sharpened(answer: Answer, fine: Evidence) -> Answer:
-    """The answer at the larger size: what matching is sure of there, where it means the same surface.
-
-    Elsewhere it is not better informed: next to the epipoles and on plain ground it is sure of noise.
-    """
-    size = fine.filled.shape
-    inverse_depth, confidence = (_enlarged(values, size) for values in answer)
-    exact = np.where(fine.sky, 0.0, fine.filled).astype(np.float32)
-    is_same = np.abs(exact - inverse_depth) <= SAME * np.maximum(exact, inverse_depth)
-    taken = (fine.agreed | fine.sky) & is_same
-    return (
-        np.where(taken, exact, inverse_depth),
-        np.where(taken, np.maximum(confidence, np.float32(FINE_CONFIDENCE)), confidence),
-    )
-
-
-def _enlarged(values: Shaped[np.ndarray, "rows cols"], size: tuple[int, int]) -> Shaped[np.ndarray, "height width"]:
-    """The nearest value for every pixel of a size: between two surfaces there is nothing to interpolate."""
-    row, col = (np.arange(count) * had // count for count, had in zip(size, values.shape, strict=True))
-    return np.asarray(values[row[:, None], col])
-
-
-def _estimate(evidence: Evidence, answer: Answer, other: np.ndarray, baseline: np.floating) -> DepthEstimate:
+def _estimate(view: View, other: View, answer: Answer, back: np.ndarray, baseline: float) -> DepthEstimate:
+    """In 1/metre; not trusted where masked, or where the other panorama, whose answer is ``back``, looks through."""
     inverse_depth, confidence = answer
-    trust = confidence * free_space_agreement(inverse_depth, other, evidence.second_from_first) * evidence.usable
+    motion = other.pose.inverse() @ view.pose
+    second_from_first = Pose(motion.rotation, motion.position / baseline)
+    trust = confidence * free_space_agreement(inverse_depth, back, second_from_first)
+    trust = trust * usable_pixels(view, inverse_depth.shape)
     return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32))

@@ -91,8 +91,8 @@ def sweep_cost(
                 elif r >= height or not usable[r, col]:
                     cost[row, col, level] = UNSEEN
                 else:
-                    share = np.float32(_count_bits(bits_a[row, col] ^ bits_b[r, col])) * CONTRADICTION
-                    difference = _difference(first, second, row, r, col) * scale
+                    share = np.float32(count_bits(bits_a[row, col] ^ bits_b[r, col])) * CONTRADICTION
+                    difference = difference_of_pixels(first, second, row, r, col) * scale
                     cost[row, col, level] = texture * min(share, np.float32(1.0)) + colour * min(
                         difference, np.float32(1.0)
                     )
@@ -135,8 +135,8 @@ def warp_cost(
             elif not seen[row, col]:
                 cost[row, col] = UNSEEN
             else:
-                share = np.float32(_count_bits(first_census[row, col] ^ bits[row, col])) * CONTRADICTION
-                difference = _difference(first, warped, row, row, col) * scale
+                share = np.float32(count_bits(first_census[row, col] ^ bits[row, col])) * CONTRADICTION
+                difference = difference_of_pixels(first, warped, row, row, col) * scale
                 cost[row, col] = (1 - colour_share) * min(share, np.float32(1.0)) + colour_share * min(
                     difference, np.float32(1.0)
                 )
@@ -230,7 +230,7 @@ def _walk(cost, behind, ahead, leap, cheapest, small):  # type: ignore[no-untype
 
 
 @numba.njit(inline="always")
-def _count_bits(x):  # type: ignore[no-untyped-def]
+def count_bits(x):  # type: ignore[no-untyped-def]
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -238,7 +238,7 @@ def _count_bits(x):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(inline="always")
-def _difference(a, b, row_a, row_b, col):  # type: ignore[no-untyped-def]
+def difference_of_pixels(a, b, row_a, row_b, col):  # type: ignore[no-untyped-def]
     return (
         abs(a[row_a, col, 0] - b[row_b, col, 0])
         + abs(a[row_a, col, 1] - b[row_b, col, 1])
