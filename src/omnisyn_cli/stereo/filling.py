@@ -14,12 +14,12 @@ import math
 import cv2
 import numba
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 
-__all__ = ["fill", "remove_speckles", "upsample"]
+__all__ = ["fill", "median_around", "remove_speckles", "upsample"]
 
 REACHES = (0.8, 0.2, 0.05)
 """Radians over which planes are carried on, widest first; each is the fallback of the next."""
@@ -42,6 +42,9 @@ FLATNESS = 0.1
 
 SPREAD = np.float32(1.0 / 4.5)
 """Of the spatial weights in :func:`upsample`: a standard deviation of one and a half low pixels."""
+
+WINDOW = 5
+"""Side in pixels of the squares that medians are taken of."""
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -199,6 +202,12 @@ def remove_speckles(
     wide = np.ascontiguousarray(np.concatenate([levels[:, -margin:], levels, levels[:, :margin]], axis=1))
     cv2.filterSpeckles(wide, -1000, pixels, 16)
     return np.asarray(known & (wide[:, margin:-margin] != -1000))
+
+
+def median_around(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
+    """Of the square around each pixel, over the seam; at the poles of what there is, the last rows repeated."""
+    wrapped = np.pad(values, ((0, 0), (WINDOW // 2, WINDOW // 2)), mode="wrap")
+    return cv2.medianBlur(wrapped, WINDOW)[:, WINDOW // 2 : -(WINDOW // 2)]
 
 
 def upsample(

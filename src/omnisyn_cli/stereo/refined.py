@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sweep import free_space_agreement
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
+from omnisyn_cli.stereo.filling import median_around
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
 from omnisyn_cli.stereo.rectify import usable_pixels
 from omnisyn_cli.stereo.sharpening import Answer, sharpened
@@ -20,9 +20,6 @@ from omnisyn_cli.stereo.thread_limit import limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["RefinedDepthEstimator", "Refinement"]
-
-WINDOW = 5
-"""Side in pixels of the squares whose median answers where matching is unsure."""
 
 
 class Refinement(Protocol):
@@ -37,9 +34,8 @@ class Refinement(Protocol):
 class RefinedDepthEstimator:
     """Inverse depth of both panoramas; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
-    Estimates have half of the (finer) matching's size: the resolution that it works at. Where matching is unsure the
-    network chooses for each pixel alone, so the median of its neighbours' answers is taken, which keeps edges. A place
-    that the other panorama looks through loses its confidence.
+    Where matching is unsure the network chooses for each pixel alone, so the median of its neighbours' answers is taken,
+    which keeps edges. A place that the other panorama looks through loses its confidence.
 
     In a larger picture matching and the network see less of the scene around a pixel, but matching measures more
     exactly. So they say what is there, and its place is measured again at twice the size, until there are enough rows
@@ -75,13 +71,7 @@ class RefinedDepthEstimator:
 
     def _refined(self, evidence: Evidence, other: Evidence) -> Answer:
         inverse_depth, confidence = self.refinement(evidence_planes(evidence, other))
-        return np.where(evidence.agreed | evidence.sky, inverse_depth, _median(inverse_depth)), confidence
-
-
-def _median(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
-    """Of the square around each pixel, over the seam; at the poles of what there is, the last rows repeated."""
-    wrapped = np.pad(values, ((0, 0), (WINDOW // 2, WINDOW // 2)), mode="wrap")
-    return cv2.medianBlur(wrapped, WINDOW)[:, WINDOW // 2 : -(WINDOW // 2)]
+        return np.where(evidence.agreed | evidence.sky, inverse_depth, median_around(inverse_depth)), confidence
 
 
 def _estimate(view: View, other: View, answer: Answer, back: np.ndarray, baseline: float) -> DepthEstimate:

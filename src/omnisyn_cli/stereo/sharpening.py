@@ -13,7 +13,7 @@ from jaxtyping import Float32
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.turning import turned_directions
 from omnisyn_cli.stereo.band import Bands, aggregate_bands, band_cost, choose_in_bands
-from omnisyn_cli.stereo.filling import remove_speckles, upsample
+from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample
 from omnisyn_cli.stereo.matching import SPECKLE, agreeing, is_measurable
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians
@@ -108,7 +108,10 @@ def _range_around(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, matches: Matches) -> Answer:
-    """The answer with everything replaced that matching is sure of and that lies on a surface known around there."""
+    """The answer with everything replaced that matching is sure of and that lies on a surface known around there.
+
+    Single pixels are noise more often than things: every pixel then takes the median of those around it.
+    """
     size = pair.size
     exact = pair.to_camera(grid.inverse_depth(matches.disparity), view.pose, size).astype(np.float32)
     is_sure = pair.to_camera(matches.seen & is_measurable(grid, matches.disparity), view.pose, size)
@@ -116,4 +119,5 @@ def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, ma
     least, greatest = _range_around(base[0])
     is_known = (exact >= (1.0 - SAME) * least) & (exact <= (1.0 + SAME) * greatest)
     taken = is_sure & is_known
-    return np.where(taken, exact, base[0]), np.where(taken, np.maximum(base[1], SURE), base[1])
+    inverse_depth = median_around(np.where(taken, exact, base[0]))
+    return inverse_depth, np.where(taken, np.maximum(base[1], SURE), base[1])

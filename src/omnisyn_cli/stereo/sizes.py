@@ -12,7 +12,7 @@ ROWS_PER_ROW = 2
 
 
 def coarse_rows(rows: int) -> int:
-    """Rows that matching works towards: a half, a quarter, … of ``rows`` where these are more than the network knows."""
+    """Rows that matching works towards: a half, a quarter, … of ``rows`` where the network does not know so many."""
     while rows > REFINED_ROWS:
         rows //= 2
     return rows
