@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
-from omnisyn_cli.cli.scenes import KINDS
+from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
 __all__ = ["train"]
 
@@ -37,13 +37,18 @@ def train() -> None:
     "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-def pool(folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int) -> None:
+@TEXTURES
+def pool(
+    folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int,
+    textures: Path | None,
+) -> None:  # fmt: skip
     """Render procedural scenes into FOLDER; those that are there already stay."""
     from functools import partial
 
     from omnisyn_cli.training.pool import PoolConfig, fill_pool, render_to_pool
 
     options: dict[str, Any] = {"kinds": kinds} if kinds else {}
+    options["textures"] = _textures(textures)
     make = partial(render_to_pool, config=PoolConfig(size=(height, 2 * height), views=views, **options))
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
@@ -86,16 +91,26 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
 @click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int) -> None:
+@TEXTURES
+def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
     """Render scenes into FOLDER and match them, for `train refine`; those that are there already stay."""
     from functools import partial
 
     from omnisyn_cli.training.evidence import EvidenceConfig, make_evidence
     from omnisyn_cli.training.pool import fill_pool
 
-    make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height)))
+    make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height), textures=_textures(textures)))
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
+
+
+def _textures(folder: Path | None) -> str | None:
+    """The folder by its full name, once it is known that there are photographs in it."""
+    from omnisyn_cli.io import list_photographs
+
+    if folder is not None:
+        list_photographs(folder)
+    return None if folder is None else str(folder.resolve())
 
 
 def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -168,14 +183,16 @@ def refine(variant: str, **options: Any) -> None:
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
 @click.option("--height", default=256, show_default=True, type=click.IntRange(32), help="Rows of every picture.")
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int) -> None:
+@TEXTURES
+def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
     """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
     from functools import partial
 
     from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
     from omnisyn_cli.training.pool import fill_pool
 
-    make = partial(make_fusion_scene, config=FusionPoolConfig(size=(height, 2 * height), rows=2 * height))
+    config = FusionPoolConfig(size=(height, 2 * height), rows=2 * height, textures=_textures(textures))
+    make = partial(make_fusion_scene, config=config)
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
 
