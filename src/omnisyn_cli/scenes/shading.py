@@ -88,7 +88,7 @@ def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-u
 
 
 @kernel
-def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
+def shade(world, papers, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
     """Linear colour of what the ray (x, y, z) hits.
 
     ``hit`` is the number of the shape (or GROUND, SKY) and t its distance; ``pixel`` is the angle between neighbouring
@@ -130,10 +130,10 @@ def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-un
         material, world.noise, u, v, hu, hv, qx, qy, qz, footprint, variation
     )
     cr, cg, cb = material[FIRST], material[FIRST + 1], material[FIRST + 2]
-    if row < len(world.papers) and world.papers[row, 0] >= 0.0:
-        chosen = world.papers[row]
+    if row < len(papers.chosen) and papers.chosen[row, 0] >= 0.0:
+        chosen = papers.chosen[row]
         wide = t * pixel / max(facing, 0.03) ** SLANT
-        cr, cg, cb = photo_at(world.texels, world.photos, chosen, world.noise, u, v, hu, hv, wide, variation)
+        cr, cg, cb = photo_at(papers.texels, papers.levels, chosen, world.noise, u, v, hu, hv, wide, variation)
         if chosen[1] != UNDER:
             second, third = 0.0, third if chosen[1] == FITTED else 0.0
             lightness = lightness if material[PATTERN] == 0.0 else 1.0

@@ -13,9 +13,9 @@ from jaxtyping import Float, Int
 from omnisyn_cli.scenes.culling import light_grid
 from omnisyn_cli.scenes.materials import Column
 from omnisyn_cli.scenes.noise import lattice
-from omnisyn_cli.scenes.scene import Papering, Scene
+from omnisyn_cli.scenes.scene import Scene
 
-__all__ = ["GROUND", "SKY", "Bounds", "Kind", "Packed", "Scalar", "World", "pack", "seen_from"]
+__all__ = ["GROUND", "SKY", "Bounds", "Kind", "Packed", "Papers", "Scalar", "World", "pack", "papers_of", "seen_from"]
 
 GROUND = -1
 """Number of the ground among the shapes."""
@@ -81,7 +81,6 @@ class World(NamedTuple):
         lamps: as in Scene.
         grid_start, grid_items: of :func:`omnisyn_cli.scenes.culling.light_grid`.
         noise: of :func:`omnisyn_cli.scenes.noise.lattice`.
-        texels, photos, papers: of :class:`omnisyn_cli.scenes.scene.Papering`; without one there are no papers.
     """
 
     shapes: np.ndarray
@@ -93,12 +92,14 @@ class World(NamedTuple):
     grid_start: np.ndarray
     grid_items: np.ndarray
     noise: np.ndarray
+
+
+class Papers(NamedTuple):
+    """Photographs on materials, apart from the world because only shading sees them; fields as in Papering."""
+
     texels: np.ndarray
-    photos: np.ndarray
-    papers: np.ndarray
-
-
-_BARE = Papering(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64), np.zeros((0, 5)))
+    levels: np.ndarray
+    chosen: np.ndarray
 
 
 class Bounds(NamedTuple):
@@ -154,6 +155,13 @@ def pack(scene: Scene) -> Pack:
     )
 
 
+def papers_of(scene: Scene) -> Papers:
+    """The photographs of a scene; nothing is chosen where there are none."""
+    if scene.papering is None:
+        return Papers(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64), np.zeros((0, 5)))
+    return Papers(scene.papering.texels, scene.papering.levels, scene.papering.chosen)
+
+
 def _light_scalars(scene: Scene) -> Float[np.ndarray, 24]:
     light = scene.lighting
     colours = [
@@ -179,7 +187,6 @@ def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, 3]) -> tuple[Wo
     scalars = packed.scalars.copy()
     scalars[Scalar.EYE : Scalar.EYE + 3] = eye
     shapes = np.concatenate([packed.to_unit.reshape(-1, 9), unit, near[:, None], scene.half, scene.tint], axis=1)
-    papering = scene.papering or _BARE
     world = World(
         shapes=shapes,
         kinds=packed.kinds,
@@ -190,9 +197,6 @@ def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, 3]) -> tuple[Wo
         grid_start=packed.grid_start,
         grid_items=packed.grid_items,
         noise=_noise_table(),
-        texels=papering.texels,
-        photos=papering.levels,
-        papers=papering.chosen,
     )
     return world, Bounds(scene.shape, offset, packed.axes, order)
 
