@@ -42,7 +42,7 @@ def test_depth_is_that_of_the_centres_of_the_averaged_blocks(stride):
     rough = rng.random(plane.shape, dtype=np.float32)
     for turn in (np.s_[::-1], np.s_[:, ::-1]):
         np.testing.assert_allclose(
-            data.at_block_centres(rough[turn], size), data._at_block_centres(rough, size)[turn], rtol=1e-6
+            data.at_block_centres(rough[turn], size), data.at_block_centres(rough, size)[turn], rtol=1e-6
         )
 
 
