@@ -203,7 +203,7 @@ def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp
     assert all(difference < 1e-4 for _, difference in published)
     assert read_manifest(tmp_path / "models").keys() == {"depth-tiny", "fusion-tiny"}
     assert sum(entry.parameters for entry, _ in published) == sum(p.numel() for p in trainer.network.parameters())
-    named = publish_all(path, tmp_path / "models", name="mine", pool=None, training="", licence="MIT")
+    named = publish_all(path, tmp_path / "models", name="mine", pool=tmp_path / "pool", training="", licence="MIT")
     assert [entry.name for entry, _ in named] == ["mine-depth", "mine-fusion"]
     with pytest.raises(InputError, match="one network"):
         publish(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")

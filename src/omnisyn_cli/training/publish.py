@@ -60,7 +60,7 @@ def publish_all(
         checkpoint: of :func:`omnisyn_cli.training.loop.train`.
         folder: gets ``NAME.onnx`` and a new manifest.
         name: ``ROLE-VARIANT`` unless given; of two networks trained together ``NAME-ROLE``.
-        pool: scenes to compare on, besides random inputs; not for networks trained together.
+        pool: scenes to compare on, besides random inputs; of networks trained together only the depth.
         training: on what and for how long, for the manifest.
         licence: of the weights.
 
@@ -77,9 +77,10 @@ def publish_all(
     size, scores = tuple(state["training"]["size"]), state.get("scores", {})
     if len(parts) == 1:
         return [_publish(parts[0], folder, name, size, pool, metrics=scores, **options)]
+    pools = {"depth": pool}
     return [
-        _publish(part, folder, name and f"{name}-{_role(part)}", size, None, metrics=scores, **options)
-        for part in parts
+        _publish(part, folder, name and f"{name}-{role}", size, pools.get(role), metrics=scores, **options)
+        for part, role in zip(parts, map(_role, parts), strict=True)
     ]
 
 
