@@ -4,15 +4,21 @@ import torch
 from render_samples import CUTS, POSES, moved, random_pose, rough, smooth, turn
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bilinear_at
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.rasterize_torch import rasterize_torch, render_fragments
+from omnisyn_cli.render.rasterize_torch import _source_pixels, rasterize_torch, render_fragments
 from omnisyn_cli.render.shade import make_texture, shade
 
 
 def colours(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
     return torch.from_numpy(np.random.default_rng(30).random((height, width, 3))).to(dtype)
+
+
+def untied(rho: np.ndarray) -> np.ndarray:
+    """No two values the same: a median and a minimum have no gradient where they are."""
+    return np.asarray(rho + 1e-3 * np.random.default_rng(31).random(rho.shape), np.float32)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -43,15 +49,18 @@ def test_single_precision_does_not_cancel_on_fine_meshes():
 @pytest.mark.parametrize("seed", range(2))
 def test_gradients_are_those_of_finite_differences(cut, seed):
     """With the faces fixed, colour and inverse depth of every pixel are smooth in all vertices and texels."""
-    rho = torch.from_numpy(0.1 + rough(4, 8, seed)).double().requires_grad_()
+    rho = torch.from_numpy(0.1 + untied(rough(4, 8, seed))).double().requires_grad_()
     mesh, pose = build_mesh(rho.detach().numpy(), CUTS[cut]), random_pose(seed, 0.6)
     fragments = rasterize(mesh, pose, (5, 9))
 
+    directions = (pixel_directions(5, 9) - fragments.inverse_depth[..., None] * pose.position) @ pose.rotation
+    off_poles = np.hypot(directions[..., 0], directions[..., 2]) > np.linalg.norm(directions, axis=-1) * np.pi / 24
+
     def render(rho: torch.Tensor, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         found = render_fragments(fragments, mesh, rho, image, pose)
-        return found.colour, found.inverse_depth
+        return found.colour[torch.from_numpy(off_poles)], found.inverse_depth
 
-    assert fragments.visibility.mean() > 0.5
+    assert (fragments.visibility & off_poles).mean() > 0.5
     assert torch.autograd.gradcheck(lambda rho: render(rho, colours(24, 48, torch.float64)), rho)
     texels = colours(3, 6, torch.float64).requires_grad_()
     assert torch.autograd.gradcheck(lambda image: render(rho.detach(), image)[0], texels)
@@ -146,3 +155,41 @@ def test_a_batch_is_rendered_one_by_one():
 def test_broken_inverse_depths_are_refused():
     with pytest.raises(ValueError, match="finite"):
         rasterize_torch(torch.full((4, 8), torch.nan), colours(4, 8), Pose.identity(), (4, 8))
+
+
+@pytest.mark.parametrize("up", [1, -1])
+def test_the_polar_caps_have_the_gradient_of_finite_differences(up):
+    """A target that looks into a cap sees a function of the row around the pole, whether the ring is whole or cut."""
+    for name, rho in (("whole", smooth(4, 8)), ("default", rough(4, 8))):
+        leaf = torch.from_numpy(0.1 + untied(rho)[::up].copy()).double().requires_grad_()
+        mesh, pose = build_mesh(leaf.detach().numpy(), CUTS[name]), moved(0.05, 0.3 * up, 0.02)
+        fragments = rasterize(mesh, pose, (24, 48))
+        in_cap = fragments.face >= 8 * mesh.quads.size
+        assert in_cap.sum() > 50
+
+        def render(rho, fragments=fragments, mesh=mesh, pose=pose, in_cap=in_cap):
+            found = render_fragments(fragments, mesh, rho, colours(4, 8, torch.float64), pose)
+            return found.inverse_depth[torch.from_numpy(in_cap)]
+
+        seen = fragments.inverse_depth[in_cap]
+        np.testing.assert_allclose(render(leaf).detach(), seen, rtol=1e-3)
+        assert torch.autograd.gradcheck(render, leaf)
+        (gradient,) = torch.autograd.grad(render(leaf).sum(), leaf)
+        assert (gradient[0 if up == 1 else -1] != 0).any()
+
+
+def test_colour_at_a_pole_of_the_source_follows_the_polar_angle():
+    """Half a row around the pole the gradient is that of the linearised arccos: its mean over the cap is the truth."""
+    image = torch.linspace(0.0, 1.0, 16, dtype=torch.float64)[:, None, None].expand(16, 32, 1)
+    cap = 0.5 * np.pi / 16
+    angles = torch.linspace(0.0, 0.999, 40, dtype=torch.float64) * cap
+    x = torch.sin(angles).requires_grad_()
+    directions = torch.stack([x, torch.cos(angles), torch.zeros_like(angles)], dim=-1)
+    row, _ = _source_pixels(directions, (16, 32))
+    assert torch.allclose(row, angles * 16 / np.pi - 0.5, atol=1e-9)
+    (slope,) = torch.autograd.grad(row.sum(), x)
+    assert (slope >= 0).all()
+    assert slope.max() < 2.1 * 16 / np.pi
+    assert slope.mean() == pytest.approx(16 / np.pi, rel=0.02)
+    (gradient,) = torch.autograd.grad(sample_bilinear_at(image, *_source_pixels(directions, (16, 32))).sum(), x)
+    assert torch.isfinite(gradient).all()

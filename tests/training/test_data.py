@@ -38,17 +38,17 @@ def test_depth_is_that_of_the_centres_of_the_averaged_blocks(stride):
     row, col = np.mgrid[: 6 * stride, : 12 * stride].astype(np.float32)
     plane = 1.0 + 1e-3 * row + 2e-3 * col
     blocks = plane.reshape(6, stride, 12, stride).mean(axis=(1, 3))
-    np.testing.assert_allclose(data._at_block_centres(plane, size), blocks, rtol=1e-6)
+    np.testing.assert_allclose(data.at_block_centres(plane, size), blocks, rtol=1e-6)
     rough = rng.random(plane.shape, dtype=np.float32)
     for turn in (np.s_[::-1], np.s_[:, ::-1]):
         np.testing.assert_allclose(
-            data._at_block_centres(rough[turn], size), data._at_block_centres(rough, size)[turn], rtol=1e-6
+            data.at_block_centres(rough[turn], size), data.at_block_centres(rough, size)[turn], rtol=1e-6
         )
 
 
 def test_where_surfaces_meet_depth_is_that_of_the_nearest():
     edge = np.array([[1.0, 0.2], [0.2, 0.0]], dtype=np.float32)
-    assert data._at_block_centres(edge, (1, 1)) == 1.0
+    assert data.at_block_centres(edge, (1, 1)) == 1.0
 
 
 def test_a_pool_that_is_no_multiple_of_the_size_is_refused(tmp_path):

@@ -23,11 +23,13 @@ def export_onnx(
 ) -> None:
     """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
 
+    Networks that were trained together get a file each; --name is then followed by what each is for.
     Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
     """
-    from omnisyn_cli.training.publish import publish
+    from omnisyn_cli.training.publish import publish_all
 
-    entry, difference = publish(checkpoint, output, name=name, pool=pool, training=training, licence=licence)
-    click.echo(
-        f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
-    )
+    done = publish_all(checkpoint, output, name=name, pool=pool, training=training, licence=licence)
+    for entry, difference in done:
+        click.echo(
+            f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
+        )

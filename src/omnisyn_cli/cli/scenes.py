@@ -14,10 +14,17 @@ from omnisyn_cli.cli.interpolate import Size
 if TYPE_CHECKING:
     from omnisyn_cli.scenes.suite import SuiteScene
 
-__all__ = ["scenes"]
+__all__ = ["KINDS", "TEXTURES", "scenes"]
 
 KINDS = ("street", "room")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
+
+
+TEXTURES = click.option(
+    "--textures", type=click.Path(path_type=Path, file_okay=False), metavar="FOLDER",
+    help="Photographs that some of the walls, floors, fronts, pictures and things are made of.",
+)  # fmt: skip
+"""Of every command that makes scenes."""
 
 
 @click.group()
@@ -27,6 +34,7 @@ def scenes() -> None:
 
 OF_ONE_SCENE = (
     "kind", "seed", "count", "frames", "baseline", "tilt", "vertical", "supersample", "names", "no_depth",
+    "textures",
 )  # fmt: skip
 """Parameters that the standard set has fixed."""
 
@@ -66,6 +74,7 @@ OF_ONE_SCENE = (
     "--name", "names", multiple=True, help="Image file of a frame, once per frame.  [default: 0000.png, 0001.png, ...]"
 )
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
+@TEXTURES
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -85,6 +94,7 @@ def make(
     supersample: int,
     names: tuple[str, ...],
     no_depth: bool,
+    textures: Path | None,
     threads: int | None,
     overwrite: bool,
     quiet: bool,
@@ -99,9 +109,10 @@ def make(
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.suite import POSES_NAME, depth_name, write_scene
+    from omnisyn_cli.io import read_photographs
     from omnisyn_cli.io.paths import make_folder
     from omnisyn_cli.io.staging import staged_folder
-    from omnisyn_cli.scenes import generate_scene, sample_path
+    from omnisyn_cli.scenes import generate_scene, pack_photos, sample_path
 
     if suite:
         _check_suite_options(context)
@@ -113,8 +124,9 @@ def make(
     folders = [out] if count == 1 else [out / f"{kind}_{number:04d}" for number in range(1, count + 1)]
     for folder in folders:
         _check_folder(folder, files, overwrite)
+    photos = None if textures is None else pack_photos(read_photographs(textures))
     for number, folder in enumerate(folders, start=seed):
-        scene = generate_scene(kind, number)
+        scene = generate_scene(kind, number, photos)
         upright = 1.0 if vertical else 0.0
         try:
             path = sample_path(scene, number, frames, baseline=baseline, vertical=upright, tilt=math.radians(tilt))

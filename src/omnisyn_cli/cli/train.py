@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
-from omnisyn_cli.cli.scenes import KINDS
+from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
 __all__ = ["train"]
 
@@ -37,13 +37,18 @@ def train() -> None:
     "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
 )
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-def pool(folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int) -> None:
+@TEXTURES
+def pool(
+    folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int,
+    textures: Path | None,
+) -> None:  # fmt: skip
     """Render procedural scenes into FOLDER; those that are there already stay."""
     from functools import partial
 
     from omnisyn_cli.training.pool import PoolConfig, fill_pool, render_to_pool
 
     options: dict[str, Any] = {"kinds": kinds} if kinds else {}
+    options["textures"] = _textures(textures)
     make = partial(render_to_pool, config=PoolConfig(size=(height, 2 * height), views=views, **options))
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
@@ -86,16 +91,26 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
 @click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int) -> None:
+@TEXTURES
+def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
     """Render scenes into FOLDER and match them, for `train refine`; those that are there already stay."""
     from functools import partial
 
     from omnisyn_cli.training.evidence import EvidenceConfig, make_evidence
     from omnisyn_cli.training.pool import fill_pool
 
-    make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height)))
+    make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height), textures=_textures(textures)))
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
+
+
+def _textures(folder: Path | None) -> str | None:
+    """The folder by its full name, once it is known that there are photographs in it."""
+    from omnisyn_cli.io import list_photographs
+
+    if folder is not None:
+        list_photographs(folder)
+    return None if folder is None else str(folder.resolve())
 
 
 def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -168,14 +183,16 @@ def refine(variant: str, **options: Any) -> None:
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
 @click.option("--height", default=256, show_default=True, type=click.IntRange(32), help="Rows of every picture.")
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int) -> None:
+@TEXTURES
+def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
     """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
     from functools import partial
 
     from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
     from omnisyn_cli.training.pool import fill_pool
 
-    make = partial(make_fusion_scene, config=FusionPoolConfig(size=(height, 2 * height), rows=2 * height))
+    config = FusionPoolConfig(size=(height, 2 * height), rows=2 * height, textures=_textures(textures))
+    make = partial(make_fusion_scene, config=config)
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
 
@@ -191,6 +208,51 @@ def fusion(variant: str, **options: Any) -> None:
     _train(FUSION_VARIANTS[variant], **options)
 
 
+@train.command()
+@_stage_options("pool", batch=1, rate=1e-4)
+@click.option(
+    "--depth", default="fast", show_default=True, help="Of a fresh run: a variant, or a checkpoint to begin with."
+)
+@click.option("--fusion", default="residual", show_default=True, help="The same for the fusion network.")
+@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
+def joint(depth: str, fusion: str, height: int, **options: Any) -> None:
+    """Train depth and fusion together in FOLDER, through the rendering between them; a run that is there goes on.
+
+    The pool's scenes need three views: the outer ones are the pair, the inner one is what the fused picture is compared
+    with. `omnisyn export-onnx` writes both networks of the checkpoint, and each of them can begin another run.
+    """
+    from omnisyn_cli.networks.depth import VARIANTS
+    from omnisyn_cli.networks.fusion import FUSION_VARIANTS
+    from omnisyn_cli.networks.joint import JointConfig
+    from omnisyn_cli.networks.paper import PAPER_VARIANTS
+
+    depth_config, depth_weights = _beginning(depth, {**VARIANTS, **PAPER_VARIANTS}, ("depth", "paper"), "depth")
+    fusion_config, fusion_weights = _beginning(fusion, FUSION_VARIANTS, ("fusion",), "fusion")
+    network = JointConfig(depth_config, fusion_config)
+    if height % network.size_multiple:
+        raise click.BadParameter(
+            f"expected a multiple of {network.size_multiple} for these networks, got {height}", param_hint="--height"
+        )
+    size = (height, height * depth_config.size[1] // depth_config.size[0])
+    _train(network, size=size, weights={**depth_weights, **fusion_weights}, **options)
+
+
+def _beginning(chosen: str, known: Mapping[str, Any], kinds: tuple[str, ...], name: str) -> tuple[Any, dict[str, Any]]:
+    """The configuration of a variant or of a checkpoint, and its weights as the joint network names them."""
+    from omnisyn_cli.training.joint import part_of
+    from omnisyn_cli.training.tasks import TASKS
+
+    if chosen in known:
+        return known[chosen], {}
+    if not Path(chosen).is_file():
+        raise click.BadParameter(
+            f"expected a checkpoint or one of {', '.join(known)}, got {chosen!r}", param_hint=f"--{name}"
+        )
+    part = part_of(Path(chosen), kinds)
+    weights = {f"{name}.{key}": value for key, value in part.average.items()}
+    return TASKS[part.kind].config.from_dict(part.config), weights
+
+
 def _check_variant(variant: str, known: Mapping[str, Any]) -> None:
     if variant not in known:
         raise click.BadParameter(f"expected one of {', '.join(known)}, got {variant!r}", param_hint="--variant")
@@ -198,7 +260,7 @@ def _check_variant(variant: str, known: Mapping[str, Any]) -> None:
 
 def _train(
     network: Any, folder: Path, threads: int, minutes: float, steps: int | None, device: str,
-    tensorboard: Path | None, **options: Any,
+    tensorboard: Path | None, weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
     from contextlib import ExitStack, closing
 
@@ -217,7 +279,8 @@ def _train(
     with ExitStack() as stack:
         board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
         run(
-            network, config, folder, minutes=minutes, steps=steps, report=_show, precision=precision, board=board
+            network, config, folder, minutes=minutes, steps=steps, report=_show, precision=precision, board=board,
+            weights=weights,
         )  # fmt: skip
 
 

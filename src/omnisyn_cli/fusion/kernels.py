@@ -8,7 +8,7 @@ import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
 
-__all__ = ["UNSEEN", "blend_rows", "pull", "push", "quantize_rows", "view_weights"]
+__all__ = ["BELIEF", "FAR_PREFERENCE", "UNSEEN", "blend_rows", "pull", "push", "quantize_rows", "view_weights"]
 
 FAR_PREFERENCE = 0.01
 """1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""

@@ -9,7 +9,7 @@ import numpy as np
 from omnisyn_cli.fusion.kernels import UNSEEN, view_weights
 from omnisyn_cli.jit import fast_kernel, inlined
 
-__all__ = ["colour_holes", "compare_rows", "correct_rows", "reduce_rows"]
+__all__ = ["DIFFERENT", "LEAST_SHARE", "PLAIN", "colour_holes", "compare_rows", "correct_rows", "reduce_rows"]
 
 PLAIN, DIFFERENT = np.float32(0.01), np.float32(0.06)
 """Root mean square of the difference of two colours up to which it does not matter which of them is shown, and from

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 
-__all__ = ["sample_bicubic", "sample_bilinear", "sample_nearest", "wrap_pixel"]
+__all__ = ["sample_bicubic", "sample_bilinear", "sample_bilinear_at", "sample_nearest", "wrap_pixel"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -42,7 +42,14 @@ def sample_nearest(image: Float[Array, "height width *channels"], direction: Flo
 
 def sample_bilinear(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
     """Bilinear interpolation in pixel space, ``(*batch, *channels)``."""
-    return _convolve(image, direction, reach=(0, 1), kernel=_linear_weight)
+    return sample_bilinear_at(image, *direction_to_pixel(direction, image.shape[:2]))
+
+
+def sample_bilinear_at(
+    image: Float[Array, "height width *channels"], row: Float[Array, "*batch"], col: Float[Array, "*batch"]
+) -> Array:
+    """:func:`sample_bilinear` at fractional pixel indices, ``(*batch, *channels)``; columns wrap."""
+    return _convolve(image, row, col, reach=(0, 1), kernel=_linear_weight)
 
 
 def sample_bicubic(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
@@ -50,12 +57,11 @@ def sample_bicubic(image: Float[Array, "height width *channels"], direction: Flo
 
     Source: Keys, Cubic convolution interpolation for digital image processing, 1981.
     """
-    return _convolve(image, direction, reach=(-1, 2), kernel=_cubic_weight)
+    return _convolve(image, *direction_to_pixel(direction, image.shape[:2]), reach=(-1, 2), kernel=_cubic_weight)
 
 
-def _convolve(image: Array, direction: Array, *, reach: tuple[int, int], kernel: Any) -> Array:
-    xp = array_namespace(image, direction)
-    row, col = direction_to_pixel(direction, image.shape[:2])
+def _convolve(image: Array, row: Array, col: Array, *, reach: tuple[int, int], kernel: Any) -> Array:
+    xp = array_namespace(image, row)
     base_row, base_col = xp.floor(row), xp.floor(col)
     offsets = range(reach[0], reach[1] + 1)
     total: Array = 0.0

@@ -5,6 +5,7 @@ from omnisyn_cli.io.depth import read_depth, read_inverse_depth, write_depth
 from omnisyn_cli.io.encode import write_image
 from omnisyn_cli.io.images import Panorama, read_mask, read_panorama
 from omnisyn_cli.io.paths import check_output
+from omnisyn_cli.io.photographs import list_photographs, read_photographs
 from omnisyn_cli.io.poses import PosedPanorama, PoseFile, read_poses, write_poses
 from omnisyn_cli.io.spherical import SphericalMetadata, inject_spherical, read_spherical
 from omnisyn_cli.io.video import FrameSink, check_video, open_video, sample_type
@@ -20,12 +21,14 @@ __all__ = [
     "check_output",
     "check_video",
     "inject_spherical",
+    "list_photographs",
     "open_video",
     "read_depth",
     "read_header",
     "read_inverse_depth",
     "read_mask",
     "read_panorama",
+    "read_photographs",
     "read_poses",
     "read_spherical",
     "sample_type",

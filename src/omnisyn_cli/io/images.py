@@ -59,7 +59,7 @@ def read_panorama(path: Path | str, *, allow_aspect: bool = False, max_pixels: i
     placement = placement_of(header)
     check_pixel_count(header.path, placement.full_height, placement.full_width, max_pixels)
     _check_aspect(header, placement, allow_aspect)
-    colour, alpha = _colour_and_alpha(header, upright(samples, header.orientation))
+    colour, alpha = colour_and_alpha(header, upright(samples, header.orientation))
     panorama = _panorama(header, colour, alpha, placement)
     return panorama if _is_two_to_one(panorama.image) else _resampled(panorama)
 
@@ -149,7 +149,7 @@ def _panorama(header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None,
     )
 
 
-def _colour_and_alpha(header: ImageHeader, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def colour_and_alpha(header: ImageHeader, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Samples of three colour channels ``(height, width, 3)`` and of alpha ``(height, width)``."""
     found = (_channel(header.channels, name) for name in "RGB")
     red_green_blue = [index for index in found if index is not None]

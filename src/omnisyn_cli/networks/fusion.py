@@ -21,15 +21,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.layers import (
-    LEAK,
-    ResidualBlock,
-    WrappedConv,
-    initialise,
-    sizes,
-    upsample_nearest,
-    wrap_columns,
-)
+from omnisyn_cli.networks.layers import WrappedConv, initialise, wrap_columns
+from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
 
 __all__ = [
     "FUSION_VARIANTS",
@@ -108,23 +101,12 @@ class FusionCorrections:
     colour: Tensor
 
 
-class FusionNetwork(nn.Module):
+class FusionNetwork(CorrectingUNet):
     """Planes in, corrections out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: FusionConfig) -> None:
-        super().__init__()
+        super().__init__(config.planes, config.widths, config.fine, answers=5)
         self.config = config
-        widths = config.widths
-        self.stem = ResidualBlock(4 * config.planes, widths[0])
-        self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
-        self.middle = ResidualBlock(widths[-1], widths[-1])
-        self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
-        self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
-        self.spread = nn.Conv2d(widths[0], 4 * config.fine, 1)
-        self.look = WrappedConv(config.planes, config.fine)
-        self.fine = ResidualBlock(config.fine, config.fine)
-        self.answer = WrappedConv(config.fine, 5)
-        initialise(self)
         nn.init.zeros_(self.answer.weight)
 
     def forward(self, planes: Float[Tensor, "batch planes height width"]) -> FusionCorrections:
@@ -133,18 +115,8 @@ class FusionNetwork(nn.Module):
         Raises:
             ValueError: the size is not a multiple of ``config.size_multiple``.
         """
-        _check_size(planes, self.config.size_multiple)
-        x = self.stem(functional.pixel_unshuffle(planes, 2))
-        skips = []
-        for block in self.down:
-            skips.append(x)
-            x = block(x)
-        x = self.middle(x)
-        for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
-            x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
-        x = functional.pixel_shuffle(self.spread(x), 2)
-        x = self.fine(functional.leaky_relu(x + self.look(planes), LEAK))
-        stretch, shift, colour = self.answer(x).split([1, 1, 3], dim=1)
+        check_multiple(planes, self.config.size_multiple)
+        stretch, shift, colour = torch.split(self.answers(planes), [1, 1, 3], dim=1)
         log_ratio = GREATEST_LOG * planes[:, LOG_RATIO_PLANE : LOG_RATIO_PLANE + 1]
         shift = log_ratio * (torch.exp(PACE * stretch) - 1.0) + PACE * shift
         return FusionCorrections(GREATEST_SHIFT * torch.tanh(shift / GREATEST_SHIFT), colour)
@@ -184,7 +156,7 @@ class PaintingNetwork(nn.Module):
         Raises:
             ValueError: the size is not a multiple of ``config.size_multiple``.
         """
-        _check_size(planes, self.config.size_multiple)
+        check_multiple(planes, self.config.size_multiple)
         x, skips = planes, []
         for block in self.down:
             x = block(x)
@@ -205,8 +177,3 @@ def build_fusion(config: FusionConfig) -> FusionNetwork | PaintingNetwork:
 def upsample_bilinear(x: Float[Tensor, "batch channels height width"]) -> Tensor:
     """Twice the size, bilinear, across the seam as everywhere else; the first and last row repeat at the poles."""
     return functional.interpolate(wrap_columns(x, 1, 1), scale_factor=2.0, mode="bilinear")[..., 2:-2]
-
-
-def _check_size(planes: Tensor, multiple: int) -> None:
-    if any(size % multiple for size in sizes(planes)[-2:]):
-        raise ValueError(f"expected a size of multiples of {multiple}, got {sizes(planes)[-2:]}")

@@ -15,7 +15,6 @@ skip: OmniSyn, section 3.3.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -24,15 +23,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.layers import (
-    LEAK,
-    ResidualBlock,
-    WrappedConv,
-    initialise,
-    sizes,
-    upsample_nearest,
-    wrap_columns,
-)
+from omnisyn_cli.networks.layers import sizes, wrap_columns
+from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
 
 __all__ = ["REFINE_VARIANTS", "RefineConfig", "RefineNetwork", "RefinePrediction", "candidates_of"]
 
@@ -161,23 +153,12 @@ def _greatest(x: Tensor, window: int) -> Tensor:
     return functional.max_pool2d(along, (window, 1), stride=1, padding=(reach, 0))
 
 
-class RefineNetwork(nn.Module):
+class RefineNetwork(CorrectingUNet):
     """Evidence planes in, a choice per pixel out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: RefineConfig) -> None:
-        super().__init__()
+        super().__init__(config.planes + SUGGESTED - 2, config.widths, config.fine, answers=CANDIDATES + 3)
         self.config = config
-        widths, inputs = config.widths, config.planes + SUGGESTED - 2
-        self.stem = ResidualBlock(4 * inputs, widths[0])
-        self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
-        self.middle = ResidualBlock(widths[-1], widths[-1])
-        self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
-        self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
-        self.spread = nn.Conv2d(widths[0], 4 * config.fine, 1)
-        self.look = WrappedConv(inputs, config.fine)
-        self.fine = ResidualBlock(config.fine, config.fine)
-        self.answer = WrappedConv(config.fine, CANDIDATES + 3)
-        initialise(self)
         nn.init.normal_(self.answer.weight, std=0.01)
         with torch.no_grad():
             self.answer.bias[0] = FIRST_CHOICE  # type: ignore[index]
@@ -188,22 +169,10 @@ class RefineNetwork(nn.Module):
         Raises:
             ValueError: the size is not a multiple of ``config.size_multiple``.
         """
-        multiple = self.config.size_multiple
-        if any(size % multiple for size in sizes(planes)[-2:]):
-            raise ValueError(f"expected a size of multiples of {multiple}, got {sizes(planes)[-2:]}")
+        check_multiple(planes, self.config.size_multiple)
         candidates = candidates_of(planes)
         seen = torch.cat([planes, candidates[:, 2:] - candidates[:, :1]], dim=1)
-        x = self.stem(functional.pixel_unshuffle(seen, 2))
-        skips = []
-        for block in self.down:
-            skips.append(x)
-            x = block(x)
-        x = self.middle(x)
-        for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
-            x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
-        x = functional.pixel_shuffle(self.spread(x), 2)
-        x = self.fine(functional.leaky_relu(x + self.look(seen), LEAK))
-        logits, free, correction, confidence = self.answer(x).split([CANDIDATES, 1, 1, 1], dim=1)
+        logits, free, correction, confidence = torch.split(self.answers(seen), [CANDIDATES, 1, 1, 1], dim=1)
         sure = torch.maximum(planes[:, AGREED_PLANE : AGREED_PLANE + 1], planes[:, SKY_PLANE : SKY_PLANE + 1])
         candidates = torch.cat([candidates, candidates[:, :1] + free], dim=1)
         logits = torch.cat([logits[:, :1] + SURE * sure, logits[:, 1:]], dim=1)

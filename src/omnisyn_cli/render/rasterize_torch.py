@@ -6,7 +6,11 @@ are split into a share along the ray and the rest, ``s_i = r·v_i`` and ``u_i = 
 ``e_0 = r·(u_1×u_2)`` and so on, ``det = Σ e_i·s_i`` and ``ρ = Σ e_i·ρ_i / det``: the same numbers, but nothing cancels,
 so float32 will do.
 
-Silhouettes themselves carry no gradient: which face is seen is a constant.
+Silhouettes themselves carry no gradient: which face is seen is a constant. At the poles of the source, where the
+azimuth turns infinitely fast, colour depends on the polar angle alone, with the gradient of the paper's linearised
+arccos: bounded, and of the right sign.
+
+Source: OmniSyn, sections 3.4 and 3.5.2.
 """
 
 from __future__ import annotations
@@ -20,15 +24,15 @@ from jaxtyping import Bool, Float, Integer
 from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear
-from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
+from omnisyn_cli.geometry.sampling import sample_bilinear_at
+from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, linearised_arccos, pixel_directions
+from omnisyn_cli.render.mesh import BOTTOM, FACES_PER_QUAD, TOP, Cut, FaceCorners, Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 
 __all__ = ["Rendering", "rasterize_torch", "render_fragments"]
 
 POLE_ROWS = 0.5
-"""This close to a source pole, in rows, colour has no gradient to geometry: azimuth turns infinitely fast there."""
+"""This close to a source pole, in rows, the azimuth has no gradient, and the polar angle that of a straight line."""
 
 LEAST_SLOPE = 1e-4
 """Faces whose determinant is less than this share of ``Σ e_i`` are seen edge-on: their inverse depth is a constant."""
@@ -109,7 +113,7 @@ def render_fragments(
     rays = pixel_directions(height, width)[visible]
     seen = _inverse_depth_seen(fragments, mesh, inverse_depth, rays, target_from_source)
     directions = _source_directions(seen, rays, target_from_source)
-    texels = sample_bilinear(colour, _constant_at_poles(directions, colour.shape[0]))
+    texels = sample_bilinear_at(colour, *_source_pixels(directions, (colour.shape[0], colour.shape[1])))
     where = torch.from_numpy(visible).to(inverse_depth.device)
     return Rendering(
         colour.new_zeros((height, width, colour.shape[-1])).masked_scatter(where[..., None], texels),
@@ -131,9 +135,7 @@ def _inverse_depth_seen(
     def tensor(array: np.ndarray) -> Tensor:
         return torch.as_tensor(array).to(inverse_depth)
 
-    rho = _corner_inverse_depths(
-        inverse_depth, corners.vertex, tensor(corners.inverse_depth_weight), tensor(corners.inverse_depth_offset)
-    )
+    rho = _corner_inverse_depths(inverse_depth, mesh, fragments.face[fragments.visibility], corners)
     u = tensor(across) + rho[..., None] * tensor(across_t)[:, None]
     s = tensor(along) + rho * tensor(along_t)[:, None]
     edges = (torch.linalg.cross(u.roll(-1, dims=1), u.roll(-2, dims=1)) * tensor(rays)[:, None]).sum(-1)
@@ -145,11 +147,29 @@ def _inverse_depth_seen(
 
 
 def _corner_inverse_depths(
-    inverse_depth: Tensor, vertex: Integer[np.ndarray, "faces 4"], weight: Tensor, offset: Tensor
+    inverse_depth: Tensor, mesh: Mesh, faces: Integer[np.ndarray, " faces"], corners: FaceCorners
 ) -> Float[Tensor, "faces 3"]:
-    """Inverse depths of the corners of faces; poles have none of their own."""
+    """Inverse depths of the corners of faces; those of caps follow from the rows around the poles."""
+    device = inverse_depth.device
     padded = torch.cat([inverse_depth.reshape(-1), inverse_depth.new_zeros(2)])
-    return (weight * padded[torch.from_numpy(vertex).to(padded.device)][:, None]).sum(-1) + offset
+    weight = torch.as_tensor(corners.inverse_depth_weight).to(inverse_depth)
+    rho = (weight * padded[torch.from_numpy(corners.vertex).to(device)][:, None]).sum(-1)
+    cap = faces - FACES_PER_QUAD * mesh.quads.size
+    caps = _cap_inverse_depths(inverse_depth, mesh)[torch.from_numpy(np.maximum(cap, 0)).to(device).long()]
+    return torch.where(torch.from_numpy(cap >= 0).to(device)[:, None], caps, rho)
+
+
+def _cap_inverse_depths(inverse_depth: Float[Tensor, "rows cols"], mesh: Mesh) -> Float[Tensor, "caps 3"]:
+    """Inverse depths of (pole, left, right) of every cap, north first, as functions of the outermost rows."""
+    fans = []
+    for row, is_cut in ((0, mesh.quads[0] & TOP), (-1, mesh.quads[-1] & BOTTOM)):
+        first, second = inverse_depth[row], inverse_depth[row].roll(-1)
+        if is_cut.any():
+            fans.append(torch.minimum(first, second)[:, None].expand(-1, 3))
+        else:
+            ring = (second, first) if row == 0 else (first, second)
+            fans.append(torch.stack([first.quantile(0.5).expand_as(first), *ring], dim=-1))
+    return torch.cat(fans)
 
 
 def _split(vectors: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,11 +184,17 @@ def _source_directions(seen: Tensor, rays: np.ndarray, pose: Pose) -> Float[Tens
     return torch.as_tensor(turned_rays).to(seen) - seen[:, None] * torch.as_tensor(turned_t).to(seen)
 
 
-def _constant_at_poles(directions: Tensor, rows: int) -> Tensor:
-    """The same directions, without gradient where they lie so close to a pole that the azimuth is meaningless."""
+def _source_pixels(directions: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Rows and columns that directions point at, with a gradient that stays bounded at the poles."""
+    cap = POLE_ROWS * math.pi / size[0]
+    squared = directions.square().sum(-1, keepdim=True)
     ring = (directions[..., 0].square() + directions[..., 2].square()).detach()
-    near = ring < (POLE_ROWS * math.pi / rows) ** 2 * directions.square().sum(-1).detach()
-    return torch.where(near[..., None], directions.detach(), directions)
+    near = ring < math.sin(cap) ** 2 * squared[..., 0].detach()
+    azimuth, polar_angle = direction_to_angles(torch.where(near[..., None], directions.detach(), directions))
+    cosine = torch.where(near, directions[..., 1], torch.zeros_like(ring)) / squared[..., 0].sqrt()
+    straight = linearised_arccos(cosine, cap)
+    polar_angle = polar_angle + torch.where(near, straight - straight.detach(), torch.zeros_like(straight))
+    return angles_to_pixel(azimuth, polar_angle, size)
 
 
 def _pose_of(pose: Pose, k: int) -> Pose:

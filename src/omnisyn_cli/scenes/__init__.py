@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 from omnisyn_cli.scenes.panorama import distances, render_panorama, render_views
 from omnisyn_cli.scenes.paths import clearance, sample_path
+from omnisyn_cli.scenes.photos import Photos, pack_photos, with_photos
 from omnisyn_cli.scenes.room import room
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
 from omnisyn_cli.scenes.street import street
@@ -16,12 +17,14 @@ from omnisyn_cli.scenes.street import street
 __all__ = [
     "GENERATORS",
     "Lighting",
+    "Photos",
     "Scene",
     "SceneBuilder",
     "Shape",
     "clearance",
     "distances",
     "generate_scene",
+    "pack_photos",
     "render_panorama",
     "render_views",
     "sample_path",
@@ -31,12 +34,13 @@ GENERATORS: Mapping[str, Callable[[int], Scene]] = MappingProxyType({"street": s
 """Generators by the name of what they make."""
 
 
-def generate_scene(kind: str, seed: int) -> Scene:
+def generate_scene(kind: str, seed: int, photos: Photos | None = None) -> Scene:
     """Generate a scene; equal arguments give equal scenes.
 
     Args:
         kind: a key of :data:`GENERATORS`.
         seed: any non-negative number.
+        photos: some of the materials are made of; the shapes are the same with them and without.
 
     Raises:
         ValueError: there is no such kind, or the seed is negative.
@@ -45,4 +49,5 @@ def generate_scene(kind: str, seed: int) -> Scene:
         raise ValueError(
             f"expected a kind of {', '.join(GENERATORS)} and a seed of at least 0, got {kind!r} and {seed}"
         )
-    return GENERATORS[kind](seed)
+    scene = GENERATORS[kind](seed)
+    return scene if photos is None else with_photos(scene, photos, seed)

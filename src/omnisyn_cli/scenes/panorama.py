@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
 from omnisyn_cli.scenes.raycast import cast_rays
 from omnisyn_cli.scenes.render import render_tiles
 from omnisyn_cli.scenes.scene import Scene
-from omnisyn_cli.scenes.world import pack, seen_from
+from omnisyn_cli.scenes.world import pack, papers_of, seen_from
 
 __all__ = ["distances", "render_panorama", "render_views"]
 
@@ -86,7 +86,7 @@ def render_views(
     workers = min(bands, threads or os.cpu_count() or 1)
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
         world, bounds = seen_from(packed, scene, position)
-        fixed = (world, bounds, tables, supersample, _TILES)
+        fixed = (world, papers_of(scene), bounds, tables, supersample, _TILES)
         if workers == 1:
             render_tiles(*fixed, (0, bands), shadows, image, depth)
             continue

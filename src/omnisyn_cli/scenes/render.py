@@ -19,7 +19,7 @@ EXPOSURE = int(Scalar.EXPOSURE)
 
 
 @kernel
-def _render_tile(world, tables, samples, rows, columns, listed, count, shadows, image, depth):  # type: ignore[no-untyped-def]
+def _render_tile(world, papers, tables, samples, rows, columns, listed, count, shadows, image, depth):  # type: ignore[no-untyped-def]
     """Render the pixels of rows[0] to rows[1] - 1 and columns[0] to columns[1] - 1; only the listed shapes can show."""
     sin_centre, cos_centre, horizon_centre, sin_sample, cos_sample, horizon, up = tables
     pixel = math.pi / (depth.shape[0] * samples)
@@ -51,7 +51,7 @@ def _render_tile(world, tables, samples, rows, columns, listed, count, shadows, 
                 if is_uniform and (sample // samples + sample % samples) % 2 == 1:
                     continue
                 x, y, z = rays[sample, 0], rays[sample, 1], rays[sample, 2]
-                r, g, b = shade(world, hits[sample], distances[sample], x, y, z, pixel, sample, shadows)
+                r, g, b = shade(world, papers, hits[sample], distances[sample], x, y, z, pixel, sample, shadows)
                 red += tone(r, exposure)
                 green += tone(g, exposure)
                 blue += tone(b, exposure)
@@ -62,11 +62,12 @@ def _render_tile(world, tables, samples, rows, columns, listed, count, shadows, 
 
 
 @kernel
-def render_tiles(world, bounds, tables, samples, tiles, bands, shadows, image, depth):  # type: ignore[no-untyped-def]
+def render_tiles(world, papers, bounds, tables, samples, tiles, bands, shadows, image, depth):  # type: ignore[no-untyped-def]
     """Render some bands of tiles.
 
     Args:
         world: the scene seen from one place.
+        papers: its photographs.
         bounds: of its shapes.
         tables: ``(sin_polar, cos_polar, horizon)`` of the pixel centres and the same of the samples, then ``up``.
         samples: samples per pixel along each axis.
@@ -98,4 +99,4 @@ def render_tiles(world, bounds, tables, samples, tiles, bands, shadows, image, d
                     tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
                     count = list_tile(bounds, coarse, listed, planes, fine)
                     rows, columns = (row, last_row), (column, last_column)
-                    _render_tile(world, tables, samples, rows, columns, fine, count, shadows, image, depth)
+                    _render_tile(world, papers, tables, samples, rows, columns, fine, count, shadows, image, depth)

@@ -14,12 +14,12 @@ from enum import IntEnum
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int64, UInt8
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material, pack_materials
 
-__all__ = ["Lighting", "Scene", "SceneBuilder", "Shape", "Walkway"]
+__all__ = ["Lighting", "Papering", "Scene", "SceneBuilder", "Shape", "Walkway"]
 
 Colour = tuple[float, float, float]
 Vector = tuple[float, float, float]
@@ -87,6 +87,20 @@ class Walkway:
 
 
 @dataclass(frozen=True)
+class Papering:
+    """Materials whose colours are photographs, see :mod:`omnisyn_cli.scenes.photos`.
+
+    Attributes:
+        texels, levels: of :class:`omnisyn_cli.scenes.photos.Photos`.
+        chosen: per material: photograph (-1 for none), use, width in metres, seed, and 1 where patches are turned.
+    """
+
+    texels: UInt8[np.ndarray, "texels 3"]
+    levels: Int64[np.ndarray, "photos levels 3"]
+    chosen: Float[np.ndarray, "m 5"]
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything that is seen, as arrays over the n shapes.
 
@@ -106,6 +120,7 @@ class Scene:
         lamps: position and linear colour of lamps without shadows.
         lighting: sun and sky.
         walkways: where cameras may stand.
+        papering: photographs on its materials, if there are any.
     """
 
     kind: str
@@ -123,6 +138,7 @@ class Scene:
     lamps: Float[np.ndarray, "l 6"]
     lighting: Lighting
     walkways: tuple[Walkway, ...]
+    papering: Papering | None = None
 
 
 class _Added(NamedTuple):

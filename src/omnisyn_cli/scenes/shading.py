@@ -5,14 +5,15 @@ import math
 from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.materials import Column
 from omnisyn_cli.scenes.noise import fractal_noise
+from omnisyn_cli.scenes.photo_kernels import FITTED, UNDER, photo_at
 from omnisyn_cli.scenes.raycast import is_shadowed, normal_at, place_on
 from omnisyn_cli.scenes.textures import pattern_at
 from omnisyn_cli.scenes.world import GROUND, SKY, Kind, Packed, Scalar
 
 __all__ = ["shade", "tone"]
 
-GLOSS, GLOW, FIRST, SECOND, THIRD = (
-    int(c) for c in (Column.GLOSS, Column.GLOW, Column.FIRST, Column.SECOND, Column.THIRD)
+GLOSS, GLOW, FIRST, SECOND, THIRD, PATTERN = (
+    int(c) for c in (Column.GLOSS, Column.GLOW, Column.FIRST, Column.SECOND, Column.THIRD, Column.PATTERN)
 )
 EYE, HALF, TINT = int(Packed.EYE), int(Packed.HALF), int(Packed.TINT)
 SHAPE, SIDES, CAPS, VARIATION = int(Kind.SHAPE), int(Kind.SIDES), int(Kind.CAPS), int(Kind.VARIATION)
@@ -25,6 +26,8 @@ HORIZON, CLOUD, COVER, CLOUD_SCALE = (
 )
 CLOUD_SEED, HAZE, SUNS, PLANE = int(Scalar.CLOUD_SEED), int(Scalar.HAZE), int(Scalar.SUNS), int(Scalar.GROUND)
 WORLD_EYE, GROUND_MATERIAL = int(Scalar.EYE), int(Scalar.GROUND_MATERIAL)
+SLANT = 0.75
+"""A sample is long where it looks along a surface: 1 blurs a photograph to its length, 0.5 to the mean of its sides."""
 OFF_SURFACE = 1e-3  # metres between a surface and the start of its shadow ray
 
 
@@ -85,7 +88,7 @@ def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-u
 
 
 @kernel
-def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
+def shade(world, papers, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
     """Linear colour of what the ray (x, y, z) hits.
 
     ``hit`` is the number of the shape (or GROUND, SKY) and t its distance; ``pixel`` is the angle between neighbouring
@@ -126,15 +129,23 @@ def shade(world, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-un
     second, third, lightness, gloss, glow = pattern_at(
         material, world.noise, u, v, hu, hv, qx, qy, qz, footprint, variation
     )
+    cr, cg, cb = material[FIRST], material[FIRST + 1], material[FIRST + 2]
+    if row < len(papers.chosen) and papers.chosen[row, 0] >= 0.0:
+        chosen = papers.chosen[row]
+        wide = t * pixel / max(facing, 0.03) ** SLANT
+        cr, cg, cb = photo_at(papers.texels, papers.levels, chosen, world.noise, u, v, hu, hv, wide, variation)
+        if chosen[1] != UNDER:
+            second, third = 0.0, third if chosen[1] == FITTED else 0.0
+            lightness = lightness if material[PATTERN] == 0.0 else 1.0
     lightness = max(lightness, 0.02)
     first, second, third = (
         (1.0 - second) * (1.0 - third) * lightness,
         second * (1.0 - third) * lightness,
         third * lightness,
     )
-    ar = (material[FIRST] * first + material[SECOND] * second + material[THIRD] * third) * tr
-    ag = (material[FIRST + 1] * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
-    ab = (material[FIRST + 2] * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb
+    ar = (cr * first + material[SECOND] * second + material[THIRD] * third) * tr
+    ag = (cg * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
+    ab = (cb * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb
     r, g, b, sunlit = _incident(world, px, py, pz, nx, ny, nz, sun, shadows)
     glow *= material[GLOW]
     r, g, b = ar * (r * crease + glow), ag * (g * crease + glow), ab * (b * crease + glow)

@@ -15,7 +15,7 @@ from omnisyn_cli.scenes.materials import Column
 from omnisyn_cli.scenes.noise import lattice
 from omnisyn_cli.scenes.scene import Scene
 
-__all__ = ["GROUND", "SKY", "Bounds", "Kind", "Packed", "Scalar", "World", "pack", "seen_from"]
+__all__ = ["GROUND", "SKY", "Bounds", "Kind", "Packed", "Papers", "Scalar", "World", "pack", "papers_of", "seen_from"]
 
 GROUND = -1
 """Number of the ground among the shapes."""
@@ -94,6 +94,14 @@ class World(NamedTuple):
     noise: np.ndarray
 
 
+class Papers(NamedTuple):
+    """Photographs on materials, apart from the world because only shading sees them; fields as in Papering."""
+
+    texels: np.ndarray
+    levels: np.ndarray
+    chosen: np.ndarray
+
+
 class Bounds(NamedTuple):
     """What tells which tiles a shape may show in.
 
@@ -145,6 +153,13 @@ def pack(scene: Scene) -> Pack:
         grid_start=start,
         grid_items=items,
     )
+
+
+def papers_of(scene: Scene) -> Papers:
+    """The photographs of a scene; nothing is chosen where there are none."""
+    if scene.papering is None:
+        return Papers(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64), np.zeros((0, 5)))
+    return Papers(scene.papering.texels, scene.papering.levels, scene.papering.chosen)
 
 
 def _light_scalars(scene: Scene) -> Float[np.ndarray, 24]:

@@ -139,10 +139,7 @@ def draw_batch(
 def _draw_pair(
     scene: PoolScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.float32]:
-    if scene.images.shape[1] % size[0]:
-        raise InputError(
-            f"expected a pool of a multiple of {size[0]} rows, got {scene.images.shape[1]}; render another"
-        )
+    check_pool_size(scene, size)
     near, far = sorted(rng.choice(len(scene.along), 2, replace=False))
     baseline = np.float32(scene.along[far] - scene.along[near])
     first, second, inverse_depth = scene.images[near], scene.images[far], scene.inverse_depth[near]
@@ -153,7 +150,14 @@ def _draw_pair(
     colours = np.stack([_shrink(first, size), _shrink(second, size)])
     if augmentation is not None:
         colours = vary_colours(colours, rng, augmentation)
-    return colours[0], colours[1], _at_block_centres(inverse_depth, size), baseline
+    return colours[0], colours[1], at_block_centres(inverse_depth, size), baseline
+
+
+def check_pool_size(scene: PoolScene, size: tuple[int, int]) -> None:
+    """InputError unless views are a whole multiple of ``size``."""
+    rows = scene.images.shape[1]
+    if rows % size[0]:
+        raise InputError(f"expected a pool of a multiple of {size[0]} rows, got {rows}; render another")
 
 
 def _shrink(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -> Float32[np.ndarray, "h w 3"]:
@@ -163,7 +167,7 @@ def _shrink(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -
     return np.ascontiguousarray(image, dtype=np.float32) / np.float32(255.0)
 
 
-def _at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
+def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
     """Values at the centres of the blocks that :func:`_shrink` averages over.
 
     The centre of an even block lies between four pixels: it has their mean if they are of one surface, else the

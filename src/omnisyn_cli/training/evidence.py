@@ -28,7 +28,7 @@ from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
 from omnisyn_cli.training.data import Augmentation, vary_colours
-from omnisyn_cli.training.pool import STOPS, scene_path
+from omnisyn_cli.training.pool import STOPS, photos_in, scene_path
 from omnisyn_cli.types import View
 
 __all__ = ["EvidenceBatch", "EvidenceConfig", "EvidencePair", "draw_evidence", "load_evidence", "make_evidence"]
@@ -53,6 +53,7 @@ class EvidenceConfig:
         tilts: standard deviations of pitch and roll that a scene draws one of, radians.
         turned: share of scenes with pose errors.
         turned_by: standard deviation of those, radians.
+        textures: folder of photographs that become materials; None leaves all of them procedural.
     """
 
     size: tuple[int, int] = (256, 512)
@@ -60,6 +61,7 @@ class EvidenceConfig:
     tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
     turned: float = 0.3
     turned_by: float = 0.002
+    textures: str | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class EvidenceBatch:
 def make_evidence(folder: Path, seed: int, config: EvidenceConfig) -> Path | None:
     """Render and match the scene of a seed into a pool; None if the scene has no room for a path."""
     rng = np.random.default_rng([21, seed])
-    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
     try:
         path = sample_path(scene, seed, STOPS)
     except ValueError:

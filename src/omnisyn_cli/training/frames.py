@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.training.data import Batch
 
-__all__ = ["EPIPOLE_FROM_FORWARD", "forward_batch"]
+__all__ = ["EPIPOLE_FROM_FORWARD", "forward_batch", "turned_colours", "turned_roots"]
 
 EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The same rotation for every pair: straight ahead becomes the zenith, up becomes the rear (the seam's middle)."""
@@ -33,12 +33,15 @@ def forward_batch(batch: Batch, size: tuple[int, int]) -> Batch:
     Colours are interpolated with cubic weights, roots linearly on surfaces and not at all across edges.
     """
     height = batch.first.shape[-2]
-    first, second = (_turned_colours(images, (height, 2 * height), size) for images in (batch.first, batch.second))
-    root = np.stack([_turned_roots(root, size) for root in batch.root[:, 0].numpy()])
+    first, second = (turned_colours(images, (height, 2 * height), size) for images in (batch.first, batch.second))
+    root = np.stack([turned_roots(root, size) for root in batch.root[:, 0].numpy()])
     return replace(batch, first=first, second=second, root=torch.from_numpy(root).unsqueeze(1))
 
 
-def _turned_colours(images: Tensor, turned: tuple[int, int], size: tuple[int, int]) -> Tensor:
+def turned_colours(
+    images: Float32[Tensor, "batch 3 rows cols"], turned: tuple[int, int], size: tuple[int, int]
+) -> Float32[Tensor, "batch 3 height width"]:
+    """Panoramas of the epipole frame in the forward frame, by way of ``turned``, 1:2, reduced to ``size``."""
     made = []
     for image in images.permute(0, 2, 3, 1).numpy():
         sharp = np.clip(_remapped(image, turned, cv2.INTER_CUBIC), 0.0, 1.0)
@@ -46,7 +49,8 @@ def _turned_colours(images: Tensor, turned: tuple[int, int], size: tuple[int, in
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2).contiguous()
 
 
-def _turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) -> Float32[np.ndarray, "height width"]:
+def turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) -> Float32[np.ndarray, "height width"]:
+    """Roots of the epipole frame in the forward frame, of ``size``; what is not known (NaN) stays so."""
     smooth, nearest = (_remapped(root, size, kind) for kind in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))
     return np.where(np.abs(smooth - nearest) <= EDGE * nearest, smooth, nearest)  # what is unknown stays unknown
 

@@ -30,7 +30,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.scenes import Scene, generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
-from omnisyn_cli.training.pool import scene_path
+from omnisyn_cli.training.pool import photos_in, scene_path
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, View
 
@@ -79,6 +79,7 @@ class FusionPoolConfig:
         tilts: standard deviations of pitch and roll that a scene draws one of, radians.
         turned: share of scenes with pose errors.
         turned_by: standard deviation of those, radians.
+        textures: folder of photographs that become materials; None leaves all of them procedural.
     """
 
     size: tuple[int, int] = (256, 512)
@@ -91,6 +92,7 @@ class FusionPoolConfig:
     tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
     turned: float = 0.3
     turned_by: float = 0.002
+    textures: str | None = None
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ class _Recorder:
 def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
     """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided."""
     rng = np.random.default_rng([23, seed])
-    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
     try:
         ends = sample_path(scene, seed, 2)
     except ValueError:

@@ -11,7 +11,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,17 @@ class Trainer:
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
+
+    def begin_with(self, weights: Mapping[str, torch.Tensor]) -> None:
+        """Before the first step: some of the weights, by name, instead of random ones.
+
+        Raises:
+            ValueError: the network has no weights of these names.
+        """
+        unknown = self.network.load_state_dict(weights, strict=False).unexpected_keys
+        if unknown:
+            raise ValueError(f"expected weights that the network has, got {', '.join(unknown)}")
+        self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
 
     def rate(self) -> float:
         """Learning rate of the next step."""
@@ -143,6 +154,7 @@ def train(
     report: Callable[[dict[str, Any]], None] = lambda row: None,
     precision: Precision = PROCESSOR,
     board: Board | None = None,
+    weights: Mapping[str, torch.Tensor] | None = None,
 ) -> Trainer:
     """Train until the time or the steps are over or a cool-down has ended; goes on where ``folder`` was left.
 
@@ -158,9 +170,10 @@ def train(
         report: called with each row of the log.
         precision: where and how to compute; a checkpoint can go on with another one.
         board: gets each row and the pictures as well.
+        weights: that a fresh run begins with, by name; the others are random.
     """
     path = folder / "checkpoint.pt"
-    trainer = open_trainer(network, config, path, precision)
+    trainer = open_trainer(network, config, path, precision, weights)
     started, losses = time.monotonic(), list[float]()
     pool = list_pool(Path(config.pool))
     while not trainer.is_finished() and (steps is None or trainer.step < steps):
@@ -182,14 +195,23 @@ def train(
     return trainer
 
 
-def open_trainer(network: NetworkConfig, config: TrainConfig, path: Path, precision: Precision = PROCESSOR) -> Trainer:
-    """A fresh trainer, or the one of the checkpoint at ``path``; a cool-down asked for begins at its step.
+def open_trainer(
+    network: NetworkConfig,
+    config: TrainConfig,
+    path: Path,
+    precision: Precision = PROCESSOR,
+    weights: Mapping[str, torch.Tensor] | None = None,
+) -> Trainer:
+    """A fresh trainer, with ``weights`` if there are any, or the one of the checkpoint at ``path``.
+
+    A cool-down asked for begins at its step.
 
     Raises:
         InputError: the checkpoint is of another kind than ``network``, whose data and rate would not suit it.
     """
     if not path.exists():
         trainer = Trainer(network, config, precision)
+        trainer.begin_with(weights or {})
     else:
         state = load_checkpoint(path)
         task, kind = task_named(state.get("kind"), path), task_of(network)

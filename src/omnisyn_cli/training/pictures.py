@@ -1,12 +1,15 @@
-"""What a depth network says, to look at while it learns: the picture, its answer, the truth, and the error."""
+"""What networks say, to look at while they learn: the picture, the answer, the truth, and the error."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
+from torch import Tensor
 
-__all__ = ["contact_sheet", "depth_pictures"]
+from omnisyn_cli.fusion import planes as plane
+
+__all__ = ["contact_sheet", "depth_pictures", "fused_pictures"]
 
 LARGEST_ERROR = 0.25
 """Difference of roots that has the brightest colour; fixed, so that pictures of different steps can be compared."""
@@ -41,6 +44,24 @@ def depth_pictures(
         "prediction": _coloured(root / largest, cv2.COLORMAP_TURBO),
         "truth": np.where(known[..., None], _coloured(truth / largest, cv2.COLORMAP_TURBO), np.float32(0.0)),
         "error": _coloured(error / LARGEST_ERROR, cv2.COLORMAP_INFERNO),
+    }
+
+
+def fused_pictures(
+    planes: Float[Tensor, "planes height width"],
+    picture: Float[Tensor, "3 height width"],
+    truth: Float[Tensor, "3 height width"],
+) -> dict[str, Float32[np.ndarray, "height width 3"]]:
+    """``first`` and ``second``, the renderings; ``fused``, what the network makes of them; ``between``, the truth."""
+    shown = {
+        "first": planes[plane.FIRST :][:3],
+        "second": planes[plane.SECOND :][:3],
+        "fused": picture,
+        "between": truth,
+    }
+    return {
+        name: np.ascontiguousarray(colours.permute(1, 2, 0).clamp(0.0, 1.0).cpu().numpy(), np.float32)
+        for name, colours in shown.items()
     }
 
 

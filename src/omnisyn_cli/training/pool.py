@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -17,10 +18,11 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sweep import epipole_frame
-from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path
+from omnisyn_cli.io import read_photographs
+from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
-__all__ = ["STOPS", "PoolConfig", "fill_pool", "render_pool_scene", "render_to_pool", "scene_path"]
+__all__ = ["STOPS", "PoolConfig", "fill_pool", "photos_in", "render_pool_scene", "render_to_pool", "scene_path"]
 
 STOPS = 9
 """Positions along a path that views are chosen from; the ends are always taken."""
@@ -37,6 +39,7 @@ class PoolConfig:
         turned: share of scenes whose views have pose errors.
         turned_by: standard deviation of those, radians.
         supersample: colour samples per pixel along each axis.
+        textures: folder of photographs that become materials; None leaves all of them procedural.
     """
 
     size: tuple[int, int] = (256, 512)
@@ -45,6 +48,7 @@ class PoolConfig:
     turned: float = 0.3
     turned_by: float = 0.0015
     supersample: int = 2
+    textures: str | None = None
 
 
 def render_pool_scene(seed: int, config: PoolConfig) -> PoolScene:
@@ -53,8 +57,18 @@ def render_pool_scene(seed: int, config: PoolConfig) -> PoolScene:
     Raises:
         ValueError: the scene has no room for a path, or there is no such kind.
     """
-    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
     return _render_along(scene, sample_path(scene, seed, STOPS), seed, config)
+
+
+@lru_cache(maxsize=1)
+def photos_in(folder: str | None) -> Photos | None:
+    """The photographs of a folder, read once in a process.
+
+    Raises:
+        InputError: there are none, or one of them cannot be read.
+    """
+    return None if folder is None else pack_photos(read_photographs(Path(folder)))
 
 
 def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolConfig) -> PoolScene:
@@ -109,7 +123,7 @@ def _give_way() -> None:
 
 def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
     """Render the scene of a seed into a pool; None if the scene has no room for a path."""
-    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed)
+    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
     try:
         path = sample_path(scene, seed, STOPS)
     except ValueError:  # no room

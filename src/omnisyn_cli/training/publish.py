@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.io.paths import replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
 from omnisyn_cli.networks.export import PARITY, export_depth, export_fusion, export_refine, largest_difference
@@ -24,9 +24,11 @@ from omnisyn_cli.training.evidence import draw_evidence
 from omnisyn_cli.training.frames import forward_batch
 from omnisyn_cli.training.fusion import draw_fusion
 from omnisyn_cli.training.fusion_losses import inputs_of
+from omnisyn_cli.training.joint import Part, parts_of
 from omnisyn_cli.training.loop import load_network
+from omnisyn_cli.training.tasks import TASKS
 
-__all__ = ["publish", "write_manifest"]
+__all__ = ["publish", "publish_all", "write_manifest"]
 
 ROLES: Mapping[str, str] = MappingProxyType({"paper": "depth"})
 """What a model is for, by the kind of its network, where that is not the kind itself."""
@@ -38,31 +40,68 @@ COMPARED = 3
 def publish(
     checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
 ) -> tuple[ModelEntry, float]:
-    """Write the averaged network of a checkpoint into a folder of models.
+    """Write the averaged network of a checkpoint into a folder of models; see :func:`publish_all`.
+
+    Raises:
+        InputError: there is more than one network in it.
+    """
+    kind = load_network(checkpoint)[1]["kind"]
+    if kind == "joint":
+        raise InputError(f"expected a checkpoint of one network, got {kind} in {checkpoint}; publish all of it")
+    return publish_all(checkpoint, folder, name=name, pool=pool, training=training, licence=licence)[0]
+
+
+def publish_all(
+    checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
+) -> list[tuple[ModelEntry, float]]:
+    """Write the averaged networks of a checkpoint into a folder of models, one file each.
 
     Args:
         checkpoint: of :func:`omnisyn_cli.training.loop.train`.
         folder: gets ``NAME.onnx`` and a new manifest.
-        name: ``ROLE-VARIANT`` unless given.
-        pool: scenes to compare on, besides random inputs.
+        name: ``ROLE-VARIANT`` unless given; of two networks trained together ``NAME-ROLE``.
+        pool: scenes to compare on, besides random inputs; of networks trained together only the depth.
         training: on what and for how long, for the manifest.
         licence: of the weights.
 
     Returns:
-        The entry of the manifest, and the largest relative difference found.
+        The entries of the manifest, and the largest relative difference found of each.
 
     Raises:
         InputError: no checkpoint, or no scenes.
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
-    network, state = load_network(checkpoint)
-    kind, role = state["kind"], ROLES.get(state["kind"], state["kind"])
+    state = load_network(checkpoint)[1]
+    parts = parts_of(state)
+    options = {"training": training or f"{state['step']} steps", "licence": licence}
+    size, scores = tuple(state["training"]["size"]), state.get("scores", {})
+    if len(parts) == 1:
+        return [_publish(parts[0], folder, name, size, pool, metrics=scores, **options)]
+    pools = {"depth": pool}
+    return [
+        _publish(part, folder, name and f"{name}-{role}", size, pools.get(role), metrics=scores, **options)
+        for part, role in zip(parts, map(_role, parts), strict=True)
+    ]
+
+
+def _role(part: Part) -> str:
+    return ROLES.get(part.kind, part.kind)
+
+
+def _publish(
+    part: Part, folder: Path, name: str | None, size: tuple[int, int], pool: Path | None, **noted: Any
+) -> tuple[ModelEntry, float]:
+    """One network; ``noted`` goes into its entry as it is."""
+    task, role = TASKS[part.kind], _role(part)
+    network = task.build(task.config.from_dict(part.config))
+    network.load_state_dict(part.average)
+    network.eval()
     name = name or f"{role}-{network.config.name}"
     folder.mkdir(parents=True, exist_ok=True)
     path, partial = folder / f"{name}.onnx", folder / f"{name}.partial.onnx"
-    export, examples = EXPORTS[kind]
+    export, examples = EXPORTS[part.kind]
     export(network, partial)
-    size = network.config.size if role == "depth" else tuple(state["training"]["size"])
+    size = network.config.size if role == "depth" else size
     difference = largest_difference(network, partial, examples(network.config, size, pool))
     if not difference <= PARITY:
         partial.unlink()
@@ -78,9 +117,7 @@ def publish(
         sha256=sha256_of(path),
         size=(size[0], size[1]),
         parameters=sum(parameter.numel() for parameter in network.parameters()),
-        training=training or f"{state['step']} steps",
-        licence=licence,
-        metrics=state.get("scores", {}),
+        **noted,
     )
     write_manifest(folder, read_manifest(folder) | {name: entry})
     return entry, difference

@@ -16,6 +16,7 @@ from torch.nn import Module
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthConfig, DepthNetwork
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork, build_fusion
+from omnisyn_cli.networks.joint import JointConfig, JointNetwork
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork
 from omnisyn_cli.networks.refine import RefineConfig, RefineNetwork
 from omnisyn_cli.training.data import Augmentation, Batch, draw_batch, list_pool
@@ -23,14 +24,16 @@ from omnisyn_cli.training.evidence import draw_evidence, load_evidence
 from omnisyn_cli.training.frames import forward_batch
 from omnisyn_cli.training.fusion import draw_fusion, load_fusion
 from omnisyn_cli.training.fusion_losses import FusionScores, fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.joint import joint_answer, joint_loss
 from omnisyn_cli.training.losses import DepthScores, depth_loss, depth_scores, paper_loss, refine_loss
-from omnisyn_cli.training.pictures import depth_pictures
+from omnisyn_cli.training.pictures import depth_pictures, fused_pictures
+from omnisyn_cli.training.triples import Triples, draw_triples
 
 __all__ = ["TASKS", "NetworkConfig", "Task", "TrainConfig", "task_named", "task_of"]
 
 VALIDATION_SEED = 1
 
-NetworkConfig = DepthConfig | PaperConfig | RefineConfig | FusionConfig
+NetworkConfig = DepthConfig | PaperConfig | RefineConfig | FusionConfig | JointConfig
 
 
 @dataclass(frozen=True)
@@ -171,6 +174,50 @@ def _validate_fusion(network: FusionNetwork | PaintingNetwork, config: TrainConf
     return _mean(scores)
 
 
+def _joint_loss(network: JointNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
+    drawn = _triples(network, pool, rng, config.batch, config.size, Augmentation())
+    return joint_loss(joint_answer(network, drawn), drawn)
+
+
+def _triples(
+    network: JointNetwork, pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
+    augmentation: Augmentation | None = None,
+) -> Triples:  # fmt: skip
+    """As the depth network wants them, where the weights are."""
+    depth = network.config.depth
+    greatest = {"greatest_root": depth.greatest_root} if isinstance(depth, DepthConfig) else {}
+    drawn = draw_triples(pool, rng, batch, size, network.depth.frame, augmentation, **greatest)
+    return drawn.to(next(network.parameters()).device)
+
+
+def _joint_validation(network: JointNetwork, config: TrainConfig, index: int) -> Triples:
+    """Views of the scene at ``index``, always the same."""
+    pool, rng = list_pool(Path(config.validation_pool)), np.random.default_rng([VALIDATION_SEED, index])
+    return _triples(network, [pool[index % len(pool)]], rng, 1, config.size)
+
+
+@torch.no_grad()
+def _validate_joint(network: JointNetwork, config: TrainConfig) -> dict[str, float]:
+    depths, pictures = [], []
+    for index in range(config.validation_pairs):
+        drawn = _joint_validation(network, config, index)
+        answer = joint_answer(network, drawn)
+        depths.append(depth_scores(answer.prediction.stacked, drawn.roots.flatten(0, 1), drawn.baseline.repeat(2)))
+        pictures.append(fusion_scores(answer.picture, answer.planes, drawn.middle))
+    return _mean(depths) | _mean(pictures)
+
+
+@torch.no_grad()
+def _show_joint(network: JointNetwork, config: TrainConfig) -> dict[str, np.ndarray]:
+    drawn = _joint_validation(network, config, 0)
+    answer = joint_answer(network, drawn)
+    image, root, truth = (
+        x[0].cpu().numpy() for x in (drawn.first, answer.prediction.inverse_depth[0].sqrt(), drawn.roots[0, :, 0])
+    )
+    shown = depth_pictures(image.transpose(1, 2, 0), root, truth)
+    return shown | fused_pictures(answer.planes[0], answer.picture[0], drawn.middle[0])
+
+
 def _mean(scores: Sequence[DepthScores | FusionScores]) -> dict[str, float]:
     """Over pairs; NaN, as of pairs without sky, is left out."""
     rows = torch.tensor([list(asdict(score).values()) for score in scores])
@@ -183,6 +230,7 @@ TASKS: Mapping[str, Task] = MappingProxyType(
         "paper": Task(PaperConfig, PaperNetwork, _paper_loss, _validate_depth, _show_depth),
         "refine": Task(RefineConfig, RefineNetwork, _refine_loss, _validate_refine),
         "fusion": Task(FusionConfig, build_fusion, _fusion_loss, _validate_fusion),
+        "joint": Task(JointConfig, JointNetwork, _joint_loss, _validate_joint, _show_joint),
     }
 )
 """By the kind that a checkpoint names."""

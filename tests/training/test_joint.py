@@ -1,0 +1,290 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from test_loop import equal
+from training_samples import TINY, ball_scene, make_pool
+
+from omnisyn_cli.cli import train as command
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.geometric import BlendOptions
+from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.networks.depth import VARIANTS
+from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
+from omnisyn_cli.networks.joint import JointConfig, JointNetwork, PairPrediction, exchanged_panoramas
+from omnisyn_cli.networks.paper import PaperConfig, PaperPrediction
+from omnisyn_cli.render.mesh import CUT_EDGES, build_mesh
+from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
+from omnisyn_cli.training.data import list_pool, save_scene
+from omnisyn_cli.training.fusion_losses import fused_by
+from omnisyn_cli.training.joint import JointAnswer, joint_answer, joint_loss, part_of, planes_between
+from omnisyn_cli.training.joint_planes import Seen, fusion_planes
+from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
+from omnisyn_cli.training.publish import publish, publish_all
+from omnisyn_cli.training.triples import draw_triples
+from omnisyn_cli.types import Rendering
+
+FUSION = FusionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
+PAINTING = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
+PAPER = PaperConfig("tiny-paper", (64, 128), widths=(4, 6, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
+JOINT = JointConfig(TINY, FUSION)
+SIZE = (64, 128)
+
+
+@pytest.fixture
+def config(tmp_path):
+    pool = str(make_pool(tmp_path / "pool"))
+    return TrainConfig(
+        pool, pool, size=SIZE, batch=1, warmup_steps=2, validate_every=4, save_every=2, validation_pairs=2
+    )
+
+
+def random_view(seed, position):
+    """A rendering with holes, doubtful pixels, surfaces at any distance and some of them at infinity."""
+    rng = np.random.default_rng(seed)
+    colour, rho = rng.random((*SIZE, 4), np.float32), rng.random(SIZE, np.float32) ** 2
+    rho[rng.random(SIZE) < 0.1] = 0.0
+    hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((8, 8), bool))
+    colour[..., 3] = 0.01 + 0.99 * colour[..., 3]
+    colour[hole], rho[hole] = 0.0, -1.0
+    return Rendering(rho, colour, Pose(np.eye(3), np.array(position, float)))
+
+
+def as_seen(view):
+    colour = torch.from_numpy(view.colour)
+    return Seen(colour[..., :3], torch.from_numpy(view.inverse_depth), colour[..., 3], view.target_from_source.position)
+
+
+@pytest.mark.parametrize("t", [0.4, 0.93])
+def test_planes_are_those_of_the_program(t):
+    """The compiled plane maker is the oracle, weights, doubt, filled holes and all."""
+    first, second = random_view(1, (0.0, 0.0, t)), random_view(2, (0.0, 0.0, t - 1.0))
+    options = BlendOptions()
+    hidden = options.hidden if t == 0.4 else options.hidden ** (0.7**2 * (3 - 2 * 0.7))
+    expected = PlaneMaker(SIZE, options.disagreement, threads=1)(first, second, t, hidden).planes
+    found = fusion_planes(as_seen(first), as_seen(second), t, options).numpy()
+    for name in (
+        "FIRST",
+        "SECOND",
+        "FUSED",
+        "WORTH",
+        "ROOT",
+        "LOG_RATIO",
+        "GAP",
+        "SEEN",
+        "RELEVANCE",
+        "TIME",
+        "LATITUDE",
+    ):
+        which = slice(getattr(plane, name), getattr(plane, name) + 2)
+        np.testing.assert_allclose(found[which], expected[which], atol=3e-3, err_msg=name)
+
+
+@pytest.mark.parametrize("frame", ["epipole", "forward"])
+def test_true_depth_shows_the_view_between(tmp_path, frame):
+    """Whichever end a way is walked from, mirrored or not, in both frames: both renderings are the true picture."""
+    pool = list_pool(make_pool(tmp_path, scenes=3))
+    drawn = draw_triples(pool, np.random.default_rng(0), 8, SIZE, frame)
+    second = exchanged_panoramas(drawn.roots[1], frame)
+    rho = torch.stack([drawn.roots[0], second]).squeeze(2).square()
+    textures = torch.stack([drawn.first_texture, drawn.second_texture])
+    planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share, frame)
+    assert drawn.share.unique().numel() > 1
+    for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
+        shown = planes[:, begin : begin + 3]
+        error, moved = ((shown - x).abs().mean(dim=(1, 2, 3)) for x in (drawn.middle, drawn.middle.roll(4, -1)))
+        assert (error < 0.02).all()
+        assert (error < 0.4 * moved).all()
+
+
+def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
+    """Of the joint loss of a smooth scene without cuts, to the inverse depth of both panoramas, in any direction."""
+    rng = np.random.default_rng(0)
+    drawn = draw_triples(list_pool(make_pool(tmp_path, scenes=1)), rng, 1, SIZE, "epipole")
+    drawn = replace(drawn, **{name: value.double() for name, value in vars(drawn).items()})
+    own = torch.stack([drawn.roots[0], exchanged_panoramas(drawn.roots[1], "epipole")]).squeeze(2).square()
+    rho = (1.05 * own).requires_grad_()
+    for surface in rho.detach().numpy():
+        assert not (build_mesh(surface[0]).quads & CUT_EDGES).any()
+    torch.manual_seed(0)
+    network = build_fusion(FUSION).double()
+    torch.nn.init.normal_(network.answer.weight, std=0.02)
+    textures = torch.stack([drawn.first_texture, drawn.second_texture])
+
+    def loss(rho):
+        planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share, "epipole")
+        stacked = torch.cat([rho[0], exchanged_panoramas(rho[1], "epipole")]).unsqueeze(1)
+        prediction = PairPrediction(PaperPrediction(stacked, stacked), rho, torch.ones_like(rho))
+        return joint_loss(JointAnswer(prediction, planes, fused_by(network, planes)), drawn)
+
+    (gradient,) = torch.autograd.grad(loss(rho), rho)
+    waves = torch.linspace(0, 2 * np.pi, SIZE[1] + 1, dtype=torch.float64)[:-1]
+    shapes = [torch.ones(SIZE), torch.sin(waves).expand(SIZE), torch.cos(3 * waves).expand(SIZE), torch.randn(SIZE)]
+    for view in range(2):
+        for shape in shapes:
+            direction = torch.zeros_like(own)
+            direction[view, 0] = shape * own[view, 0]
+            step = 1e-5
+            with torch.no_grad():
+                above, below = (loss(rho + s * direction) for s in (step, -step))
+            expected = float(above - below) / (2 * step)
+            assert float((gradient * direction).sum()) == pytest.approx(expected, rel=0.03, abs=3e-4)
+
+
+def test_the_picture_alone_teaches_depth(tmp_path):
+    """From a surface that is too far everywhere, the gradient of the picture's error leads to the true one."""
+    drawn = draw_triples(list_pool(make_pool(tmp_path, scenes=1)), np.random.default_rng(3), 1, SIZE, "epipole")
+    own = torch.stack([drawn.roots[0], exchanged_panoramas(drawn.roots[1], "epipole")]).squeeze(2).square()
+    textures = torch.stack([drawn.first_texture, drawn.second_texture])
+    scale = torch.tensor(0.9, requires_grad=True)
+    optimizer = torch.optim.Adam([scale], lr=5e-3)
+    for _ in range(60):
+        planes = planes_between(scale * own, torch.ones_like(own), textures, drawn.share, "epipole")
+        optimizer.zero_grad()
+        (planes[:, plane.FUSED : plane.FUSED + 3] - drawn.middle).square().mean().backward()
+        optimizer.step()
+    assert scale.item() == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("depth", [TINY, PAPER], ids=["ours", "paper"])
+@pytest.mark.parametrize("fusion", [FUSION, PAINTING], ids=["residual", "paints"])
+def test_both_networks_are_taught_by_both_losses(tmp_path, depth, fusion):
+    """The error of the picture alone reaches the weights of the depth network, whatever the pair of networks."""
+    network = JointNetwork(JointConfig(depth, fusion))
+    drawn = draw_triples(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE, network.depth.frame)
+    answer = joint_answer(network, drawn)
+    (answer.picture - drawn.middle).abs().mean().backward()
+    for part in (network.depth, network.fusion):
+        total = sum(float(p.grad.abs().sum()) for p in part.parameters() if p.grad is not None)
+        assert np.isfinite(total)
+        assert total > 0
+
+
+def test_both_panoramas_are_estimated_in_one_frame():
+    """Exchanging the cameras exchanges the answers."""
+    torch.manual_seed(0)
+    for depth in (TINY, PAPER):
+        network = JointNetwork(JointConfig(depth, FUSION)).eval()
+        first, second = torch.rand(2, 1, 3, *SIZE)
+        frame = network.depth.frame
+        with torch.no_grad():
+            there = network(first, second).inverse_depth
+            back = network(exchanged_panoramas(second, frame), exchanged_panoramas(first, frame)).inverse_depth
+        np.testing.assert_allclose(exchanged_panoramas(back.flip(0), frame), there, atol=1e-5)
+
+
+def test_a_stopped_run_goes_on_bit_for_bit(tmp_path, config):
+    train(JOINT, config, tmp_path / "whole", steps=4)
+    train(JOINT, config, tmp_path / "stopped", steps=2)
+    train(JOINT, config, tmp_path / "stopped", steps=4)
+    whole, stopped = (load_checkpoint(tmp_path / name / "checkpoint.pt") for name in ("whole", "stopped"))
+    assert (whole["kind"], whole["step"]) == ("joint", 4)
+    assert equal(whole, stopped)
+    row = json.loads((tmp_path / "whole" / "log.jsonl").read_text().splitlines()[0])
+    assert {"imae", "delta_25", "ws_psnr", "gain"} <= row.keys()
+    assert (tmp_path / "whole" / "pictures" / "00000004.png").exists()
+    assert load_network(tmp_path / "whole" / "checkpoint.pt")[0].config == JOINT
+
+
+def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp_path, config):
+    path = tmp_path / "run" / "checkpoint.pt"
+    trainer = train(JOINT, config, tmp_path / "run", steps=1)
+    published = publish_all(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")
+    assert [(entry.name, entry.role, entry.size) for entry, _ in published] == [
+        ("depth-tiny", "depth", SIZE),
+        ("fusion-tiny", "fusion", SIZE),
+    ]
+    assert all(difference < 1e-4 for _, difference in published)
+    assert read_manifest(tmp_path / "models").keys() == {"depth-tiny", "fusion-tiny"}
+    assert sum(entry.parameters for entry, _ in published) == sum(p.numel() for p in trainer.network.parameters())
+    named = publish_all(path, tmp_path / "models", name="mine", pool=tmp_path / "pool", training="", licence="MIT")
+    assert [entry.name for entry, _ in named] == ["mine-depth", "mine-fusion"]
+    with pytest.raises(InputError, match="one network"):
+        publish(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")
+    part = part_of(path, ("fusion",))
+    assert equal(part.average, {k.removeprefix("fusion."): v for k, v in trainer.average.items() if k[0] == "f"})
+    with pytest.raises(InputError, match=r"expected a refine network in .*got depth and fusion"):
+        part_of(path, ("refine",))
+
+
+def run(*arguments):
+    return CliRunner().invoke(command.train, [str(argument) for argument in arguments])
+
+
+def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, config):
+    monkeypatch.setitem(VARIANTS, "tiny", TINY)
+    monkeypatch.setitem(FUSION_VARIANTS, "tiny", FUSION)
+    depth = train(TINY, config, tmp_path / "depth", steps=1)
+    save_checkpoint(tmp_path / "small.pt", compact(depth.state()))
+    pools = ("--pool", config.pool, "--validation-pool", config.validation_pool, "--height", 64, "--rate", 0.0)
+    result = run("joint", tmp_path / "run", *pools, "--depth", tmp_path / "small.pt", "--fusion", "tiny", "--steps", 1)
+    assert result.exit_code == 0, result.output
+    held = part_of(tmp_path / "run" / "checkpoint.pt", ("depth",)).average
+    for name, value in depth.average.items():
+        torch.testing.assert_close(held[name], value, rtol=2e-3, atol=1e-4)
+    again = run(
+        "joint",
+        tmp_path / "two",
+        *pools,
+        "--depth",
+        tmp_path / "run" / "checkpoint.pt",
+        "--fusion",
+        "tiny",
+        "--steps",
+        1,
+    )
+    assert again.exit_code == 0, again.output
+    assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("depth",)).average, held)
+
+
+def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
+    pools = ("--pool", config.pool, "--validation-pool", config.validation_pool)
+    result = run("joint", tmp_path / "run", *pools, "--depth", "slow")
+    assert result.exit_code == 2
+    assert "expected a checkpoint or one of fast" in result.output
+    result = run("joint", tmp_path / "run", *pools, "--height", 100)
+    assert result.exit_code == 2
+    assert "multiple of 64 for these networks" in result.output
+    train(TINY, config, tmp_path / "depth", steps=1)
+    result = run("joint", tmp_path / "run", *pools, "--fusion", tmp_path / "depth" / "checkpoint.pt")
+    assert isinstance(result.exception, InputError)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(ValueError, match="network has"):
+        Trainer(JOINT, config).begin_with({"depth.none": torch.zeros(1)})
+
+
+def test_pools_of_pairs_are_refused(tmp_path):
+    save_scene(tmp_path / "00000000.npz", ball_scene(along=(0.0, 1.0)))
+    with pytest.raises(InputError, match="at least 3 views, got 2"):
+        draw_triples(list_pool(tmp_path), np.random.default_rng(0), 1, SIZE, "epipole")
+
+
+def test_triples_depend_on_the_seed_alone_and_light_is_the_same_for_all_views(tmp_path):
+    from omnisyn_cli.training.data import Augmentation
+
+    pool = list_pool(make_pool(tmp_path))
+    plain = draw_triples(pool, np.random.default_rng(5), 4, SIZE, "epipole")
+    one, same = (draw_triples(pool, np.random.default_rng(5), 4, SIZE, "epipole", Augmentation()) for _ in range(2))
+    assert all(torch.equal(value, getattr(same, name)) for name, value in vars(one).items())
+    assert torch.equal(plain.first, plain.first_texture)
+    assert not torch.equal(one.first, one.first_texture)
+    assert (one.share > 0).all()
+    assert (one.share < 1).all()
+
+
+@pytest.mark.slow
+def test_one_pair_can_be_learned_by_heart(tmp_path):
+    """Less than two minutes of one core: depth and picture of one scene, from random weights."""
+    pool = str(make_pool(tmp_path / "pool", scenes=1))
+    stage = TrainConfig(pool, pool, size=SIZE, batch=1, rate=3e-3, ema=0.9, validate_every=40, validation_pairs=4)
+    rows = []
+    train(JOINT, stage, tmp_path / "run", steps=160, report=rows.append)
+    assert rows[-1]["delta_10"] > 0.85
+    assert rows[-1]["ws_psnr"] > rows[0]["ws_psnr"] + 3
+    assert rows[-1]["loss"] < 0.5 * rows[0]["loss"]
