@@ -100,7 +100,7 @@ def test_the_seam_is_nowhere(pair, monkeypatch):
     network = PaperNetwork(SMALL).eval()
     plain = network(*pair)
     size = (16, 32)
-    assert np.array_equal(network.grid(*size), sweep_grid(sphere_inverse_depths(SMALL), size))
+    np.testing.assert_allclose(network.grid(*size), sweep_grid(sphere_inverse_depths(SMALL), size), atol=1e-6)
     to_the_right = Pose(np.eye(3), np.array([-1.0, 0.0, 0.0]))  # the second camera stands a baseline to the right
     turned = torch.from_numpy(sweep_grid(sphere_inverse_depths(SMALL), size, to_the_right))
     monkeypatch.setattr(network, "grid", lambda *_: turned)

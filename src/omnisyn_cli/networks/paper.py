@@ -65,6 +65,10 @@ AGREEMENT_FLOOR = 0.02
 """Inverse depth · baseline below which differences are no longer relative."""
 
 
+FIRST_ANSWER = 0.25
+"""Inverse depth · baseline that a fresh network's low head says about everything, more or less."""
+
+
 @dataclass(frozen=True)
 class PaperConfig:
     """The network's sizes; those of the paper unless changed.
@@ -104,8 +108,9 @@ class PaperConfig:
 PAPER_VARIANTS = {
     "paper": PaperConfig("paper", (256, 512)),
     "paper-square": PaperConfig("paper-square", (256, 256)),
+    "paper-narrow": PaperConfig("paper-narrow", (256, 512), (4, 8, 16, 32, 64, 128), (16, 32, 64, 128)),
 }
-"""The network by name: with square pixels, and with the authors' square images."""
+"""The network by name: with square pixels, with the authors' square images, and with a quarter of the channels."""
 
 
 @dataclass(frozen=True)
@@ -181,8 +186,15 @@ def _around(features: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=4)
-def _grid(config: PaperConfig, height: int, width: int) -> Tensor:
-    return torch.from_numpy(sweep_grid(sphere_inverse_depths(config), (height, width)))
+def _quarter(config: PaperConfig, height: int, width: int) -> Tensor:
+    """The upper left quarter of the sweep: straight ahead is its middle, so that the others mirror it."""
+    grid = sweep_grid(sphere_inverse_depths(config), (height, width))
+    return torch.from_numpy(np.ascontiguousarray(grid[:, : height // 2, : width // 2]))
+
+
+def _mirrored(quarter: Tensor) -> Tensor:
+    upper = torch.cat([quarter, quarter.flip(2) * quarter.new_tensor([-1.0, 1.0])], dim=2)
+    return torch.cat([upper, upper.flip(1) * quarter.new_tensor([1.0, -1.0])], dim=1)
 
 
 class PaperNetwork(nn.Module):
@@ -203,7 +215,20 @@ class PaperNetwork(nn.Module):
             Block(features, config.widths[0], enlarge=True),
             Block(config.widths[0], 1, leak=1.0),
         )
-        initialise(self)
+        self._begin()
+
+    @torch.no_grad()
+    def _begin(self) -> None:
+        """Fresh weights, with which every sphere counts a little and the low head says where the middle of them lies.
+
+        The volume's last block has one channel: where its LeakyReLU happens to begin below zero nothing comes through.
+        """
+        initialise(self, gain=1.0)
+        last = self.volume.up[-1]
+        nn.init.dirac_(last.second.weight)
+        nn.init.constant_(last.first.bias, FIRST_ANSWER)
+        spheres = torch.from_numpy(sphere_inverse_depths(self.config)).to(self.low_head.weight.dtype)
+        self.low_head.weight.copy_((spheres / len(spheres)).view(1, -1, 1, 1))
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
@@ -222,15 +247,22 @@ class PaperNetwork(nn.Module):
         if height % multiple or width % multiple:
             raise ValueError(f"expected images of multiples of {multiple} rows and columns, got {height}×{width}")
         of_first, of_second = self.features(torch.cat([first, second])).chunk(2)
-        grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE)
+        grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE, torch.zeros_like(first[0, 0, 0, 0]))
         spheres = self.volume(sweep_volume(of_first, of_second, grid)).squeeze(1)  # (batch, levels, height/4, width/4)
         low = enlarged(self.low_head(spheres), FEATURE_STRIDE)
         high = self.high_head(torch.cat([spheres, of_first.to(spheres.dtype)], dim=1))
         return PaperPrediction(low.float(), high.float())
 
-    def grid(self, height: int, width: int) -> Float[Tensor, "levels height width 2"]:
-        """The sweep for features of a size."""
-        return _grid(self.config, height, width)
+    def grid(self, height: int, width: int, zero: Tensor | float = 0.0) -> Float[Tensor, "levels height width 2"]:
+        """The sweep for features of a size.
+
+        Args:
+            height: of the features.
+            width: of the features.
+            zero: one that depends on what the network is shown; with it an exported file holds a quarter of the sweep
+                and how the rest follows, not all of it.
+        """
+        return _mirrored(_quarter(self.config, height, width) + zero)
 
 
 class UNet(nn.Module):
@@ -311,10 +343,10 @@ def row_channel(like: Tensor) -> Tensor:
     Args:
         like: ``(batch, channels, *sizes)``, rows and columns last.
     """
-    batch, _, *inner = sizes(like)
-    row = torch.arange(inner[-2], dtype=torch.float32, device=like.device)
-    polar_angle: Tensor = pixel_to_angles(row, row, (inner[-2], inner[-1]))[1] / math.pi
-    return polar_angle.to(like.dtype)[:, None].expand(batch, 1, *inner)
+    *_, height, width = sizes(like)
+    row = torch.arange(height, dtype=torch.float32, device=like.device)
+    polar_angle: Tensor = pixel_to_angles(row, row, (height, width))[1] / math.pi
+    return polar_angle.to(like.dtype)[:, None].expand_as(like[:, :1])  # an exported file holds one column of it
 
 
 def enlarged(x: Tensor, factor: int) -> Tensor:

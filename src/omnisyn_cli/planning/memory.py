@@ -16,6 +16,9 @@ __all__ = ["estimated_memory"]
 PROGRAM = 450e6
 """Bytes of the interpreter, its libraries, compiled kernels and matching."""
 
+PAINTING, PAINTED_ROWS = 150, 1024
+"""Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
+
 BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
 """Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
 
@@ -28,6 +31,7 @@ def estimated_memory(
     size: tuple[int, int],
     sources: Sequence[tuple[int, int]],
     depths: Sequence[tuple[int, int]],
+    renderer: str,
     fusion: str,
 ) -> int:
     """Bytes, estimated: the most of what is held while a pair is prepared and while frames are made of it.
@@ -37,6 +41,7 @@ def estimated_memory(
         size: height and width of the frames.
         sources: those of the panoramas.
         depths: those of the surfaces.
+        renderer: how they are drawn.
         fusion: how renderings are fused.
 
     Raises:
@@ -44,19 +49,19 @@ def estimated_memory(
     """
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    is_kept_as_samples = has_samples and job.renderer == "mesh"
+    is_kept_as_samples = has_samples and renderer == "mesh"
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
-    surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
-    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size, fusion) + numbers * largest)
+    surfaces = 2 * BYTES_PER_VERTEX[renderer] * vertices
+    held = max(2 * (numbers + texturing) * largest, _bytes_of_frames(job, size, renderer, fusion) + numbers * largest)
     return int(PROGRAM + surfaces + 2 * kept * largest + held)
 
 
-def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], fusion: str) -> float:
+def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str, fusion: str) -> float:
     """What making frames takes: two renderings, the pyramid that fills holes, frames on their way to the encoder."""
     pixels = size[0] * size[1]
     is_by_rows = are_frames_by_rows(
-        job.renderer, fusion, size,
+        renderer, fusion, size,
         is_rounded=is_rounded(job), is_judged=job.fallback == "crossfade" or job.save_confidence is not None,
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5
@@ -64,4 +69,5 @@ def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], fusion: str) 
     if is_by_rows:
         return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
     largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
-    return pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)
+    painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if fusion == "painting" else 0
+    return painted + pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)
