@@ -57,7 +57,7 @@ SCALE: Mapping[str, Preset] = _by_name(
 
 REPRODUCTIONS: Mapping[str, Preset] = _by_name(
     Preset(
-        "paper", "the method of the paper, to compare with; slower and less accurate than the others", 256, "painting",
+        "paper", "the method of the paper with narrower networks, to compare with; far less accurate", 256, "painting",
         depth="network", model="depth-paper-narrow", renderer="two-pass", cut_metres=2.0,
     ),
 )  # fmt: skip

@@ -153,7 +153,7 @@ def machine_in_words() -> str:
 def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
     preset, manifest = PRESETS[setting.preset], read_manifest()
     networks = (preset.model, FUSION_MODELS.get(preset.fusion))
-    digests = [manifest[name].sha256 if name in manifest else "" for name in networks]
+    digests = [manifest[name].sha256 if name is not None and name in manifest else "" for name in networks]
     ingredients = [setting.name, repr(preset), *digests]
     options = {"frames": plan.job.frames, "device": plan.job.device}
     return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)

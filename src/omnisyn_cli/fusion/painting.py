@@ -69,7 +69,7 @@ class PaintingFuser(GeometricFuser):
         super().__init__(size, options, threads)
         self._painter = painter
         self._small = working_size(size, rows, MULTIPLE)
-        self._maps = None if self._small in (None, size) else _maps(self._small, size)
+        self._maps = None if self._small is None or self._small == size else _maps(self._small, size)
 
     def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
         """The painted picture in [0, 1]; the next call overwrites it.
@@ -118,5 +118,6 @@ def _enlarged(
     picture: Float32[np.ndarray, "rows cols 3"], row: np.ndarray, col: np.ndarray
 ) -> Float32[np.ndarray, "height width 3"]:
     rows, cols = picture.shape[:2]
-    around = np.mgrid[-BORDER : rows + BORDER, -BORDER : cols + BORDER]
-    return np.asarray(cv2.remap(picture[wrap_pixel(*around, rows, cols)], col, row, cv2.INTER_LINEAR), np.float32)
+    above, left = np.mgrid[-BORDER : rows + BORDER, -BORDER : cols + BORDER]
+    bordered = np.ascontiguousarray(picture[wrap_pixel(above, left, rows, cols)])
+    return np.asarray(cv2.remap(bordered, col, row, cv2.INTER_LINEAR), np.float32)

@@ -224,7 +224,7 @@ class PaperNetwork(nn.Module):
         The volume's last block has one channel: where its LeakyReLU happens to begin below zero nothing comes through.
         """
         initialise(self, gain=1.0)
-        last = self.volume.up[-1]
+        last: Any = self.volume.up[-1]
         nn.init.dirac_(last.second.weight)
         nn.init.constant_(last.first.bias, FIRST_ANSWER)
         spheres = torch.from_numpy(sphere_inverse_depths(self.config)).to(self.low_head.weight.dtype)

@@ -55,7 +55,8 @@ class SessionPainter:
     def __call__(self, planes: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
         """The picture, not bounded; InputError if the model is broken."""
         (colour,) = run_network(self._session, {"planes": planes[None]}, ((1, 3, *planes.shape[1:]),))
-        return colour[0]
+        picture: Float32[np.ndarray, "3 height width"] = colour[0]
+        return picture
 
 
 def _check_names(session: Any, outputs: list[str]) -> None:
