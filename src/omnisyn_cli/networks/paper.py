@@ -69,6 +69,15 @@ FIRST_ANSWER = 0.25
 """Inverse depth · baseline that a fresh network's low head says about everything, more or less."""
 
 
+MATCHING = 2.0
+"""By how much less a fresh network counts a sphere where colours differ by one."""
+
+RANDOM_SHARE = 0.1
+"""Of the weights beside that."""
+
+COLOURS = 3
+
+
 @dataclass(frozen=True)
 class PaperConfig:
     """The network's sizes; those of the paper unless changed.
@@ -219,14 +228,26 @@ class PaperNetwork(nn.Module):
 
     @torch.no_grad()
     def _begin(self) -> None:
-        """Fresh weights, with which every sphere counts a little and the low head says where the middle of them lies.
+        """Random weights among which is a sweep of colours: spheres count the more the better they match.
 
-        The volume's last block has one channel: where its LeakyReLU happens to begin below zero nothing comes through.
+        Random features say where a pixel is (the row) and little about what it shows, so that no sphere matches better
+        than another; then rows are all that is learned for long. And the volume's last block has one channel: where
+        its LeakyReLU happens to begin below zero nothing comes through.
         """
         initialise(self, gain=1.0)
-        last: Any = self.volume.up[-1]
+        features, volume = self.features, self.volume
+        for block in features.blocks:
+            block.first.weight[:, -1] = 0.0  # of the row
+        for block in features.blocks[: features.finest + 1]:
+            block.pass_on(COLOURS, 0)
+        features.blocks[-1].pass_on(COLOURS, self.config.widths[features.finest])
+        first, last = volume.blocks[0], volume.blocks[-1]
+        first.pass_on(1, 0)
+        first.first.weight[0, :COLOURS, 1] = 1.0 / (9 * COLOURS)
         nn.init.dirac_(last.second.weight)
         nn.init.constant_(last.first.bias, FIRST_ANSWER)
+        last.first.weight.mul_(RANDOM_SHARE)
+        last.first.weight[0, self.config.volume_widths[0], 1, 1, 1] = -MATCHING
         spheres = torch.from_numpy(sphere_inverse_depths(self.config)).to(self.low_head.weight.dtype)
         self.low_head.weight.copy_((spheres / len(spheres)).view(1, -1, 1, 1))
 
@@ -293,6 +314,11 @@ class UNet(nn.Module):
             for level in range(self.deepest, finest - 1, -1)
         )
 
+    @property
+    def blocks(self) -> list[Any]:
+        """All of them, in the order in which they are used."""
+        return [*self.down, *self.up]
+
     def forward(self, x: Tensor) -> Tensor:
         """``(batch, channels, *sizes)``, smaller by ``2 ** finest`` than the input."""
         skips = []
@@ -326,6 +352,15 @@ class Block(nn.Module):
         self.enlarge, self.leak = enlarge, leak
         self.first = convolution(inputs + 1, outputs, 3, padding=padding)  # type: ignore[arg-type]
         self.second = convolution(outputs, outputs, 3, padding=padding)  # type: ignore[arg-type]
+
+    @torch.no_grad()
+    def pass_on(self, channels: int, begin: int) -> None:
+        """Make the first outputs what the inputs from ``begin`` on are, as far as these are not negative."""
+        for convolution, source in ((self.first, begin), (self.second, 0)):
+            middle = (1,) * (convolution.weight.ndim - 2)
+            for channel in range(channels):
+                convolution.weight[channel] = 0.0
+                convolution.weight[(channel, source + channel, *middle)] = 1.0
 
     def forward(self, x: Tensor) -> Tensor:
         """``(batch, outputs, *sizes)``."""
