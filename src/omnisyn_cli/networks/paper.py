@@ -61,7 +61,7 @@ AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
 AGREEMENT = 0.1
 """Relative difference between both heads at which the confidence is a half."""
 
-AGREEMENT_FLOOR = 0.02
+AGREEMENT_FLOOR = 0.05
 """Inverse depth · baseline below which differences are no longer relative."""
 
 
