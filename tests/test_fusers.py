@@ -52,7 +52,7 @@ def frames(fuser):
 def test_a_fuser_has_the_name_that_it_was_asked_for(models):
     assert type(make_fuser("geometric", SIZE)) is GeometricFuser
     assert type(make_fuser("network", SIZE, model=models["fresh"], device="cpu", threads=1)) is NetworkFuser
-    with pytest.raises(ValueError, match="geometric, network"):
+    with pytest.raises(ValueError, match="geometric, network, painting"):
         make_fuser("magic", SIZE)
     with pytest.raises(InputError, match=r"nothing\.onnx"):
         make_fuser("network", SIZE, model="nothing.onnx")
@@ -77,7 +77,7 @@ def test_from_files_to_frames(tmp_path, models, monkeypatch):
     job = InterpolationJob(images, tmp_path / "poses.json", tmp_path / "plain", frames=3, threads=1)
     run_interpolation(plan_interpolation(job))
     for module in ("fusers", "planning.plan"):
-        monkeypatch.setattr(f"omnisyn_cli.{module}.FUSION_MODEL", models["fresh"])
+        monkeypatch.setattr(f"omnisyn_cli.{module}.FUSION_MODELS", {"network": models["fresh"]})
     plan = plan_interpolation(dataclasses.replace(job, output=tmp_path / "fused", fusion="network"))
     assert plan.describe()["fusion"] == "network"
     run_interpolation(plan)
@@ -89,7 +89,7 @@ def test_from_files_to_frames(tmp_path, models, monkeypatch):
 def test_what_is_missing_or_unknown_is_refused_before_the_work(tmp_path, monkeypatch):
     images = tuple(write_hall(tmp_path, POSES))
     job = InterpolationJob(images, tmp_path / "poses.json", tmp_path / "out", frames=3)
-    monkeypatch.setattr("omnisyn_cli.planning.plan.FUSION_MODEL", "no-such-network")
+    monkeypatch.setattr("omnisyn_cli.planning.plan.FUSION_MODELS", {"network": "no-such-network"})
     with pytest.raises(InputError, match="no-such-network"):
         plan_interpolation(dataclasses.replace(job, fusion="network"))
     with pytest.raises(InputError, match="as fusion, got 'magic'"):
@@ -102,7 +102,7 @@ def test_the_commands_know_the_names():
         interpolate, ["a.jpg", "b.jpg", "--poses", "p.json", "-o", "v.mp4", "--fusion", "magic"]
     )
     assert result.exit_code == 2
-    assert "'geometric', 'network'" in result.output
+    assert "'geometric', 'network', 'painting'" in result.output
     result = CliRunner().invoke(train, ["fusion", "run", "--pool", "p", "--validation-pool", "v", "--variant", "magic"])
     assert result.exit_code == 2
     assert "residual, paper" in result.output

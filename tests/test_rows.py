@@ -7,6 +7,7 @@ import pytest
 
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion.network import NetworkFuser
+from omnisyn_cli.fusion.painting import PaintingFuser
 from omnisyn_cli.presets import FUSIONS
 from omnisyn_cli.render.renderer import RENDERERS, make_renderer
 from omnisyn_cli.rows import LEAST_ROWS, are_frames_by_rows, row_makers
@@ -21,7 +22,12 @@ def correct_nothing(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fuser_named(name: str, size: tuple[int, int]) -> GeometricFuser:
-    return {"geometric": GeometricFuser, "network": lambda at: NetworkFuser(at, correct_nothing)}[name](size)
+    made = {
+        "geometric": GeometricFuser,
+        "network": lambda at: NetworkFuser(at, correct_nothing),
+        "painting": lambda at: PaintingFuser(at, lambda planes: planes[:3]),
+    }
+    return made[name](size)
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -1,4 +1,4 @@
-"""How much time accuracy is worth: named bundles of settings, from fast to accurate."""
+"""How much time accuracy is worth: named bundles of settings, from fast to accurate; and the paper's own method."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-__all__ = ["DEFAULT_PRESET", "FUSIONS", "FUSION_CHOICES", "FUSION_MODEL", "PRESETS", "Preset"]
+__all__ = [
+    "DEFAULT_PRESET",
+    "FUSIONS",
+    "FUSION_CHOICES",
+    "FUSION_MODELS",
+    "PRESETS",
+    "REPRODUCTIONS",
+    "SCALE",
+    "Preset",
+]
 
 
 @dataclass(frozen=True)
@@ -16,10 +25,14 @@ class Preset:
     Attributes:
         name: what users call it.
         summary: one line for them.
-        depth_rows: rows that depth is looked for at, see :mod:`omnisyn_cli.estimators`; estimates have half of them.
+        depth_rows: rows that depth is looked for at, see :mod:`omnisyn_cli.estimators`; estimates have half of them,
+            or as many where a network finds depth alone.
         fusion: how renderings with depth of that kind become one picture, one of :data:`FUSIONS`.
         depth: where depth comes from unless files have it, see :mod:`omnisyn_cli.estimators`.
         model: network that refines or replaces matching, by its name in the manifest; None where there is none.
+        renderer: how surfaces are drawn, see :mod:`omnisyn_cli.render.renderer`.
+        cut_metres: step of depth at which surfaces are cut; None where that is relative, see
+            :class:`omnisyn_cli.render.mesh.Cut`.
     """
 
     name: str
@@ -28,27 +41,39 @@ class Preset:
     fusion: str
     depth: str = "refined"
     model: str | None = "refine-balanced"
+    renderer: str = "mesh"
+    cut_metres: float | None = None
 
 
-PRESETS: Mapping[str, Preset] = MappingProxyType(
-    {
-        preset.name: preset
-        for preset in (
-            Preset("fast", "matching at ¾ of the size, refined by a network", 384, "geometric"),
-            Preset("balanced", "matching, refined by a network, sharpened at twice the size", 1024, "geometric"),
-            Preset("accurate", "sharpened once more at four times the size; a network fuses", 2048, "network"),
-        )
-    }
+def _by_name(*presets: Preset) -> Mapping[str, Preset]:
+    return MappingProxyType({preset.name: preset for preset in presets})
+
+
+SCALE: Mapping[str, Preset] = _by_name(
+    Preset("fast", "matching at ¾ of the size, refined by a network", 384, "geometric"),
+    Preset("balanced", "matching, refined by a network, sharpened at twice the size", 1024, "geometric"),
+    Preset("accurate", "sharpened once more at four times the size; a network fuses", 2048, "network"),
 )
 """By name, from the fastest to the most accurate."""
 
+REPRODUCTIONS: Mapping[str, Preset] = _by_name(
+    Preset(
+        "paper", "the method of the paper with narrower networks, to compare with; far less accurate", 256, "painting",
+        depth="network", model="depth-paper-narrow", renderer="two-pass", cut_metres=2.0,
+    ),
+)  # fmt: skip
+"""By name: what others do, to compare with. They have no place on the scale, and no budget of time chooses them."""
+
+PRESETS: Mapping[str, Preset] = MappingProxyType({**SCALE, **REPRODUCTIONS})
+"""By name: those of :data:`SCALE` in their order, then :data:`REPRODUCTIONS`."""
+
 DEFAULT_PRESET = "balanced"
 
-FUSIONS = ("geometric", "network")
+FUSIONS = ("geometric", "network", "painting")
 """How two renderings become one picture, see :mod:`omnisyn_cli.fusers`."""
 
 FUSION_CHOICES = ("auto", *FUSIONS)
 """What users choose from: ``auto`` is the preset's where depth is estimated, and geometric where it is known."""
 
-FUSION_MODEL = "fusion-residual"
-"""Name of the fusion network in the manifest."""
+FUSION_MODELS: Mapping[str, str] = MappingProxyType({"network": "fusion-residual", "painting": "fusion-paper-narrow"})
+"""Name in the manifest of the network that has a part in a fusion."""

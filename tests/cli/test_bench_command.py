@@ -13,7 +13,7 @@ from omnisyn_cli.evaluation.bench import BenchJob
 from omnisyn_cli.evaluation.datasets import FORMATS
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, STANDARD_FRAMES, Figures, read_table, standard_seconds
 from omnisyn_cli.evaluation.trial import Trial
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.presets import PRESETS, SCALE
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
@@ -65,7 +65,7 @@ def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], sc
 def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Path, trials: list[Trial]) -> None:
     result = run_cli(capsys, "bench", scenes, "--sizes", "64x32,128x64", "--threads", "1,2")
     assert result.code == 0
-    assert len(trials) == len(PRESETS) * 2 * 2
+    assert len(trials) == len(SCALE) * 2 * 2
     assert result.out.count("Which setting for which budget") == 2
     assert "balanced, 512 rows, 64x32, 2 threads" in result.out
     assert "28.00" in result.out

@@ -2,6 +2,7 @@
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -53,8 +54,11 @@ def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path: 
     """A quarter of the pixels costs accuracy, and the true frame itself scores the best at its own size."""
     pair = hall_pair(tmp_path)
     depths = KnownDepth()(*trial.load_pair(pair).views)
+    folder, ends = tmp_path / "hall", (pair.first.image, pair.second.image)
+    clip = InterpolationJob(ends, folder / "poses.json", tmp_path / "frames", frames=3, threads=1)
     small, same, large = (
-        np.mean(trial._scores(pair, depths, Setting("fast", ROWS, (rows, 2 * rows), 1))) for rows in (32, 64, 128)
+        np.mean(trial._scores(pair, depths, plan_interpolation(replace(clip, size=(rows, 2 * rows)))))
+        for rows in (32, 64, 128)
     )
     assert small < same - 1.0
     assert large > small + 1.0

@@ -129,9 +129,9 @@ def test_sources_are_those_that_methods_go_through(tmp_path: Path) -> None:
 
 
 def test_methods_that_never_work_cost_no_decoding(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = run(halls, "crossfade,synsin,omnisyn-paper")
+    first = run(halls, "crossfade,synsin,synsin-2view")
     monkeypatch.setattr(engine, "load_pair", None)
-    assert [r.to_json() for r in run(halls, "crossfade,synsin,omnisyn-paper")] == [r.to_json() for r in first]
+    assert [r.to_json() for r in run(halls, "crossfade,synsin,synsin-2view")] == [r.to_json() for r in first]
     assert [r.status for r in first] == ["done", "unavailable", "unavailable"] * 2
 
 
@@ -227,11 +227,11 @@ def test_scenes_without_truth_are_listed_with_the_reason(tmp_path: Path) -> None
 
 def test_what_cannot_run_says_why(tmp_path: Path) -> None:
     data = write_halls(tmp_path / "data", "hall", with_depth=False)
-    records = run(data, "oracle-depth,synsin,omnisyn-paper")
+    records = run(data, "oracle-depth,synsin,monocular")
     assert [record.status for record in records] == ["unavailable"] * 3
     assert "true depth" in records[0].reason
     assert "SynSin" in records[1].reason
-    assert "'paper'" in records[2].reason
+    assert "monocular" in records[2].reason
 
 
 def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> None:

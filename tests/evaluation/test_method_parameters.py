@@ -11,7 +11,7 @@ from omnisyn_cli.evaluation.methods import MethodOptions, find_method
 from omnisyn_cli.evaluation.synthesizers import GeometricSynthesizer, MethodUnavailableError, Recipe, first_view_only
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.fusers import make_fuser
-from omnisyn_cli.presets import FUSION_MODEL
+from omnisyn_cli.presets import FUSION_MODELS
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis import Stopwatch
@@ -67,7 +67,7 @@ def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
 
 
 def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
-    digest = models.read_manifest()[FUSION_MODEL].sha256
+    digest = models.read_manifest()[FUSION_MODELS["network"]].sha256
     assert find_method("matching:fusion=network").ingredients() == (digest,)
     assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
     assert digest in find_method("omnisyn-accurate").ingredients()
@@ -79,7 +79,7 @@ def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(
     hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    with pytest.raises(MethodUnavailableError, match=FUSION_MODEL):
+    with pytest.raises(MethodUnavailableError, match=FUSION_MODELS["network"]):
         images("oracle-depth:fusion=network", hall)
 
 
@@ -92,7 +92,7 @@ def test_one_view_is_not_fused() -> None:
     "parameter", ["fusion=geometric", "fusion=", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
 )
 def test_what_is_no_parameter_is_refused(parameter: str) -> None:
-    with pytest.raises(InputError, match="renderer=points, fusion=network or views=1"):
+    with pytest.raises(InputError, match="renderer=points, fusion=network, fusion=painting or views=1"):
         find_method(f"oracle-depth:{parameter}")
 
 

@@ -162,11 +162,9 @@ def test_a_preset_without_its_network_is_unavailable_and_says_which(
     hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "first-view-only"):
+    for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "omnisyn-paper", "first-view-only"):
         with pytest.raises(MethodUnavailableError, match="none installed"):
             find_method(name).make(hall.views, OPTIONS)
-    with pytest.raises(MethodUnavailableError, match="'paper'"):
-        find_method("omnisyn-paper").make(hall.views, OPTIONS)
 
 
 def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(hall: LoadedPair) -> None:

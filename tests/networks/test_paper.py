@@ -79,17 +79,22 @@ def test_the_spheres_are_even_in_inverse_depth_and_begin_at_infinity():
     np.testing.assert_allclose(np.diff(spheres), 2.0 / 63)
 
 
+def inside_a_ball(first, truth):
+    """What a second camera, one baseline straight ahead, sees of a ball around the first one, 1 / truth away."""
+    points = pixel_directions(*first.shape[-2:])
+    reach = points @ np.array([0.0, 0.0, -1.0])
+    distance = -reach + np.sqrt(reach**2 - 1.0 + 1.0 / truth**2)
+    seen = np.array([0.0, 0.0, -1.0]) + distance[..., None] * points
+    second = sample_bilinear(first[0].permute(1, 2, 0).double().numpy(), seen)
+    return torch.from_numpy(second).permute(2, 0, 1).float()[None]
+
+
 def test_the_difference_is_least_on_the_true_sphere():
     """Inside a ball around the first camera: features of the second are those of the first, seen from a metre ahead."""
     size, truth = (32, 64), 0.4
     spheres = np.linspace(0.0, 0.8, 9)
     first = functional.interpolate(torch.rand(1, 8, 8, 16), size=size, mode="bilinear")
-    points = pixel_directions(*size)
-    reach = points @ np.array([0.0, 0.0, -1.0])  # from the second camera, one baseline along −z, to the ball
-    distance = -reach + np.sqrt(reach**2 - 1.0 + 1.0 / truth**2)
-    seen = np.array([0.0, 0.0, -1.0]) + distance[..., None] * points
-    second = sample_bilinear(first[0].permute(1, 2, 0).double().numpy(), seen)
-    second = torch.from_numpy(second).permute(2, 0, 1).float()[None]
+    second = inside_a_ball(first, truth)
     volume = sweep_volume(first, second, torch.from_numpy(sweep_grid(spheres, size))).mean(dim=1)[0]
     sideways = volume[:, 10:22, 20:28].argmin(dim=0)
     assert (sideways == 4).float().mean() > 0.95
@@ -100,7 +105,7 @@ def test_the_seam_is_nowhere(pair, monkeypatch):
     network = PaperNetwork(SMALL).eval()
     plain = network(*pair)
     size = (16, 32)
-    assert np.array_equal(network.grid(*size), sweep_grid(sphere_inverse_depths(SMALL), size))
+    np.testing.assert_allclose(network.grid(*size), sweep_grid(sphere_inverse_depths(SMALL), size), atol=1e-6)
     to_the_right = Pose(np.eye(3), np.array([-1.0, 0.0, 0.0]))  # the second camera stands a baseline to the right
     turned = torch.from_numpy(sweep_grid(sphere_inverse_depths(SMALL), size, to_the_right))
     monkeypatch.setattr(network, "grid", lambda *_: turned)
@@ -108,6 +113,18 @@ def test_the_seam_is_nowhere(pair, monkeypatch):
     torch.testing.assert_close(rolled.high, plain.high.roll(32, -1), atol=1e-5, rtol=0)
     torch.testing.assert_close(rolled.low, plain.low.roll(32, -1), atol=1e-5, rtol=0)
     assert plain.high.std() > 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fresh_network_prefers_the_spheres_on_which_colours_match(seed):
+    """A ball twice as near looks nearer to it, whatever the random weights are; what it learns reaches all blocks."""
+    torch.manual_seed(seed)
+    network = PaperNetwork(SMALL)
+    first = functional.interpolate(0.4 + 0.2 * torch.rand(1, 3, 16, 32), size=(64, 128), mode="bilinear")
+    far, near = (network(first, inside_a_ball(first, truth)).low[..., 16:48, :].mean() for truth in (0.4, 0.8))
+    assert near > far
+    (near - far).backward()
+    assert all(block.second.weight.grad.abs().max() > 0 for block in (*network.features.blocks, *network.volume.blocks))
 
 
 @pytest.mark.parametrize("shape", [(1, 2, 4, 8), (1, 2, 3, 4, 8)])

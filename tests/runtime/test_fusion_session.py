@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.fusion import SessionFusion
+from omnisyn_cli.runtime.fusion import SessionFusion, SessionPainter
 
 
 class Session:
@@ -20,7 +20,7 @@ class Session:
         return [SimpleNamespace(name=name) for name in self.outputs]
 
     def run(self, _, inputs):
-        assert inputs["planes"].shape == (1, 20, 32, 64)
+        assert inputs["planes"].shape in ((1, 20, 32, 64), (1, 8, 32, 64))
         return self.answers
 
 
@@ -50,3 +50,13 @@ def test_other_models_are_refused(names):
 def test_broken_answers_are_refused(answers, complaint):
     with pytest.raises(InputError, match=complaint):
         SessionFusion(Session(answers))(PLANES)
+
+
+def test_a_painter_gives_its_picture_and_other_models_are_none():
+    picture = np.random.default_rng(0).random((1, 3, 32, 64))
+    found = SessionPainter(Session([picture], outputs=("colour",)))(PLANES[:8])
+    np.testing.assert_array_equal(found, picture[0].astype(np.float32))
+    with pytest.raises(InputError, match="the outputs 'colour', got"):
+        SessionPainter(Session([]))
+    with pytest.raises(InputError, match="outputs of"):
+        SessionPainter(Session([picture[:, :1]], outputs=("colour",)))(PLANES[:8])

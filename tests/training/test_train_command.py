@@ -34,7 +34,9 @@ def test_a_height_that_the_network_cannot_halve_often_enough_is_refused(tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("variant", "size"), [("paper", (64, 128)), ("paper-square", (64, 64))])
+@pytest.mark.parametrize(
+    ("variant", "size"), [("paper", (64, 128)), ("paper-square", (64, 64)), ("paper-narrow", (64, 128))]
+)
 def test_the_papers_network_is_trained_published_and_found_by_its_name(tmp_path, monkeypatch, variant, size):
     monkeypatch.setitem(PAPER_VARIANTS, variant, PaperConfig(variant, size, **SMALL))
     pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]

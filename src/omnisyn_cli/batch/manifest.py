@@ -24,10 +24,9 @@ from omnisyn_cli.batch.lines import read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.io import MAX_PIXELS, PoseFile, read_poses
 from omnisyn_cli.io.sequence import NUMBER
-from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, InterpolationJob
+from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, RENDERER_CHOICES, InterpolationJob
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.session import DEVICES
 
 __all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "read_manifest"]
@@ -79,7 +78,7 @@ CONSTRAINED: dict[str, Any] = {
     "preset": (Literal[tuple(PRESETS)], DEFAULT_PRESET),
     "depth": (Literal[DEPTH_METHODS], "auto"),
     "device": (Literal[DEVICES], "auto"),
-    "renderer": (Literal[RENDERERS], "mesh"),
+    "renderer": (Literal[RENDERER_CHOICES], "auto"),
     "fusion": (Literal[FUSION_CHOICES], "auto"),
     "baseline": (Positive | None, None),
     "cut": (Fraction | None, None),

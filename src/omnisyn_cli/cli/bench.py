@@ -12,7 +12,7 @@ import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
 from omnisyn_cli.cli.interpolate import Size
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.presets import PRESETS, SCALE
 
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.bench import BenchPlan
@@ -47,7 +47,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     help="Keep results, page and diagram here; a run that was interrupted goes on from them.",
 )  # fmt: skip
 @click.option(
-    "--presets", type=ListOf(click.Choice(list(PRESETS))), default=",".join(PRESETS), show_default=True,
+    "--presets", type=ListOf(click.Choice(list(PRESETS))), default=",".join(SCALE), show_default=True,
     help="Which ones.",
 )  # fmt: skip
 @click.option(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation import Summary
@@ -66,12 +66,13 @@ class Size(SizeType):
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
     "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
-    help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in PRESETS.values()) + ".",
+    help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in SCALE.values()) + ". Beside "
+    "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
 )  # fmt: skip
 @click.option(
     "--budget", metavar="SECONDS", type=click.FloatRange(0, min_open=True),
-    help="Take the most accurate preset that is expected to be done in this time; how fast this machine is, is "
-    "measured for a second first.",
+    help="Take the most accurate preset, from fast to accurate, that is expected to be done in this time; how fast "
+    "this machine is, is measured for a second first.",
 )  # fmt: skip
 @click.option(
     "--depth", type=click.Choice(["auto", "file", "matching", "refined", "network"]), default="auto", show_default=True,
@@ -82,16 +83,18 @@ class Size(SizeType):
     "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
 )
 @click.option(
-    "--renderer", type=click.Choice(["mesh", "points", "two-pass"]), default="mesh", show_default=True,
-    help="mesh is exact; points and the paper's two-pass method are there to compare.",
+    "--renderer", type=click.Choice(["auto", "mesh", "points", "two-pass"]), default="auto", show_default=True,
+    help="mesh is exact; points and the paper's two-pass method are there to compare; auto: the preset's, mesh but for "
+    "paper.",
 )  # fmt: skip
 @click.option(
-    "--cut", type=click.FloatRange(0, 1, min_open=True), default=0.05, show_default=True,
-    help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.",
+    "--cut", type=click.FloatRange(0, 1, min_open=True),
+    help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.  [default: the "
+    "preset's, 0.05 but for paper]",
 )  # fmt: skip
 @click.option(
     "--cut-metres", type=click.FloatRange(0, min_open=True),
-    help="Cut at steps of depth instead, as the paper does (there 2).",
+    help="Cut at steps of depth instead, as the paper and its preset do (there 2).",
 )  # fmt: skip
 @click.option(
     "--adaptive/--no-adaptive", default=False, show_default=True,
@@ -99,8 +102,9 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option(
     "--fusion", type=click.Choice(FUSION_CHOICES), default="auto", show_default=True,
-    help="How two renderings become one picture: by rules, or by rules that a network corrects where estimated depths "
-    "contradict each other; auto: the preset's, but rules where depth comes from files.",
+    help="How two renderings become one picture: by rules, by rules that a network corrects where estimated depths "
+    "contradict each other, or painted by a network as in the paper; auto: the preset's, but rules where depth comes "
+    "from files.",
 )  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
@@ -149,7 +153,7 @@ class Size(SizeType):
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def interpolate(
-    as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float, cut_metres: float | None,
+    as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float | None, cut_metres: float | None,
     budget: float | None, nadir: float, **options: Any,
 ) -> None:  # fmt: skip
     """Make the 360° video between panoramas A and B, and on through C and further ones.
@@ -166,7 +170,9 @@ def interpolate(
 
     if budget is not None:
         _check_preset_is_free()
-    rule = Cut(relative=cut) if cut_metres is None else Cut(relative=None, metres=cut_metres)
+    rule = Cut(relative=cut) if cut is not None else None
+    if cut_metres is not None:
+        rule = Cut(relative=None, metres=cut_metres)
     plan = plan_interpolation(InterpolationJob(cut=rule, nadir=math.radians(nadir), **options))
     if budget is not None:
         from omnisyn_cli.evaluation.budget import apply_budget

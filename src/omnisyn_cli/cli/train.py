@@ -145,7 +145,10 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
 @train.command()
 @_stage_options("pool", batch=4, rate=None)
 @click.option(
-    "--variant", default="fast", show_default=True, help="Network of a fresh run: fast, accurate, paper, paper-square."
+    "--variant",
+    default="fast",
+    show_default=True,
+    help="Network of a fresh run: fast, accurate, paper, paper-square, paper-narrow.",
 )
 @click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
 def depth(variant: str, height: int, rate: float | None, **options: Any) -> None:

@@ -27,7 +27,7 @@ from omnisyn_cli.evaluation.suite import suite_scenes, write_suite_scene
 from omnisyn_cli.evaluation.trial import Trial, run_trial
 from omnisyn_cli.io.paths import make_folder, replaced_when_complete
 from omnisyn_cli.io.staging import staged_folder
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.presets import FUSION_MODELS, PRESETS, SCALE
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.scenes.suite import SEEDS
 from omnisyn_cli.threads import available_threads
@@ -59,7 +59,7 @@ class BenchJob:
 
     dataset: Path
     report: Path
-    presets: tuple[str, ...] = tuple(PRESETS)
+    presets: tuple[str, ...] = tuple(SCALE)
     depth_rows: tuple[int, ...] = ()
     sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048))
     threads: tuple[int, ...] = ()
@@ -151,9 +151,10 @@ def machine_in_words() -> str:
 
 
 def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
-    model = PRESETS[setting.preset].model
-    entry = read_manifest().get(model) if model else None
-    ingredients = [setting.name, repr(PRESETS[setting.preset]), entry.sha256 if entry else ""]
+    preset, manifest = PRESETS[setting.preset], read_manifest()
+    networks = (preset.model, FUSION_MODELS.get(preset.fusion))
+    digests = [manifest[name].sha256 if name is not None and name in manifest else "" for name in networks]
+    ingredients = [setting.name, repr(preset), *digests]
     options = {"frames": plan.job.frames, "device": plan.job.device}
     return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)
 

@@ -1,4 +1,7 @@
-"""Which preset fits into a number of seconds on this machine, from figures that were measured on another one."""
+"""Which preset fits into a number of seconds on this machine, from figures that were measured on another one.
+
+Only presets of the scale from fast to accurate are chosen: what is there to compare with is neither.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.calibration import calibrate
 from omnisyn_cli.evaluation.pareto import Figures, ParetoTable, Workload, expected_seconds, read_table
 from omnisyn_cli.planning import InterpolationPlan, with_preset
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.presets import SCALE
 from omnisyn_cli.threads import available_threads
 
 __all__ = ["Choice", "apply_budget", "choose_preset", "shipped_table"]
@@ -70,9 +73,9 @@ def apply_budget(
     Raises:
         InputError: the renderer is one that was not measured, or no preset was.
     """
-    if plan.job.renderer != "mesh":
+    if plan.renderer != "mesh":
         raise InputError(
-            f"expected the renderer 'mesh' with a budget, got {plan.job.renderer!r}, whose times were not measured; "
+            f"expected the renderer 'mesh' with a budget, got {plan.renderer!r}, whose times were not measured; "
             "leave one of them out"
         )
     work = Workload(
@@ -103,11 +106,11 @@ def choose_preset(table: ParetoTable, work: Workload, threads: int, budget: floa
     """
     measured = {
         name: figures
-        for name, preset in PRESETS.items()
+        for name, preset in SCALE.items()
         if (figures := table.of_preset(name, preset.depth_rows, work.size, threads)) is not None
     }
     if not measured:
-        raise InputError(f"expected figures of {', '.join(PRESETS)} in the table, got none; run omnisyn bench --store")
+        raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")
     expected = {name: expected_seconds(figures, work) for name, figures in measured.items()}
     fitting = [name for name, seconds in expected.items() if seconds <= budget]
     best = max(fitting, key=lambda name: _worth(measured[name])) if fitting else min(expected, key=expected.__getitem__)

@@ -3,8 +3,9 @@
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
 estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
-fusion is corrected by a network) or ``views=1`` (only the first panorama is shown): ``matching:cut=0.02``,
-``oracle-depth:metres=2:depth=512x256``, ``omnisyn-balanced:fusion=network``.
+fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper) or ``views=1`` (only the
+first panorama is shown): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
+``omnisyn-balanced:fusion=network``.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from omnisyn_cli.evaluation.synthesizers import (
     geometric_fuser,
     network_fuser,
 )
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODEL, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODELS, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
@@ -96,8 +97,9 @@ def _preset(name: str) -> RecipeFactory:
             )
         except InputError as error:
             raise MethodUnavailableError(str(error)) from error
-        fuser = network_fuser(options.device) if preset.fusion == "network" else geometric_fuser
-        return Recipe(f"preset {name}", estimator, fuser=fuser)
+        fuser = geometric_fuser if preset.fusion == "geometric" else network_fuser(options.device, preset.fusion)
+        cut = Cut() if preset.cut_metres is None else Cut(relative=None, metres=preset.cut_metres)
+        return Recipe(f"preset {name}", estimator, renderer=preset.renderer, cut=cut, fuser=fuser)
 
     return make
 
@@ -106,8 +108,9 @@ def _installed(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
     """A preset, and the digests of its network and of that for fusion, as far as they are there and take part."""
     preset = PRESETS.get(name)
     settings = () if preset is None else (repr(preset), _digest(preset.model))
-    is_network = NETWORK_FUSION in parameters or (preset is not None and preset.fusion == "network")
-    return (*settings, _digest(FUSION_MODEL)) if is_network else settings
+    fusions = {FUSED_BY[parameter] for parameter in parameters if parameter in FUSED_BY}
+    fusions |= {preset.fusion} if preset is not None else set()
+    return (*settings, *(_digest(model) for fusion, model in FUSION_MODELS.items() if fusion in fusions))
 
 
 def _digest(model: str | None) -> str:
@@ -151,7 +154,7 @@ RECIPES: Mapping[str, _Entry] = MappingProxyType(
         "omnisyn-fast": _of_preset("the preset fast", "fast"),
         "omnisyn-balanced": _of_preset("the preset balanced", "balanced"),
         "omnisyn-accurate": _of_preset("the preset accurate", "accurate"),
-        "omnisyn-paper": _of_preset("the preset paper: the networks of the paper", "paper"),
+        "omnisyn-paper": _of_preset("the preset paper: the method of the paper with narrower networks", "paper"),
         "omnisyn-points": _of_preset(
             "the default preset with a cloud of points instead of the mesh", DEFAULT_PRESET, renderer="points"
         ),
@@ -177,12 +180,13 @@ PLAIN: Mapping[str, tuple[str, Callable[[tuple[View, View], int | None], Synthes
 )
 """Methods without geometry."""
 
-NETWORK_FUSION = "fusion=network"
+FUSED_BY = {f"fusion={name}": name for name in FUSION_MODELS}
+"""Fusions with a network by the parameter that asks for them."""
 
 ONE_VIEW = "views=1"
 
 VARIANTS = (
-    f"omnisyn-{DEFAULT_PRESET}:{NETWORK_FUSION}",
+    f"omnisyn-{DEFAULT_PRESET}:fusion=network",
     "matching:metres=2",
     "matching:cut=0.02",
     "matching:cut=0.1",
@@ -209,8 +213,9 @@ def find_method(name: str) -> Method:
     entry = RECIPES[base]
     description = entry.description
     changes = [_change(parameter, name) for parameter in parameters]
-    if {NETWORK_FUSION, ONE_VIEW} <= set(parameters):
-        raise InputError(f"expected {NETWORK_FUSION} or {ONE_VIEW}, got both in {name!r}: one view has nothing to fuse")
+    fusions = [parameter for parameter in parameters if parameter in FUSED_BY]
+    if fusions and ONE_VIEW in parameters:
+        raise InputError(f"expected {fusions[0]} or {ONE_VIEW}, got both in {name!r}: one view has nothing to fuse")
     if parameters:
         description = f"{description}; {', '.join(parameters)}"
 
@@ -235,8 +240,8 @@ def _change(parameter: str, name: str) -> Callable[[Recipe, MethodOptions], Reci
             return lambda recipe, _: replace(recipe, cut=Cut(relative=None, metres=float(value)))
         if key == "renderer" and value in RENDERERS:
             return lambda recipe, _: replace(recipe, renderer=value)
-        if parameter == NETWORK_FUSION:
-            return lambda recipe, options: replace(recipe, fuser=network_fuser(options.device))
+        if parameter in FUSED_BY:
+            return lambda recipe, options: replace(recipe, fuser=network_fuser(options.device, FUSED_BY[parameter]))
         if parameter == ONE_VIEW:
             return lambda recipe, _: replace(recipe, fuser=first_view_only)
         if key == "depth":
@@ -246,8 +251,8 @@ def _change(parameter: str, name: str) -> Callable[[Recipe, MethodOptions], Reci
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {NETWORK_FUSION} or {ONE_VIEW} after the colon, "
-        f"got {parameter!r} in {name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)} or {ONE_VIEW} after the "
+        f"colon, got {parameter!r} in {name!r}"
     )
 
 

@@ -81,12 +81,17 @@ def geometric_fuser(size: tuple[int, int], threads: int | None) -> Fuser:
     return GeometricFuser(size, threads=threads)
 
 
-def network_fuser(device: str) -> MakeFuser:
-    """The fusion with the network that is installed; making it raises MethodUnavailableError where there is none."""
+def network_fuser(device: str, name: str = "network") -> MakeFuser:
+    """The fusion with the network that is installed; making it raises MethodUnavailableError where there is none.
+
+    Args:
+        device: where it runs.
+        name: ``network`` or ``painting``, see :mod:`omnisyn_cli.fusers`.
+    """
 
     def make(size: tuple[int, int], threads: int | None) -> Fuser:
         try:
-            return make_fuser("network", size, device=device, threads=threads)
+            return make_fuser(name, size, device=device, threads=threads)
         except InputError as error:
             raise MethodUnavailableError(str(error)) from error
 

@@ -21,6 +21,7 @@ from omnisyn_cli.evaluation.calibration import calibrate
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.evaluation.views import load_pair
+from omnisyn_cli.fusers import make_fuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation import InterpolationJob, InterpolationPlan, plan_interpolation, run_interpolation
 from omnisyn_cli.io import PosedPanorama, open_video, write_poses
@@ -89,7 +90,7 @@ def run_trial(trial: Trial, folder: Path, launched: float) -> Figures:
     encoder = _encoder_alone(first_plan, estimator)
     start = max(0.0, started - sum(clips[0].values()))
     seconds = {"start": start, **{stage: _mean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
-    scores = list(chain.from_iterable(_scores(*each, setting) for each in zip(trial.pairs, found, strict=True)))
+    scores = list(chain.from_iterable(_scores(*each, first_plan) for each in zip(trial.pairs, found, strict=True)))
     return Figures(
         setting, key=trial.key, source=first_plan.source_sizes[0], seconds=seconds,
         calibration=calibrate(setting.threads), memory=memory, ws_psnr=_mean(scores) if scores else None,
@@ -177,19 +178,27 @@ def _per_pair_and_frame(seconds: dict[str, float], frames: int) -> dict[str, flo
     return {stage: value / frames if stage in FRAME_STAGES else value for stage, value in seconds.items()}
 
 
-def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, setting: Setting) -> list[float]:
-    """WS-PSNR of the true frames between, at their own size: frames of another size are resampled to it."""
+def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan: InterpolationPlan) -> list[float]:
+    """WS-PSNR of the true frames between, at their own size: frames of another size are resampled to it.
+
+    Args:
+        pair: with or without true frames.
+        depths: that were found.
+        plan: of any pair with the same setting.
+    """
     if depths is None or not pair.between:
         return []
-    loaded = load_pair(pair, None, setting.threads)
-    options = SynthesisOptions(setting.size, threads=setting.threads)
+    threads = plan.job.threads
+    loaded = load_pair(pair, None, threads)
+    options = SynthesisOptions(plan.size, plan.renderer, plan.cut, threads)
+    fuser = make_fuser(plan.fusion, plan.size, device=plan.job.device, threads=threads)
     path = [truth.waypoint for truth in loaded.truths]
-    made = synthesize(loaded.views, path, lambda first, second: depths, options)
-    images = (_resized(each.image, loaded.size, setting.threads) for each in made if isinstance(each, Frame))
+    made = synthesize(loaded.views, path, lambda first, second: depths, options, fuser)
+    images = (_resized(each.image, loaded.size, threads) for each in made if isinstance(each, Frame))
     return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]
 
 
-def _resized(image: np.ndarray, size: tuple[int, int], threads: int) -> np.ndarray:
+def _resized(image: np.ndarray, size: tuple[int, int], threads: int | None) -> np.ndarray:
     return image if image.shape[:2] == size else turned_panorama(image, Pose.identity(), size, threads)
 
 

@@ -43,9 +43,15 @@ class FusionCorrection(Protocol):
         ...
 
 
-def working_size(size: tuple[int, int], rows: int = WORKING_ROWS) -> tuple[int, int] | None:
-    """Height and width that the network works at for frames of ``size``; None where frames are too small for it."""
-    height = min(rows, size[0], size[1] // 2) // MULTIPLE * MULTIPLE
+def working_size(size: tuple[int, int], rows: int = WORKING_ROWS, multiple: int = MULTIPLE) -> tuple[int, int] | None:
+    """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
+
+    Args:
+        size: of the frames.
+        rows: that it looks at, at most.
+        multiple: that heights and widths have to be one of.
+    """
+    height = min(rows, size[0], size[1] // 2) // multiple * multiple
     return (height, 2 * height) if height else None
 
 

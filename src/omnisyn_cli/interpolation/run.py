@@ -73,7 +73,7 @@ def _frames(
     """All frames; the depth of every pair is handed to ``keep_depth``, what to think of it is put into ``pairs``."""
     job = plan.job
     options = SynthesisOptions(
-        plan.size, job.renderer, job.cut, job.threads,
+        plan.size, plan.renderer, plan.cut, job.threads,
         cross_fade=job.fallback == "crossfade", confidence=job.save_confidence is not None, adaptive=job.adaptive,
     )  # fmt: skip
     fuser = make_fuser(plan.fusion, plan.size, device=job.device, threads=job.threads)

@@ -122,6 +122,7 @@ def _export(
             dynamic_axes=dynamic_axes,
             opset_version=OPSET,
             external_data=False,
+            do_constant_folding=not isinstance(network, PaperNetwork),  # its sweep would be written out, and twice
             dynamo=False,
         )
     onnx.checker.check_model(str(path), full_check=True)

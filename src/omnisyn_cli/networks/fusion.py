@@ -84,8 +84,9 @@ class FusionConfig:
 FUSION_VARIANTS = {
     "residual": FusionConfig("residual", planes=20, widths=(20, 32, 48, 64, 96), fine=8),
     "paper": FusionConfig("paper", planes=8, widths=(16, 32, 64, 128, 256, 512, 1024), paints=True),
+    "paper-narrow": FusionConfig("paper-narrow", planes=8, widths=(4, 8, 16, 32, 64, 128, 256), paints=True),
 }
-"""The networks by name."""
+"""The networks by name; the last is the paper's with a quarter of the channels."""
 
 
 @dataclass(frozen=True)

@@ -61,8 +61,21 @@ AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
 AGREEMENT = 0.1
 """Relative difference between both heads at which the confidence is a half."""
 
-AGREEMENT_FLOOR = 0.02
+AGREEMENT_FLOOR = 0.05
 """Inverse depth · baseline below which differences are no longer relative."""
+
+
+FIRST_ANSWER = 0.25
+"""Inverse depth · baseline that a fresh network's low head says about everything, more or less."""
+
+
+MATCHING = 2.0
+"""By how much less a fresh network counts a sphere where colours differ by one."""
+
+RANDOM_SHARE = 0.1
+"""Of the weights beside that."""
+
+COLOURS = 3
 
 
 @dataclass(frozen=True)
@@ -104,8 +117,9 @@ class PaperConfig:
 PAPER_VARIANTS = {
     "paper": PaperConfig("paper", (256, 512)),
     "paper-square": PaperConfig("paper-square", (256, 256)),
+    "paper-narrow": PaperConfig("paper-narrow", (256, 512), (4, 8, 16, 32, 64, 128), (16, 32, 64, 128)),
 }
-"""The network by name: with square pixels, and with the authors' square images."""
+"""The network by name: with square pixels, with the authors' square images, and with a quarter of the channels."""
 
 
 @dataclass(frozen=True)
@@ -181,8 +195,15 @@ def _around(features: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=4)
-def _grid(config: PaperConfig, height: int, width: int) -> Tensor:
-    return torch.from_numpy(sweep_grid(sphere_inverse_depths(config), (height, width)))
+def _quarter(config: PaperConfig, height: int, width: int) -> Tensor:
+    """The upper left quarter of the sweep: straight ahead is its middle, so that the others mirror it."""
+    grid = sweep_grid(sphere_inverse_depths(config), (height, width))
+    return torch.from_numpy(np.ascontiguousarray(grid[:, : height // 2, : width // 2]))
+
+
+def _mirrored(quarter: Tensor) -> Tensor:
+    upper = torch.cat([quarter, quarter.flip(2) * quarter.new_tensor([-1.0, 1.0])], dim=2)
+    return torch.cat([upper, upper.flip(1) * quarter.new_tensor([1.0, -1.0])], dim=1)
 
 
 class PaperNetwork(nn.Module):
@@ -203,7 +224,32 @@ class PaperNetwork(nn.Module):
             Block(features, config.widths[0], enlarge=True),
             Block(config.widths[0], 1, leak=1.0),
         )
-        initialise(self)
+        self._begin()
+
+    @torch.no_grad()
+    def _begin(self) -> None:
+        """Random weights among which is a sweep of colours: spheres count the more the better they match.
+
+        Random features say where a pixel is (the row) and little about what it shows, so that no sphere matches better
+        than another; then rows are all that is learned for long. And the volume's last block has one channel: where
+        its LeakyReLU happens to begin below zero nothing comes through.
+        """
+        initialise(self, gain=1.0)
+        features, volume = self.features, self.volume
+        for block in features.blocks:
+            block.first.weight[:, -1] = 0.0  # of the row
+        for block in features.blocks[: features.finest + 1]:
+            block.pass_on(COLOURS, 0)
+        features.blocks[-1].pass_on(COLOURS, self.config.widths[features.finest])
+        first, last = volume.blocks[0], volume.blocks[-1]
+        first.pass_on(1, 0)
+        first.first.weight[0, :COLOURS, 1] = 1.0 / (9 * COLOURS)
+        nn.init.dirac_(last.second.weight)
+        nn.init.constant_(last.first.bias, FIRST_ANSWER)
+        last.first.weight.mul_(RANDOM_SHARE)
+        last.first.weight[0, self.config.volume_widths[0], 1, 1, 1] = -MATCHING
+        spheres = torch.from_numpy(sphere_inverse_depths(self.config)).to(self.low_head.weight.dtype)
+        self.low_head.weight.copy_((spheres / len(spheres)).view(1, -1, 1, 1))
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
@@ -222,15 +268,22 @@ class PaperNetwork(nn.Module):
         if height % multiple or width % multiple:
             raise ValueError(f"expected images of multiples of {multiple} rows and columns, got {height}×{width}")
         of_first, of_second = self.features(torch.cat([first, second])).chunk(2)
-        grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE)
+        grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE, torch.zeros_like(first[0, 0, 0, 0]))
         spheres = self.volume(sweep_volume(of_first, of_second, grid)).squeeze(1)  # (batch, levels, height/4, width/4)
         low = enlarged(self.low_head(spheres), FEATURE_STRIDE)
         high = self.high_head(torch.cat([spheres, of_first.to(spheres.dtype)], dim=1))
         return PaperPrediction(low.float(), high.float())
 
-    def grid(self, height: int, width: int) -> Float[Tensor, "levels height width 2"]:
-        """The sweep for features of a size."""
-        return _grid(self.config, height, width)
+    def grid(self, height: int, width: int, zero: Tensor | float = 0.0) -> Float[Tensor, "levels height width 2"]:
+        """The sweep for features of a size.
+
+        Args:
+            height: of the features.
+            width: of the features.
+            zero: one that depends on what the network is shown; with it an exported file holds a quarter of the sweep
+                and how the rest follows, not all of it.
+        """
+        return _mirrored(_quarter(self.config, height, width) + zero)
 
 
 class UNet(nn.Module):
@@ -260,6 +313,11 @@ class UNet(nn.Module):
             )
             for level in range(self.deepest, finest - 1, -1)
         )
+
+    @property
+    def blocks(self) -> list[Any]:
+        """All of them, in the order in which they are used."""
+        return [*self.down, *self.up]
 
     def forward(self, x: Tensor) -> Tensor:
         """``(batch, channels, *sizes)``, smaller by ``2 ** finest`` than the input."""
@@ -295,6 +353,15 @@ class Block(nn.Module):
         self.first = convolution(inputs + 1, outputs, 3, padding=padding)  # type: ignore[arg-type]
         self.second = convolution(outputs, outputs, 3, padding=padding)  # type: ignore[arg-type]
 
+    @torch.no_grad()
+    def pass_on(self, channels: int, begin: int) -> None:
+        """Make the first outputs what the inputs from ``begin`` on are, as far as these are not negative."""
+        for convolution, source in ((self.first, begin), (self.second, 0)):
+            middle = (1,) * (convolution.weight.ndim - 2)
+            for channel in range(channels):
+                convolution.weight[channel] = 0.0
+                convolution.weight[(channel, source + channel, *middle)] = 1.0
+
     def forward(self, x: Tensor) -> Tensor:
         """``(batch, outputs, *sizes)``."""
         x = torch.cat([x, row_channel(x)], dim=1)
@@ -311,10 +378,10 @@ def row_channel(like: Tensor) -> Tensor:
     Args:
         like: ``(batch, channels, *sizes)``, rows and columns last.
     """
-    batch, _, *inner = sizes(like)
-    row = torch.arange(inner[-2], dtype=torch.float32, device=like.device)
-    polar_angle: Tensor = pixel_to_angles(row, row, (inner[-2], inner[-1]))[1] / math.pi
-    return polar_angle.to(like.dtype)[:, None].expand(batch, 1, *inner)
+    *_, height, width = sizes(like)
+    row = torch.arange(height, dtype=torch.float32, device=like.device)
+    polar_angle: Tensor = pixel_to_angles(row, row, (height, width))[1] / math.pi
+    return polar_angle.to(like.dtype)[:, None].expand_as(like[:, :1])  # an exported file holds one column of it
 
 
 def enlarged(x: Tensor, factor: int) -> Tensor:

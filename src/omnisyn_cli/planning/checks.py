@@ -14,7 +14,7 @@ from omnisyn_cli.io.paths import check_name
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
-from omnisyn_cli.planning.job import DEPTH_METHODS, FALLBACKS, RENDERERS, InterpolationJob, depth_files
+from omnisyn_cli.planning.job import DEPTH_METHODS, FALLBACKS, RENDERER_CHOICES, InterpolationJob, depth_files
 from omnisyn_cli.presets import FUSION_CHOICES, PRESETS
 from omnisyn_cli.runtime.session import DEVICES
 from omnisyn_cli.trajectory import EASES, HEADINGS
@@ -62,7 +62,7 @@ def check_choices(job: InterpolationJob) -> None:
     choices = {
         "preset": (job.preset, PRESETS),
         "depth": (job.depth, DEPTH_METHODS),
-        "renderer": (job.renderer, RENDERERS),
+        "renderer": (job.renderer, RENDERER_CHOICES),
         "fusion": (job.fusion, FUSION_CHOICES),
         "ease": (job.ease, EASES),
         "heading": (job.heading, HEADINGS),

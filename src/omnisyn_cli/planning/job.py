@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from omnisyn_cli.estimators import DEPTH_SOURCES
@@ -17,6 +17,7 @@ __all__ = [
     "FALLBACKS",
     "POSES_FROM_PICTURES",
     "RENDERERS",
+    "RENDERER_CHOICES",
     "InterpolationJob",
     "depth_files",
     "depth_name",
@@ -29,6 +30,9 @@ DEPTH_METHODS = ("auto", *DEPTH_SOURCES)
 
 RENDERERS = ("mesh", "points", "two-pass")
 """Those of :mod:`omnisyn_cli.render.renderer`, by name: importing it takes longer than planning."""
+
+RENDERER_CHOICES = ("auto", *RENDERERS)
+"""What users choose from: ``auto`` is the preset's."""
 
 POSES_FROM_PICTURES = Path("auto")
 """Stands for a pose file where there is none."""
@@ -54,10 +58,11 @@ class InterpolationJob:
         model: for ``network`` and ``refined``: an ONNX file, or a name in the manifest of installed models; None is the
             preset's.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``. All else runs on the processor.
-        renderer: ``mesh``, ``points`` or ``two-pass``.
-        cut: where meshes are cut.
-        fusion: ``geometric``, ``network``, which corrects it where the views contradict each other, or ``auto``: what
-            the preset says where depth is estimated, ``geometric`` where it comes from files.
+        renderer: ``mesh``, ``points``, ``two-pass``, or ``auto``: what the preset says.
+        cut: where meshes are cut; None is the preset's.
+        fusion: ``geometric``, ``network``, which corrects it where the views contradict each other, ``painting``, which
+            does without it, or ``auto``: what the preset says where depth is estimated, ``geometric`` where it comes
+            from files.
         ease, heading: see :func:`omnisyn_cli.trajectory.plan_path`.
         codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.
@@ -88,8 +93,8 @@ class InterpolationJob:
     depth: str = "auto"
     model: str | None = None
     device: str = "auto"
-    renderer: str = "mesh"
-    cut: Cut = field(default_factory=Cut)
+    renderer: str = "auto"
+    cut: Cut | None = None
     fusion: str = "auto"
     ease: Ease = "linear"
     heading: Heading = "panoramas"

@@ -16,6 +16,9 @@ __all__ = ["estimated_memory"]
 PROGRAM = 450e6
 """Bytes of the interpreter, its libraries, compiled kernels and matching."""
 
+PAINTING, PAINTED_ROWS = 150, 1024
+"""Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
+
 BYTES_PER_VERTEX = {"mesh": 45, "points": 400, "two-pass": 950}
 """Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
 
@@ -31,6 +34,7 @@ def estimated_memory(
     size: tuple[int, int],
     sources: Sequence[tuple[int, int]],
     depths: Sequence[tuple[int, int]],
+    renderer: str,
     fusion: str,
     *,
     is_sharpened: bool,
@@ -42,6 +46,7 @@ def estimated_memory(
         size: height and width of the frames.
         sources: those of the panoramas.
         depths: those of the surfaces.
+        renderer: how they are drawn.
         fusion: how renderings are fused.
         is_sharpened: whether estimates come to their size by :mod:`omnisyn_cli.stereo.sharpening`.
 
@@ -50,21 +55,21 @@ def estimated_memory(
     """
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    is_kept_as_samples = has_samples and job.renderer == "mesh"
+    is_kept_as_samples = has_samples and renderer == "mesh"
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
-    surfaces = 2 * BYTES_PER_VERTEX[job.renderer] * vertices
+    surfaces = 2 * BYTES_PER_VERTEX[renderer] * vertices
     sharpening = 2 * numbers * largest + BYTES_PER_SHARPENED_PIXEL * vertices if is_sharpened else 0
     texturing_surfaces = surfaces + 2 * (numbers + texturing) * largest
-    frames = surfaces + _bytes_of_frames(job, size, fusion) + numbers * largest
+    frames = surfaces + _bytes_of_frames(job, size, renderer, fusion) + numbers * largest
     return int(PROGRAM + 2 * kept * largest + max(sharpening, texturing_surfaces, frames))
 
 
-def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], fusion: str) -> float:
+def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str, fusion: str) -> float:
     """What making frames takes: two renderings, the pyramid that fills holes, frames on their way to the encoder."""
     pixels = size[0] * size[1]
     is_by_rows = are_frames_by_rows(
-        job.renderer, fusion, size,
+        renderer, fusion, size,
         is_rounded=is_rounded(job), is_judged=job.fallback == "crossfade" or job.save_confidence is not None,
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5
@@ -72,4 +77,5 @@ def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], fusion: str) 
     if is_by_rows:
         return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
     largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
-    return pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)
+    painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if fusion == "painting" else 0
+    return painted + pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)

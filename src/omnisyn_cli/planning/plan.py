@@ -25,7 +25,8 @@ from omnisyn_cli.planning.checks import (
 )
 from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
-from omnisyn_cli.presets import FUSION_MODEL, PRESETS
+from omnisyn_cli.presets import FUSION_MODELS, PRESETS
+from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
@@ -55,6 +56,8 @@ class InterpolationPlan:
         depth: where depth comes from, one of :data:`omnisyn_cli.estimators.DEPTH_SOURCES`.
         model: the network that has a part in it; None if none has.
         fusion: how two renderings become one picture, one of :data:`omnisyn_cli.presets.FUSIONS`.
+        renderer: how surfaces are drawn, one of :data:`omnisyn_cli.planning.RENDERERS`.
+        cut: where they are cut.
         length: metres from the first panorama to the last.
         memory: bytes that the pictures and buffers will take, estimated.
         notes: what the user should know.
@@ -68,6 +71,8 @@ class InterpolationPlan:
     depth: str
     model: str | None
     fusion: str
+    renderer: str
+    cut: Cut
     length: float
     memory: int
     notes: tuple[str, ...]
@@ -86,7 +91,7 @@ class InterpolationPlan:
             "preset": self.job.preset,
             "depth": self.depth,
             "model": self.model or "",
-            "renderer": self.job.renderer,
+            "renderer": self.renderer,
             "fusion": self.fusion,
             "path_metres": round(self.length, 4),
             "memory_mib": round(self.memory / 2**20),
@@ -108,7 +113,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checked_size(image, job) for image in job.images)
     depth = _depth_method(job, entries)
-    model, fusion = _model(job, depth), _fusion(job, depth)
+    made_with = _made_with(job, depth)
     for network in networks_of(job, entries):
         find_model(network)
     check_companions(entries, depth)
@@ -119,9 +124,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
-    memory = _memory(job, entries, size, source_sizes, depth, fusion)
+    memory = _memory(job, size, source_sizes, entries, depth)
     return InterpolationPlan(
-        job, entries, source_sizes, size, path, depth, model, fusion, path_length(poses), memory,
+        job, entries, source_sizes, size, path, depth, *made_with, path_length(poses), memory,
         (*remarks, *_notes(job, entries, depth)),
     )  # fmt: skip
 
@@ -136,9 +141,11 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     depth = _depth_method(job, plan.entries)
     for network in networks_of(job, plan.entries):
         find_model(network)
-    fusion = _fusion(job, depth)
-    memory = _memory(job, plan.entries, plan.size, plan.source_sizes, depth, fusion)
-    return replace(plan, job=job, depth=depth, model=_model(job, depth), fusion=fusion, memory=memory)
+    model, fusion, renderer, cut = _made_with(job, depth)
+    memory = _memory(job, plan.size, plan.source_sizes, plan.entries, depth)
+    return replace(
+        plan, job=job, depth=depth, model=model, fusion=fusion, renderer=renderer, cut=cut, memory=memory
+    )  # fmt: skip
 
 
 def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
@@ -148,8 +155,8 @@ def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tupl
         InputError, PoseError: depth cannot be had as the job asks for it.
     """
     depth = _depth_method(job, entries)
-    model = _model(job, depth)
-    return (*(() if model is None else (model,)), *((FUSION_MODEL,) if _fusion(job, depth) == "network" else ()))
+    fusing = FUSION_MODELS.get(_fusion(job, depth))
+    return tuple(network for network in (_model(job, depth), fusing) if network is not None)
 
 
 def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
@@ -232,11 +239,20 @@ def _fusion(job: InterpolationJob, depth: str) -> str:
     return "geometric" if depth == "file" else PRESETS[job.preset].fusion
 
 
+def _made_with(job: InterpolationJob, depth: str) -> tuple[str | None, str, str, Cut]:
+    """Network of the depth, fusion, renderer and cut: what the job says, else its preset."""
+    preset = PRESETS[job.preset]
+    renderer = preset.renderer if job.renderer == "auto" else job.renderer
+    cut = Cut() if preset.cut_metres is None else Cut(relative=None, metres=preset.cut_metres)
+    return _model(job, depth), _fusion(job, depth), renderer, cut if job.cut is None else job.cut
+
+
 def _memory(
-    job: InterpolationJob, entries: Sequence[PosedPanorama], size: tuple[int, int],
-    sources: Sequence[tuple[int, int]], depth: str, fusion: str,
+    job: InterpolationJob, size: tuple[int, int], sources: Sequence[tuple[int, int]],
+    entries: Sequence[PosedPanorama], depth: str,
 ) -> int:  # fmt: skip
     """Bytes, estimated; a network alone is taken to answer in the size of matching."""
+    _, fusion, renderer, _ = _made_with(job, depth)
     rows = PRESETS[job.preset].depth_rows
     if depth == "file":
         headers = [read_header(entry.depth) for entry in entries if entry.depth is not None]
@@ -246,7 +262,7 @@ def _memory(
     else:
         surfaces = [(coarse_rows(rows), 2 * coarse_rows(rows))]
     is_sharpened = depth == "refined" and len(surfaces) > 1
-    return estimated_memory(job, size, sources, surfaces, fusion, is_sharpened=is_sharpened)
+    return estimated_memory(job, size, sources, surfaces, renderer, fusion, is_sharpened=is_sharpened)
 
 
 def _encoder(job: InterpolationJob) -> str:

@@ -1,4 +1,4 @@
-"""The fusion network in ONNX Runtime, at any size that it can halve often enough."""
+"""Fusion networks in ONNX Runtime, at any size that they can halve often enough."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_network
 
-__all__ = ["SessionFusion"]
+__all__ = ["SessionFusion", "SessionPainter"]
 
 
 class SessionFusion:
@@ -24,12 +24,7 @@ class SessionFusion:
     """
 
     def __init__(self, session: Any) -> None:
-        names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
-        if names != [["planes"], ["shift", "colour"]]:
-            raise InputError(
-                "expected a fusion model with the input 'planes' and the outputs 'shift' and 'colour', "
-                f"got {names[0]} and {names[1]}; name another"
-            )
+        _check_names(session, ["shift", "colour"])
         self._session = session
 
     def __call__(
@@ -41,3 +36,33 @@ class SessionFusion:
             self._session, {"planes": planes[None]}, ((1, 1, height, width), (1, 3, height, width))
         )
         return shift[0, 0], colour[0]
+
+
+class SessionPainter:
+    """Planes in, a picture out; see :class:`omnisyn_cli.fusion.painting.Painter`.
+
+    Args:
+        session: of a fusion model that paints, from :func:`omnisyn_cli.runtime.session.open_session`.
+
+    Raises:
+        InputError: the model is of another kind.
+    """
+
+    def __init__(self, session: Any) -> None:
+        _check_names(session, ["colour"])
+        self._session = session
+
+    def __call__(self, planes: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
+        """The picture, not bounded; InputError if the model is broken."""
+        (colour,) = run_network(self._session, {"planes": planes[None]}, ((1, 3, *planes.shape[1:]),))
+        picture: Float32[np.ndarray, "3 height width"] = colour[0]
+        return picture
+
+
+def _check_names(session: Any, outputs: list[str]) -> None:
+    names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
+    if names != [["planes"], outputs]:
+        raise InputError(
+            f"expected a fusion model with the input 'planes' and the outputs {' and '.join(map(repr, outputs))}, "
+            f"got {names[0]} and {names[1]}; name another"
+        )

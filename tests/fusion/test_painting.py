@@ -1,0 +1,82 @@
+"""The paper's fusion: the network sees both renderings as in training, and its picture is the frame."""
+
+import numpy as np
+import pytest
+import torch
+from test_network_fuser import copy, geometric, pair
+
+from omnisyn_cli.fusion.painting import MULTIPLE, PaintingFuser
+from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.networks.fusion import FUSION_VARIANTS
+from omnisyn_cli.training.fusion_losses import inputs_of
+
+
+class Painter:
+    """Stands in for the network: answers with a picture, or with the first view; remembers what it was shown."""
+
+    def __init__(self, picture=None):
+        self.picture, self.shown = picture, []
+
+    def __call__(self, planes):
+        self.shown.append(planes.copy())
+        return planes[:3].copy() if self.picture is None else self.picture
+
+
+def paint(views, painter, t=0.5, rows=1024, threads=1):
+    size = views[0].inverse_depth.shape
+    return PaintingFuser(size, painter, None, threads, rows)(*map(copy, views), t).copy()
+
+
+@pytest.mark.parametrize(("size", "rows"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
+def test_the_network_sees_what_it_was_trained_with(size, rows):
+    """Against the planes that training takes from a pool, which another module makes."""
+    views, painter = pair(size), Painter()
+    paint(views, painter, rows=rows)
+    recorded = PlaneMaker((64, 128), 0.06, threads=1)(*map(copy, views), 0.5, 0.003).planes
+    assert len(recorded) == PLANES
+    expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
+    np.testing.assert_array_equal(painter.shown[0], expected)
+    assert {0.0, 1.0} == set(np.unique(painter.shown[0][6:]))
+
+
+def test_at_its_own_size_the_picture_is_the_frame_within_the_range_of_colours():
+    picture = np.random.default_rng(0).uniform(-0.5, 1.5, (3, 64, 128)).astype(np.float32)
+    found = paint(pair((64, 128)), Painter(picture))
+    np.testing.assert_array_equal(found, picture.transpose(1, 2, 0).clip(0, 1))
+
+
+def test_it_paints_from_the_first_frame_to_the_last():
+    """Nothing fades towards the ends: the authors' network is not told how far the way is."""
+    views, picture = pair((64, 128)), np.full((3, 64, 128), 0.25, np.float32)
+    for t in (0.002, 0.5, 0.998):
+        assert (paint(views, Painter(picture), t) == 0.25).all()
+
+
+def test_larger_frames_are_enlarged_across_the_seam_and_the_poles():
+    picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
+    found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)), rows=64)
+    expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))
+    np.testing.assert_allclose(found, expected, atol=0.02)  # OpenCV knows 32 places between two pixels
+    assert np.abs(found - expected).mean() < 0.005
+
+
+def test_from_one_place_views_are_cross_faded_without_the_network():
+    first, second = pair((64, 128))
+    views = first, type(second)(second.inverse_depth, second.colour, first.target_from_source)
+    painter = Painter()
+    np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
+    assert painter.shown == []
+
+
+def test_frames_that_cannot_be_halved_often_enough_are_fused_by_rules():
+    views, painter = pair((MULTIPLE // 2, MULTIPLE)), Painter()
+    np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
+    assert painter.shown == []
+
+
+def test_threads_change_nothing():
+    views = pair((96, 192))
+    np.testing.assert_array_equal(paint(views, Painter()), paint(views, Painter(), threads=3))
+    assert not PaintingFuser((1024, 2048), Painter()).takes_rows()
