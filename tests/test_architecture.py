@@ -18,6 +18,7 @@ LAYERS = (
     {"batch"},
     {"interpolation"},
     {"planning"},
+    {"synsin"},
     {"estimators", "fusers", "posing", "synthesis"},
     {"crosscheck", "fallback", "rows"},
     {

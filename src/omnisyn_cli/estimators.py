@@ -1,7 +1,7 @@
 """Where depth comes from, by name: what the commands offer as ``--depth``.
 
 ``file``: what came with the panoramas. ``matching``: classical stereo. ``refined``: matching made better by a network.
-``network``: a stereo network alone.
+``network``: a stereo network alone. ``monocular``: a network that looks at each panorama by itself.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from omnisyn_cli.types import DepthEstimator, KnownDepth
 
 __all__ = ["DEPTH_SOURCES", "make_estimator"]
 
-DEPTH_SOURCES = ("file", "matching", "refined", "network")
+DEPTH_SOURCES = ("file", "matching", "refined", "network", "monocular")
 
 REFINED_ROWS = 512
 """Rows of matching at which the refinement network has been trained."""
@@ -25,7 +25,8 @@ def make_estimator(
         source: one of :data:`DEPTH_SOURCES`.
         rows: that matching works towards; refined estimates have half of them. For twice :data:`REFINED_ROWS` or more
             the network refines half of that size, and matching at the full one adds what it is sure of.
-        model: name in the manifest or path of an ONNX file, for ``refined`` and ``network``.
+        model: name in the manifest or path of an ONNX file, for ``refined``, ``network`` and
+            ``monocular``.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
 
@@ -42,6 +43,11 @@ def make_estimator(
 
         learned: DepthEstimator = LearnedDepthEstimator(_session(model, device, threads))
         return learned
+    if source == "monocular":
+        from omnisyn_cli.runtime.synsin import MonocularDepthEstimator
+
+        alone: DepthEstimator = MonocularDepthEstimator(_session(model, device, threads))
+        return alone
     from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 
     matching = MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)

@@ -6,7 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-__all__ = ["DEFAULT_PRESET", "FUSIONS", "FUSION_CHOICES", "FUSION_MODEL", "PRESETS", "Preset"]
+__all__ = [
+    "DEFAULT_PRESET",
+    "FUSIONS",
+    "FUSION_CHOICES",
+    "FUSION_MODEL",
+    "METHODS",
+    "OMNISYN",
+    "PRESETS",
+    "SYNSIN_MODELS",
+    "SYNSIN_SOURCES",
+    "Preset",
+]
 
 
 @dataclass(frozen=True)
@@ -52,3 +63,14 @@ FUSION_CHOICES = ("auto", *FUSIONS)
 
 FUSION_MODEL = "fusion-residual"
 """Name of the fusion network in the manifest."""
+
+OMNISYN = "omnisyn"
+
+METHODS = (OMNISYN, "synsin", "synsin-2view")
+"""How frames are made: this program's way or, to compare it with, SynSin from the nearer panorama or from both."""
+
+SYNSIN_MODELS = ("synsin-depth", "synsin-encoder", "synsin-decoder")
+"""Names of SynSin's networks in the manifest; the first finds depth in one panorama."""
+
+SYNSIN_SOURCES: Mapping[str, int] = MappingProxyType({"synsin": 1, "synsin-2view": 2})
+"""How many panoramas a frame is made of, by method."""

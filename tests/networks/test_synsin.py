@@ -14,7 +14,7 @@ from omnisyn_cli.networks.synsin import (
     inverse_depth_of,
 )
 
-TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8, 8), decoder_widths=(6, 8, 8), fine=4)
+TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 
 
 @pytest.fixture

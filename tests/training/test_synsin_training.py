@@ -24,7 +24,7 @@ from omnisyn_cli.training.data import PoolScene, list_pool, load_scene
 from omnisyn_cli.training.lessons import Lesson, draw_lessons, make_lesson
 from omnisyn_cli.training.loop import TrainConfig, train
 
-TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8, 8), decoder_widths=(6, 8, 8), fine=4)
+TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 
 
 @pytest.fixture

@@ -54,9 +54,9 @@ class SynSinConfig:
         name: of the variant.
         size: ``(height, width)`` they are trained and exported at.
         features: channels of every point, colours included (64 in the paper).
-        depth_widths: channels of the depth network, from stride 2 on.
-        decoder_widths: channels of the decoder, from full resolution on.
-        fine: channels of the depth network at full resolution.
+        depth_widths: channels of the depth network, from stride 4 on.
+        decoder_widths: channels of the decoder, from stride 2 on.
+        fine: channels of the depth network at stride 2, and half as many of the decoder at full resolution.
         greatest_root: largest root of inverse depth (m^-½) that is answered.
         radius: of a point in rows; the paper's 4 at 256 rows are an angle, which is kept.
         points: that a pixel is made of at most (128 in the paper).
@@ -64,10 +64,10 @@ class SynSinConfig:
 
     name: str
     size: tuple[int, int]
-    features: int = 16
-    depth_widths: tuple[int, ...] = (24, 40, 64, 96, 128)
-    decoder_widths: tuple[int, ...] = (16, 32, 64, 96)
-    fine: int = 8
+    features: int = 8
+    depth_widths: tuple[int, ...] = (32, 64, 96, 128)
+    decoder_widths: tuple[int, ...] = (24, 40, 64)
+    fine: int = 16
     greatest_root: float = 2.0
     radius: float = 2.0
     points: int = 16
@@ -75,7 +75,7 @@ class SynSinConfig:
     @property
     def size_multiple(self) -> int:
         """Heights and widths have to be a multiple of this."""
-        return int(2 ** max(len(self.depth_widths), len(self.decoder_widths) - 1))
+        return int(2 ** max(len(self.depth_widths) + 1, len(self.decoder_widths)))
 
     def radius_at(self, rows: int) -> float:
         """Rows that a point reaches over in pictures of another size: the angle stays."""
@@ -135,34 +135,34 @@ class MonocularNetwork(nn.Module):
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__()
         self.config = config
-        self.body = Hourglass(4 * (COLOURS + 1), config.depth_widths)
+        self.body = Hourglass(16 * (COLOURS + 1), config.depth_widths)
         self.spread = nn.Conv2d(config.depth_widths[0], 4 * config.fine, 1)
-        self.look = WrappedConv(COLOURS + 1, config.fine)
+        self.look = WrappedConv(4 * (COLOURS + 1), config.fine)
         self.fine = ResidualBlock(config.fine, config.fine)
-        self.answer = WrappedConv(config.fine, 1)
+        self.answer = WrappedConv(config.fine, 4)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Estimate; ValueError for a size that is no multiple of ``config.size_multiple``."""
         _check_size(image, self.config)
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
-        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 2))), 2)
-        root: Tensor = self.answer(self.fine(functional.leaky_relu(coarse + self.look(seen), LEAK)))
-        return root
+        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 4))), 2)
+        fine = functional.leaky_relu(coarse + self.look(functional.pixel_unshuffle(seen, 2)), LEAK)
+        return functional.pixel_shuffle(self.answer(self.fine(fine)), 2)
 
 
 class FeatureEncoder(nn.Module):
-    """One panorama in, the features of its pixels out: the colours, and what a few convolutions see around them."""
+    """One panorama in, the features of its pixels out: the colours, and what two convolutions see around them."""
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__()
-        self.first = ResidualBlock(COLOURS + 1, config.features)
-        self.second = ResidualBlock(config.features, config.features)
+        self.config = config
+        self.block = ResidualBlock(COLOURS + 1, config.features)
         self.answer = nn.Conv2d(config.features, config.features - COLOURS, 1)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch features height width"]:
         """Encode."""
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
-        return torch.cat([image, self.answer(self.second(self.first(seen)))], dim=1)
+        return torch.cat([image, self.answer(self.block(seen))], dim=1)
 
 
 class RefinementDecoder(nn.Module):
@@ -171,13 +171,18 @@ class RefinementDecoder(nn.Module):
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__()
         self.config = config
-        self.body = Hourglass(config.features + 2, config.decoder_widths)
-        self.answer = WrappedConv(config.decoder_widths[0], COLOURS)
+        channels = config.features + 2
+        self.body = Hourglass(4 * channels, config.decoder_widths)
+        self.spread = nn.Conv2d(config.decoder_widths[0], 2 * config.fine, 1)
+        self.look = WrappedConv(channels, config.fine // 2)
+        self.answer = WrappedConv(config.fine // 2, COLOURS)
 
     def forward(self, points: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 3 height width"]:
         """Decode; ValueError for a size that is no multiple of ``config.size_multiple``."""
         _check_size(points, self.config)
-        correction = self.answer(self.body(torch.cat([points, row_channel(points)], dim=1)))
+        seen = torch.cat([points, row_channel(points)], dim=1)
+        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 2))), 2)
+        correction = self.answer(functional.leaky_relu(coarse + self.look(seen), LEAK))
         colours: Tensor = points[:, :COLOURS] + correction
         return colours
 

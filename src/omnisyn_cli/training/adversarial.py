@@ -23,7 +23,7 @@ __all__ = [
     "opposing_loss",
 ]
 
-ALONE, RAMP = 1000, 500
+ALONE, RAMP = 400, 200
 """Steps in which the opponent only watches, and over which its say rises to the whole weight after them."""
 
 WEIGHT = 0.01

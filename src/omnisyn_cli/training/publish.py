@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,76 +14,149 @@ import numpy as np
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.io.paths import replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
-from omnisyn_cli.networks.export import PARITY, export_depth, export_fusion, export_refine, largest_difference
+from omnisyn_cli.networks.export import (
+    PARITY,
+    export_depth,
+    export_fusion,
+    export_refine,
+    export_synsin,
+    largest_difference,
+)
 from omnisyn_cli.networks.fusion import FusionConfig
 from omnisyn_cli.networks.paper import PaperConfig
 from omnisyn_cli.networks.refine import RefineConfig
+from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
 from omnisyn_cli.training.data import draw_batch, list_pool
 from omnisyn_cli.training.evidence import draw_evidence
 from omnisyn_cli.training.frames import forward_batch
 from omnisyn_cli.training.fusion import draw_fusion
 from omnisyn_cli.training.fusion_losses import inputs_of
+from omnisyn_cli.training.lessons import draw_lessons
 from omnisyn_cli.training.loop import load_network
+from omnisyn_cli.training.synsin import blend_points
 
-__all__ = ["publish", "write_manifest"]
+__all__ = ["publish", "publish_all", "write_manifest"]
 
 ROLES: Mapping[str, str] = MappingProxyType({"paper": "depth"})
 """What a model is for, by the kind of its network, where that is not the kind itself."""
+
+COLOURS = 3
+"""Channels of a panorama."""
 
 COMPARED = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
 
 
+@dataclass(frozen=True)
+class _Part:
+    """A network of a checkpoint that becomes a file of its own."""
+
+    name: str
+    role: str
+    network: Any
+    size: tuple[int, int]
+    export: Callable[[Any, Path], None]
+    examples: Iterator[tuple[np.ndarray, ...]]
+
+
 def publish(
     checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
 ) -> tuple[ModelEntry, float]:
-    """Write the averaged network of a checkpoint into a folder of models.
+    """The first of what :func:`publish_all` writes, which for most kinds is all."""
+    return publish_all(checkpoint, folder, name=name, pool=pool, training=training, licence=licence)[0]
+
+
+def publish_all(
+    checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
+) -> list[tuple[ModelEntry, float]]:
+    """Write the averaged networks of a checkpoint into a folder of models: one, or SynSin's three.
 
     Args:
         checkpoint: of :func:`omnisyn_cli.training.loop.train`.
-        folder: gets ``NAME.onnx`` and a new manifest.
-        name: ``ROLE-VARIANT`` unless given.
+        folder: gets ``NAME.onnx`` (SynSin: ``NAME-depth.onnx`` and so on) and a new manifest.
+        name: ``ROLE-VARIANT`` unless given (``synsin``).
         pool: scenes to compare on, besides random inputs.
         training: on what and for how long, for the manifest.
         licence: of the weights.
 
     Returns:
-        The entry of the manifest, and the largest relative difference found.
+        The entries of the manifest, each with the largest relative difference found.
 
     Raises:
         InputError: no checkpoint, or no scenes.
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
     network, state = load_network(checkpoint)
-    kind, role = state["kind"], ROLES.get(state["kind"], state["kind"])
-    name = name or f"{role}-{network.config.name}"
+    parts = _parts(network, state, name, pool)
     folder.mkdir(parents=True, exist_ok=True)
-    path, partial = folder / f"{name}.onnx", folder / f"{name}.partial.onnx"
-    export, examples = EXPORTS[kind]
-    export(network, partial)
-    size = network.config.size if role == "depth" else tuple(state["training"]["size"])
-    difference = largest_difference(network, partial, examples(network.config, size, pool))
-    if not difference <= PARITY:
-        partial.unlink()
+    partials = [folder / f"{part.name}.partial.onnx" for part in parts]
+    differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
+    if not max(differences) <= PARITY:
+        for partial in partials:
+            partial.unlink()
         raise OmnisynError(
-            f"expected ONNX Runtime to agree with torch within {PARITY}, got {difference:.1e}; not exported"
+            f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported"
         )
-    partial.replace(path)
-    entry = ModelEntry(
-        name=name,
-        role=role,
-        variant=network.config.name,
-        file=path.name,
-        sha256=sha256_of(path),
-        size=(size[0], size[1]),
-        parameters=sum(parameter.numel() for parameter in network.parameters()),
-        training=training or f"{state['step']} steps",
-        licence=licence,
-        metrics=state.get("scores", {}),
-    )
-    write_manifest(folder, read_manifest(folder) | {name: entry})
-    return entry, difference
+    entries = []
+    for part, partial in zip(parts, partials, strict=True):
+        path = folder / f"{part.name}.onnx"
+        partial.replace(path)
+        entries.append(
+            ModelEntry(
+                name=part.name,
+                role=part.role,
+                variant=network.config.name,
+                file=path.name,
+                sha256=sha256_of(path),
+                size=part.size,
+                parameters=sum(parameter.numel() for parameter in part.network.parameters()),
+                training=training or f"{state['step']} steps",
+                licence=licence,
+                metrics=state.get("scores", {}),
+            )
+        )
+    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
+    return list(zip(entries, differences, strict=True))
+
+
+def _exported(part: _Part, path: Path) -> float:
+    part.export(part.network, path)
+    return largest_difference(part.network, path, part.examples)
+
+
+def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:
+    kind, config = state["kind"], network.config
+    if kind == "synsin":
+        return _synsin_parts(network, name or kind, pool)
+    role = ROLES.get(kind, kind)
+    height, width = config.size if role == "depth" else state["training"]["size"]
+    export, examples = EXPORTS[kind]
+    made = examples(config, (height, width), pool)
+    return [_Part(name or f"{role}-{config.name}", role, network, (height, width), export, made)]
+
+
+def _synsin_parts(network: SynSinNetwork, name: str, pool: Path | None) -> list[_Part]:
+    """Depth, encoder and decoder."""
+    config = network.config
+    inputs = {"depth": 3, "encoder": 3, "decoder": config.features + 1}
+    return [
+        _Part(
+            f"{name}-{part}", f"synsin-{part}", getattr(network, part), config.size, export_synsin,
+            _synsin_examples(network, channels, pool),
+        )
+        for part, channels in inputs.items()
+    ]  # fmt: skip
+
+
+def _synsin_examples(network: SynSinNetwork, channels: int, pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
+    """Noise, and panoramas of a pool or what the decoder would see of them."""
+    rng, size = np.random.default_rng(0), network.config.size
+    for _ in range(COMPARED):
+        yield (rng.random((1, channels, *size), dtype=np.float32),)
+    lessons = draw_lessons(list_pool(pool), rng, COMPARED, size) if pool is not None else []
+    for lesson in lessons:
+        yield (lesson.images[:1].numpy() if channels == COLOURS else blend_points(network, lesson)[None].numpy(),)
 
 
 def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:

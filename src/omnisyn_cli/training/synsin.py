@@ -17,8 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import Module
 
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.metrics import ws_psnr
-from omnisyn_cli.networks.synsin import SynSinNetwork, inverse_depth_of
+from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
 from omnisyn_cli.render.soft_points_torch import splat_torch
 from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, feature_loss, opposing_loss
 from omnisyn_cli.training.data import list_pool, load_scene
@@ -26,7 +27,7 @@ from omnisyn_cli.training.lessons import Lesson, draw_lessons, make_lesson
 from omnisyn_cli.training.losses import depth_scores, polar_weights, root_loss
 from omnisyn_cli.training.pictures import depth_pictures
 
-__all__ = ["Made", "contest_losses", "make_pictures", "own_loss", "show_synsin", "validate_synsin"]
+__all__ = ["Made", "blend_points", "contest_losses", "make_pictures", "own_loss", "show_synsin", "validate_synsin"]
 
 DEPTH_WEIGHT = 0.5
 """Of the absolute error of roots beside that of colours."""
@@ -49,16 +50,27 @@ def make_pictures(network: SynSinNetwork, lessons: Sequence[Lesson]) -> Made:
     """Encode all panoramas, blend the points of each lesson, decode all of them at once."""
     device, config = next(network.parameters()).device, network.config
     images = torch.cat([lesson.images for lesson in lessons]).to(device)
-    size = (images.shape[-2], images.shape[-1])
     roots, features = network.depth(images).float(), network.encoder(images).float()
     inverse_depth = inverse_depth_of(roots, config)[:, 0]
     blended, begin = [], 0
     for lesson in lessons:
         views = slice(begin, begin + len(lesson.images))
-        clouds = list(features[views]), list(inverse_depth[views]), lesson.target_from_sources
-        blended.append(splat_torch(*clouds, size, radius=config.radius_at(size[0]), most=config.points))
+        blended.append(_blended(config, features[views], inverse_depth[views], lesson.target_from_sources))
         begin = views.stop
     return Made(network.decoder(torch.stack(blended)).float(), roots)
+
+
+@torch.no_grad()
+def blend_points(network: SynSinNetwork, lesson: Lesson) -> Float[Tensor, "channels height width"]:
+    """What the decoder is shown of a lesson: blended features, and their opacity."""
+    inverse_depth = inverse_depth_of(network.depth(lesson.images), network.config)[:, 0]
+    return _blended(network.config, network.encoder(lesson.images), inverse_depth, lesson.target_from_sources)
+
+
+def _blended(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses: Sequence[Pose]) -> Tensor:
+    size = (features.shape[-2], features.shape[-1])
+    radius = config.radius_at(size[0])
+    return splat_torch(list(features), list(inverse_depth), poses, size, radius=radius, most=config.points)
 
 
 def own_loss(made: Made, lessons: Sequence[Lesson]) -> Tensor:
