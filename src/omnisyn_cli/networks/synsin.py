@@ -2,7 +2,8 @@
 
 1. ``depth``: inverse depth (1/m) of a single upright panorama. Nothing in one picture gives a scale but what is known
    of the world (how high cameras are held, how large doors are), so it is learned from scenes in metres.
-2. ``encoder``: features of every pixel. The first three are its colours, so that a picture of points begins as one.
+2. ``encoder``: features of every pixel. The first three are its colours, and what the decoder says is added to those
+   of the points, so that a picture begins as one.
 3. ``decoder``: blended points (:mod:`omnisyn_cli.render.soft_points`) and their opacity become a picture; what no point
    covers is made up.
 
@@ -42,6 +43,9 @@ COLOURS = 3
 FIRST_ROOT = 0.4
 """What a fresh depth network answers everywhere: six metres."""
 
+LEAST_OPACITY = 0.05
+"""Colours of points are divided by their opacity, but not by less than this: what lies open stays dark."""
+
 SMALL = 0.01
 """Standard deviation of the weights of a last convolution, so that answers begin near where they should."""
 
@@ -58,7 +62,7 @@ class SynSinConfig:
         decoder_widths: channels of the decoder, from stride 2 on.
         fine: channels of the depth network at stride 2, and half as many of the decoder at full resolution.
         greatest_root: largest root of inverse depth (m^-½) that is answered.
-        radius: of a point in rows; the paper's 4 at 256 rows are an angle, which is kept.
+        radius: of a point in rows; at 128 rows the angle of the paper's 4 at 256.
         points: that a pixel is made of at most (128 in the paper).
     """
 
@@ -76,10 +80,6 @@ class SynSinConfig:
     def size_multiple(self) -> int:
         """Heights and widths have to be a multiple of this."""
         return int(2 ** max(len(self.depth_widths) + 1, len(self.decoder_widths)))
-
-    def radius_at(self, rows: int) -> float:
-        """Rows that a point reaches over in pictures of another size: the angle stays."""
-        return self.radius * rows / self.size[0]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a checkpoint."""
@@ -183,7 +183,7 @@ class RefinementDecoder(nn.Module):
         seen = torch.cat([points, row_channel(points)], dim=1)
         coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 2))), 2)
         correction = self.answer(functional.leaky_relu(coarse + self.look(seen), LEAK))
-        colours: Tensor = points[:, :COLOURS] + correction
+        colours: Tensor = points[:, :COLOURS] / points[:, -1:].clamp(min=LEAST_OPACITY) + correction
         return colours
 
 

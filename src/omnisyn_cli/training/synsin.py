@@ -69,8 +69,7 @@ def blend_points(network: SynSinNetwork, lesson: Lesson) -> Float[Tensor, "chann
 
 def _blended(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses: Sequence[Pose]) -> Tensor:
     size = (features.shape[-2], features.shape[-1])
-    radius = config.radius_at(size[0])
-    return splat_torch(list(features), list(inverse_depth), poses, size, radius=radius, most=config.points)
+    return splat_torch(list(features), list(inverse_depth), poses, size, radius=config.radius, most=config.points)
 
 
 def own_loss(made: Made, lessons: Sequence[Lesson]) -> Tensor:
