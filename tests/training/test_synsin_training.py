@@ -177,3 +177,11 @@ def test_the_command_trains_and_refuses_sizes_that_do_not_fit(tmp_path):
     result = CliRunner().invoke(train_command, ["synsin", str(tmp_path / "run"), *pools, "--height", "40"])
     assert result.exit_code == 2
     assert "multiple of 32" in result.output
+
+
+def test_scenes_of_two_views_can_be_learned_from_and_judged_by(tmp_path):
+    pool = str(make_pool(tmp_path / "pool", along=(0.0, 1.0)))
+    two = TrainConfig(pool, pool, size=(32, 64), batch=2, validate_every=1, validation_pairs=2)
+    rows = []
+    train(TINY, two, tmp_path / "run", steps=1, report=rows.append)
+    assert rows[0]["ws_psnr_one_view"] == pytest.approx(rows[0]["ws_psnr_two_views"])

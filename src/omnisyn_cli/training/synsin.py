@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -27,10 +27,43 @@ from omnisyn_cli.training.lessons import Lesson, draw_lessons, make_lesson
 from omnisyn_cli.training.losses import depth_scores, polar_weights, root_loss
 from omnisyn_cli.training.pictures import depth_pictures
 
-__all__ = ["Made", "blend_points", "contest_losses", "make_pictures", "own_loss", "show_synsin", "validate_synsin"]
+__all__ = [
+    "Made",
+    "Stage",
+    "blend_points",
+    "contest_losses",
+    "make_pictures",
+    "own_loss",
+    "show_synsin",
+    "validate_synsin",
+]
 
 DEPTH_WEIGHT = 0.5
 """Of the absolute error of roots beside that of colours."""
+
+
+class Stage(Protocol):
+    """What is looked at of :class:`omnisyn_cli.training.tasks.TrainConfig`."""
+
+    @property
+    def batch(self) -> int:
+        """Lessons of a step."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of all pictures."""
+        ...
+
+    @property
+    def validation_pool(self) -> str:
+        """Folder of held-out scenes."""
+        ...
+
+    @property
+    def validation_pairs(self) -> int:
+        """How many of them are looked at."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -85,7 +118,7 @@ def _truths(made: Made, lessons: Sequence[Lesson]) -> tuple[Tensor, Tensor]:
 
 
 def contest_losses(
-    network: SynSinNetwork, opponent: Module, pool: list[Path], rng: np.random.Generator, config: Any, step: int
+    network: SynSinNetwork, opponent: Module, pool: list[Path], rng: np.random.Generator, config: Stage, step: int
 ) -> tuple[Tensor, Tensor]:
     """The loss of the networks and that of their opponent, on lessons drawn from a pool."""
     lessons = draw_lessons(pool, rng, config.batch, config.size)
@@ -116,30 +149,28 @@ class _InMetres:
 
 
 @torch.no_grad()
-def validate_synsin(network: SynSinNetwork, config: Any) -> dict[str, float]:
+def validate_synsin(network: SynSinNetwork, config: Stage) -> dict[str, float]:
     """Mean figures over held-out scenes: WS-PSNR from the first panorama and from both, depth of both."""
     rows = []
     for index in range(min(config.validation_pairs, len(list_pool(Path(config.validation_pool))))):
         lessons = _validation_lessons(config, index)
         made = make_pictures(network, lessons)
         one, two = (_score(picture, lesson) for picture, lesson in zip(made.pictures, lessons, strict=True))
-        _, truth = _truths(made, lessons)
-        depths = depth_scores(
-            _InMetres(inverse_depth_of(made.roots[1:], network.config)), truth[1:], torch.ones(2, device=truth.device)
-        )
+        truth = _truths(made, lessons)[1][1:]
+        estimate = _InMetres(inverse_depth_of(made.roots[1:], network.config))
+        depths = depth_scores(estimate, truth, torch.ones(len(truth), device=truth.device))
         rows.append((one, two, depths.imae, depths.delta_25))
     means = np.nanmean(rows, axis=0).tolist()
     return dict(zip(("ws_psnr_one_view", "ws_psnr_two_views", "imae", "delta_25"), means, strict=True))
 
 
-def _validation_lessons(config: Any, index: int) -> tuple[Lesson, Lesson]:
-    """The middle of a scene from its first view, and from its first and last."""
+def _validation_lessons(config: Stage, index: int) -> tuple[Lesson, Lesson]:
+    """The middle of a scene from its first view, and from its first and last; the last of two from the first, twice."""
     pool = list_pool(Path(config.validation_pool))
     scene = load_scene(pool[index % len(pool)])
     middle, last = len(scene.along) // 2, len(scene.along) - 1
-    if last < 2:
-        return (make_lesson(scene, 1, (0,), config.size), make_lesson(scene, 1, (0, 0), config.size))
-    return make_lesson(scene, middle, (0,), config.size), make_lesson(scene, middle, (0, last), config.size)
+    both = (0, last) if last > middle else (0,)
+    return make_lesson(scene, middle, (0,), config.size), make_lesson(scene, middle, both, config.size)
 
 
 def _score(picture: Tensor, lesson: Lesson) -> float:
@@ -148,7 +179,7 @@ def _score(picture: Tensor, lesson: Lesson) -> float:
 
 
 @torch.no_grad()
-def show_synsin(network: SynSinNetwork, config: Any) -> dict[str, np.ndarray]:
+def show_synsin(network: SynSinNetwork, config: Stage) -> dict[str, np.ndarray]:
     """The first held-out lesson: the truth, the pictures from one panorama and from both, the depth of the first."""
     lessons = _validation_lessons(config, 0)
     made = make_pictures(network, lessons)
