@@ -18,6 +18,7 @@ LAYERS = (
     {"batch"},
     {"interpolation"},
     {"planning"},
+    {"synsin"},
     {"estimators", "fusers", "posing", "synthesis"},
     {"crosscheck", "fallback", "rows"},
     {
@@ -40,7 +41,10 @@ LAYERS = (
 )
 """From the top to the bottom; what is in one set does not know each other."""
 
-TORCH = ("omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation", "omnisyn_cli.render.rasterize_torch")
+TORCH = (
+    "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation", "omnisyn_cli.render.rasterize_torch",
+    "omnisyn_cli.render.soft_points_torch",
+)  # fmt: skip
 """Modules that may import torch at their top."""
 
 ONNX = ("omnisyn_cli.runtime", "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.metrics.lpips")

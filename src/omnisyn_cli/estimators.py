@@ -1,7 +1,7 @@
 """Where depth comes from, by name: what the commands offer as ``--depth``.
 
 ``file``: what came with the panoramas. ``matching``: classical stereo. ``refined``: matching made better by a network.
-``network``: a stereo network alone.
+``network``: a stereo network alone. ``monocular``: a network that looks at each panorama by itself.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from omnisyn_cli.types import DepthEstimator, KnownDepth
 
 __all__ = ["DEPTH_SOURCES", "make_estimator"]
 
-DEPTH_SOURCES = ("file", "matching", "refined", "network")
+DEPTH_SOURCES = ("file", "matching", "refined", "network", "monocular")
 
 
 def make_estimator(
@@ -23,7 +23,7 @@ def make_estimator(
         source: one of :data:`DEPTH_SOURCES`.
         rows: that depth is looked for at; refined estimates have half of them, those of matching alone as many, but
             not more than it is good at, see :mod:`omnisyn_cli.stereo.sizes`.
-        model: name in the manifest or path of an ONNX file, for ``refined`` and ``network``.
+        model: name in the manifest or path of an ONNX file, for ``refined``, ``network`` and ``monocular``.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
 
@@ -40,6 +40,11 @@ def make_estimator(
 
         learned: DepthEstimator = LearnedDepthEstimator(_session(model, device, threads))
         return learned
+    if source == "monocular":
+        from omnisyn_cli.runtime.synsin import MonocularDepthEstimator
+
+        alone: DepthEstimator = MonocularDepthEstimator(_session(model, device, threads))
+        return alone
     from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 
     coarse = coarse_rows(rows)

@@ -11,9 +11,13 @@ __all__ = [
     "FUSIONS",
     "FUSION_CHOICES",
     "FUSION_MODELS",
+    "METHODS",
+    "OMNISYN",
     "PRESETS",
     "REPRODUCTIONS",
     "SCALE",
+    "SYNSIN_MODELS",
+    "SYNSIN_SOURCES",
     "Preset",
 ]
 
@@ -77,3 +81,14 @@ FUSION_CHOICES = ("auto", *FUSIONS)
 
 FUSION_MODELS: Mapping[str, str] = MappingProxyType({"network": "fusion-residual", "painting": "fusion-paper-narrow"})
 """Name in the manifest of the network that has a part in a fusion."""
+
+OMNISYN = "omnisyn"
+
+METHODS = (OMNISYN, "synsin", "synsin-2view")
+"""How frames are made: this program's way or, to compare it with, SynSin from the nearer panorama or from both."""
+
+SYNSIN_MODELS = ("synsin-depth", "synsin-encoder", "synsin-decoder")
+"""Names of SynSin's networks in the manifest; the first finds depth in one panorama."""
+
+SYNSIN_SOURCES: Mapping[str, int] = MappingProxyType({"synsin": 1, "synsin-2view": 2})
+"""How many panoramas a frame is made of, by method."""

@@ -42,7 +42,17 @@ from omnisyn_cli.types import (
     View,
 )
 
-__all__ = ["Frame", "Segment", "Stopwatch", "SynthesisOptions", "prepare_segment", "synthesize", "turned_panorama"]
+__all__ = [
+    "Frame",
+    "MemoryForFrames",
+    "Segment",
+    "Stopwatch",
+    "SynthesisOptions",
+    "photograph_at",
+    "prepare_segment",
+    "synthesize",
+    "turned_panorama",
+]
 
 
 @dataclass(frozen=True)
@@ -223,12 +233,10 @@ def synthesize(
     last: _Fused | None = None
     current = -1
     for waypoint in path:
-        panorama = _panorama_at(views, waypoint)
-        photograph = None if panorama is None else views[panorama]
-        if panorama is not None and photograph is not None and _is_complete(photograph):
-            yield _photograph(photograph, waypoint, panorama, options, clock, samples)
+        photograph = photograph_at(views, waypoint, options, clock, samples)
+        if photograph is not None:
+            yield photograph
             continue
-        del photograph
         if segment is None or waypoint.segment != current:
             current, segment, last = waypoint.segment, None, None  # memory is free before the next takes its own
             segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
@@ -238,6 +246,21 @@ def synthesize(
         else:
             last = _fused(segment, waypoint, fuser, options, clock, samples)
             yield last.frame
+
+
+def photograph_at(
+    views: Sequence[View], waypoint: Waypoint, options: SynthesisOptions, clock: Stopwatch,
+    samples: MemoryForFrames | None = None,
+) -> Frame | None:  # fmt: skip
+    """The panorama that was taken at a waypoint, as its frame; None where there is none, or not all of it may be used.
+
+    Arguments are those of :func:`synthesize`.
+    """
+    panorama = _panorama_at(views, waypoint)
+    if panorama is None:
+        return None
+    view = views[panorama]
+    return _photograph(view, waypoint, panorama, options, clock, samples) if _is_complete(view) else None
 
 
 def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:

@@ -24,14 +24,15 @@ def scenes(tmp_path: Path) -> Path:
 
 
 def arguments(scenes: Path, *more: object) -> list[object]:
-    return ["eval", scenes, "--methods", "crossfade,oracle-depth,synsin", "--threads", 1, *more]
+    return ["eval", scenes, "--methods", "crossfade,oracle-depth,omnisyn-paper", "--threads", 1, *more]
 
 
 def test_the_table_has_the_means_and_every_reason(capsys: pytest.CaptureFixture[str], scenes: Path) -> None:
     before = listing(scenes)
     result = run_cli(capsys, *arguments(scenes))
     assert result.code == 0
-    for expected in ("crossfade", "oracle-depth (upper bound)", "WS-PSNR", "synsin: unavailable: ", "pair: skipped: "):
+    reasons = ("omnisyn-paper: unavailable: ", "pair: skipped: ")
+    for expected in ("crossfade", "oracle-depth (upper bound)", "WS-PSNR", *reasons):
         assert expected in result.out
     assert listing(scenes) == before
 
@@ -42,7 +43,7 @@ def test_json_is_everything_that_was_measured(capsys: pytest.CaptureFixture[str]
     assert (result.code, result.err) == (0, "")
     assert [(unit["scene"], unit["method"], unit["status"]) for unit in values["units"]] == [
         ("pair", "", "skipped"), ("hall", "crossfade", "done"), ("hall", "oracle-depth", "done"),
-        ("hall", "synsin", "unavailable"),
+        ("hall", "omnisyn-paper", "unavailable"),
     ]  # fmt: skip
     assert values["units"] == [record.to_json() for record in read_records(tmp_path / "report")]
 

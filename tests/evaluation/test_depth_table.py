@@ -134,12 +134,12 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path, guesses):
 
 
 def test_what_is_not_there_is_a_row_with_its_reason(tmp_path, guesses):
-    absent = f"guess-3.0,synsin,network:{tmp_path / 'missing.onnx'}"
+    absent = f"guess-3.0,network-paper,network:{tmp_path / 'missing.onnx'}"
     records = run_depth_table(job(tmp_path / "report", methods=absent))
     for table in depth_tables(records):
         rows = {row.name: row for row in table.rows}
         assert rows["guess-3.0"].cells
-        assert "SynSin" in rows["synsin"].reason
+        assert "'depth-paper'" in rows["network-paper"].reason
         assert "expected an ONNX file" in rows[f"network:{tmp_path / 'missing.onnx'}"].reason
 
 

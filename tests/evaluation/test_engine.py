@@ -98,11 +98,11 @@ def test_what_was_finished_before_an_interruption_is_in_the_report(halls: Path) 
             raise KeyboardInterrupt
 
     report = halls.parent / "report"
-    job = EvaluationJob(halls, report, "crossfade,synsin,flow", pictures=False, threads=1)
+    job = EvaluationJob(halls, report, "crossfade,omnisyn-paper,flow", pictures=False, threads=1)
     with pytest.raises(KeyboardInterrupt):
         evaluate(plan_evaluation(job), interrupt)
     units = json.loads((report / "report.json").read_text(encoding="utf-8"))["units"]
-    assert [(unit["scene"], unit["method"]) for unit in units] == [("a", "crossfade"), ("a", "synsin")]
+    assert [(unit["scene"], unit["method"]) for unit in units] == [("a", "crossfade"), ("a", "omnisyn-paper")]
 
 
 def test_a_changed_program_measures_again(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,10 +129,10 @@ def test_sources_are_those_that_methods_go_through(tmp_path: Path) -> None:
 
 
 def test_methods_that_never_work_cost_no_decoding(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = run(halls, "crossfade,synsin,synsin-2view")
+    first = run(halls, "crossfade,omnisyn-paper")
     monkeypatch.setattr(engine, "load_pair", None)
-    assert [r.to_json() for r in run(halls, "crossfade,synsin,synsin-2view")] == [r.to_json() for r in first]
-    assert [r.status for r in first] == ["done", "unavailable", "unavailable"] * 2
+    assert [r.to_json() for r in run(halls, "crossfade,omnisyn-paper")] == [r.to_json() for r in first]
+    assert [r.status for r in first] == ["done", "unavailable"] * 2
 
 
 @pytest.mark.parametrize("place", ["load_pair", "choose_pairs"])
@@ -227,11 +227,10 @@ def test_scenes_without_truth_are_listed_with_the_reason(tmp_path: Path) -> None
 
 def test_what_cannot_run_says_why(tmp_path: Path) -> None:
     data = write_halls(tmp_path / "data", "hall", with_depth=False)
-    records = run(data, "oracle-depth,synsin,monocular")
-    assert [record.status for record in records] == ["unavailable"] * 3
+    records = run(data, "oracle-depth,omnisyn-paper")
+    assert [record.status for record in records] == ["unavailable"] * 2
     assert "true depth" in records[0].reason
-    assert "SynSin" in records[1].reason
-    assert "monocular" in records[2].reason
+    assert "'paper'" in records[1].reason
 
 
 def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> None:
@@ -254,11 +253,11 @@ def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> 
 
 def test_the_report_is_written_at_the_end(tmp_path: Path) -> None:
     data = write_halls(tmp_path / "data", "hall")
-    job = EvaluationJob(data, tmp_path / "deep" / "report", "crossfade,synsin", pictures=False, threads=1)
+    job = EvaluationJob(data, tmp_path / "deep" / "report", "crossfade,omnisyn-paper", pictures=False, threads=1)
     evaluate(plan_evaluation(job))
     page = (tmp_path / "deep" / "report" / "report.html").read_text(encoding="utf-8")
     assert "crossfade" in page
-    assert "SynSin" in page
+    assert "omnisyn-paper" in page
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,8 @@ def test_what_is_no_parameter_is_refused(parameter: str) -> None:
         find_method(f"oracle-depth:{parameter}")
 
 
-def test_a_method_that_is_not_there_says_what_is_missing(hall: LoadedPair) -> None:
-    with pytest.raises(MethodUnavailableError, match="a trained monocular depth network"):
-        images("monocular", hall)
+def test_a_method_that_is_not_there_says_what_is_missing(hall: LoadedPair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
+    for name in ("monocular", "synsin", "synsin-2view"):
+        with pytest.raises(MethodUnavailableError, match="'synsin-depth'"):
+            images(name, hall)

@@ -2,9 +2,11 @@ import pytest
 from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.presets import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
 from omnisyn_cli.training import publish
 from omnisyn_cli.training.loop import TrainConfig, train
+from synsin_samples import TINY_SIZE, write_synsin_models
 
 
 @pytest.fixture
@@ -42,3 +44,29 @@ def test_a_manifest_survives_the_disk(tmp_path):
     }
     publish.write_manifest(tmp_path, entries)
     assert read_manifest(tmp_path) == entries
+
+
+def test_synsin_becomes_three_models_that_belong_together(tmp_path):
+    folder = write_synsin_models(tmp_path / "models")
+    entries = read_manifest(folder)
+    assert list(entries) == list(SYNSIN_MODELS)
+    assert {entry.size for entry in entries.values()} == {TINY_SIZE}
+    assert [entry.role for entry in entries.values()] == list(SYNSIN_MODELS)
+    assert all(find_model(name, folder).is_file() for name in entries)
+
+
+def test_if_one_of_three_says_something_else_none_is_left(tmp_path, monkeypatch):
+    answers = iter([0.0, 0.0, 0.01])
+    monkeypatch.setattr(publish, "largest_difference", lambda *_: next(answers))
+    with pytest.raises(OmnisynError, match="not exported"):
+        write_synsin_models(tmp_path / "models")
+    assert [path.name for path in (tmp_path / "models").iterdir()] == ["fresh.pt"]
+
+
+def test_synsin_is_compared_on_lessons_of_a_pool_too(tmp_path):
+    write_synsin_models(tmp_path)
+    (_, _, (_, difference)) = publish.publish_all(
+        tmp_path / "fresh.pt", tmp_path / "models", **options(pool=make_pool(tmp_path / "pool"), name="mine")
+    )
+    assert difference < 1e-4
+    assert list(read_manifest(tmp_path / "models")) == ["mine-depth", "mine-encoder", "mine-decoder"]

@@ -14,6 +14,7 @@ from omnisyn_cli.batch.memory import DepthMemory, PanoramaMemory
 from omnisyn_cli.batch.places import attempt_folder, measure, pack, publish, workshop_is_seen
 from omnisyn_cli.batch.provenance import digest_of_network, sources
 from omnisyn_cli.interpolation import InterpolationPlan, make_estimator, plan_interpolation, run_interpolation
+from omnisyn_cli.presets import OMNISYN
 
 __all__ = ["Settings", "make_interpolator"]
 
@@ -64,7 +65,8 @@ class _Interpolator:
 
     def _interpolate(self, job: BatchJob, attempt: Path, made_of: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
-        memory = None if plan.depth == "file" else self._memory(plan, made_of)
+        finds_depth = plan.depth != "file" and plan.job.method == OMNISYN
+        memory = self._memory(plan, made_of) if finds_depth else None
         decoded, found = self._panoramas.decoded, memory.found if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
         return {

@@ -25,7 +25,7 @@ from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.io import MAX_PIXELS, PoseFile, read_poses
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, RENDERER_CHOICES, InterpolationJob
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.session import DEVICES
 
@@ -75,6 +75,7 @@ CONSTRAINED: dict[str, Any] = {
     "duration": (Positive | None, None),
     "fps": (Annotated[float, Field(gt=0, le=1000)], 30.0),
     "size": (Annotated[str, StringConstraints(pattern=r"^[1-9]\d{0,5}x[1-9]\d{0,5}$")] | None, None),
+    "method": (Literal[METHODS], OMNISYN),
     "preset": (Literal[tuple(PRESETS)], DEFAULT_PRESET),
     "depth": (Literal[DEPTH_METHODS], "auto"),
     "device": (Literal[DEVICES], "auto"),

@@ -14,7 +14,10 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.command("export-onnx")
 @click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("-o", "--output", required=True, type=FOLDER, help="Folder of models.")
-@click.option("--name", help="What `--model` will call it.  [default: KIND-VARIANT]")
+@click.option(
+    "--name",
+    help="What `--model` will call it; SynSin: the first word of three names.  [default: KIND-VARIANT]",
+)
 @click.option("--pairs", "pool", type=FOLDER, help="Pool of its kind to compare on as well.")
 @click.option("--training", default="", help="On what and for how long it was trained, for the manifest.")
 @click.option("--licence", default="Apache-2.0", show_default=True, help="Of the weights.")
@@ -23,13 +26,15 @@ def export_onnx(
 ) -> None:
     """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
 
-    Networks that were trained together get a file each; --name is then followed by what each is for.
+    Networks that were trained together get a file each, SynSin three (depth, encoder, decoder); --name is then followed
+    by what each is for.
+
     Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
     """
     from omnisyn_cli.training.publish import publish_all
 
-    done = publish_all(checkpoint, output, name=name, pool=pool, training=training, licence=licence)
-    for entry, difference in done:
+    made = publish_all(checkpoint, output, name=name, pool=pool, training=training, licence=licence)
+    for entry, difference in made:
         click.echo(
             f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
         )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, PRESETS, REPRODUCTIONS, SCALE
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation import Summary
@@ -65,6 +65,10 @@ class Size(SizeType):
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
+    "--method", type=click.Choice(METHODS), default=OMNISYN, show_default=True,
+    help="How frames are made; SynSin, from the nearer panorama or from both, is there to compare: small and blurred.",
+)  # fmt: skip
+@click.option(
     "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
     help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in SCALE.values()) + ". Beside "
     "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
@@ -75,9 +79,11 @@ class Size(SizeType):
     "this machine is, is measured for a second first.",
 )  # fmt: skip
 @click.option(
-    "--depth", type=click.Choice(["auto", "file", "matching", "refined", "network"]), default="auto", show_default=True,
+    "--depth", type=click.Choice(["auto", "file", "matching", "refined", "network", "monocular"]), default="auto",
+    show_default=True,
     help="Where depth comes from: files named in the poses, matching of the two pictures, matching refined by a "
-    "network, or a network alone. auto takes the files where every panorama has one, else what the preset says.",
+    "network, a network alone, or one that looks at each panorama by itself and answers in metres. auto takes the "
+    "files where every panorama has one, else what the preset says.",
 )  # fmt: skip
 @click.option(
     "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
@@ -169,7 +175,7 @@ def interpolate(
     from omnisyn_cli.render.mesh import Cut
 
     if budget is not None:
-        _check_preset_is_free()
+        _check_budget_decides(options["method"])
     rule = Cut(relative=cut) if cut is not None else None
     if cut_metres is not None:
         rule = Cut(relative=None, metres=cut_metres)
@@ -196,12 +202,14 @@ def interpolate(
     _print_summary(summary, as_json=as_json, verbose=verbose, quiet=quiet)
 
 
-def _check_preset_is_free() -> None:
-    """Refuse a preset beside a budget."""
+def _check_budget_decides(method: str) -> None:
+    """Refuse a preset beside a budget, and methods that have none."""
     from click.core import ParameterSource
 
     if click.get_current_context().get_parameter_source("preset") is ParameterSource.COMMANDLINE:
         raise click.UsageError("expected --preset or --budget, which chooses one, got both; leave one of them out")
+    if method != OMNISYN:
+        raise click.UsageError(f"expected --budget only with --method {OMNISYN}, got {method}; leave one of them out")
 
 
 def _print_plan(plan: InterpolationPlan, as_json: bool) -> None:

@@ -21,6 +21,9 @@ DEVICES = ("auto", "cpu", "cuda")
 RATE, PAPER_RATE = 6e-4, 1e-4
 """Learning rates of the depth networks; the second is the authors'."""
 
+SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
+"""Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""
+
 
 @click.group()
 def train() -> None:
@@ -159,11 +162,7 @@ def depth(variant: str, height: int, rate: float | None, **options: Any) -> None
     known: dict[str, Any] = {**VARIANTS, **PAPER_VARIANTS}
     _check_variant(variant, known)
     network = known[variant]
-    if height % network.size_multiple:
-        raise click.BadParameter(
-            f"expected a multiple of {network.size_multiple} for the {variant} network, got {height}",
-            param_hint="--height",
-        )
+    _check_height(height, network.size_multiple, variant)
     if rate is None:
         rate = PAPER_RATE if variant in PAPER_VARIANTS else RATE
     _train(network, size=(height, height * network.size[1] // network.size[0]), rate=rate, **options)
@@ -254,6 +253,33 @@ def _beginning(chosen: str, known: Mapping[str, Any], kinds: tuple[str, ...], na
     part = part_of(Path(chosen), kinds)
     weights = {f"{name}.{key}": value for key, value in part.average.items()}
     return TASKS[part.kind].config.from_dict(part.config), weights
+
+
+@_stage_options("pool", batch=2, rate=6e-4)
+@click.option("--variant", default="small", show_default=True, help="Networks of a fresh run.")
+@click.option(
+    "--height", default=128, show_default=True, type=click.IntRange(32),
+    help="Rows of the training images; with half of them first it learns faster.",
+)  # fmt: skip
+def synsin(variant: str, height: int, **options: Any) -> None:
+    """Train SynSin in FOLDER, which frames are compared with; a run that is there goes on.
+
+    Its depth network, its features and its decoder learn together, on pictures made of one panorama and of two in turn,
+    by themselves at first and then against a network that tells true pictures from made ones.
+    """
+    from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS
+
+    _check_variant(variant, SYNSIN_VARIANTS)
+    network = SYNSIN_VARIANTS[variant]
+    _check_height(height, network.size_multiple, variant)
+    _train(network, size=(height, 2 * height), ema=SYNSIN_EMA, warmup_steps=SYNSIN_WARMUP, **options)
+
+
+def _check_height(height: int, multiple: int, variant: str) -> None:
+    if height % multiple:
+        raise click.BadParameter(
+            f"expected a multiple of {multiple} for the {variant} network, got {height}", param_hint="--height"
+        )
 
 
 def _check_variant(variant: str, known: Mapping[str, Any]) -> None:

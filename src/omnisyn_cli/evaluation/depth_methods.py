@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.estimators import make_estimator
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.presets import PRESETS, SYNSIN_MODELS
 from omnisyn_cli.runtime.models import find_model, sha256_of
 from omnisyn_cli.types import DepthEstimator
 
@@ -21,7 +21,7 @@ class DepthMethod:
 
     Attributes:
         name: as it is chosen and listed.
-        source: a depth source of :mod:`omnisyn_cli.estimators`; empty where there is no such method yet.
+        source: a depth source of :mod:`omnisyn_cli.estimators`.
         rows: that matching works towards.
         model: of the manifest, or a file; None where no network takes part.
         absence: why it works on no pair at all; empty where it does.
@@ -53,7 +53,7 @@ METHODS: Mapping[str, DepthMethod] = MappingProxyType(
             DepthMethod("network-paper", "network", model="depth-paper"),
             DepthMethod("network-accurate", "network", model="depth-accurate"),
             DepthMethod("network-fast", "network", model="depth-fast"),
-            DepthMethod("synsin", "", absence="expected a trained SynSin network, this version of omnisyn has none"),
+            DepthMethod("synsin", "monocular", model=SYNSIN_MODELS[0]),
             DepthMethod("matching", "matching"),
             *(
                 DepthMethod(f"omnisyn-{preset.name}", preset.depth, preset.depth_rows, preset.model)

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.estimators import make_estimator
 from omnisyn_cli.evaluation.flow import CrossFade, FlowFade
+from omnisyn_cli.evaluation.synsin import SynSinSynthesizer
 from omnisyn_cli.evaluation.synthesizers import (
     DepthMemory,
     GeometricSynthesizer,
@@ -28,10 +29,11 @@ from omnisyn_cli.evaluation.synthesizers import (
     geometric_fuser,
     network_fuser,
 )
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODELS, PRESETS
+from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODELS, PRESETS, SYNSIN_MODELS, SYNSIN_SOURCES
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.synsin import open_synsin
 from omnisyn_cli.types import KnownDepth, View
 
 __all__ = ["METHODS", "Method", "MethodOptions", "find_method", "find_methods"]
@@ -82,6 +84,22 @@ def _matching(options: MethodOptions) -> Recipe:
     return Recipe("matching", make_estimator("matching", threads=options.threads))
 
 
+def _monocular(options: MethodOptions) -> Recipe:
+    try:
+        estimator = make_estimator("monocular", model=SYNSIN_MODELS[0], device=options.device, threads=options.threads)
+    except InputError as error:
+        raise MethodUnavailableError(str(error)) from error
+    return Recipe("monocular", estimator)
+
+
+def _synsin(name: str, views: tuple[View, View], options: MethodOptions) -> Synthesizer:
+    try:
+        networks = open_synsin(device=options.device, threads=options.threads)
+    except InputError as error:
+        raise MethodUnavailableError(str(error)) from error
+    return SynSinSynthesizer(networks, views, SYNSIN_SOURCES[name], options.threads)
+
+
 def _oracle(_: MethodOptions) -> Recipe:
     return Recipe("truth", KnownDepth(), sees_truth=True)
 
@@ -111,6 +129,11 @@ def _installed(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
     fusions = {FUSED_BY[parameter] for parameter in parameters if parameter in FUSED_BY}
     fusions |= {preset.fusion} if preset is not None else set()
     return (*settings, *(_digest(model) for fusion, model in FUSION_MODELS.items() if fusion in fusions))
+
+
+def _with_synsin(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
+    """The same, and the digests of SynSin's networks."""
+    return (*map(_digest, SYNSIN_MODELS), *_installed(name, parameters))
 
 
 def _digest(model: str | None) -> str:
@@ -164,9 +187,7 @@ RECIPES: Mapping[str, _Entry] = MappingProxyType(
         "first-view-only": _of_preset(
             "the default preset's depth, only the first panorama is shown", DEFAULT_PRESET, fuser=first_view_only
         ),
-        "monocular": _absent("depth from each panorama alone", "a trained monocular depth network"),
-        "synsin": _absent("SynSin from the nearer panorama", "a trained SynSin network"),
-        "synsin-2view": _absent("SynSin from both panoramas", "a trained SynSin network"),
+        "monocular": _Entry("depth from each panorama alone, mesh, geometric fusion", _monocular),
         "oracle-depth": _Entry("the true depth: an upper bound", _oracle),
     }
 )  # fmt: skip
@@ -182,6 +203,14 @@ PLAIN: Mapping[str, tuple[str, Callable[[tuple[View, View], int | None], Synthes
 
 FUSED_BY = {f"fusion={name}": name for name in FUSION_MODELS}
 """Fusions with a network by the parameter that asks for them."""
+
+SYNSIN: Mapping[str, str] = MappingProxyType(
+    {
+        "synsin": "SynSin from the nearer panorama",
+        "synsin-2view": "SynSin from both panoramas",
+    }
+)
+"""SynSin's points and networks, by the name of the method."""
 
 ONE_VIEW = "views=1"
 
@@ -206,9 +235,11 @@ def find_method(name: str) -> Method:
     if base in PLAIN and not parameters:
         description, make = PLAIN[base]
         return Method(name, description, lambda views, options: make(views, options.threads))
+    if base in SYNSIN and not parameters:
+        return Method(name, SYNSIN[base], partial(_synsin, base), partial(_with_synsin, base, ()))
     if base not in RECIPES:
         raise InputError(
-            f"expected one of {', '.join((*PLAIN, *RECIPES))} as method, got {name!r}; choose one of these"
+            f"expected one of {', '.join((*PLAIN, *SYNSIN, *RECIPES))} as method, got {name!r}; choose one of these"
         )
     entry = RECIPES[base]
     description = entry.description
@@ -226,8 +257,9 @@ def find_method(name: str) -> Method:
         _check_truth(made, views)
         return GeometricSynthesizer(made, views, options.threads, options.memory)
 
+    ingredients = _with_synsin if base == "monocular" else _installed
     return Method(
-        name, description, make_geometric, partial(_installed, entry.preset, tuple(parameters)), entry.absence
+        name, description, make_geometric, partial(ingredients, entry.preset, tuple(parameters)), entry.absence
     )
 
 
@@ -261,7 +293,9 @@ def _check_truth(recipe: Recipe, views: tuple[View, View]) -> None:
         raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
 
 
-METHODS: Mapping[str, Method] = MappingProxyType({name: find_method(name) for name in (*PLAIN, *RECIPES, *VARIANTS)})
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {name: find_method(name) for name in (*PLAIN, *SYNSIN, *RECIPES, *VARIANTS)}
+)
 """What ``all`` stands for, by name."""
 
 

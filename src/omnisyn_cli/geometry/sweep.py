@@ -25,6 +25,7 @@ from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 
 __all__ = [
+    "UP",
     "epipole_frame",
     "exchanged_in_epipole_frame",
     "exchanged_in_forward_frame",
@@ -38,6 +39,7 @@ __all__ = [
 Array = Any  # numpy.ndarray or torch.Tensor
 
 UP = np.array([0.0, 1.0, 0.0])
+"""The world's."""
 
 TOLERANCE = 0.1
 """Relative error in inverse depth that counts as agreement between two views."""

@@ -16,7 +16,8 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.io.background import FrameRing, frames_in_queue
 from omnisyn_cli.photometry import equalized
 from omnisyn_cli.planning import InterpolationPlan, is_rounded, sample_types
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.presets import OMNISYN, PRESETS, SYNSIN_SOURCES
+from omnisyn_cli.synsin import SynSin, open_synsin
 from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize
 from omnisyn_cli.types import DepthEstimator
 
@@ -36,7 +37,8 @@ def run_interpolation(
         plan: from :func:`plan_interpolation`.
         on_frame: called with the number of finished frames, after each.
         read: decodes a panorama; one that remembers what it has read serves several videos.
-        estimator: finds depth; None makes the one that the plan asks for (:func:`make_estimator`).
+        estimator: finds depth for this program's own method; None makes the one that the plan asks for
+            (:func:`make_estimator`).
 
     Raises:
         InputError: a picture, mask or depth file turns out to be damaged.
@@ -49,9 +51,14 @@ def run_interpolation(
     kinds = sample_types(plan.job)
     pairs: dict[int, PairConfidence] = {}
     triangles: dict[int, tuple[int, int]] = {}
+    own = plan.job.method == OMNISYN
     with depth_keeper(plan) as keep_depth, frame_sinks(plan) as sinks, confidence_sink(plan) as keep_confidence:
-        ring = FrameRing(plan.size, frames_in_queue(plan.size)) if is_rounded(plan.job) else None
-        frames = _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, triangles, ring)
+        ring = FrameRing(plan.size, frames_in_queue(plan.size)) if own and is_rounded(plan.job) else None
+        frames = (
+            _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, triangles, ring)
+            if own
+            else _synsin_frames(plan, loader, clock)
+        )
         for done, frame in enumerate(frames, start=1):
             samples = {kind: samples_of(frame, kind, loader, plan.job.threads) for kind in kinds}
             with clock("encode"):
@@ -93,6 +100,13 @@ def _frames(
     if plan.job.save_depth is not None:
         for pair in sorted(set(range(len(views) - 1)) - prepared):  # no frame lay between these two
             keep_depth(pair, estimator(*equalized(views[pair], views[pair + 1], job.threads)))
+
+
+def _synsin_frames(plan: InterpolationPlan, loader: Loader, clock: Stopwatch) -> Iterator[Frame]:
+    """All frames by what this program's are compared with."""
+    networks = open_synsin(device=plan.job.device, threads=plan.job.threads)
+    options = SynthesisOptions(plan.size, threads=plan.job.threads)
+    return SynSin(networks, loader.views(), SYNSIN_SOURCES[plan.job.method], options, clock).frames(plan.path)
 
 
 def _refuse_doubtful(plan: InterpolationPlan, index: int, pair: PairConfidence) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.planning import InterpolationPlan
+from omnisyn_cli.presets import OMNISYN
 
 __all__ = ["Summary", "warning_about"]
 
@@ -41,8 +42,10 @@ class Summary:
         """A line for every pair that scores too low to be relied on."""
         return [warning_about(self.plan, index, pair) for index, pair in self.pairs.items() if pair.score < LEAST_SCORE]
 
-    def _confidence(self) -> dict[str, Any]:
-        """The clip's score is that of its worst pair; its shares are the means."""
+    def _confidence(self) -> dict[str, Any] | None:
+        """The clip's score is that of its worst pair; its shares are the means. None: nobody knows."""
+        if self.plan.job.method != OMNISYN:
+            return None
         if not self.pairs:
             return {"score": 1.0, "pairs": []}
         described = [pair.describe() for pair in self.pairs.values()]

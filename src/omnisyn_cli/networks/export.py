@@ -17,8 +17,9 @@ from omnisyn_cli.networks.depth import DepthNetwork
 from omnisyn_cli.networks.fusion import FusionNetwork, PaintingNetwork
 from omnisyn_cli.networks.paper import PaperNetwork
 from omnisyn_cli.networks.refine import RefineNetwork
+from omnisyn_cli.networks.synsin import FeatureEncoder, MonocularNetwork, RefinementDecoder, inverse_depth_of
 
-__all__ = ["OPSET", "PARITY", "export_depth", "export_fusion", "export_refine", "largest_difference"]
+__all__ = ["OPSET", "PARITY", "export_depth", "export_fusion", "export_refine", "export_synsin", "largest_difference"]
 
 OPSET = 18
 
@@ -28,7 +29,9 @@ PARITY = 1e-4
 """Largest difference between torch and ONNX Runtime, relative to the largest value, that is accepted."""
 
 
-Network = DepthNetwork | PaperNetwork | RefineNetwork | FusionNetwork | PaintingNetwork
+SynSinPart = MonocularNetwork | FeatureEncoder | RefinementDecoder
+
+Network = DepthNetwork | PaperNetwork | RefineNetwork | FusionNetwork | PaintingNetwork | SynSinPart
 
 
 class _DepthOutputs(nn.Module):
@@ -96,10 +99,48 @@ def export_fusion(network: FusionNetwork | PaintingNetwork, path: Path) -> None:
     _export(network, (planes,), path, ["planes"], axes, outputs)
 
 
+class _SynSinOutput(nn.Module):
+    """One of SynSin's networks with its only output; roots of inverse depth leave the program squared."""
+
+    def __init__(self, network: SynSinPart) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, x: Tensor) -> tuple[Tensor]:
+        answer = self.network(x)
+        is_depth = isinstance(self.network, MonocularNetwork)
+        return (inverse_depth_of(answer, self.network.config) if is_depth else answer,)
+
+
+SYNSIN_NAMES = {
+    MonocularNetwork: ("image", "inverse_depth"),
+    FeatureEncoder: ("image", "features"),
+    RefinementDecoder: ("points", "colour"),
+}
+"""Input and output of its files."""
+
+
+def export_synsin(network: SynSinPart, path: Path) -> None:
+    """Write one of SynSin's networks at its configured size, weights inside; the file is checked by ONNX.
+
+    ``image`` ``(1, 3, height, width)`` in [0, 1], upright, becomes ``inverse_depth`` ``(1, 1, height, width)`` in 1/m,
+    or ``features``; ``points``, blended features and their opacity, become ``colour`` ``(1, 3, height, width)``. The
+    metadata ``radius`` and ``points`` say how wide points are, in rows, and how many a pixel is made of.
+    """
+    config, (taken, given) = network.config, SYNSIN_NAMES[type(network)]
+    channels = config.features + 1 if taken == "points" else 3
+    _export(network, (torch.rand(1, channels, *config.size),), path, [taken], outputs=(given,))
+    model = onnx.load(str(path))
+    onnx.helper.set_model_props(model, {"radius": repr(config.radius), "points": str(config.points)})
+    onnx.save(model, str(path))
+
+
 def _with_outputs(network: Network) -> nn.Module:
     """A network with the outputs that leave the program."""
     if isinstance(network, FusionNetwork | PaintingNetwork):
         return _FusionOutputs(network).eval()
+    if isinstance(network, MonocularNetwork | FeatureEncoder | RefinementDecoder):
+        return _SynSinOutput(network).eval()
     return _DepthOutputs(network).eval()
 
 

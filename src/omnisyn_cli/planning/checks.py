@@ -15,7 +15,7 @@ from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.planning.job import DEPTH_METHODS, FALLBACKS, RENDERER_CHOICES, InterpolationJob, depth_files
-from omnisyn_cli.presets import FUSION_CHOICES, PRESETS
+from omnisyn_cli.presets import FUSION_CHOICES, METHODS, OMNISYN, PRESETS
 from omnisyn_cli.runtime.session import DEVICES
 from omnisyn_cli.trajectory import EASES, HEADINGS
 
@@ -27,6 +27,11 @@ __all__ = [
     "check_outputs",
     "checked_size",
 ]
+
+OF_OWN_FRAMES = (
+    "preset", "depth", "model", "renderer", "cut", "fusion", "adaptive", "fallback", "save_confidence", "save_depth",
+)  # fmt: skip
+"""Fields of a job that mean nothing to the methods that it is compared with."""
 
 MOST_NADIR = math.radians(90.0)
 """A cap that is no hemisphere yet."""
@@ -60,6 +65,7 @@ def check_choices(job: InterpolationJob) -> None:
         InputError: an unknown name, another number of masks than of panoramas, or a cap of a hemisphere or more.
     """
     choices = {
+        "method": (job.method, METHODS),
         "preset": (job.preset, PRESETS),
         "depth": (job.depth, DEPTH_METHODS),
         "renderer": (job.renderer, RENDERER_CHOICES),
@@ -72,6 +78,8 @@ def check_choices(job: InterpolationJob) -> None:
     for name, (value, known) in choices.items():
         if value not in known:
             raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
+    if job.method != OMNISYN:
+        _check_is_plain(job)
     if job.masks and len(job.masks) != len(job.images):
         raise InputError(
             f"expected one mask for each of {len(job.images)} panoramas, got {len(job.masks)}; name them in the order "
@@ -82,6 +90,22 @@ def check_choices(job: InterpolationJob) -> None:
             f"expected a cap around the nadir of at least 0 and less than {math.degrees(MOST_NADIR):g} degrees, got "
             f"{math.degrees(job.nadir):g}; give the angle from straight down to its edge"
         )
+
+
+def _check_is_plain(job: InterpolationJob) -> None:
+    """Refuse options that only say how this program's own frames are made.
+
+    Raises:
+        InputError: there is one.
+    """
+    usual = InterpolationJob(job.images, job.poses, job.output)
+    for name in OF_OWN_FRAMES:
+        chosen = getattr(job, name)
+        if chosen != getattr(usual, name):
+            raise InputError(
+                f"expected no {name.replace('_', '-')} with the method {job.method}, which leaves none to choose, got "
+                f"{chosen}; leave it out, or take the method {OMNISYN}"
+            )
 
 
 def checked_size(image: Path, job: InterpolationJob) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from omnisyn_cli.estimators import DEPTH_SOURCES
 from omnisyn_cli.io import MAX_PIXELS, sample_type
-from omnisyn_cli.presets import DEFAULT_PRESET
+from omnisyn_cli.presets import DEFAULT_PRESET, OMNISYN
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.trajectory import Ease, Heading
 
@@ -52,6 +52,8 @@ class InterpolationJob:
         duration: seconds; None means three per pair.
         fps: frames per second.
         size: (height, width) of the video; None means that of the largest panorama.
+        method: how frames are made, one of :data:`omnisyn_cli.presets.METHODS`; those that are there to be compared
+            with leave nothing to choose about depth, surfaces and fusion.
         preset: how much time accuracy is worth, one of :data:`omnisyn_cli.presets.PRESETS`.
         depth: ``matching``, ``refined`` (matching made better by a network), ``file`` (named in the pose file),
             ``network``, or ``auto``: files where every panorama has one, else what the preset says.
@@ -89,6 +91,7 @@ class InterpolationJob:
     duration: float | None = None
     fps: float = 30.0
     size: tuple[int, int] | None = None
+    method: str = OMNISYN
     preset: str = DEFAULT_PRESET
     depth: str = "auto"
     model: str | None = None

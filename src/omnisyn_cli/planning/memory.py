@@ -9,6 +9,7 @@ import numpy as np
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
 from omnisyn_cli.planning.job import InterpolationJob, is_rounded, sample_types
+from omnisyn_cli.presets import OMNISYN
 from omnisyn_cli.rows import are_frames_by_rows
 
 __all__ = ["estimated_memory"]
@@ -68,14 +69,16 @@ def estimated_memory(
 def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str, fusion: str) -> float:
     """What making frames takes: two renderings, the pyramid that fills holes, frames on their way to the encoder."""
     pixels = size[0] * size[1]
+    waiting = frames_in_queue(size) + 2
+    largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
+    if job.method != OMNISYN:
+        return pixels * (16 + 12 + 3 * largest_sample * waiting + 1.5)
     is_by_rows = are_frames_by_rows(
         renderer, fusion, size,
         is_rounded=is_rounded(job), is_judged=job.fallback == "crossfade" or job.save_confidence is not None,
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5
-    waiting = frames_in_queue(size) + 2
     if is_by_rows:
         return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
-    largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
     painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if fusion == "painting" else 0
     return painted + pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)

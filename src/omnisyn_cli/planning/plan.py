@@ -25,7 +25,7 @@ from omnisyn_cli.planning.checks import (
 )
 from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
-from omnisyn_cli.presets import FUSION_MODELS, PRESETS
+from omnisyn_cli.presets import FUSION_MODELS, OMNISYN, PRESETS, SYNSIN_MODELS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
@@ -33,7 +33,7 @@ from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
 
 __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "networks_of", "plan_interpolation", "with_preset"]
 
-MODELLED = ("refined", "network")
+MODELLED = ("refined", "network", "monocular")
 """Sources of depth that a network has a part in."""
 
 SECONDS_PER_PAIR = 3.0
@@ -88,14 +88,26 @@ class InterpolationPlan:
             "seconds_of_video": round(len(self.path) / self.job.fps, 3),
             "size": f"{width}x{height}",
             "encoder": _encoder(self.job),
+            "method": self.job.method,
+            **self._own_settings(),
+            "path_metres": round(self.length, 4),
+            "memory_mib": round(self.memory / 2**20),
+            "notes": list(self.notes),
+        }
+
+    def _own_settings(self) -> dict[str, str]:
+        """What is chosen about this program's own frames; of others the networks."""
+        if self.job.method != OMNISYN:
+            return {
+                "preset": "", "depth": self.depth, "model": ", ".join(SYNSIN_MODELS), "renderer": "soft points",
+                "fusion": "",
+            }  # fmt: skip
+        return {
             "preset": self.job.preset,
             "depth": self.depth,
             "model": self.model or "",
             "renderer": self.renderer,
             "fusion": self.fusion,
-            "path_metres": round(self.length, 4),
-            "memory_mib": round(self.memory / 2**20),
-            "notes": list(self.notes),
         }
 
 
@@ -154,6 +166,8 @@ def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tupl
     Raises:
         InputError, PoseError: depth cannot be had as the job asks for it.
     """
+    if job.method != OMNISYN:
+        return SYNSIN_MODELS
     depth = _depth_method(job, entries)
     fusing = FUSION_MODELS.get(_fusion(job, depth))
     return tuple(network for network in (_model(job, depth), fusing) if network is not None)
@@ -205,6 +219,8 @@ def _frame_count(job: InterpolationJob) -> int:
 
 
 def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> str:
+    if job.method != OMNISYN:
+        return "monocular"
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
         return PRESETS[job.preset].depth if without or job.model is not None else "file"
@@ -219,7 +235,8 @@ def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> st
 def _model(job: InterpolationJob, depth: str) -> str | None:
     """The network that finds or refines depth, if one does."""
     preset = PRESETS[job.preset]
-    model = job.model or (preset.model if depth == preset.depth else None)
+    usual = {preset.depth: preset.model, "monocular": SYNSIN_MODELS[0]}
+    model = job.model or usual.get(depth)
     if depth not in MODELLED:
         if job.model is not None:
             raise InputError(
@@ -277,8 +294,10 @@ def _encoder(job: InterpolationJob) -> str:
 
 
 def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) -> Iterator[str]:
+    if job.method != OMNISYN:
+        yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
-    if job.depth == "auto" and depth != "file" and named:
+    if job.method == OMNISYN and job.depth == "auto" and depth != "file" and named:
         yield f"{job.poses.name} names depth for {', '.join(named)} only: depth of all comes from matching"
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:

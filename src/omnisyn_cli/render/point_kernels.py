@@ -8,7 +8,7 @@ import numpy as np
 
 from omnisyn_cli.jit import kernel
 
-__all__ = ["choose_points", "find_nearest", "project_points"]
+__all__ = ["choose_points", "disc_columns", "disc_rows", "find_nearest", "project_points"]
 
 EMPTY = -1
 
@@ -37,7 +37,7 @@ def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, po
 
 
 @kernel()
-def _rows(point, radius, height, begin, end):
+def disc_rows(point, radius, height, begin, end):
     """First and last row that a disc of angle ``radius`` around a point can touch."""
     polar = math.atan2(point[1], point[0])
     scale = height / math.pi
@@ -47,7 +47,7 @@ def _rows(point, radius, height, begin, end):
 
 
 @kernel()
-def _columns(point, cos_radius, sp, cp, width):
+def disc_columns(point, cos_radius, sp, cp, width):
     """First and last column of a row that a disc covers; all of them if it holds the pole, none if it misses the row.
 
     The spherical law of cosines: ``cos radius = cos p·cos p₀ + sin p·sin p₀·cos Δazimuth``.
@@ -72,9 +72,9 @@ def find_nearest(points, radius, sin_p, cos_p, out_rho, begin, end):
             point = points[i, j]
             if point[3] < 0.0:
                 continue
-            first, last = _rows(point, radius, height, begin, end)
+            first, last = disc_rows(point, radius, height, begin, end)
             for row in range(first, last + 1):
-                left, right = _columns(point, math.cos(radius), sin_p[row], cos_p[row], width)
+                left, right = disc_columns(point, math.cos(radius), sin_p[row], cos_p[row], width)
                 for turned in range(left, right + 1):
                     col = turned % width
                     out_rho[row, col] = max(out_rho[row, col], np.float32(point[3]))
@@ -94,9 +94,9 @@ def choose_points(points, radius, same_surface, sin_p, cos_p, closest, out_rho, 
             point = points[i, j]
             if point[3] < 0.0:
                 continue
-            first, last = _rows(point, radius, height, begin, end)
+            first, last = disc_rows(point, radius, height, begin, end)
             for row in range(first, last + 1):
-                left, right = _columns(point, math.cos(radius), sin_p[row], cos_p[row], width)
+                left, right = disc_columns(point, math.cos(radius), sin_p[row], cos_p[row], width)
                 for turned in range(left, right + 1):
                     col = turned % width
                     if point[3] < same_surface * out_rho[row, col]:

@@ -58,7 +58,7 @@ def render_points(
         Fragments whose ``face`` is the flat index of the source pixel, and its colour and trust, 0 where nothing is.
     """
     angle = math.pi * max(radius / inverse_depth.shape[0], LEAST_RADIUS / size[0])
-    points = _project(inverse_depth, mask, target_from_source, size, threads)
+    points = projected_points(inverse_depth, mask, target_from_source, size, threads)
     fragments = _splat(points, angle, size, threads)
     colour = image.reshape(-1, image.shape[-1])[np.maximum(fragments.face, 0)].astype(np.float32, copy=False)
     colour[~fragments.visibility] = 0.0
@@ -95,7 +95,7 @@ class PointRenderer:
         return fragments.inverse_depth, colour
 
 
-def _project(
+def projected_points(
     inverse_depth: np.ndarray, mask: np.ndarray | None, pose: Pose, size: tuple[int, int], threads: int | None
 ) -> np.ndarray:
     """Per point ``(cos polar, sin polar, column, inverse depth)`` in the target."""

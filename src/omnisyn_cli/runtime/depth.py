@@ -63,7 +63,7 @@ class LearnedDepthEstimator:
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         for view in (first, second):
-            _check(view)
+            check_shape(view)
         if np.array_equal(first.pose.position, second.pose.position):
             return self._nothing(), self._nothing()
         frame, _, baseline = self._frame.hold(first.pose, second.pose)
@@ -95,7 +95,7 @@ class LearnedDepthEstimator:
         if view.mask is not None:
             own = pixel_directions(*self._estimate_size)
             confidence = confidence * sample_nearest(view.mask.astype(np.float32), own)
-        inside = _sample_between_edges(inverse_depth, directions)
+        inside = sample_between_edges(inverse_depth, directions)
         return DepthEstimate(inside.astype(np.float32), confidence.astype(np.float32))
 
     def _nothing(self) -> DepthEstimate:
@@ -126,13 +126,14 @@ FRAMES: Mapping[str, _Frame] = MappingProxyType(
 """By the name in a model's metadata."""
 
 
-def _sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Bilinear on surfaces, the nearest pixel at edges: nothing is invented between a thing and what is behind it."""
     smooth, nearest = sample_bilinear(values, directions), sample_nearest(values, directions)
     return np.asarray(np.where(np.abs(smooth - nearest) > EDGE * nearest, nearest, smooth))
 
 
-def _check(view: View) -> None:
+def check_shape(view: View) -> None:
+    """Raise ImageError for a panorama that is not 2:1."""
     height, width = view.image.shape[:2]
     if width != 2 * height:
         raise ImageError(f"expected a panorama twice as wide as high, got {width}×{height}; crop or pad it to 2:1")

@@ -34,7 +34,7 @@ class Refinement(Protocol):
 class RefinedDepthEstimator:
     """Inverse depth of both panoramas; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
-    Where matching is unsure the network chooses for each pixel alone, so the median of their answers around it is taken,
+    Where matching is unsure the network chooses for each pixel alone, so the median of the answers around it is taken,
     which keeps edges. A place that the other panorama looks through loses its confidence.
 
     In a larger picture matching and the network see less of the scene around a pixel, but matching measures more

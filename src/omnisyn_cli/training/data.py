@@ -5,7 +5,8 @@ the epipole frame of that line (row 0 looks along it):
 
 * ``images`` ``(views, height, width, 3)`` uint8,
 * ``inverse_depth`` ``(views, height, width)`` float16, 1/metre, 0 = nothing there,
-* ``along`` ``(views,)`` float32, metres along the line, ascending.
+* ``along`` ``(views,)`` float32, metres along the line, ascending,
+* ``up`` ``(3,)`` float32, the world's up in that frame; files without it are of level lines.
 
 Any two views are a stereo pair of some baseline; read from the other end (turned by 180°) they are another.
 A batch depends on the seed, the step and the pool alone, so a run can stop and go on anywhere.
@@ -14,7 +15,7 @@ A batch depends on the seed, the step and the pool alone, so a run can stop and 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -31,6 +32,9 @@ __all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "loa
 ONE_SURFACE = 0.1
 """Relative difference of inverse depth between neighbouring pixels that still belong together."""
 
+UP_OF_LEVEL_LINES = np.array([0.0, 0.0, 1.0], np.float32)
+"""The seam of the epipole frame."""
+
 
 @dataclass(frozen=True)
 class PoolScene:
@@ -39,6 +43,7 @@ class PoolScene:
     images: UInt8[np.ndarray, "views height width 3"]
     inverse_depth: Float[np.ndarray, "views height width"]
     along: Float[np.ndarray, " views"]
+    up: Float[np.ndarray, " 3"] = field(default_factory=lambda: UP_OF_LEVEL_LINES)
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ def save_scene(path: Path, scene: PoolScene) -> None:
             images=scene.images,
             inverse_depth=scene.inverse_depth.astype(np.float16),
             along=scene.along.astype(np.float32),
+            up=scene.up.astype(np.float32),
         )
     partial.replace(path)
 
@@ -95,7 +101,8 @@ def save_scene(path: Path, scene: PoolScene) -> None:
 def load_scene(path: Path) -> PoolScene:
     """Read one file of a pool."""
     with np.load(path) as file:
-        return PoolScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"])
+        up = file.get("up", UP_OF_LEVEL_LINES)
+        return PoolScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
 
 
 def list_pool(folder: Path) -> list[Path]:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.geometry.sweep import UP, epipole_frame
 from omnisyn_cli.geometry.turning import turned_directions, turned_image
 from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.training.data import PoolScene, save_scene
@@ -59,7 +59,7 @@ def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
     frame, _, baseline = epipole_frame(first.pose, second.pose)
     shown = [_turned(view, frame, size) for view in (first, second)]
     images, inverse_depths = (np.stack(column) for column in zip(*shown, strict=True))
-    return PoolScene(images, inverse_depths, np.array([0.0, baseline], np.float32))
+    return PoolScene(images, inverse_depths, np.array([0.0, baseline], np.float32), frame.rotation.T @ UP)
 
 
 def _turned(view: View, frame: Pose, size: tuple[int, int]) -> tuple[np.ndarray, Float[np.ndarray, "height width"]]:

@@ -18,10 +18,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.paths import make_folder, write_errors
+from omnisyn_cli.training.adversarial import Opponent
 from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.pictures import contact_sheet
@@ -35,7 +37,7 @@ PROCESSOR = Precision(torch.device("cpu"))
 
 
 class Trainer:
-    """Network, average, optimiser and step: what a checkpoint holds."""
+    """Network, average, optimiser, opponent if there is one, and step: what a checkpoint holds."""
 
     def __init__(self, network: NetworkConfig, config: TrainConfig, precision: Precision = PROCESSOR) -> None:
         torch.manual_seed(config.seed)
@@ -48,12 +50,15 @@ class Trainer:
             self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
+        contest = self.task.contest
+        self.opponent = Opponent(contest.build().to(precision.device), config.weight_decay) if contest else None
         self.scores: dict[str, float] = {}
         self.step = 0
         self.cooldown_start: int | None = None
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
+        opponent = {} if self.opponent is None else {"opponent": self.opponent.state()}
         return {
             "kind": self.kind,
             "network": self.network.config.as_dict(),
@@ -64,6 +69,7 @@ class Trainer:
             "weights": self.network.state_dict(),
             "average": self.average,
             "optimizer": self.optimizer.state_dict(),
+            **opponent,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -73,6 +79,8 @@ class Trainer:
         self.average = {name: value.to(own[name], copy=True) for name, value in state["average"].items()}
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
+        if self.opponent is not None and "opponent" in state:
+            self.opponent.restore(state["opponent"])
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
@@ -108,15 +116,23 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate()
         with self.precision.autocast():
-            loss = self.task.loss(self.network, pool, rng, config)
+            loss, opposing = self._losses(pool, rng)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
         if torch.isfinite(norm):
             self.optimizer.step()
+        if self.opponent is not None and opposing is not None:
+            self.opponent.learn(opposing, self.rate(), config.clip)
         self.step += 1
         self._follow()
         return float(loss.detach())
+
+    def _losses(self, pool: list[Path], rng: np.random.Generator) -> tuple[Tensor, Tensor | None]:
+        """The network's loss, and that of its opponent."""
+        if self.opponent is None or self.task.contest is None:
+            return self.task.loss(self.network, pool, rng, self.config), None
+        return self.task.contest.losses(self.network, self.opponent.network, pool, rng, self.config, self.step)
 
     @torch.no_grad()
     def _follow(self) -> None:

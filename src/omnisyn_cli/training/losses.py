@@ -20,7 +20,16 @@ from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.networks.refine import RefinePrediction
 
-__all__ = ["DepthScores", "Prediction", "depth_loss", "depth_scores", "paper_loss", "polar_weights", "refine_loss"]
+__all__ = [
+    "DepthScores",
+    "Prediction",
+    "depth_loss",
+    "depth_scores",
+    "paper_loss",
+    "polar_weights",
+    "refine_loss",
+    "root_loss",
+]
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
@@ -110,6 +119,12 @@ def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 heigh
         for estimate in (prediction.high, prediction.low)
     )
     return high + STAGE_WEIGHT * low
+
+
+def root_loss(root: Float[Tensor, "*batch height width"], target: Float[Tensor, "*batch height width"]) -> Tensor:
+    """Mean absolute error of roots, a scalar; an estimate below zero is right where the target is infinitely far."""
+    known, target = _known(target)
+    return _mean_of(_beyond_zero(root, target) * polar_weights(target), known)
 
 
 def _known(target: Tensor) -> tuple[Tensor, Tensor]:

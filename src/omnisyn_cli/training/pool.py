@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sweep import epipole_frame
+from omnisyn_cli.geometry.sweep import UP, epipole_frame
 from omnisyn_cli.io import read_photographs
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
@@ -86,7 +86,7 @@ def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolCon
         images.append((image[0] * 255.0 + 0.5).astype(np.uint8))
         depths.append(depth[0])
     along = [float(np.linalg.norm(pose.position - chosen[0].position)) for pose in chosen]
-    return PoolScene(np.stack(images), 1.0 / np.stack(depths), np.array(along, dtype=np.float32))
+    return PoolScene(np.stack(images), 1.0 / np.stack(depths), np.array(along, dtype=np.float32), frame.T @ UP)
 
 
 def fill_pool(

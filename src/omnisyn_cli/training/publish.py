@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -14,10 +14,18 @@ import numpy as np
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.io.paths import replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
-from omnisyn_cli.networks.export import PARITY, export_depth, export_fusion, export_refine, largest_difference
+from omnisyn_cli.networks.export import (
+    PARITY,
+    export_depth,
+    export_fusion,
+    export_refine,
+    export_synsin,
+    largest_difference,
+)
 from omnisyn_cli.networks.fusion import FusionConfig
 from omnisyn_cli.networks.paper import PaperConfig
 from omnisyn_cli.networks.refine import RefineConfig
+from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
 from omnisyn_cli.training.data import draw_batch, list_pool
 from omnisyn_cli.training.evidence import draw_evidence
@@ -25,7 +33,9 @@ from omnisyn_cli.training.frames import forward_batch
 from omnisyn_cli.training.fusion import draw_fusion
 from omnisyn_cli.training.fusion_losses import inputs_of
 from omnisyn_cli.training.joint import Part, parts_of
+from omnisyn_cli.training.lessons import draw_lessons
 from omnisyn_cli.training.loop import load_network
+from omnisyn_cli.training.synsin import blend_points
 from omnisyn_cli.training.tasks import TASKS
 
 __all__ = ["publish", "publish_all", "write_manifest"]
@@ -33,20 +43,39 @@ __all__ = ["publish", "publish_all", "write_manifest"]
 ROLES: Mapping[str, str] = MappingProxyType({"paper": "depth"})
 """What a model is for, by the kind of its network, where that is not the kind itself."""
 
+SEVERAL = ("joint", "synsin")
+"""Kinds of checkpoints that hold more than one network."""
+
+COLOURS = 3
+"""Channels of a panorama."""
+
 COMPARED = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A network of a checkpoint that becomes a file of its own."""
+
+    name: str
+    role: str
+    variant: str
+    network: Any
+    size: tuple[int, int]
+    export: Callable[[Any, Path], None]
+    examples: Iterator[tuple[np.ndarray, ...]]
 
 
 def publish(
     checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
 ) -> tuple[ModelEntry, float]:
-    """Write the averaged network of a checkpoint into a folder of models; see :func:`publish_all`.
+    """The only one of what :func:`publish_all` writes.
 
     Raises:
-        InputError: there is more than one network in it.
+        InputError: there is more than one network in the checkpoint.
     """
     kind = load_network(checkpoint)[1]["kind"]
-    if kind == "joint":
+    if kind in SEVERAL:
         raise InputError(f"expected a checkpoint of one network, got {kind} in {checkpoint}; publish all of it")
     return publish_all(checkpoint, folder, name=name, pool=pool, training=training, licence=licence)[0]
 
@@ -54,73 +83,108 @@ def publish(
 def publish_all(
     checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
 ) -> list[tuple[ModelEntry, float]]:
-    """Write the averaged networks of a checkpoint into a folder of models, one file each.
+    """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
 
     Args:
         checkpoint: of :func:`omnisyn_cli.training.loop.train`.
-        folder: gets ``NAME.onnx`` and a new manifest.
-        name: ``ROLE-VARIANT`` unless given; of two networks trained together ``NAME-ROLE``.
+        folder: gets ``NAME.onnx`` (of several networks ``NAME-ROLE.onnx``) and a new manifest.
+        name: ``ROLE-VARIANT`` unless given (``synsin``).
         pool: scenes to compare on, besides random inputs; of networks trained together only the depth.
         training: on what and for how long, for the manifest.
         licence: of the weights.
 
     Returns:
-        The entries of the manifest, and the largest relative difference found of each.
+        The entries of the manifest, each with the largest relative difference found.
 
     Raises:
         InputError: no checkpoint, or no scenes.
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
-    state = load_network(checkpoint)[1]
-    parts = parts_of(state)
-    options = {"training": training or f"{state['step']} steps", "licence": licence}
-    size, scores = tuple(state["training"]["size"]), state.get("scores", {})
-    if len(parts) == 1:
-        return [_publish(parts[0], folder, name, size, pool, metrics=scores, **options)]
-    pools = {"depth": pool}
+    network, state = load_network(checkpoint)
+    parts = _parts(network, state, name, pool)
+    folder.mkdir(parents=True, exist_ok=True)
+    partials = [folder / f"{part.name}.partial.onnx" for part in parts]
+    differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
+    if not max(differences) <= PARITY:
+        for partial in partials:
+            partial.unlink()
+        raise OmnisynError(
+            f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported"
+        )
+    entries = []
+    for part, partial in zip(parts, partials, strict=True):
+        path = folder / f"{part.name}.onnx"
+        partial.replace(path)
+        entries.append(
+            ModelEntry(
+                name=part.name,
+                role=part.role,
+                variant=part.variant,
+                file=path.name,
+                sha256=sha256_of(path),
+                size=part.size,
+                parameters=sum(parameter.numel() for parameter in part.network.parameters()),
+                training=training or f"{state['step']} steps",
+                licence=licence,
+                metrics=state.get("scores", {}),
+            )
+        )
+    write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
+    return list(zip(entries, differences, strict=True))
+
+
+def _exported(part: _Part, path: Path) -> float:
+    part.export(part.network, path)
+    return largest_difference(part.network, path, part.examples)
+
+
+def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:
+    if state["kind"] == "synsin":
+        return _synsin_parts(network, name or "synsin", pool)
+    held, size = parts_of(dict(state)), tuple(state["training"]["size"])
+    if len(held) == 1:
+        return [_part(held[0], name, size, pool)]
+    roles = [ROLES.get(part.kind, part.kind) for part in held]
     return [
-        _publish(part, folder, name and f"{name}-{role}", size, pools.get(role), metrics=scores, **options)
-        for part, role in zip(parts, map(_role, parts), strict=True)
+        _part(part, name and f"{name}-{role}", size, pool if role == "depth" else None)
+        for part, role in zip(held, roles, strict=True)
     ]
 
 
-def _role(part: Part) -> str:
-    return ROLES.get(part.kind, part.kind)
-
-
-def _publish(
-    part: Part, folder: Path, name: str | None, size: tuple[int, int], pool: Path | None, **noted: Any
-) -> tuple[ModelEntry, float]:
-    """One network; ``noted`` goes into its entry as it is."""
-    task, role = TASKS[part.kind], _role(part)
-    network = task.build(task.config.from_dict(part.config))
-    network.load_state_dict(part.average)
+def _part(held: Part, name: str | None, size: tuple[int, int], pool: Path | None) -> _Part:
+    """One network, with its averaged weights."""
+    task, role = TASKS[held.kind], ROLES.get(held.kind, held.kind)
+    network = task.build(task.config.from_dict(held.config))
+    network.load_state_dict(held.average)
     network.eval()
-    name = name or f"{role}-{network.config.name}"
-    folder.mkdir(parents=True, exist_ok=True)
-    path, partial = folder / f"{name}.onnx", folder / f"{name}.partial.onnx"
-    export, examples = EXPORTS[part.kind]
-    export(network, partial)
-    size = network.config.size if role == "depth" else size
-    difference = largest_difference(network, partial, examples(network.config, size, pool))
-    if not difference <= PARITY:
-        partial.unlink()
-        raise OmnisynError(
-            f"expected ONNX Runtime to agree with torch within {PARITY}, got {difference:.1e}; not exported"
+    config = network.config
+    height, width = config.size if role == "depth" else size
+    export, examples = EXPORTS[held.kind]
+    made = examples(config, (height, width), pool)
+    return _Part(name or f"{role}-{config.name}", role, config.name, network, (height, width), export, made)
+
+
+def _synsin_parts(network: SynSinNetwork, name: str, pool: Path | None) -> list[_Part]:
+    """Depth, encoder and decoder."""
+    config = network.config
+    inputs = {"depth": 3, "encoder": 3, "decoder": config.features + 1}
+    return [
+        _Part(
+            f"{name}-{part}", f"synsin-{part}", config.name, getattr(network, part), config.size, export_synsin,
+            _synsin_examples(network, channels, pool),
         )
-    partial.replace(path)
-    entry = ModelEntry(
-        name=name,
-        role=role,
-        variant=network.config.name,
-        file=path.name,
-        sha256=sha256_of(path),
-        size=(size[0], size[1]),
-        parameters=sum(parameter.numel() for parameter in network.parameters()),
-        **noted,
-    )
-    write_manifest(folder, read_manifest(folder) | {name: entry})
-    return entry, difference
+        for part, channels in inputs.items()
+    ]  # fmt: skip
+
+
+def _synsin_examples(network: SynSinNetwork, channels: int, pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
+    """Noise, and panoramas of a pool or what the decoder would see of them."""
+    rng, size = np.random.default_rng(0), network.config.size
+    for _ in range(COMPARED):
+        yield (rng.random((1, channels, *size), dtype=np.float32),)
+    lessons = draw_lessons(list_pool(pool), rng, COMPARED, size) if pool is not None else []
+    for lesson in lessons:
+        yield (lesson.images[:1].numpy() if channels == COLOURS else blend_points(network, lesson)[None].numpy(),)
 
 
 def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:

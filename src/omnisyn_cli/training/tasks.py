@@ -15,25 +15,30 @@ from torch.nn import Module
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthConfig, DepthNetwork
+from omnisyn_cli.networks.discriminator import PatchDiscriminator
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork, build_fusion
 from omnisyn_cli.networks.joint import JointConfig, JointNetwork
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork
 from omnisyn_cli.networks.refine import RefineConfig, RefineNetwork
+from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork
+from omnisyn_cli.training.adversarial import Contest
 from omnisyn_cli.training.data import Augmentation, Batch, draw_batch, list_pool
 from omnisyn_cli.training.evidence import draw_evidence, load_evidence
 from omnisyn_cli.training.frames import forward_batch
 from omnisyn_cli.training.fusion import draw_fusion, load_fusion
 from omnisyn_cli.training.fusion_losses import FusionScores, fused_by, fusion_loss, fusion_scores
 from omnisyn_cli.training.joint import joint_answer, joint_loss
+from omnisyn_cli.training.lessons import draw_lessons
 from omnisyn_cli.training.losses import DepthScores, depth_loss, depth_scores, paper_loss, refine_loss
 from omnisyn_cli.training.pictures import depth_pictures, fused_pictures
+from omnisyn_cli.training.synsin import contest_losses, make_pictures, own_loss, show_synsin, validate_synsin
 from omnisyn_cli.training.triples import Triples, draw_triples
 
 __all__ = ["TASKS", "NetworkConfig", "Task", "TrainConfig", "task_named", "task_of"]
 
 VALIDATION_SEED = 1
 
-NetworkConfig = DepthConfig | PaperConfig | RefineConfig | FusionConfig | JointConfig
+NetworkConfig = DepthConfig | PaperConfig | RefineConfig | FusionConfig | JointConfig | SynSinConfig
 
 
 @dataclass(frozen=True)
@@ -82,6 +87,7 @@ class Task:
         loss: of a network on a batch drawn from a pool, a scalar.
         validate: figures of a network on fixed pairs without augmentation, the mean over pairs.
         pictures: what a network makes of the first of these pairs, RGB in [0, 1] by name; None where nobody looks.
+        contest: how it learns against an opponent, instead of by ``loss`` alone; None where it has none.
     """
 
     config: type[Any]
@@ -89,6 +95,7 @@ class Task:
     loss: Callable[[Any, list[Path], np.random.Generator, TrainConfig], Tensor]
     validate: Callable[[Any, TrainConfig], dict[str, float]]
     pictures: Callable[[Any, TrainConfig], dict[str, np.ndarray]] | None = None
+    contest: Contest | None = None
 
 
 def on_device(network: Module, *tensors: Tensor) -> list[Tensor]:
@@ -218,6 +225,11 @@ def _show_joint(network: JointNetwork, config: TrainConfig) -> dict[str, np.ndar
     return shown | fused_pictures(answer.planes[0], answer.picture[0], drawn.middle[0])
 
 
+def _synsin_loss(network: SynSinNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
+    lessons = draw_lessons(pool, rng, config.batch, config.size)
+    return own_loss(make_pictures(network, lessons), lessons)
+
+
 def _mean(scores: Sequence[DepthScores | FusionScores]) -> dict[str, float]:
     """Over pairs; NaN, as of pairs without sky, is left out."""
     rows = torch.tensor([list(asdict(score).values()) for score in scores])
@@ -231,6 +243,14 @@ TASKS: Mapping[str, Task] = MappingProxyType(
         "refine": Task(RefineConfig, RefineNetwork, _refine_loss, _validate_refine),
         "fusion": Task(FusionConfig, build_fusion, _fusion_loss, _validate_fusion),
         "joint": Task(JointConfig, JointNetwork, _joint_loss, _validate_joint, _show_joint),
+        "synsin": Task(
+            SynSinConfig,
+            SynSinNetwork,
+            _synsin_loss,
+            validate_synsin,
+            show_synsin,
+            Contest(PatchDiscriminator, contest_losses),
+        ),
     }
 )
 """By the kind that a checkpoint names."""

@@ -1,0 +1,208 @@
+"""SynSin's three networks for equirectangular images: depth of one panorama, its features, and a picture of points.
+
+1. ``depth``: inverse depth (1/m) of a single upright panorama. Nothing in one picture gives a scale but what is known
+   of the world (how high cameras are held, how large doors are), so it is learned from scenes in metres.
+2. ``encoder``: features of every pixel. The first three are its colours, and what the decoder says is added to those
+   of the points, so that a picture begins as one.
+3. ``decoder``: blended points (:mod:`omnisyn_cli.render.soft_points`) and their opacity become a picture; what no point
+   covers is made up.
+
+Every convolution wraps around the seam; a channel with the row (CoordConv) tells up from down, so panoramas have to be
+upright. Between encoder and decoder points of any number of panoramas are blended by other means, which is why these
+are three networks and three files.
+
+Source: Wiles et al., SynSin (CVPR 2020); on the sphere as the baseline of OmniSyn, section 4.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes, upsample_nearest
+from omnisyn_cli.networks.paper import row_channel
+
+__all__ = [
+    "SYNSIN_VARIANTS",
+    "FeatureEncoder",
+    "MonocularNetwork",
+    "RefinementDecoder",
+    "SynSinConfig",
+    "SynSinNetwork",
+    "inverse_depth_of",
+]
+
+COLOURS = 3
+
+FIRST_ROOT = 0.4
+"""What a fresh depth network answers everywhere: six metres."""
+
+LEAST_OPACITY = 0.05
+"""Colours of points are divided by their opacity, but not by less than this: what lies open stays dark."""
+
+SMALL = 0.01
+"""Standard deviation of the weights of a last convolution, so that answers begin near where they should."""
+
+
+@dataclass(frozen=True)
+class SynSinConfig:
+    """The networks' sizes.
+
+    Attributes:
+        name: of the variant.
+        size: ``(height, width)`` they are trained and exported at.
+        features: channels of every point, colours included (64 in the paper).
+        depth_widths: channels of the depth network, from stride 4 on.
+        decoder_widths: channels of the decoder, from stride 2 on.
+        fine: channels of the depth network at stride 2, and half as many of the decoder at full resolution.
+        greatest_root: largest root of inverse depth (m^-½) that is answered.
+        radius: of a point in rows; at 128 rows the angle of the paper's 4 at 256.
+        points: that a pixel is made of at most (128 in the paper).
+    """
+
+    name: str
+    size: tuple[int, int]
+    features: int = 8
+    depth_widths: tuple[int, ...] = (32, 64, 96, 128)
+    decoder_widths: tuple[int, ...] = (24, 40, 64)
+    fine: int = 16
+    greatest_root: float = 2.0
+    radius: float = 2.0
+    points: int = 16
+
+    @property
+    def size_multiple(self) -> int:
+        """Heights and widths have to be a multiple of this."""
+        return int(2 ** max(len(self.depth_widths) + 1, len(self.decoder_widths)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> SynSinConfig:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        return SynSinConfig(**plain)
+
+
+SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}
+"""The networks by name."""
+
+
+def inverse_depth_of(root: Tensor, config: SynSinConfig) -> Tensor:
+    """1/metre of the roots that the depth network answers, bounded; roots below zero are infinitely far."""
+    return root.clamp(0.0, config.greatest_root).square()
+
+
+class Hourglass(nn.Module):
+    """Residual blocks down and up again, with skips that are added.
+
+    Args:
+        inputs: channels.
+        widths: channels, from fine to coarse; each is half as high and wide as the one before.
+    """
+
+    def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.stem = ResidualBlock(inputs, widths[0])
+        self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
+        self.middle = ResidualBlock(widths[-1], widths[-1])
+        self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
+        self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
+
+    def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
+        """``(batch, widths[0], height, width)``."""
+        x, skips = self.stem(x), []
+        for block in self.down:
+            skips.append(x)
+            x = block(x)
+        x = self.middle(x)
+        for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
+            x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
+        return x
+
+
+class MonocularNetwork(nn.Module):
+    """One upright panorama in, the root of its inverse depth (m^-½) out; a root below zero is infinitely far."""
+
+    def __init__(self, config: SynSinConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.body = Hourglass(16 * (COLOURS + 1), config.depth_widths)
+        self.spread = nn.Conv2d(config.depth_widths[0], 4 * config.fine, 1)
+        self.look = WrappedConv(4 * (COLOURS + 1), config.fine)
+        self.fine = ResidualBlock(config.fine, config.fine)
+        self.answer = WrappedConv(config.fine, 4)
+
+    def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
+        """Estimate; ValueError for a size that is no multiple of ``config.size_multiple``."""
+        _check_size(image, self.config)
+        seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
+        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 4))), 2)
+        fine = functional.leaky_relu(coarse + self.look(functional.pixel_unshuffle(seen, 2)), LEAK)
+        return functional.pixel_shuffle(self.answer(self.fine(fine)), 2)
+
+
+class FeatureEncoder(nn.Module):
+    """One panorama in, the features of its pixels out: the colours, and what two convolutions see around them."""
+
+    def __init__(self, config: SynSinConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.block = ResidualBlock(COLOURS + 1, config.features)
+        self.answer = nn.Conv2d(config.features, config.features - COLOURS, 1)
+
+    def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch features height width"]:
+        """Encode."""
+        seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
+        return torch.cat([image, self.answer(self.block(seen))], dim=1)
+
+
+class RefinementDecoder(nn.Module):
+    """Blended features and their opacity in, colours out: those of the points and a correction."""
+
+    def __init__(self, config: SynSinConfig) -> None:
+        super().__init__()
+        self.config = config
+        channels = config.features + 2
+        self.body = Hourglass(4 * channels, config.decoder_widths)
+        self.spread = nn.Conv2d(config.decoder_widths[0], 2 * config.fine, 1)
+        self.look = WrappedConv(channels, config.fine // 2)
+        self.answer = WrappedConv(config.fine // 2, COLOURS)
+
+    def forward(self, points: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 3 height width"]:
+        """Decode; ValueError for a size that is no multiple of ``config.size_multiple``."""
+        _check_size(points, self.config)
+        seen = torch.cat([points, row_channel(points)], dim=1)
+        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 2))), 2)
+        correction = self.answer(functional.leaky_relu(coarse + self.look(seen), LEAK))
+        colours: Tensor = points[:, :COLOURS] / points[:, -1:].clamp(min=LEAST_OPACITY) + correction
+        return colours
+
+
+class SynSinNetwork(nn.Module):
+    """All three, for training together."""
+
+    def __init__(self, config: SynSinConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.depth = MonocularNetwork(config)
+        self.encoder = FeatureEncoder(config)
+        self.decoder = RefinementDecoder(config)
+        initialise(self)
+        for last in (self.depth.answer, self.decoder.answer):
+            nn.init.normal_(last.weight, std=SMALL)
+        nn.init.constant_(self.depth.answer.bias, FIRST_ROOT)  # type: ignore[arg-type]
+
+
+def _check_size(x: Tensor, config: SynSinConfig) -> None:
+    multiple, (height, width) = config.size_multiple, sizes(x)[-2:]
+    if height % multiple or width % multiple:
+        raise ValueError(f"expected a size of multiples of {multiple}, got {width}×{height}")

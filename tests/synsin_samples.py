@@ -1,0 +1,65 @@
+"""SynSin without training: networks in closed form about the hall, and small random ones as ONNX files."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.types import DepthEstimate, View
+from synthesis_samples import RADIUS, distance_to_wall
+
+TINY_SIZE = (32, 64)
+
+
+@dataclass
+class HallNetworks:
+    """Stands in for :class:`omnisyn_cli.runtime.synsin.SynSinSessions`: true depth, colours as features, no painting.
+
+    The hall's pattern says where a panorama was taken no better than a photograph does, so positions are told, in the
+    order in which panoramas are looked at.
+    """
+
+    positions: list[np.ndarray]
+    size: tuple[int, int] = (64, 128)
+    radius: float = 1.5
+    points: int = 32
+    looked_at: int = field(default=0, init=False)
+
+    @property
+    def estimator(self) -> SimpleNamespace:
+        return SimpleNamespace(inverse_depth=self.inverse_depth)
+
+    def inverse_depth(self, image: np.ndarray) -> np.ndarray:
+        position = self.positions[self.looked_at]
+        self.looked_at += 1
+        along = pixel_directions(*self.size) @ position
+        return (1.0 / (-along + np.sqrt(along**2 + RADIUS**2 - position @ position))).astype(np.float32)
+
+    def features(self, image: np.ndarray) -> np.ndarray:
+        return image
+
+    def picture(self, points: np.ndarray) -> np.ndarray:
+        return np.clip(points[..., :3] / np.maximum(points[..., 3:], 1e-6), 0.0, 1.0).astype(np.float32)
+
+
+def true_depths(view: View, size: tuple[int, int]) -> DepthEstimate:
+    inverse_depth = (1.0 / distance_to_wall(view.pose, size)).astype(np.float32)
+    return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
+
+
+def write_synsin_models(folder: Path) -> Path:
+    """Small untrained networks under the names that the program looks for, with a manifest."""
+    import torch
+
+    from omnisyn_cli.networks.synsin import SynSinConfig
+    from omnisyn_cli.training.checkpoint import save_checkpoint
+    from omnisyn_cli.training.loop import TrainConfig, Trainer
+    from omnisyn_cli.training.publish import publish_all
+
+    tiny = SynSinConfig("tiny", TINY_SIZE, features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4, points=8)
+    torch.manual_seed(0)
+    save_checkpoint(folder / "fresh.pt", Trainer(tiny, TrainConfig("", "", size=TINY_SIZE)).state())
+    publish_all(folder / "fresh.pt", folder, name=None, pool=None, training="", licence="none")
+    return folder
