@@ -87,7 +87,6 @@ def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:
 
 def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
     method, views = find_method("omnisyn-paper"), (hall_view(CHAIN[0], (64, 128)), hall_view(CHAIN[1], (64, 128)))
-    assert not method.absence
     assert repr(PAPER) in method.ingredients()
     recipe = method.make(views, MethodOptions(threads=1))._recipe  # type: ignore[attr-defined]
     assert (recipe.renderer, recipe.cut) == ("two-pass", Cut(relative=None, metres=2.0))

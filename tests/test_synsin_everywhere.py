@@ -143,7 +143,6 @@ def test_the_depth_table_has_a_row_for_it() -> None:
     (method,) = find_depth_methods("synsin")
     found = method.make("cpu", 1)(hall_view(CHAIN[0]), hall_view(CHAIN[1]))
     assert found[0].inverse_depth.shape == TINY_SIZE
-    assert not method.absence
     assert len(method.ingredients()[-1]) == 64
 
 

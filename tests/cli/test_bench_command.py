@@ -67,7 +67,7 @@ def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Pat
     assert result.code == 0
     assert len(trials) == len(SCALE) * 2 * 2
     assert result.out.count("Which setting for which budget") == 2
-    assert "balanced, 512 rows, 64x32, 2 threads" in result.out
+    assert f"balanced, {PRESETS['balanced'].depth_rows} rows, 64x32, 2 threads" in result.out
     assert "28.00" in result.out
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from cli_samples import listing, run_cli
 
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation import methods
 from omnisyn_cli.evaluation.records import read_records
 from synthesis_samples import posed, write_hall
 
@@ -21,6 +23,16 @@ def scenes(tmp_path: Path) -> Path:
         folder.mkdir(parents=True)
         write_hall(folder, poses, (32, 64))
     return tmp_path / "scenes"
+
+
+@pytest.fixture(autouse=True)
+def no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that a method cannot run."""
+
+    def missing(*_: object, **__: object) -> None:
+        raise InputError("expected the network, got none")
+
+    monkeypatch.setattr(methods, "make_estimator", missing)
 
 
 def arguments(scenes: Path, *more: object) -> list[object]:

@@ -218,8 +218,6 @@ class _Worker:
                 continue
             if self._is_done(known.get(blank.unit), blank.key):
                 yield known[blank.unit]
-            elif method.absence:
-                yield replace(blank, status="unavailable", reason=method.absence)
             else:
                 loaded = loaded or self._loaded(pair)
                 if isinstance(loaded, str):

@@ -67,14 +67,12 @@ class Method:
         description: what it does, in a few words.
         make: sets it to work.
         ingredients: tells what its results depend on besides its name, such as the networks that are installed.
-        absence: why it works on no pair at all; empty where it does.
     """
 
     name: str
     description: str
     make: Factory
     ingredients: Callable[[], tuple[str, ...]] = tuple
-    absence: str = ""
 
 
 RecipeFactory = Callable[[MethodOptions], Recipe]
@@ -148,27 +146,15 @@ def _changed(base: RecipeFactory, **changes: object) -> RecipeFactory:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A geometric method: description, recipe, the preset that the recipe looks at, or why there is no recipe."""
+    """A geometric method: description, recipe, and the preset that the recipe looks at, if it does."""
 
     description: str
     recipe: RecipeFactory
     preset: str = ""
-    absence: str = ""
 
 
 def _of_preset(description: str, name: str, **changes: object) -> _Entry:
-    if name not in PRESETS:
-        return _absent(description, f"the preset '{name}'")
     return _Entry(description, _changed(_preset(name), **changes), name)
-
-
-def _absent(description: str, what: str) -> _Entry:
-    absence = f"expected {what}, this version of omnisyn has none"
-
-    def make(_: MethodOptions) -> Recipe:
-        raise MethodUnavailableError(absence)
-
-    return _Entry(description, make, absence=absence)
 
 
 RECIPES: Mapping[str, _Entry] = MappingProxyType(
@@ -258,9 +244,7 @@ def find_method(name: str) -> Method:
         return GeometricSynthesizer(made, views, options.threads, options.memory)
 
     ingredients = _with_synsin if base == "monocular" else _installed
-    return Method(
-        name, description, make_geometric, partial(ingredients, entry.preset, tuple(parameters)), entry.absence
-    )
+    return Method(name, description, make_geometric, partial(ingredients, entry.preset, tuple(parameters)))
 
 
 def _change(parameter: str, name: str) -> Callable[[Recipe, MethodOptions], Recipe]:
