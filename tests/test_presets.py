@@ -98,4 +98,4 @@ def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
 def test_the_help_says_that_it_is_no_point_on_the_scale() -> None:
     words = " ".join(CliRunner().invoke(interpolate, ["--help"]).output.split())
     assert "Beside that scale paper: the method of the paper" in words
-    assert "accurate: matching at two sizes" in words
+    assert f"accurate: {SCALE['accurate'].summary}" in words

@@ -78,7 +78,7 @@ def planes(room: Room) -> list[np.ndarray]:
 def quality(room: Room, path: Path) -> tuple[np.ndarray, float]:
     """Inverse depth × baseline of the first panorama, and WS-PSNR of the middle frame, by a model file."""
     refinement = SessionRefinement(open_session(path, device="cpu", threads=1))
-    estimator = RefinedDepthEstimator(Remembered(room.evidence), refinement)  # type: ignore[arg-type]
+    estimator = RefinedDepthEstimator(Remembered(room.evidence), refinement, 0)  # type: ignore[arg-type]
     waypoint = Waypoint(0, 0.5, room.middle)
     made = synthesize(room.views, [waypoint], estimator, SynthesisOptions(SIZE, threads=1))
     (picture,) = [frame.image.copy() for frame in made if isinstance(frame, Frame)]
