@@ -32,7 +32,7 @@ from omnisyn_cli.types import Rendering
 
 FUSION = FusionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
 PAINTING = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
-PAPER = PaperConfig("tiny-paper", (64, 128), widths=(4, 6, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
+PAPER = PaperConfig("tiny-paper", (64, 128), widths=(4, 6, 8, 8, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
 JOINT = JointConfig(TINY, FUSION)
 SIZE = (64, 128)
 

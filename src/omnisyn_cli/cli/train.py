@@ -255,6 +255,7 @@ def _beginning(chosen: str, known: Mapping[str, Any], kinds: tuple[str, ...], na
     return TASKS[part.kind].config.from_dict(part.config), weights
 
 
+@train.command()
 @_stage_options("pool", batch=2, rate=6e-4)
 @click.option("--variant", default="small", show_default=True, help="Networks of a fresh run.")
 @click.option(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -56,6 +55,8 @@ def _read(path: Path) -> UInt8[np.ndarray, "height width 3"]:
     image = np.clip(unit_range(colour, path), 0.0, 1.0)
     scale = min(1.0, LONGEST / max(image.shape[:2]))
     if scale < 1.0:
+        import cv2  # loaded only here: a plan needs this package, and no more
+
         size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     return np.ascontiguousarray(np.rint(image * 255.0).astype(np.uint8))
