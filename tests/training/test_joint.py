@@ -250,7 +250,7 @@ def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
     assert "expected a checkpoint or one of fast" in result.output
     result = run("joint", tmp_path / "run", *pools, "--height", 100)
     assert result.exit_code == 2
-    assert "multiple of 64 for these networks" in result.output
+    assert "multiple of 64 for the joint network" in result.output
     train(TINY, config, tmp_path / "depth", steps=1)
     result = run("joint", tmp_path / "run", *pools, "--fusion", tmp_path / "depth" / "checkpoint.pt")
     assert isinstance(result.exception, InputError)

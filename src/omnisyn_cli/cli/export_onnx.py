@@ -16,7 +16,7 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("-o", "--output", required=True, type=FOLDER, help="Folder of models.")
 @click.option(
     "--name",
-    help="What `--model` will call it; SynSin: the first word of three names.  [default: KIND-VARIANT]",
+    help="What `--model` will call it; of several networks the first word.  [default: KIND-VARIANT]",
 )
 @click.option("--pairs", "pool", type=FOLDER, help="Pool of its kind to compare on as well.")
 @click.option("--training", default="", help="On what and for how long it was trained, for the manifest.")

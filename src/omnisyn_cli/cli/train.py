@@ -231,10 +231,7 @@ def joint(depth: str, fusion: str, height: int, **options: Any) -> None:
     depth_config, depth_weights = _beginning(depth, {**VARIANTS, **PAPER_VARIANTS}, ("depth", "paper"), "depth")
     fusion_config, fusion_weights = _beginning(fusion, FUSION_VARIANTS, ("fusion",), "fusion")
     network = JointConfig(depth_config, fusion_config)
-    if height % network.size_multiple:
-        raise click.BadParameter(
-            f"expected a multiple of {network.size_multiple} for these networks, got {height}", param_hint="--height"
-        )
+    _check_height(height, network.size_multiple, "joint")
     size = (height, height * depth_config.size[1] // depth_config.size[0])
     _train(network, size=size, weights={**depth_weights, **fusion_weights}, **options)
 

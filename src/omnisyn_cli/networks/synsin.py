@@ -16,7 +16,6 @@ Source: Wiles et al., SynSin (CVPR 2020); on the sphere as the baseline of OmniS
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -25,8 +24,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes, upsample_nearest
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes
 from omnisyn_cli.networks.paper import row_channel
+from omnisyn_cli.networks.unet import Hourglass
 
 __all__ = [
     "SYNSIN_VARIANTS",
@@ -101,34 +101,6 @@ def inverse_depth_of(root: Tensor, config: SynSinConfig) -> Tensor:
     return root.clamp(0.0, config.greatest_root).square()
 
 
-class Hourglass(nn.Module):
-    """Residual blocks down and up again, with skips that are added.
-
-    Args:
-        inputs: channels.
-        widths: channels, from fine to coarse; each is half as high and wide as the one before.
-    """
-
-    def __init__(self, inputs: int, widths: tuple[int, ...]) -> None:
-        super().__init__()
-        self.stem = ResidualBlock(inputs, widths[0])
-        self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
-        self.middle = ResidualBlock(widths[-1], widths[-1])
-        self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
-        self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
-
-    def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
-        """``(batch, widths[0], height, width)``."""
-        x, skips = self.stem(x), []
-        for block in self.down:
-            skips.append(x)
-            x = block(x)
-        x = self.middle(x)
-        for block, project, skip in reversed(list(zip(self.up, self.project, skips, strict=True))):
-            x = block(functional.leaky_relu(upsample_nearest(project(x)) + skip, LEAK))
-        return x
-
-
 class MonocularNetwork(nn.Module):
     """One upright panorama in, the root of its inverse depth (m^-½) out; a root below zero is infinitely far."""
 
@@ -145,7 +117,7 @@ class MonocularNetwork(nn.Module):
         """Estimate; ValueError for a size that is no multiple of ``config.size_multiple``."""
         _check_size(image, self.config)
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
-        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 4))), 2)
+        coarse = functional.pixel_shuffle(self.spread(self.body.around(functional.pixel_unshuffle(seen, 4))), 2)
         fine = functional.leaky_relu(coarse + self.look(functional.pixel_unshuffle(seen, 2)), LEAK)
         return functional.pixel_shuffle(self.answer(self.fine(fine)), 2)
 
@@ -181,7 +153,7 @@ class RefinementDecoder(nn.Module):
         """Decode; ValueError for a size that is no multiple of ``config.size_multiple``."""
         _check_size(points, self.config)
         seen = torch.cat([points, row_channel(points)], dim=1)
-        coarse = functional.pixel_shuffle(self.spread(self.body(functional.pixel_unshuffle(seen, 2))), 2)
+        coarse = functional.pixel_shuffle(self.spread(self.body.around(functional.pixel_unshuffle(seen, 2))), 2)
         correction = self.answer(functional.leaky_relu(coarse + self.look(seen), LEAK))
         colours: Tensor = points[:, :COLOURS] / points[:, -1:].clamp(min=LEAST_OPACITY) + correction
         return colours

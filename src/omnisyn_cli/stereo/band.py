@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
 
-from omnisyn_cli.stereo.semi_global import CONTRADICTION, FAR, RUN_UP, UNSEEN, census, count_bits, difference_of_pixels
+from omnisyn_cli.stereo.semi_global import FAR, RUN_UP, UNSEEN, census, difference_of_pixels, mixed_cost
 
 __all__ = ["Bands", "aggregate_bands", "band_cost", "choose_in_bands"]
 
@@ -81,7 +81,7 @@ def _cost(first, second, usable, lowest, begin, colour_share, truncation):  # ty
     grey_a = (first[..., 0] + first[..., 1] + first[..., 2]) / np.float32(3.0)
     grey_b = (second[..., 0] + second[..., 1] + second[..., 2]) / np.float32(3.0)
     bits_a, bits_b = census(grey_a), census(grey_b)
-    colour, texture = np.float32(colour_share), np.float32(1.0 - colour_share)
+    colour = np.float32(colour_share)
     scale = np.float32(1.0 / (3.0 * truncation))
     cost = np.empty(begin[-1], np.float32)
     for row in numba.prange(height):
@@ -90,9 +90,8 @@ def _cost(first, second, usable, lowest, begin, colour_share, truncation):  # ty
             for k in range(begin[row * width + col + 1] - at):
                 value = UNSEEN
                 if r + k < height and usable[r + k, col]:
-                    share = np.float32(count_bits(bits_a[row, col] ^ bits_b[r + k, col])) * CONTRADICTION
                     difference = difference_of_pixels(first, second, row, r + k, col) * scale
-                    value = texture * min(share, np.float32(1.0)) + colour * min(difference, np.float32(1.0))
+                    value = mixed_cost(bits_a[row, col] ^ bits_b[r + k, col], difference, colour)
                 cost[at + k] = value
     return cost
 

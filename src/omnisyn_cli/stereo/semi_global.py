@@ -79,7 +79,7 @@ def sweep_cost(
     grey_a = (first[..., 0] + first[..., 1] + first[..., 2]) / np.float32(3.0)
     grey_b = (second[..., 0] + second[..., 1] + second[..., 2]) / np.float32(3.0)
     bits_a, bits_b = census(grey_a), census(grey_b)
-    colour, texture = np.float32(colour_share), np.float32(1.0 - colour_share)
+    colour = np.float32(colour_share)
     scale = np.float32(1.0 / (3.0 * truncation))
     cost = np.empty((height, width, levels), np.float32)
     for row in numba.prange(height):
@@ -91,11 +91,9 @@ def sweep_cost(
                 elif r >= height or not usable[r, col]:
                     cost[row, col, level] = UNSEEN
                 else:
-                    share = np.float32(count_bits(bits_a[row, col] ^ bits_b[r, col])) * CONTRADICTION
+                    contradictions = bits_a[row, col] ^ bits_b[r, col]
                     difference = difference_of_pixels(first, second, row, r, col) * scale
-                    cost[row, col, level] = texture * min(share, np.float32(1.0)) + colour * min(
-                        difference, np.float32(1.0)
-                    )
+                    cost[row, col, level] = mixed_cost(contradictions, difference, colour)
     return cost
 
 
@@ -135,11 +133,9 @@ def warp_cost(
             elif not seen[row, col]:
                 cost[row, col] = UNSEEN
             else:
-                share = np.float32(count_bits(first_census[row, col] ^ bits[row, col])) * CONTRADICTION
+                contradictions = first_census[row, col] ^ bits[row, col]
                 difference = difference_of_pixels(first, warped, row, row, col) * scale
-                cost[row, col] = (1 - colour_share) * min(share, np.float32(1.0)) + colour_share * min(
-                    difference, np.float32(1.0)
-                )
+                cost[row, col] = mixed_cost(contradictions, difference, np.float32(colour_share))
     return cost
 
 
@@ -230,7 +226,15 @@ def _walk(cost, behind, ahead, leap, cheapest, small):  # type: ignore[no-untype
 
 
 @numba.njit(inline="always")
-def count_bits(x):  # type: ignore[no-untyped-def]
+def mixed_cost(contradictions, difference, colour):  # type: ignore[no-untyped-def]
+    """Of one match, in [0, 1]: census bits that differ, and a difference of colours that counts ``colour`` of it."""
+    share = np.float32(_count_bits(contradictions)) * CONTRADICTION
+    texture = np.float32(1.0) - colour
+    return texture * min(share, np.float32(1.0)) + colour * min(difference, np.float32(1.0))
+
+
+@numba.njit(inline="always")
+def _count_bits(x):  # type: ignore[no-untyped-def]
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
