@@ -8,8 +8,6 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import (
     CUT_EDGES,
     FACES_PER_QUAD,
-    LEAST_TRUST,
-    TRUST_AT_CUTS,
     Cut,
     build_mesh,
     mask_of_vertices,
@@ -94,20 +92,6 @@ class TestCuts:
 
     def test_no_criterion_cuts_nothing(self):
         assert not (build_mesh(rough(8, 16), WHOLE).quads & CUT_EDGES).any()
-
-
-class TestTrust:
-    def test_is_the_least_confidence_of_the_corners_and_never_zero(self):
-        confidence = np.ones((4, 6), np.float32)
-        confidence[1, 2], confidence[3, 5] = 0.5, 0.0
-        trust = build_mesh(np.ones((4, 6), np.float32), confidence=confidence).trust
-        expected = np.ones((3, 6))
-        expected[:2, 1:3], expected[2, 4:6] = 0.5, LEAST_TRUST
-        np.testing.assert_allclose(trust, expected)
-
-    def test_is_little_where_the_mesh_is_cut(self):
-        mesh = build_mesh(rough(8, 16))
-        np.testing.assert_allclose(mesh.trust[(mesh.quads & CUT_EDGES) != 0], TRUST_AT_CUTS)
 
 
 class TestMaskOfVertices:

@@ -3,8 +3,9 @@ import pytest
 from render_samples import WHOLE, moved, random_pose, rough, smooth
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.mesh import LEAST_TRUST, Cut
+from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS, make_renderer
+from omnisyn_cli.render.trust import LEAST
 
 everywhere = pytest.mark.parametrize("name", RENDERERS)
 
@@ -69,7 +70,7 @@ def test_confidence_becomes_trust(name):
     confidence[:, :16] = 0.0
     _, colour = make_renderer(name, picture(32, 64), None, smooth(16, 32), confidence, (32, 64), WHOLE)(Pose.identity())
     np.testing.assert_allclose(colour[4:-4, 36:60, 3], 0.5, atol=1e-4)
-    assert (colour[4:-4, 4:28, 3] <= LEAST_TRUST + 1e-4).all()
+    assert (colour[4:-4, 4:28, 3] <= LEAST + 1e-4).all()
 
 
 @everywhere

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int32, Integer, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.trust import trust_of_quads
 
 __all__ = [
     "BOTTOM",
@@ -53,9 +54,6 @@ FACES_PER_QUAD = 8
 
 NO_SURFACE = -1e-9
 """Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
-
-TRUST_AT_CUTS = 0.25
-LEAST_TRUST = 0.01
 
 _TINY = 1e-12
 
@@ -259,7 +257,7 @@ def build_mesh(
     if mask is not None:
         quads |= _flag(REMOVED, ~_any_corner(mask))
         rho = np.where(mask, rho, np.float32(NO_SURFACE))
-    return Mesh(rho, quads, caps, _trust(quads, confidence))
+    return Mesh(rho, quads, caps, trust_of_quads(rho, (quads & CUT_EDGES) != 0, confidence))
 
 
 def _flag(bit: int, where: np.ndarray) -> np.ndarray:
@@ -275,16 +273,6 @@ def mask_of_vertices(
     for axis in (0, 1):
         mask = np.logical_or.reduceat(mask, np.arange(size[axis]) * mask.shape[axis] // size[axis], axis=axis)
     return mask
-
-
-def _trust(quads: np.ndarray, confidence: np.ndarray | None) -> np.ndarray:
-    """Least confidence of a quad's corners, never quite 0; little where it is cut, because there colours are mixed."""
-    trust = np.where(quads & CUT_EDGES, np.float32(TRUST_AT_CUTS), np.float32(1.0))
-    if confidence is None:
-        return trust
-    rows = np.minimum(confidence[:-1], confidence[1:])
-    least = np.minimum(rows, np.roll(rows, -1, axis=1)).astype(np.float32)
-    return np.asarray(trust * np.maximum(least, np.float32(LEAST_TRUST)))
 
 
 def _any_corner(mask: np.ndarray) -> np.ndarray:
