@@ -5,13 +5,8 @@ import pytest
 from render_samples import CUTS, WHOLE, rough, smooth
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.mesh import (
-    CUT_EDGES,
-    FACES_PER_QUAD,
-    Cut,
-    build_mesh,
-    mask_of_vertices,
-)
+from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
+from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUAD
 
 SHAPES = [(2, 2), (2, 5), (4, 8), (9, 14)]
 

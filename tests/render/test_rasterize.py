@@ -6,7 +6,8 @@ from render_samples import CUTS, POSES, WHOLE, is_unambiguous, moved, random_pos
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.mesh import FACES_PER_QUAD, Mesh, build_mesh
+from omnisyn_cli.render.mesh import Mesh, build_mesh
+from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments, Rasterizer, rasterize
 from omnisyn_cli.render.reference import rasterize_reference
 

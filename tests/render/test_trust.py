@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from render_samples import rough
 
-from omnisyn_cli.render.mesh import CUT_EDGES, build_mesh
+from omnisyn_cli.render.mesh import build_mesh
+from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.render.trust import AT_CUTS, AT_RIMS, FAR_BEHIND, LEAST, REACH, trust_of_quads
 
 

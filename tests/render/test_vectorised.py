@@ -7,7 +7,8 @@ from render_samples import WHOLE, is_unambiguous, moved, random_pose, rough, smo
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render import quad_kernels
-from omnisyn_cli.render.mesh import QUARTER_WEIGHTS, build_mesh
+from omnisyn_cli.render.mesh import build_mesh
+from omnisyn_cli.render.quads import QUARTER_WEIGHTS
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.reference import rasterize_reference
 from omnisyn_cli.render.trigonometry import LOG2_ERROR, log2_fast

@@ -18,7 +18,8 @@ from omnisyn_cli.networks.depth import VARIANTS
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.joint import JointConfig, JointNetwork, PairPrediction, exchanged_panoramas
 from omnisyn_cli.networks.paper import PaperConfig, PaperPrediction
-from omnisyn_cli.render.mesh import CUT_EDGES, build_mesh
+from omnisyn_cli.render.mesh import build_mesh
+from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool, save_scene

@@ -22,18 +22,21 @@ import numpy as np
 from jaxtyping import Bool, Float, Int32, Integer, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.quads import (
+    BOTTOM,
+    CUT_EDGES,
+    DIAGONAL,
+    DIRECTION_WEIGHTS,
+    FACES_PER_QUAD,
+    INVERSE_DEPTH_WEIGHTS,
+    LEFT,
+    REMOVED,
+    RIGHT,
+    TOP,
+)
 from omnisyn_cli.render.trust import trust_of_quads
 
 __all__ = [
-    "BOTTOM",
-    "CUT_EDGES",
-    "DIAGONAL",
-    "FACES_PER_QUAD",
-    "LEFT",
-    "QUARTER_WEIGHTS",
-    "REMOVED",
-    "RIGHT",
-    "TOP",
     "Cut",
     "FaceCorners",
     "Mesh",
@@ -42,15 +45,6 @@ __all__ = [
     "build_mesh",
     "mask_of_vertices",
 ]
-
-TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
-CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT
-"""Bits of a quad's byte: which of its edges are cut."""
-DIAGONAL = 16
-"""Set where the quad is split from bottom left to top right, clear from top left to bottom right."""
-REMOVED = 32
-"""Set where nothing of the quad is drawn (all of it is masked)."""
-FACES_PER_QUAD = 8
 
 NO_SURFACE = -1e-9
 """Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
@@ -142,8 +136,8 @@ class Mesh:
         vertex = self._quad_vertices(quad)
         code = self.quads.ravel()[quad]
         kind = np.where(code & CUT_EDGES, code & CUT_EDGES, code & DIAGONAL)
-        direction_weight = _DIRECTION_WEIGHTS[kind, faces % FACES_PER_QUAD]
-        inverse_depth_weight = _INVERSE_DEPTH_WEIGHTS[kind, faces % FACES_PER_QUAD]
+        direction_weight = DIRECTION_WEIGHTS[kind, faces % FACES_PER_QUAD]
+        inverse_depth_weight = INVERSE_DEPTH_WEIGHTS[kind, faces % FACES_PER_QUAD]
         offset = np.zeros((len(faces), 3))
         cap = faces[is_cap] - FACES_PER_QUAD * quad_count
         vertex[is_cap] = self._cap_vertices(cap)
@@ -308,73 +302,3 @@ def _caps(rho: np.ndarray, beside: np.ndarray, mask: np.ndarray | None) -> np.nd
 
 _POLES = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
 _CAP_WEIGHTS = np.eye(4)[:3]
-
-# Corners of a quad: 0 top left, 1 top right, 2 bottom left, 3 bottom right.
-_BESIDE = (1, 0, 3, 2)
-_ACROSS = (2, 3, 0, 1)
-_EDGE_BESIDE = (TOP, TOP, BOTTOM, BOTTOM)
-_EDGE_ACROSS = (LEFT, RIGHT, LEFT, RIGHT)
-
-
-def _component(corner: int, code: int) -> list[int]:
-    """The corners of a quad that hang together with ``corner`` through edges that are not cut."""
-    reached, frontier = {corner}, [corner]
-    while frontier:
-        at = frontier.pop()
-        for edge, to in ((_EDGE_BESIDE[at], _BESIDE[at]), (_EDGE_ACROSS[at], _ACROSS[at])):
-            if not code & edge and to not in reached:
-                reached.add(to)
-                frontier.append(to)
-    return sorted(reached)
-
-
-def _mean_of(corners: list[int]) -> np.ndarray:
-    return np.bincount(corners, minlength=4) / len(corners)
-
-
-def _quarter(corner: int, code: int) -> tuple[np.ndarray, np.ndarray]:
-    """Direction and inverse-depth weights of the four points of a corner's quarter, in the order of a quad."""
-    beside, across = _BESIDE[corner], _ACROSS[corner]
-    direction = {corner: [corner], beside: [corner, beside], across: [corner, across], 3 - corner: [0, 1, 2, 3]}
-    rho = {
-        corner: [corner],
-        beside: [corner] if code & _EDGE_BESIDE[corner] else [corner, beside],
-        across: [corner] if code & _EDGE_ACROSS[corner] else [corner, across],
-        3 - corner: _component(corner, code),
-    }
-    return np.stack([_mean_of(direction[k]) for k in range(4)]), np.stack([_mean_of(rho[k]) for k in range(4)])
-
-
-def _weight_tables() -> tuple[np.ndarray, np.ndarray]:
-    """Weights ``(kind, face in quad, corner of face, corner of quad)``; kinds 0 and 16 are the whole quads."""
-    direction, rho = np.zeros((17, FACES_PER_QUAD, 3, 4)), np.zeros((17, FACES_PER_QUAD, 3, 4))
-    falling, rising = np.array([(0, 3, 2), (0, 1, 3)]), np.array([(0, 1, 2), (1, 3, 2)])
-    for kind, faces in ((0, falling), (DIAGONAL, rising)):
-        direction[kind, :2] = rho[kind, :2] = np.eye(4)[faces]
-    for code in range(1, 16):
-        for corner in range(4):
-            faces = falling if corner in (0, 3) else rising
-            quarter_direction, quarter_rho = _quarter(corner, code)
-            direction[code, 2 * corner : 2 * corner + 2] = quarter_direction[faces]
-            rho[code, 2 * corner : 2 * corner + 2] = quarter_rho[faces]
-    return direction, rho
-
-
-_DIRECTION_WEIGHTS, _INVERSE_DEPTH_WEIGHTS = _weight_tables()
-
-
-def _quarter_weights() -> np.ndarray:
-    """Weights ``(code, corner of quad, 32)`` of the points of quarters, numbered ``4·point + quarter``.
-
-    The first half is for directions, the second what the weights for inverse depths have beyond those.
-    """
-    weights = np.zeros((CUT_EDGES + 1, 4, 2, 4, 4), np.float32)
-    for code in range(1, CUT_EDGES + 1):
-        for corner in range(4):
-            direction, rho = _quarter(corner, code)
-            weights[code, :, 0, :, corner], weights[code, :, 1, :, corner] = direction.T, (rho - direction).T
-    return weights.reshape(CUT_EDGES + 1, 4, 32)
-
-
-QUARTER_WEIGHTS = _quarter_weights()
-"""How the points of the quarters of a cut quad follow from its corners, see ``transform_quarters``."""

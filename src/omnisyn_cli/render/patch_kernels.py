@@ -11,7 +11,7 @@ import numpy as np
 
 from omnisyn_cli.jit import kernel
 from omnisyn_cli.render.box_kernels import project_points
-from omnisyn_cli.render.mesh import CUT_EDGES
+from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.render.simd import load, splat, store_half, swapped
 
 __all__ = ["transform_caps", "transform_quarters"]

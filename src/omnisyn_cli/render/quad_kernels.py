@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from omnisyn_cli.jit import inlined, inlined_contracting, kernel
-from omnisyn_cli.render.mesh import CUT_EDGES, DIAGONAL, REMOVED
+from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, REMOVED
 from omnisyn_cli.render.simd import (
     LANES,
     double,

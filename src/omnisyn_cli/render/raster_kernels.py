@@ -11,8 +11,8 @@ import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, kernel
 from omnisyn_cli.render.box_kernels import find_boxes, project_points
-from omnisyn_cli.render.mesh import FACES_PER_QUAD
 from omnisyn_cli.render.quad_kernels import PLAN_ROWS, draw_quads, plan_quads
+from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.simd import LANES, load, store, where
 
 __all__ = [

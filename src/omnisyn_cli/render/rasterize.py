@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float32, Int32
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
-from omnisyn_cli.render.mesh import QUARTER_WEIGHTS, Mesh
+from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.patch_kernels import transform_caps, transform_quarters
+from omnisyn_cli.render.quads import QUARTER_WEIGHTS
 from omnisyn_cli.render.raster_kernels import (
     BLOCK,
     NOTHING,

@@ -26,7 +26,8 @@ from torch import Tensor
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear_at
 from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, linearised_arccos, pixel_directions
-from omnisyn_cli.render.mesh import BOTTOM, FACES_PER_QUAD, TOP, Cut, FaceCorners, Mesh, build_mesh
+from omnisyn_cli.render.mesh import Cut, FaceCorners, Mesh, build_mesh
+from omnisyn_cli.render.quads import BOTTOM, FACES_PER_QUAD, TOP
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 
 __all__ = ["Rendering", "rasterize_torch", "render_fragments"]

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
-from omnisyn_cli.render.mesh import FACES_PER_QUAD
+from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.simd import load_floats, pair, splat, store_half, swapped
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.render.mesh import CUT_EDGES, DIAGONAL, QUARTER_WEIGHTS, REMOVED, Mesh
+from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, QUARTER_WEIGHTS, REMOVED
 from omnisyn_cli.render.raster_kernels import BLOCK
 from omnisyn_cli.render.simplify_kernels import (
     APART,

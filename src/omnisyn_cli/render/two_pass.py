@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_scale
-from omnisyn_cli.render.mesh import FACES_PER_QUAD, Cut, Mesh, Triangles, build_mesh, mask_of_vertices
+from omnisyn_cli.render.mesh import Cut, Mesh, Triangles, build_mesh, mask_of_vertices
+from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments
 from omnisyn_cli.render.shade import Shader, make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles

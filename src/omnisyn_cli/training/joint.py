@@ -27,7 +27,8 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.joint import JointNetwork, PairPrediction
-from omnisyn_cli.render.mesh import FACES_PER_QUAD, Mesh, build_mesh
+from omnisyn_cli.render.mesh import Mesh, build_mesh
+from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.checkpoint import load_checkpoint
