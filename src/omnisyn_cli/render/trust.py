@@ -20,8 +20,8 @@ they would hang in the sky as an outline. The other view has usually seen the sa
 REACH = 5
 """Vertices: how wide a rim is."""
 
-FAR_BEHIND = 5.0
-"""Times as far. Behind the edges of furniture there would be a loss: the other view often sees another thing there."""
+FAR_BEHIND = 2.5
+"""Times as far. With 1.7 frames of halls lose 0.05 dB: close behind an edge the other view often sees other things."""
 
 LEAST = 0.01
 """However little is known: even then it is better than nothing."""
@@ -34,7 +34,7 @@ def trust_of_quads(
 ) -> Float32[np.ndarray, "height-1 width"]:
     """Trust in (0, 1] in the quads of a mesh, whose columns wrap.
 
-    On standard streets walked for 1 to 4 m, distrust of rims gains 0.08 to 0.14 dB; indoors it changes nothing.
+    On standard streets walked for 1 to 4 m, distrust of rims gains 0.08 to 0.14 dB; in halls frames gain or lose 0.01.
 
     Args:
         inverse_depth: 1/metre; negative where there is no surface.
