@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_samples import listing, pair_arguments, run_cli, start_cli, write_pair
+from cli_samples import folder_arguments, listing, pair_arguments, run_cli, start_cli, write_pair
 
 import omnisyn_cli
 from omnisyn_cli.cli import COMMANDS, cli
@@ -111,6 +111,16 @@ def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
     assert process.wait(60) == 1
     assert "Traceback" not in err
     assert "Exception ignored" not in err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell that closes streams")
+@pytest.mark.parametrize("closing", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-"])
+def test_work_is_done_without_standard_streams(tmp_path: Path, closing: str) -> None:
+    arguments = map(str, folder_arguments(tmp_path, write_pair(tmp_path)))
+    program = [sys.executable, "-m", "omnisyn_cli", *arguments]
+    done = subprocess.run(["/bin/sh", "-c", f'"$@" {closing}', "sh", *program], cwd=tmp_path, check=False)
+    assert done.returncode == 0
+    assert len(list((tmp_path / "out").iterdir())) == 3
 
 
 def test_names_that_no_terminal_can_show_do_not_stop_the_work(tmp_path: Path) -> None:
