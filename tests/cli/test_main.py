@@ -100,6 +100,24 @@ def test_bugs_are_not_dressed_up(capsys: pytest.CaptureFixture[str], monkeypatch
         run_cli(capsys, "info", "a.jpg")
 
 
+NOT_FINITE = [
+    ("interpolate", "--cut"), ("interpolate", "--cut-metres"), ("interpolate", "--budget"),
+    ("interpolate", "--baseline"), ("interpolate", "--duration"), ("interpolate", "--fps"), ("interpolate", "--nadir"), ("batch", "--gpus"),
+    ("scenes make", "--baseline"), ("scenes make", "--tilt"), ("poses estimate", "--baseline"),
+    ("poses import", "--time-tolerance"), ("train depth", "--rate"), ("train depth", "--minutes"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("command", "option"), NOT_FINITE)
+@pytest.mark.parametrize("number", ["nan", "inf", "-1"])
+def test_numbers_that_mean_nothing_are_wrong_usage(
+    capsys: pytest.CaptureFixture[str], command: str, option: str, number: str
+) -> None:
+    result = run_cli(capsys, *command.split(), option, number)
+    assert result.code == 2
+    assert f"'{option}'" in result.err
+
+
 def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
     images = write_pair(tmp_path)
     process = start_cli("info", *images * 200, folder=tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
+from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
 __all__ = ["train"]
@@ -127,9 +129,15 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
         click.option("--pool", required=True, type=FOLDER, help=learn),
         click.option("--validation-pool", required=True, type=FOLDER, help=judge),
         click.option("--batch", default=batch, type=at_least_1, help="Pairs per step.", **shown),
-        click.option("--rate", default=rate, type=float, help=f"Learning rate after the warm-up.{by_variant}", **shown),
+        click.option(
+            "--rate",
+            default=rate,
+            type=FiniteRange(0, min_open=True),
+            help=f"Learning rate after the warm-up.{by_variant}",
+            **shown,
+        ),
         click.option("--cooldown-steps", default=0, type=at_least_0, help="Take the rate to 0, end.", **shown),
-        click.option("--minutes", default=float("inf"), type=float, help="Stop after this time. [default: never]"),
+        click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]"),
         click.option("--steps", default=None, type=at_least_1, help="Stop at this step. [default: never]"),
         click.option("--seed", default=0, type=at_least_0, help="Of the weights and the batches.", **shown),
         click.option("--threads", default=0, type=at_least_0, help="Of the processor. [default: all]"),
@@ -286,7 +294,7 @@ def _check_variant(variant: str, known: Mapping[str, Any]) -> None:
 
 
 def _train(
-    network: Any, folder: Path, threads: int, minutes: float, steps: int | None, device: str,
+    network: Any, folder: Path, threads: int, minutes: float | None, steps: int | None, device: str,
     tensorboard: Path | None, weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
     from contextlib import ExitStack, closing
@@ -306,8 +314,8 @@ def _train(
     with ExitStack() as stack:
         board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
         run(
-            network, config, folder, minutes=minutes, steps=steps, report=_show, precision=precision, board=board,
-            weights=weights,
+            network, config, folder, minutes=math.inf if minutes is None else minutes, steps=steps, report=_show,
+            precision=precision, board=board, weights=weights,
         )  # fmt: skip
 
 
