@@ -322,7 +322,8 @@ def _train(
 @train.command("compact")
 @click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="File to write.")
-def compact_checkpoint(checkpoint: Path, output: Path) -> None:
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     """Keep only the averaged weights of CHECKPOINT, in half precision.
 
     The result is an eighth of the size. It can be exported, and put into a new folder as checkpoint.pt to train on.
@@ -330,7 +331,7 @@ def compact_checkpoint(checkpoint: Path, output: Path) -> None:
     from omnisyn_cli.io import check_output
     from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 
-    check_output(output)
+    check_output(output, overwrite)
     save_checkpoint(output, compact(load_checkpoint(checkpoint)))
 
 
