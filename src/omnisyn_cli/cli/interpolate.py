@@ -175,6 +175,8 @@ def interpolate(
     from omnisyn_cli.planning import InterpolationJob, plan_interpolation
     from omnisyn_cli.render.mesh import Cut
 
+    if cut is not None and cut_metres is not None:
+        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
     if budget is not None:
         _check_budget_decides(options["method"])
     rule = Cut(relative=cut) if cut is not None else None
