@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.io.paths import make_folder, replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
 from omnisyn_cli.networks.export import (
     PARITY,
@@ -104,7 +104,7 @@ def publish_all(
         raise InputError(f"expected a name without folders, got {name!r}; choose another (--name)")
     network, state = load_network(checkpoint)
     parts = _parts(network, state, name, pool)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "models")
     partials = [folder / f"{part.name}.partial.onnx" for part in parts]
     try:
         differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
