@@ -131,6 +131,17 @@ def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
     assert "Exception ignored" not in err
 
 
+def test_what_the_system_refuses_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", "some/folder")
+
+    monkeypatch.setattr("omnisyn_cli.io.describe.describe_file", refused)
+    result = run_cli(capsys, "info", "a.jpg")
+    assert (result.code, result.out) == (1, "")
+    expected = "some/folder: expected a place that can be used, got 'Permission denied'; check its name and permissions"
+    assert result.err == f"omnisyn: {expected}\n"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a shell that closes streams")
 @pytest.mark.parametrize("closing", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-"])
 def test_work_is_done_without_standard_streams(tmp_path: Path, closing: str) -> None:

@@ -101,8 +101,16 @@ def _run(arguments: Sequence[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
         return 1
     except OSError as error:
-        return _failed(f"expected to print the result, got '{error.strerror or error}'; check where it is sent", 1)
+        return _failed(_about(error), 1)
     return result if isinstance(result, int) else 0
+
+
+def _about(error: OSError) -> str:
+    """What the system refused: a file that it names, else standard output."""
+    reason = error.strerror or error
+    if error.filename is None:
+        return f"expected to print the result, got '{reason}'; check where it is sent"
+    return f"{error.filename}: expected a place that can be used, got '{reason}'; check its name and permissions"
 
 
 def _failed(message: str, code: int) -> int:
