@@ -54,6 +54,13 @@ def test_picture_and_depth_may_have_any_size(size: tuple[int, int], depth_rows: 
     assert cross_check(pair, estimates, Cut(), 1).confidence.score > 0.5
 
 
+@pytest.mark.parametrize("size", [(16, 32), (300, 600)])
+def test_both_pictures_need_not_have_one_size(size: tuple[int, int]) -> None:
+    first, second = hall_pair()[0], hall_pair(size)[1]
+    for pair in ((first, second), (second, first)):
+        assert cross_check(pair, depths(pair), Cut(), 1).confidence.score > 0.5
+
+
 def test_masked_pixels_are_not_compared() -> None:
     first, second = hall_pair()
     hole = np.zeros(SIZE, bool)

@@ -124,6 +124,17 @@ def test_depth_is_kept_on_request_for_every_pair(tmp_path: Path) -> None:
         plan_interpolation(job_of(tmp_path, images, output=tmp_path / "b", save_depth=tmp_path / "depth"))
 
 
+def test_depth_of_both_is_kept_where_only_their_endings_differ(tmp_path: Path) -> None:
+    first, second = write_hall(tmp_path, CHAIN[:2])
+    entries = {name: PosedPanorama(pose, tmp_path / f"p{index}_depth.exr")
+               for index, (name, pose) in enumerate(zip(("p.png", "p.tif"), CHAIN, strict=False))}  # fmt: skip
+    write_image(tmp_path / "p.tif", samples_of(second))
+    write_poses(tmp_path / "poses.json", entries)
+    run(job_of(tmp_path, [first.rename(tmp_path / "p.png"), tmp_path / "p.tif"], save_depth=tmp_path / "depth"))
+    for name, pose in zip(("0000_p.png_depth.exr", "0000_p.tif_depth.exr"), CHAIN, strict=False):
+        np.testing.assert_allclose(read_depth(tmp_path / "depth" / name), distance_to_wall(pose, SIZE), rtol=1e-5)
+
+
 def test_frames_are_kept_besides_the_video_on_request(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
     job = job_of(

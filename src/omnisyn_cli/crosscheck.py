@@ -24,7 +24,7 @@ from omnisyn_cli.types import DepthEstimate, Rendering, View
 __all__ = ["CHECK_SIZE", "CrossCheck", "cross_check"]
 
 CHECK_SIZE = (256, 512)
-"""Rows and columns that a pair is checked at; smaller panoramas at their own size."""
+"""Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
 
 SAME_PLACE = 0.05
 """Relative difference of inverse depth up to which two pictures show the same place."""
@@ -57,7 +57,8 @@ def cross_check(
         cut: where their surfaces are separated.
         threads: at most this many; None is one per core.
     """
-    small = (_reduced(views[0], depths[0]), _reduced(views[1], depths[1]))
+    size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
+    small = (_reduced(views[0], depths[0], size), _reduced(views[1], depths[1], size))
     renderers = [_renderer(view, cut, threads) for view in small]
     across = [_crossed(small[k], renderers[1 - k], small[1 - k]) for k in (0, 1)]
     curve = _curve(across)
@@ -69,9 +70,8 @@ def cross_check(
     return CrossCheck(curve, assess_pair(across, middle))
 
 
-def _reduced(view: View, depth: DepthEstimate) -> View:
+def _reduced(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
     """A view at the size of the check, its depth with it."""
-    size = min(CHECK_SIZE, view.image.shape[:2])
     image = _resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
     mask = None if view.mask is None else _resized(view.mask.astype(np.float32), size, cv2.INTER_AREA) > 0.99
     maps = [np.asarray(x, np.float32) for x in (depth.inverse_depth, depth.confidence)]

@@ -94,6 +94,11 @@ def test_all_problems_are_listed_with_their_lines(tmp_path: Path) -> None:
      ({"inputs": ["p0.png"]}, "inputs"), ({"inputs": ["p0.png", "p2.exr"]}, "p2.exr"), ({"fps": 1e999}, "fps"),
      ({"nadir": 90}, "nadir"), ({"masks": ["p0.png"]}, "one mask"), ({"masks": ["p0.png", "m.png"]}, "m.png"),
      ({"baseline": 2}, "baseline"), ({"poses": "auto", "baseline": 0}, "baseline"),
+     ({"codec": "mpeg"}, "codec"), ({"output": "a.mp4", "codec": "prores"}, ".mov"), ({"crf": 99}, "quality"),
+     ({"heading": "up"}, "heading"), ({"output": "a/", "codec": "h265"}, "png"), ({"output": "a.png"}, "one image"),
+     ({"output": "a.mp4", "size": "62x31"}, "even"), ({"encoder_preset": "warp"}, "preset"),
+     ({"fallback": "hope"}, "fallback"), ({"frames": None, "duration": 0.01}, "2 frames"),
+     ({"save_frames": "b.mp4x"}, ".mp4"), ({"method": "synsin", "fusion": "network"}, "synsin"),
      ({"threads": 2}, "threads"), ({"overwrite": True}, "overwrite")],
 )  # fmt: skip
 def test_what_no_job_may_say_is_refused(tmp_path: Path, changes: dict[str, Any], word: str) -> None:

@@ -342,10 +342,17 @@ def test_files_that_no_batch_has_written_are_safe(tmp_path: Path) -> None:
     assert len(batch(tmp_path, line(0, 1), overwrite=True).done) == 1
 
 
-@pytest.mark.parametrize("output", ["p1.png", "poses.json", "jobs.jsonl"])
-def test_inputs_are_never_outputs(tmp_path: Path, output: str) -> None:
+@pytest.mark.parametrize("mistaken", ["p1.png", "poses.json", "jobs.jsonl"])
+def test_inputs_are_never_outputs(tmp_path: Path, mistaken: str) -> None:
+    """Not even where their names are those of videos."""
     write_row(tmp_path, 2)
-    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1, output=output)])
+    names = {name: "a.mp4" if name == mistaken else name for name in ("p1.png", "poses.json", "jobs.jsonl")}
+    text = (tmp_path / "poses.json").read_text().replace("p1.png", names["p1.png"])
+    (tmp_path / "poses.json").write_text(text)
+    for name in ("p1.png", "poses.json"):
+        (tmp_path / name).rename(tmp_path / names[name])
+    job = line(0, 1, output="a.mp4", poses=names["poses.json"]) | {"inputs": ["p0.png", names["p1.png"]]}
+    path = write_lines(tmp_path / names["jobs.jsonl"], [job])
     before = contents(tmp_path)
     with pytest.raises(OutputPathError, match="expected inputs"):
         run_batch(read_manifest(path), tmp_path, BatchOptions(overwrite=True))
@@ -390,7 +397,7 @@ def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path: Path) -
 
 def test_progress_counts_jobs_and_their_costs(tmp_path: Path) -> None:
     write_row(tmp_path, 3)
-    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1), line(1, 2, frames=300, output="x.nosuch"), line(0, 2)])
+    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1), line(1, 2, frames=300, max_pixels=1), line(0, 2)])
     seen: list[Progress] = []
     report = run_batch(read_manifest(path), tmp_path / "out", BatchOptions(), seen.append)
     assert [(p.done, p.failed, p.jobs) for p in seen] == [(0, 0, 3), (0, 1, 3), (1, 1, 3), (2, 1, 3)]

@@ -196,6 +196,14 @@ BAD_OUTPUT = {
 }
 
 
+def test_one_rule_for_cutting_meshes_is_enough(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    before = listing(tmp_path)
+    result = run_cli(capsys, *folder_arguments(tmp_path, pair, "--cut", 0.1, "--cut-metres", 2))
+    assert result.code == 2
+    assert "expected --cut or --cut-metres, got both; leave one of them out" in result.err
+    assert listing(tmp_path) == before
+
+
 @pytest.mark.parametrize("case", BAD_OUTPUT)
 def test_unusable_outputs_are_refused_before_any_work(
     tmp_path: Path, capsys: Capture, case: str, monkeypatch: pytest.MonkeyPatch

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli_samples import listing, pair_arguments, run_cli, start_cli, write_pair
+from cli_samples import folder_arguments, listing, pair_arguments, run_cli, start_cli, write_pair
 
 import omnisyn_cli
 from omnisyn_cli.cli import COMMANDS, cli
@@ -100,6 +100,24 @@ def test_bugs_are_not_dressed_up(capsys: pytest.CaptureFixture[str], monkeypatch
         run_cli(capsys, "info", "a.jpg")
 
 
+NOT_FINITE = [
+    ("interpolate", "--cut"), ("interpolate", "--cut-metres"), ("interpolate", "--budget"),
+    ("interpolate", "--baseline"), ("interpolate", "--duration"), ("interpolate", "--fps"), ("interpolate", "--nadir"),
+    ("batch", "--gpus"), ("scenes make", "--baseline"), ("scenes make", "--tilt"), ("poses estimate", "--baseline"),
+    ("poses import", "--time-tolerance"), ("train depth", "--rate"), ("train depth", "--minutes"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("command", "option"), NOT_FINITE)
+@pytest.mark.parametrize("number", ["nan", "inf", "-1"])
+def test_numbers_that_mean_nothing_are_wrong_usage(
+    capsys: pytest.CaptureFixture[str], command: str, option: str, number: str
+) -> None:
+    result = run_cli(capsys, *command.split(), option, number)
+    assert result.code == 2
+    assert f"'{option}'" in result.err
+
+
 def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
     images = write_pair(tmp_path)
     process = start_cli("info", *images * 200, folder=tmp_path)
@@ -111,6 +129,27 @@ def test_a_reader_that_leaves_is_no_crash(tmp_path: Path) -> None:
     assert process.wait(60) == 1
     assert "Traceback" not in err
     assert "Exception ignored" not in err
+
+
+def test_what_the_system_refuses_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", "some/folder")
+
+    monkeypatch.setattr("omnisyn_cli.io.describe.describe_file", refused)
+    result = run_cli(capsys, "info", "a.jpg")
+    assert (result.code, result.out) == (1, "")
+    expected = "some/folder: expected a place that can be used, got 'Permission denied'; check its name and permissions"
+    assert result.err == f"omnisyn: {expected}\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a shell that closes streams")
+@pytest.mark.parametrize("closing", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-"])
+def test_work_is_done_without_standard_streams(tmp_path: Path, closing: str) -> None:
+    arguments = map(str, folder_arguments(tmp_path, write_pair(tmp_path)))
+    program = [sys.executable, "-m", "omnisyn_cli", *arguments]
+    done = subprocess.run(["/bin/sh", "-c", f'"$@" {closing}', "sh", *program], cwd=tmp_path, check=False)
+    assert done.returncode == 0
+    assert len(list((tmp_path / "out").iterdir())) == 3
 
 
 def test_names_that_no_terminal_can_show_do_not_stop_the_work(tmp_path: Path) -> None:

@@ -187,6 +187,13 @@ def test_alpha_becomes_the_mask_and_leaves_colours_alone(tmp_path: Path, suffix:
     np.testing.assert_array_equal(panorama.original, samples[..., :3])
 
 
+def test_a_gif_is_read_though_its_reader_counts_alpha_from_one(tmp_path: Path) -> None:
+    blue = np.broadcast_to(np.array([0, 0, 255], np.uint8), (4, 8, 3))
+    panorama = read_panorama(write_with(tmp_path / "a.gif", blue))
+    np.testing.assert_array_equal(panorama.image * 255, blue)
+    assert panorama.mask is None
+
+
 def test_premultiplied_colours_are_divided_by_alpha(tmp_path: Path) -> None:
     samples = np.full((8, 16, 4), 0.5, np.float32)
     samples[..., 3] = 0.8

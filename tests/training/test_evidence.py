@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 import torch
 
+from omnisyn_cli.cli import main
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.refine import RefineConfig, RefinePrediction
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.evidence import PLANES
@@ -117,3 +119,32 @@ def test_a_network_is_trained_and_published(tmp_path, pool):
     assert difference < 1e-4
     assert (entry.role, entry.size) == ("refine", SIZE)
     assert read_manifest(tmp_path / "models") == {"refine-tiny": entry}
+
+
+def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, pool, monkeypatch):
+    folder = str(pool[0].parent)
+    checkpoint, models = tmp_path / "run" / "checkpoint.pt", tmp_path / "models"
+    train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
+    publishing = {"pool": None, "training": "", "licence": "MIT"}
+    with pytest.raises(InputError, match=r"name without folders, got 'a/b'; choose another \(--name\)"):
+        publish(checkpoint, models, name="a/b", **publishing)
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        publish(checkpoint, models, name=None, **publishing)
+    assert list(models.iterdir()) == []
+
+
+def test_a_compact_checkpoint_is_replaced_only_on_request(tmp_path, pool):
+    folder, small = str(pool[0].parent), tmp_path / "small.pt"
+    train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
+    small.write_bytes(b"mine")
+    arguments = ["train", "compact", str(tmp_path / "run" / "checkpoint.pt"), "-o", str(small)]
+    for more, code in (([], 3), (["--overwrite"], 0)):
+        with pytest.raises(SystemExit) as left:
+            main([*arguments, *more])
+        assert left.value.code == code
+        assert (small.read_bytes() == b"mine") == (code != 0)

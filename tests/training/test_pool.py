@@ -1,7 +1,12 @@
+import errno
+import time
+from pathlib import Path
+
 import pytest
 
+from omnisyn_cli.errors import OutputPathError, WriteError
 from omnisyn_cli.training import pool
-from omnisyn_cli.training.data import load_scene
+from omnisyn_cli.training.data import load_scene, save_arrays
 from omnisyn_cli.training.pool import PoolConfig, render_pool_scene
 
 SMALL = PoolConfig(size=(16, 32), views=2, supersample=1)
@@ -22,6 +27,38 @@ def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypa
             pool.render_to_pool(tmp_path, 0, SMALL)
     monkeypatch.setattr(pool, "sample_path", no_room)
     assert pool.render_to_pool(tmp_path, 0, SMALL) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def first_fails(folder: Path, seed: int) -> Path:
+    """Work for another process that leaves a trace."""
+    (folder / str(seed)).touch()
+    time.sleep(0.02)
+    if seed == 0:
+        raise WriteError("full")
+    return folder / str(seed)
+
+
+def test_after_a_failure_nothing_more_is_begun(tmp_path):
+    with pytest.raises(WriteError, match="full"):
+        list(pool.fill_pool(tmp_path, range(500), first_fails))
+    assert len(list(tmp_path.iterdir())) < 250
+
+
+def test_a_place_that_cannot_be_written_is_named_before_any_scene_is_rendered(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputPathError, match="file/pool: expected a folder for a pool"):
+        list(pool.fill_pool(tmp_path / "file" / "pool", range(1), first_fails))
+
+
+def test_a_full_disk_is_a_write_error_and_leaves_no_partial_file(tmp_path, monkeypatch):
+    def full(file, **_):
+        file.write(b"begun")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("omnisyn_cli.training.data.np.savez", full)
+    with pytest.raises(WriteError, match=r"a\.npz: expected to write it, got 'No space left on device'"):
+        save_arrays(tmp_path / "a.npz", {})
     assert list(tmp_path.iterdir()) == []
 
 

@@ -22,9 +22,16 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from omnisyn_cli.batch.lines import read_lines
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.io import MAX_PIXELS, PoseFile, read_poses
+from omnisyn_cli.io import MAX_PIXELS, PoseFile, check_encoding, read_poses, sample_type
 from omnisyn_cli.io.sequence import NUMBER
-from omnisyn_cli.planning import DEPTH_METHODS, POSES_FROM_PICTURES, RENDERER_CHOICES, InterpolationJob
+from omnisyn_cli.planning import (
+    DEPTH_METHODS,
+    POSES_FROM_PICTURES,
+    RENDERER_CHOICES,
+    InterpolationJob,
+    check_choices,
+    frame_count,
+)
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.session import DEVICES
@@ -42,6 +49,9 @@ OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence")
 
 PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
 """What a line says beside the options of its interpolation."""
+
+EVEN_SIZE = (2, 4)
+"""Rows and columns that every encoder takes."""
 
 Fraction = Annotated[float, Field(gt=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -210,6 +220,7 @@ class _Reader:
             line = _refusing(value)
             job = self._job(line)
             self._check_unique(job, number)
+            _check_feasible(job.interpolation(Path()))
         except ValidationError as error:
             self.problems.extend(f"line {number}: {problem}" for problem in _explained(error))
         except InputError as error:
@@ -322,6 +333,20 @@ def _check_together(options: dict[str, Any], panoramas: int, *, is_found: bool) 
         width, _, height = options["size"].partition("x")
         if int(width) != 2 * int(height):
             raise InputError(f"expected a size twice as wide as high, got {options['size']}; try 2048x1024")
+
+
+def _check_feasible(job: InterpolationJob) -> None:
+    """What can be refused without a look at the panoramas; a size that follows from them is always an even one."""
+    check_choices(job)
+    frame_count(job)
+    size = job.size or EVEN_SIZE
+    check_encoding(
+        job.output, size=size, fps=job.fps, codec=job.codec, crf=job.crf, preset=job.encoder_preset,
+        dtype=sample_type(job.output, job.codec),
+    )  # fmt: skip
+    for grey_or_images in (job.save_confidence, job.save_frames):
+        if grey_or_images is not None:
+            check_encoding(grey_or_images, size=size, fps=job.fps)
 
 
 def _inside(place: str) -> PurePosixPath:

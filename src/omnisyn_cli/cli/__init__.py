@@ -13,7 +13,9 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
+from typing import TextIO
 
 import click
 
@@ -64,12 +66,18 @@ def cli() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code; errors of this package become one line on stderr."""
+    sys.stdout, sys.stderr = (stream or _nowhere() for stream in (sys.stdout, sys.stderr))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a file's name may be what the terminal cannot show
     with _signals_raised():
         code = _run(arguments)
     sys.exit(code)
+
+
+def _nowhere() -> TextIO:
+    """In place of a stream that was closed before the program began, which Python leaves out."""
+    return Path(os.devnull).open("w", encoding="utf-8")
 
 
 def _run(arguments: Sequence[str] | None) -> int:
@@ -93,8 +101,16 @@ def _run(arguments: Sequence[str] | None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
         return 1
     except OSError as error:
-        return _failed(f"expected to print the result, got '{error.strerror or error}'; check where it is sent", 1)
+        return _failed(_about(error), 1)
     return result if isinstance(result, int) else 0
+
+
+def _about(error: OSError) -> str:
+    """What the system refused: a file that it names, else standard output."""
+    reason = error.strerror or error
+    if error.filename is None:
+        return f"expected to print the result, got '{reason}'; check where it is sent"
+    return f"{error.filename}: expected a place that can be used, got '{reason}'; check its name and permissions"
 
 
 def _failed(message: str, code: int) -> int:

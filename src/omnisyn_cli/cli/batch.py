@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class _BatchCommand(click.Command):
 )
 @click.option("--ray-address", metavar="ADDRESS", help="Of the cluster, such as auto.  [default: what Ray finds]")
 @click.option(
-    "--gpus", type=click.FloatRange(0), default=0.0, show_default=True,
+    "--gpus", type=FiniteRange(0), default=0.0, show_default=True,
     help="GPUs, or a share of one, for each Ray worker.",
 )  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Try jobs again that failed in a former run.")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class Size(SizeType):
     help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
 )  # fmt: skip
 @click.option(
-    "--baseline", metavar="METRES", type=click.FloatRange(0, min_open=True),
+    "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
     help="Distance of neighbours, for --poses auto: pictures do not tell it.  [default: 1]",
 )  # fmt: skip
 @click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then.")
@@ -59,9 +60,9 @@ class Size(SizeType):
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
 )  # fmt: skip
 @click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
-@click.option("--duration", type=click.FloatRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
+@click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
 @click.option(
-    "--fps", type=click.FloatRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second."
+    "--fps", type=FiniteRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second."
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
@@ -74,7 +75,7 @@ class Size(SizeType):
     "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
 )  # fmt: skip
 @click.option(
-    "--budget", metavar="SECONDS", type=click.FloatRange(0, min_open=True),
+    "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
     help="Take the most accurate preset, from fast to accurate, that is expected to be done in this time; how fast "
     "this machine is, is measured for a second first.",
 )  # fmt: skip
@@ -94,12 +95,12 @@ class Size(SizeType):
     "paper.",
 )  # fmt: skip
 @click.option(
-    "--cut", type=click.FloatRange(0, 1, min_open=True),
+    "--cut", type=FiniteRange(0, 1, min_open=True),
     help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.  [default: the "
     "preset's, 0.05 but for paper]",
 )  # fmt: skip
 @click.option(
-    "--cut-metres", type=click.FloatRange(0, min_open=True),
+    "--cut-metres", type=FiniteRange(0, min_open=True),
     help="Cut at steps of depth instead, as the paper and its preset do (there 2).",
 )  # fmt: skip
 @click.option(
@@ -132,7 +133,7 @@ class Size(SizeType):
     help="Image that is black where a panorama must not be used; once for each panorama, in their order.",
 )  # fmt: skip
 @click.option(
-    "--nadir", metavar="DEGREES", type=click.FloatRange(0, 90, max_open=True), default=0.0,
+    "--nadir", metavar="DEGREES", type=FiniteRange(0, 90, max_open=True), default=0.0,
     help="Do not use what is this close to straight down in the panoramas: tripod, roof of a car.",
 )  # fmt: skip
 @click.option(
@@ -174,6 +175,8 @@ def interpolate(
     from omnisyn_cli.planning import InterpolationJob, plan_interpolation
     from omnisyn_cli.render.mesh import Cut
 
+    if cut is not None and cut_metres is not None:
+        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
     if budget is not None:
         _check_budget_decides(options["method"])
     rule = Cut(relative=cut) if cut is not None else None

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.errors import InputError
 
 __all__ = ["check", "estimate", "refine"]
@@ -92,7 +93,7 @@ def refine(
 @images
 @click.option(
     "--baseline", "baselines", metavar="METRES", multiple=True, required=True,
-    type=click.FloatRange(0, min_open=True), help="Distance of neighbours: once for all pairs, or once for each.",
+    type=FiniteRange(0, min_open=True), help="Distance of neighbours: once for all pairs, or once for each.",
 )  # fmt: skip
 @output_option
 @overwrite_option

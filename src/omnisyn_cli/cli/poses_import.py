@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from omnisyn_cli.cli.numbers import FiniteRange
+
 if TYPE_CHECKING:
     from omnisyn_cli.io.pose_formats import Origin
 
@@ -60,7 +62,7 @@ class Place(PlaceType):
 @click.option("--floor", help="Floor of a ZInD tour, e.g. floor_01.  [default: the only one]")
 @click.option(
     "--time-tolerance",
-    type=click.FloatRange(0),
+    type=FiniteRange(0),
     default=0.02,
     show_default=True,
     help="Seconds by which time stamps of a trajectory and of its images may differ.",

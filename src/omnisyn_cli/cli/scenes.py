@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.numbers import FiniteRange
 
 if TYPE_CHECKING:
     from omnisyn_cli.scenes.suite import SuiteScene
@@ -56,12 +57,12 @@ OF_ONE_SCENE = (
 @click.option("--size", type=Size(), default="1024x512", show_default=True, help="Of the panoramas.")
 @click.option(
     "--baseline",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteRange(0, min_open=True),
     help="Metres from the first to the last.  [default: by chance]",
 )
 @click.option(
     "--tilt",
-    type=click.FloatRange(0, 90),
+    type=FiniteRange(0, 90),
     default=0.0,
     show_default=True,
     help="Degrees by which cameras are held askew.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
+from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
 __all__ = ["train"]
@@ -127,9 +129,15 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
         click.option("--pool", required=True, type=FOLDER, help=learn),
         click.option("--validation-pool", required=True, type=FOLDER, help=judge),
         click.option("--batch", default=batch, type=at_least_1, help="Pairs per step.", **shown),
-        click.option("--rate", default=rate, type=float, help=f"Learning rate after the warm-up.{by_variant}", **shown),
+        click.option(
+            "--rate",
+            default=rate,
+            type=FiniteRange(0, min_open=True),
+            help=f"Learning rate after the warm-up.{by_variant}",
+            **shown,
+        ),
         click.option("--cooldown-steps", default=0, type=at_least_0, help="Take the rate to 0, end.", **shown),
-        click.option("--minutes", default=float("inf"), type=float, help="Stop after this time. [default: never]"),
+        click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]"),
         click.option("--steps", default=None, type=at_least_1, help="Stop at this step. [default: never]"),
         click.option("--seed", default=0, type=at_least_0, help="Of the weights and the batches.", **shown),
         click.option("--threads", default=0, type=at_least_0, help="Of the processor. [default: all]"),
@@ -286,7 +294,7 @@ def _check_variant(variant: str, known: Mapping[str, Any]) -> None:
 
 
 def _train(
-    network: Any, folder: Path, threads: int, minutes: float, steps: int | None, device: str,
+    network: Any, folder: Path, threads: int, minutes: float | None, steps: int | None, device: str,
     tensorboard: Path | None, weights: Mapping[str, Any] | None = None, **options: Any,
 ) -> None:  # fmt: skip
     from contextlib import ExitStack, closing
@@ -306,15 +314,16 @@ def _train(
     with ExitStack() as stack:
         board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
         run(
-            network, config, folder, minutes=minutes, steps=steps, report=_show, precision=precision, board=board,
-            weights=weights,
+            network, config, folder, minutes=math.inf if minutes is None else minutes, steps=steps, report=_show,
+            precision=precision, board=board, weights=weights,
         )  # fmt: skip
 
 
 @train.command("compact")
 @click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="File to write.")
-def compact_checkpoint(checkpoint: Path, output: Path) -> None:
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     """Keep only the averaged weights of CHECKPOINT, in half precision.
 
     The result is an eighth of the size. It can be exported, and put into a new folder as checkpoint.pt to train on.
@@ -322,7 +331,7 @@ def compact_checkpoint(checkpoint: Path, output: Path) -> None:
     from omnisyn_cli.io import check_output
     from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 
-    check_output(output)
+    check_output(output, overwrite)
     save_checkpoint(output, compact(load_checkpoint(checkpoint)))
 
 

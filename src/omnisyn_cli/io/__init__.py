@@ -8,7 +8,7 @@ from omnisyn_cli.io.paths import check_output
 from omnisyn_cli.io.photographs import list_photographs, read_photographs
 from omnisyn_cli.io.poses import PosedPanorama, PoseFile, read_poses, write_poses
 from omnisyn_cli.io.spherical import SphericalMetadata, inject_spherical, read_spherical
-from omnisyn_cli.io.video import FrameSink, check_video, open_video, sample_type
+from omnisyn_cli.io.video import FrameSink, check_encoding, check_video, open_video, sample_type
 
 __all__ = [
     "MAX_PIXELS",
@@ -18,6 +18,7 @@ __all__ = [
     "PoseFile",
     "PosedPanorama",
     "SphericalMetadata",
+    "check_encoding",
     "check_output",
     "check_video",
     "inject_spherical",

@@ -190,7 +190,7 @@ def _header(path: Path, reader: Any) -> ImageHeader:
         full_width=spec.full_width if has_window else spec.width,
         channels=channels,
         dtype=str(spec.format),
-        alpha_channel=spec.alpha_channel,
+        alpha_channel=spec.alpha_channel if spec.alpha_channel < len(channels) else -1,  # GIF: one beyond the last
         is_alpha_associated=spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0,
         orientation=spec.get_int_attribute("Orientation", 1),
         attributes=_attributes(spec),

@@ -147,7 +147,9 @@ def _sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
             return f"expected the key '{key}', got none; add it"
         case "value_error":
             return f"expected {problem['ctx']['error']}, got {_shown(problem['input'])}; correct it"
-    wanted = re.sub(r"^Input should (be|have) |^(List|Dictionary) should ", "", problem["msg"])
+        case "dict_type" | "model_type":
+            return f"expected an object in braces, got {_shown(problem['input'])}; correct it"
+    wanted = re.sub(r"^(Input|List|Dictionary) should (be|have) | after validation, .*", "", problem["msg"])
     return f"expected {wanted}, got {_shown(problem['input'])}; correct it"
 
 

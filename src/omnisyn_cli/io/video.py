@@ -19,7 +19,7 @@ from omnisyn_cli.io.paths import check_output, temporary_name, write_errors
 from omnisyn_cli.io.sequence import ImageSequence, check_sequence, image_sequence, is_sequence, open_sequence
 from omnisyn_cli.io.spherical import inject_spherical
 
-__all__ = ["FrameSink", "check_video", "open_video", "sample_type"]
+__all__ = ["FrameSink", "check_encoding", "check_video", "open_video", "sample_type"]
 
 IMAGE_CODECS = {"png": (".png",), "jpg": (".jpg", ".jpeg"), "exr": (".exr",), "tif": (".tif", ".tiff")}
 """What a folder of frames can be made of."""
@@ -62,17 +62,36 @@ def check_video(
         InputError: odd size, or a frame rate, quality, preset or sample type out of range.
     """
     target = Path(path)
+    check_encoding(target, size=size, fps=fps, codec=codec, crf=crf, preset=preset, dtype=dtype)
     sequence = _sequence_of(target, codec)
     if sequence is not None:
-        if crf is not None or preset is not None:
-            raise OutputPathError(
-                f"{target}: expected no quality or encoder preset for a folder of frames, got one; leave it out"
-            )
         check_sequence(sequence, overwrite)
-        return
-    settings = EncoderSettings(size, fps, _codec_of(target, codec), crf, preset, 0, dtype)
-    check_settings(target, settings)
-    check_output(target, overwrite)
+    else:
+        check_output(target, overwrite)
+
+
+def check_encoding(
+    path: Path,
+    *,
+    size: tuple[int, int],
+    fps: float | Fraction,
+    codec: str | None = None,
+    crf: float | None = None,
+    preset: str | None = None,
+    dtype: str = "uint8",
+) -> None:
+    """Refuse what no encoder could do, whatever there is on the disk; arguments are those of :func:`open_video`.
+
+    Raises:
+        OutputPathError: the target's ending does not go with the codec.
+        InputError: odd size, or a frame rate, quality, preset or sample type out of range.
+    """
+    if _sequence_of(path, codec) is None:
+        check_settings(path, EncoderSettings(size, fps, _codec_of(path, codec), crf, preset, 0, dtype))
+    elif crf is not None or preset is not None:
+        raise OutputPathError(
+            f"{path}: expected no quality or encoder preset for a folder of frames, got one; leave it out"
+        )
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 Whatever can be refused is refused here, so that nothing fails after minutes of work that could have been known before.
 """
 
+from omnisyn_cli.planning.checks import check_choices
 from omnisyn_cli.planning.job import (
     DEPTH_METHODS,
     FALLBACKS,
@@ -15,7 +16,14 @@ from omnisyn_cli.planning.job import (
     sample_types,
     targets,
 )
-from omnisyn_cli.planning.plan import SECONDS_PER_PAIR, InterpolationPlan, networks_of, plan_interpolation, with_preset
+from omnisyn_cli.planning.plan import (
+    SECONDS_PER_PAIR,
+    InterpolationPlan,
+    frame_count,
+    networks_of,
+    plan_interpolation,
+    with_preset,
+)
 
 __all__ = [
     "DEPTH_METHODS",
@@ -26,7 +34,9 @@ __all__ = [
     "SECONDS_PER_PAIR",
     "InterpolationJob",
     "InterpolationPlan",
+    "check_choices",
     "depth_name",
+    "frame_count",
     "is_rounded",
     "networks_of",
     "plan_interpolation",

@@ -140,8 +140,12 @@ def is_rounded(job: InterpolationJob) -> bool:
 
 
 def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
-    """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each pair."""
-    return f"{pair:04d}_{images[index].stem}_depth.exr"
+    """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each pair.
+
+    Where only their endings tell the pair's panoramas apart, those are part of it.
+    """
+    first, second = images[pair : pair + 2]
+    return f"{pair:04d}_{images[index].name if first.stem == second.stem else images[index].stem}_depth.exr"
 
 
 def depth_files(job: InterpolationJob) -> Iterator[Path]:

@@ -31,7 +31,7 @@ from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
 
-__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "networks_of", "plan_interpolation", "with_preset"]
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "networks_of", "plan_interpolation", "with_preset"]
 
 MODELLED = ("refined", "network", "monocular")
 """Sources of depth that a network has a part in."""
@@ -135,7 +135,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     check_outputs(job, size)
     check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
-    path = tuple(plan_path(poses, _frame_count(job), ease=job.ease, heading=job.heading))
+    path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
     memory = _memory(job, size, source_sizes, entries, depth)
     return InterpolationPlan(
         job, entries, source_sizes, size, path, depth, *made_with, path_length(poses), memory,
@@ -200,7 +200,12 @@ def _even(size: tuple[int, int]) -> tuple[int, int]:
     return height, 2 * height
 
 
-def _frame_count(job: InterpolationJob) -> int:
+def frame_count(job: InterpolationJob) -> int:
+    """Frames of the video.
+
+    Raises:
+        InputError: fewer than there are panoramas, more than anybody wants, or said twice.
+    """
     if job.frames is not None and job.duration is not None:
         raise InputError(
             f"expected either frames or a duration, got {job.frames} frames and {job.duration:g} s; name one, and the "

@@ -15,6 +15,7 @@ A batch depends on the seed, the step and the pool alone, so a run can stop and 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,8 +27,9 @@ from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.io.paths import write_errors
 
-__all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "load_scene", "save_scene"]
+__all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "load_scene", "save_arrays", "save_scene"]
 
 ONE_SURFACE = 0.1
 """Relative difference of inverse depth between neighbouring pixels that still belong together."""
@@ -84,18 +86,31 @@ class Augmentation:
 
 
 def save_scene(path: Path, scene: PoolScene) -> None:
-    """Write one file of a pool; a kill leaves no partial file under its name."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write one file of a pool, see :func:`save_arrays`."""
+    arrays = {
+        "images": scene.images,
+        "inverse_depth": scene.inverse_depth.astype(np.float16),
+        "along": scene.along.astype(np.float32),
+        "up": scene.up.astype(np.float32),
+    }
+    save_arrays(path, arrays)
+
+
+def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays by name, whole or not at all; a kill leaves no partial file under the name.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
     partial = path.with_suffix(f".{os.getpid()}.partial")
-    with partial.open("wb") as file:
-        np.savez(
-            file,
-            images=scene.images,
-            inverse_depth=scene.inverse_depth.astype(np.float16),
-            along=scene.along.astype(np.float32),
-            up=scene.up.astype(np.float32),
-        )
-    partial.replace(path)
+    with write_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with partial.open("wb") as file:
+                np.savez(file, **arrays)  # type: ignore[arg-type]
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 def load_scene(path: Path) -> PoolScene:

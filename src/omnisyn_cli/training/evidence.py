@@ -13,7 +13,6 @@ the truth is the nearer one: a mesh of that size then shows the least of what is
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
-from omnisyn_cli.training.data import Augmentation, vary_colours
+from omnisyn_cli.training.data import Augmentation, save_arrays, vary_colours
 from omnisyn_cli.training.pool import STOPS, photos_in, scene_path
 from omnisyn_cli.types import View
 
@@ -136,17 +135,12 @@ def _matched(
 
 
 def _save(path: Path, pairs: list[EvidencePair]) -> None:
-    """A kill leaves no partial file under its name."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {
         f"{name}_{k}": np.asarray(getattr(pair, name), np.float32 if name == "baseline" else np.float16)
         for k, pair in enumerate(pairs)
         for name in ("planes", "root", "baseline")
     }
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    with partial.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-    partial.replace(path)
+    save_arrays(path, arrays)
 
 
 def load_evidence(path: Path, which: int | None = None) -> list[EvidencePair]:

@@ -11,7 +11,6 @@ Renderings are made at twice that size and reduced as in the program, and some p
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,6 +29,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.scenes import Scene, generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.training.data import save_arrays
 from omnisyn_cli.training.pool import photos_in, scene_path
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, View
@@ -179,17 +179,12 @@ def _between(views: Sequence[View], share: float) -> Waypoint:
 
 
 def _save(path: Path, samples: Sequence[FusionSample]) -> None:
-    """A kill leaves no partial file under its name."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     arrays = {
         f"{name}_{k}": getattr(sample, name).astype(np.float16)
         for k, sample in enumerate(samples)
         for name in ("planes", "truth")
     }
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    with partial.open("wb") as file:
-        np.savez(file, **arrays)
-    partial.replace(path)
+    save_arrays(path, arrays)
 
 
 def load_fusion(path: Path, which: int | None = None) -> list[FusionSample]:

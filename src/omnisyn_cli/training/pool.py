@@ -19,6 +19,7 @@ import numpy as np
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sweep import UP, epipole_frame
 from omnisyn_cli.io import read_photographs
+from omnisyn_cli.io.paths import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
@@ -101,14 +102,22 @@ def fill_pool(
         seeds: of the scenes.
         make: writes the file of a seed, or returns None where there is no room; a function that can be pickled.
         workers: processes.
+
+    Raises:
+        OutputPathError: the folder cannot be made.
+        WriteError: a file cannot be written; the scenes that have not been begun are left out then.
     """
+    make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_give_way) as executor:
         futures = [executor.submit(make, folder, seed) for seed in missing]
-        for future in as_completed(futures):
-            path = future.result()
-            if path is not None:
-                yield path
+        try:
+            for future in as_completed(futures):
+                path = future.result()
+                if path is not None:
+                    yield path
+        finally:
+            executor.shutdown(cancel_futures=True)  # an error or Ctrl-C does not wait for all that is left
 
 
 def scene_path(folder: Path, seed: int) -> Path:

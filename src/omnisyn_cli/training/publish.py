@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.io.paths import make_folder, replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
 from omnisyn_cli.networks.export import (
     PARITY,
@@ -97,40 +97,45 @@ def publish_all(
         The entries of the manifest, each with the largest relative difference found.
 
     Raises:
-        InputError: no checkpoint, or no scenes.
+        InputError: no checkpoint, no scenes, or a name that is a path.
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
+    if name is not None and Path(name).name != name:
+        raise InputError(f"expected a name without folders, got {name!r}; choose another (--name)")
     network, state = load_network(checkpoint)
     parts = _parts(network, state, name, pool)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "models")
     partials = [folder / f"{part.name}.partial.onnx" for part in parts]
-    differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
-    if not max(differences) <= PARITY:
-        for partial in partials:
-            partial.unlink()
-        raise OmnisynError(
-            f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported"
-        )
-    entries = []
-    for part, partial in zip(parts, partials, strict=True):
-        path = folder / f"{part.name}.onnx"
-        partial.replace(path)
-        entries.append(
-            ModelEntry(
-                name=part.name,
-                role=part.role,
-                variant=part.variant,
-                file=path.name,
-                sha256=sha256_of(path),
-                size=part.size,
-                parameters=sum(parameter.numel() for parameter in part.network.parameters()),
-                training=training or f"{state['step']} steps",
-                licence=licence,
-                metrics=state.get("scores", {}),
+    try:
+        differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
+        if not max(differences) <= PARITY:
+            raise OmnisynError(
+                f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported"
             )
-        )
+        for part, partial in zip(parts, partials, strict=True):
+            partial.replace(folder / f"{part.name}.onnx")
+    finally:
+        for partial in partials:
+            partial.unlink(missing_ok=True)
+    entries = [_entry(part, folder / f"{part.name}.onnx", state, training, licence) for part in parts]
     write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
     return list(zip(entries, differences, strict=True))
+
+
+def _entry(part: _Part, path: Path, state: Mapping[str, Any], training: str, licence: str) -> ModelEntry:
+    """What the manifest says about an exported network."""
+    return ModelEntry(
+        name=part.name,
+        role=part.role,
+        variant=part.variant,
+        file=path.name,
+        sha256=sha256_of(path),
+        size=part.size,
+        parameters=sum(parameter.numel() for parameter in part.network.parameters()),
+        training=training or f"{state['step']} steps",
+        licence=licence,
+        metrics=state.get("scores", {}),
+    )
 
 
 def _exported(part: _Part, path: Path) -> float:
