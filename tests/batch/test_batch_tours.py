@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,3 +115,14 @@ def test_places_without_neighbours_or_poses_are_refused(tmp_path: Path) -> None:
     write_row(tmp_path, 2)
     with pytest.raises(InputError, match="--max-baseline"):
         plan_tours(tmp_path / "poses.json", TourOptions(max_baseline=0.5))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [({"foo": 1}, "'foo'; choose from .*fps"), ({"output": "a.mp4"}, "'output'"), ({"fps": "many"}, "fps: .*'many'")],
+)
+def test_options_that_no_job_could_have_are_refused_before_anything_is_planned(
+    tmp_path: Path, options: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        plan_tours(tmp_path / "gone", TourOptions(options=options))

@@ -204,6 +204,9 @@ def test_interpolating_with_poses_from_the_pictures(tour: Path, tmp_path: Path, 
     result = run_cli(capsys, *arguments, "--poses", tour / "poses.json", "--baseline", 2.5)
     assert result.code == 3
     assert "expected a baseline only where poses are found" in result.err
+    result = run_cli(capsys, *arguments, "--poses", "auto", "--refine")
+    assert result.code == 3
+    assert "expected poses to refine" in result.err
 
 
 def test_interpolating_with_refined_poses(tour: Path, tmp_path: Path, capsys: Capture) -> None:

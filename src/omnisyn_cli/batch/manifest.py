@@ -12,7 +12,7 @@ names the columns, empty cells are left out and ``inputs`` and ``masks`` are sep
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -36,7 +36,7 @@ from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.session import DEVICES
 
-__all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "read_manifest"]
+__all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "check_options", "read_manifest"]
 
 RECORDS = "results.jsonl"
 """File in the folder of a batch that says what became of every job."""
@@ -283,6 +283,22 @@ class _Reader:
             for parent in place.parents:
                 if parent.name:
                     self._parents.setdefault(parent, number)
+
+
+def check_options(options: Mapping[str, Any]) -> None:
+    """Refuse what the jobs of a manifest cannot all say.
+
+    Raises:
+        InputError: an unknown option, one that is different for every job, or a value that it does not take.
+    """
+    common = sorted(set(Line.model_fields) - set(PLACES) | {"poses"})
+    for name in options:
+        if name not in common:
+            raise InputError(f"expected an option for all jobs, got {name!r}; choose from {', '.join(common)}")
+    try:
+        Line.model_validate({"id": "job", "scene": "scene", **options})
+    except ValidationError as error:
+        raise InputError("; ".join(_explained(error))) from None
 
 
 def _is_file(path: Path) -> bool:

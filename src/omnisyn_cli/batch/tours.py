@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from omnisyn_cli.batch.manifest import check_options
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import check_output, read_poses
 from omnisyn_cli.io.paths import replaced_when_complete
@@ -55,8 +56,9 @@ def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
         One line per job; file names are relative to the working directory or absolute, as ``source`` is.
 
     Raises:
-        InputError: no pose file, a damaged one, or no two panoramas that are near enough.
+        InputError: no pose file, a damaged one, no two panoramas that are near enough, or options that no job has.
     """
+    check_options(options.options)
     lines = [line for file in _pose_files(source) for line in _tour(file, source, options)]
     if not lines:
         raise InputError(

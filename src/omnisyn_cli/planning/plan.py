@@ -181,6 +181,8 @@ def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
             f"expected a baseline only where poses are found in the pictures (--poses auto), got {job.baseline:g} m "
             f"and {job.poses}; leave out one of them"
         )
+    if job.refine and is_found:
+        raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
     if not (is_found or job.refine):
         return read_poses(job.poses, allow_outside=job.allow_outside), ()
     # OpenCV takes a while to import and is needed for poses from pictures only.

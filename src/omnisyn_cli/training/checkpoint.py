@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -56,6 +57,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise InputError(f"expected a checkpoint at {path}, found no file; give the path `train` wrote to") from None
+    except UnpicklingError:
+        raise InputError(f"expected a checkpoint in {path}, got another file; give the path `train` wrote to") from None
     except Exception as error:
         raise InputError(
             f"expected a checkpoint in {path}, got a file torch cannot read: {error!s:.{LONGEST_REASON}}"
