@@ -21,7 +21,9 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
 
-__all__ = ["GhostOptions", "GhostRemover"]
+__all__ = [
+    "ENDLESS", "LEAST_CELL", "NEARBY", "ROWS_OF_CELLS", "SAMPLES_ALONG_CELL", "GhostOptions", "GhostRemover",
+]  # fmt: skip
 
 ROWS_OF_CELLS = 128
 LEAST_CELL = 4

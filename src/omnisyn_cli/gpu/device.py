@@ -1,0 +1,25 @@
+"""Where tensors live, by the names that users know."""
+
+from __future__ import annotations
+
+import torch
+
+from omnisyn_cli.errors import InputError
+
+__all__ = ["open_device"]
+
+
+def open_device(name: str) -> torch.device:
+    """``cuda``, or ``cpu`` for tests and comparisons.
+
+    Raises:
+        InputError: an unknown name, or CUDA where torch sees none.
+    """
+    if name not in ("cuda", "cpu"):
+        raise InputError(f"expected a device of cuda, cpu, got {name!r}")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            f"expected CUDA, got a PyTorch ({torch.__version__}) that sees none; install its CUDA build and a driver, "
+            "or use --device cpu"
+        )
+    return torch.device(name)
