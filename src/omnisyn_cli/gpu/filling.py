@@ -40,11 +40,9 @@ def _push(coarse_colour: Tensor, coarse_weight: Tensor, colour: Tensor, weight: 
     near_row, near_col = row // 2, col // 2
     far_row = (near_row - 1 + 2 * (row % 2)).clamp(0, len(coarse_weight) - 1)
     far_col = (near_col - 1 + 2 * (col % 2)) % coarse_weight.shape[1]
-    mixed, total = colour.new_zeros((len(row), 3)), weight.new_zeros(len(row))
-    for i, down in ((near_row, 0.75), (far_row, 0.25)):
-        for j, across in ((near_col, 0.75), (far_col, 0.25)):
-            share = down * across * coarse_weight[i, j]
-            mixed += share[:, None] * coarse_colour[i, j]
-            total += share
-    colour[row, col] = mixed / torch.where(total > 0.0, total, 1.0)[:, None]
+    rows, cols = ((near_row, 0.75), (far_row, 0.25)), ((near_col, 0.75), (far_col, 0.25))
+    share = torch.stack([down * across * coarse_weight[i, j] for i, down in rows for j, across in cols])
+    around = torch.stack([coarse_colour[i, j] for i, _ in rows for j, _ in cols])
+    total = share.sum(0)
+    colour[row, col] = (share[..., None] * around).sum(0) / torch.where(total > 0.0, total, 1.0)[:, None]
     weight[row, col] = 0.25 * total

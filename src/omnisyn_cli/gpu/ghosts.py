@@ -13,7 +13,15 @@ from jaxtyping import Bool, Float32, Integer
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d, pad
 
-from omnisyn_cli.fusion.ghosts import ENDLESS, LEAST_CELL, NEARBY, ROWS_OF_CELLS, SAMPLES_ALONG_CELL, GhostOptions
+from omnisyn_cli.fusion.ghosts import (
+    ENDLESS,
+    LEAST_CELL,
+    NEARBY,
+    ROWS_OF_CELLS,
+    SAMPLES_ALONG_CELL,
+    GhostOptions,
+    samples_of_cells,
+)
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.gpu.blending import UNSEEN, Shown
 
@@ -35,9 +43,7 @@ class GpuGhosts:
         step = max(1, self.cell // SAMPLES_ALONG_CELL)
         self._along = -(-self.cell // step)
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
-        self.rows, self.cols = (
-            (torch.arange(count, device=device) % self.cell % step == 0).nonzero()[:, 0] for count in size
-        )
+        self.rows, self.cols = (torch.from_numpy(samples_of_cells(count, self.cell, step)).to(device) for count in size)
         self._directions = torch.from_numpy(pixel_directions(*self._grid)).to(device, torch.float32)
 
     def losers(self, first: Shown, second: Shown, t: float, strictness: float) -> Float32[Tensor, "rows cols"]:

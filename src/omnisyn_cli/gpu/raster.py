@@ -152,11 +152,11 @@ class GpuRasterizer:
         row = torch.atan2(torch.hypot(x, z), y) * row_scale + row_zero
         col = torch.atan2(x, -z) * col_scale + col_zero
         is_pole = torch.maximum(x.abs(), z.abs()) <= AT_A_POLE * y.abs()
-        col = torch.where(is_pole, col[:, [2, 3, 0, 1]], col)
+        col = torch.where(is_pole, col.roll(2, dims=1), col)
         turn = col - col[:, :1]
         turn = turn - width * torch.round(turn / width)
         left, right = turn.amin(1), turn.amax(1)
-        top, bottom, is_wide = self._row_range(row.amin(1), row.amax(1), (right - left) * (2.0 * math.pi / width))
+        top, bottom, is_wide = self._row_range(row.amin(1), row.amax(1), (right - left) / col_scale)
         first = torch.where(is_wide, 0.0, torch.ceil(col[:, 0] + left - BOX_MARGIN))
         last = torch.where(is_wide, width - 1.0, torch.floor(col[:, 0] + right + BOX_MARGIN))
         return _Boxes(
@@ -166,7 +166,7 @@ class GpuRasterizer:
         )  # fmt: skip
 
     def _row_range(self, low: Tensor, high: Tensor, span: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """First and last row of quads with corners between two rows, and whether all columns have to be searched.
+        """First and last row of quads with corners between two rows, so many radians wide, and whether that is wide.
 
         A great circle bulges towards the nearer pole, by at most ``span²/16`` radians where the span is narrow; wide
         arcs between two northern points stay north of the southernmost.
@@ -174,7 +174,7 @@ class GpuRasterizer:
         height = self.size[0]
         middle = 0.5 * height - 0.5
         is_wide = span >= WIDE
-        bulge = span * span * (height * 1.1 / (16.0 * math.pi)) + BOX_MARGIN
+        bulge = span * span * (self._scale[0] * 1.1 / 16.0) + BOX_MARGIN
         north = torch.where(low > middle, low - BOX_MARGIN, -1.0)
         south = torch.where(high < middle, high + BOX_MARGIN, float(height))
         first = torch.where(is_wide, north, low - bulge).ceil().clamp_min(0.0)
