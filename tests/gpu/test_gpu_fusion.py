@@ -90,10 +90,8 @@ def ball(size: tuple[int, int], row: int, col: int, radius: float) -> np.ndarray
 
 
 def wall(size: tuple[int, int]) -> np.ndarray:
-    directions = pixel_directions(*size)
-    return (0.5 + 0.2 * np.sin(20 * directions @ np.array([[1, 0.5, 0.2], [0.1, 1, 0.4], [0.6, 0.2, 1]]))).astype(
-        np.float32
-    )
+    waves = np.array([[1, 0.5, 0.2], [0.1, 1, 0.4], [0.6, 0.2, 1]])
+    return (0.5 + 0.2 * np.sin(20 * pixel_directions(*size) @ waves)).astype(np.float32)
 
 
 @pytest.mark.parametrize("size", [(128, 256), (250, 500), (640, 1280), (12, 24)])
@@ -102,12 +100,8 @@ def test_silencing_ghosts(size: tuple[int, int], t: float) -> None:
     """Things in one picture only: at the seam, near a pole, two of one view and one of the other, a ring around one."""
     things = [np.zeros(size, bool), np.zeros(size, bool)]
     half = size[0] // 2
-    for which, row, col, radius in (
-        (0, half, 0, 0.2),
-        (1, half, half, 0.25),
-        (0, 3, 50, 0.3),
-        (1, size[0] - 2, 70, 0.1),
-    ):
+    balls = ((0, half, 0, 0.2), (1, half, half, 0.25), (0, 3, 50, 0.3), (1, size[0] - 2, 70, 0.1))
+    for which, row, col, radius in balls:
         things[which] |= ball(size, row, col, radius)
     things[0] |= ball(size, half, -half, 0.5) & ~ball(size, half, -half, 0.3)
     shown = []

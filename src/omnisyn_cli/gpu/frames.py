@@ -2,10 +2,10 @@
 
 For every waypoint both meshes are rasterised and coloured, brought to one exposure, freed of ghosts, blended, filled
 and rounded; what comes to the host is the finished frame, once, and besides it only counts (how many pixels lie in the
-boxes of quads, how many in holes, whether regions still grow).
+boxes of quads, how many in holes, whether regions of ghosts still grow).
 
 Memory on the device: see :mod:`omnisyn_cli.gpu.raster` for meshes; both textures with their mip levels, four or 16
-bytes a texel; and about 150 bytes for every pixel of the frame.
+bytes a texel; and about 110 bytes for every pixel of the frame.
 """
 
 from __future__ import annotations

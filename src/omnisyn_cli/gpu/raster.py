@@ -7,7 +7,7 @@ and whose lower half is the order of drawing backwards; a maximum does not depen
 visited, so neither does the picture.
 
 Memory: 1 kB for each of :data:`QUADS_AT_A_TIME` quads, 0.3 kB for each of :data:`CANDIDATES_AT_A_TIME` pixels in boxes,
-32 bytes for every point of the mesh and 20 for every pixel of the target.
+24 bytes for every point of the mesh and 60 for every pixel of the target.
 """
 
 from __future__ import annotations
