@@ -11,7 +11,7 @@ from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.fx.experimental.symbolic_shapes import ShapeEnv
 from torch.utils._python_dispatch import _disable_current_modes
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.gpu import frames, ghosts
 from omnisyn_cli.gpu.device import open_device
 from omnisyn_cli.gpu.frames import GpuFrames
@@ -36,6 +36,20 @@ def test_devices_have_names() -> None:
     assert open_device("cpu") == torch.device("cpu")
     with pytest.raises(InputError, match="expected a device of cuda, cpu, got 'auto'"):
         open_device("auto")
+
+
+def test_a_device_that_is_full_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    made, depth = GpuFrames(SIZE, "cpu"), DepthEstimate(rough(16, 32), np.ones((16, 32), np.float32))
+    surface = made.surface(np.zeros((*SIZE, 3), np.float32), None, depth)
+    monkeypatch.setattr(made.rasterizer, "_draw", full)
+    monkeypatch.setattr(frames, "quads_of", full)
+    with pytest.raises(OmnisynError, match="expected enough memory on the GPU, got none left; try a smaller --size"):
+        made.pair(surface, surface, BRIGHTER).frame(POSES["any"], POSES["up"], 0.4, np.zeros((*SIZE, 3), np.uint8))
+    with pytest.raises(OmnisynError, match="expected enough memory on the GPU"):
+        made.surface(np.zeros((*SIZE, 3), np.float32), None, depth)
 
 
 def some_candidates(self: GpuRasterizer, boxes: _Boxes, is_seen: torch.Tensor) -> Iterator[tuple[torch.Tensor, ...]]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, OmnisynError
 
-__all__ = ["open_device"]
+__all__ = ["memory_of_device", "open_device"]
 
 
 def open_device(name: str) -> torch.device:
@@ -23,3 +26,18 @@ def open_device(name: str) -> torch.device:
             "or use --device cpu"
         )
     return torch.device(name)
+
+
+@contextmanager
+def memory_of_device() -> Iterator[None]:
+    """Say in a line that the device has no memory left for what happens inside.
+
+    Raises:
+        OmnisynError: there is none left.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise OmnisynError(
+            "expected enough memory on the GPU, got none left; try a smaller --size or --device cpu"
+        ) from error

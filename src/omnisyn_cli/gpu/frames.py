@@ -23,7 +23,7 @@ from omnisyn_cli.fusion.geometric import STILL, BlendOptions, hiding_strength
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.gpu.blending import BlendRule, Exposure, Shown, blend, expose, samples_of
-from omnisyn_cli.gpu.device import open_device
+from omnisyn_cli.gpu.device import memory_of_device, open_device
 from omnisyn_cli.gpu.filling import fill_holes
 from omnisyn_cli.gpu.ghosts import GpuGhosts
 from omnisyn_cli.gpu.quads import Quads, quads_of
@@ -75,10 +75,12 @@ class GpuFrames:
 
         Raises:
             ValueError: on inverse depths that are negative or not finite.
+            OmnisynError: the device has no memory left.
         """
         mesh = build_mesh(depth.inverse_depth, cut, mask_of_vertices(mask, depth.inverse_depth.shape), depth.confidence)
-        texture = texture_on(make_texture(image, mask), self.device)
-        return GpuSurface(self, quads_of(mesh, self.device), texture)
+        texture = make_texture(image, mask)
+        with memory_of_device():
+            return GpuSurface(self, quads_of(mesh, self.device), texture_on(texture, self.device))
 
     def pair(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve) -> GpuPair:
         """Two of its surfaces between which frames are made, the second picture so much brighter than the first."""
@@ -150,6 +152,7 @@ class GpuPair:
         """The greatest inverse depth in the last frame, 1/metre; infinite before there is one."""
         return math.inf if self._nearest is None else float(self._nearest)
 
+    @memory_of_device()
     def frame(
         self, target_from_first: Pose, target_from_second: Pose, t: float,
         out: UInt8[np.ndarray, "height width 3"] | Float32[np.ndarray, "height width 3"],
@@ -161,6 +164,9 @@ class GpuPair:
             target_from_second: likewise of the second.
             t: share of the way.
             out: written: rounded to 8 bits, or as numbers, never negative.
+
+        Raises:
+            OmnisynError: the device has no memory left.
         """
         poses = (target_from_first, target_from_second)
         first, second = (
