@@ -20,7 +20,7 @@ LAYERS = (
     {"planning"},
     {"synsin"},
     {"estimators", "fusers", "posing", "synthesis"},
-    {"crosscheck", "fallback", "rows"},
+    {"crosscheck", "fallback", "gpu", "rows"},
     {
         "confidence",
         "fusion",
@@ -42,8 +42,8 @@ LAYERS = (
 """From the top to the bottom; what is in one set does not know each other."""
 
 TORCH = (
-    "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation", "omnisyn_cli.render.rasterize_torch",
-    "omnisyn_cli.render.soft_points_torch",
+    "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation", "omnisyn_cli.gpu",
+    "omnisyn_cli.render.rasterize_torch", "omnisyn_cli.render.soft_points_torch",
 )  # fmt: skip
 """Modules that may import torch at their top."""
 

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -41,6 +42,9 @@ from omnisyn_cli.types import (
     RowRendering,
     View,
 )
+
+if TYPE_CHECKING:
+    from omnisyn_cli.gpu.frames import GpuFrames, GpuPair
 
 __all__ = [
     "Frame",
@@ -110,6 +114,7 @@ class Segment:
         check: how differently they are exposed, and how far what is made of them can be relied on.
         cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
         triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
+        on_device: makes whole frames of both on a device; None where the processor does.
     """
 
     index: int
@@ -119,6 +124,7 @@ class Segment:
     check: CrossCheck
     cross_fade: CrossFade | None = None
     triangles: tuple[int, int] | None = None
+    on_device: GpuPair | None = None
 
 
 ASIDE = 0.25
@@ -149,8 +155,9 @@ class Frame:
 
 
 def prepare_segment(
-    index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch
-) -> Segment:
+    index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch,
+    device: GpuFrames | None = None,
+) -> Segment:  # fmt: skip
     """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for.
 
     Depth is found in pictures of one exposure; the surfaces keep the photographs' own.
@@ -164,6 +171,13 @@ def prepare_segment(
         )
     with clock("check"):
         check = cross_check((first, second), depths, options.cut, options.threads)
+    if device is not None:
+        with clock("mesh"):
+            pair = _on_device(device, (first, second), depths, check, options)
+        return Segment(
+            index, (first.pose, second.pose), depths, pair.surfaces, check,
+            triangles=(pair.triangles, pair.triangles), on_device=pair,
+        )  # fmt: skip
     with clock("mesh"):
         renderers = [
             make_renderer(
@@ -178,6 +192,17 @@ def prepare_segment(
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     triangles = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
     return Segment(index, (first.pose, second.pose), depths, (renderers[0], renderers[1]), check, cross_fade, triangles)
+
+
+def _on_device(
+    device: GpuFrames, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck,
+    options: SynthesisOptions,
+) -> GpuPair:  # fmt: skip
+    first, second = (
+        device.surface(_usable_image(view, options), view.mask, depth, options.cut)
+        for view, depth in zip(views, depths, strict=True)
+    )
+    return device.pair(first, second, check.curve)
 
 
 def _way(view: View, other: View) -> Float[np.ndarray, " 3"]:
@@ -214,6 +239,7 @@ def synthesize(
     fuser: Fuser | None = None,
     clock: Stopwatch | None = None,
     samples: MemoryForFrames | None = None,
+    device: GpuFrames | None = None,
 ) -> Iterator[Frame | Segment]:
     """All frames of a path, in order; each segment is yielded once before its first frame.
 
@@ -226,6 +252,8 @@ def synthesize(
         clock: collects seconds by stage.
         samples: gives memory for frames that are wanted rounded to 8 bits; where nothing stands against it they are
             rounded as they are made. Photographs shown unchanged are not.
+        device: makes the frames between photographs, by the mesh and the geometric fusion, whatever else is asked for;
+            for frames without confidence that are not cross-faded.
     """
     clock = clock or Stopwatch()
     fuser = fuser or GeometricFuser(options.size, threads=options.threads)
@@ -239,7 +267,7 @@ def synthesize(
             continue
         if segment is None or waypoint.segment != current:
             current, segment, last = waypoint.segment, None, None  # memory is free before the next takes its own
-            segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock)
+            segment = prepare_segment(current, views[current], views[current + 1], estimator, options, clock, device)
             yield segment
         if last is not None and last.looks_the_same_from(waypoint):
             yield last.again(waypoint, samples)
@@ -316,10 +344,15 @@ def turned_panorama(
 
 @dataclass(frozen=True)
 class _Fused:
-    """A frame and the renderings it was made of; all of them are buffers that the next one overwrites."""
+    """A frame and what it was made of, in buffers that the next one overwrites.
+
+    Attributes:
+        frame: the frame.
+        nearest: answers the greatest inverse depth that either view sees, 1/metre.
+    """
 
     frame: Frame
-    renderings: tuple[Rendering | RowRendering, Rendering | RowRendering]
+    nearest: Callable[[], float]
 
     def looks_the_same_from(self, waypoint: Waypoint) -> bool:
         """Whether nothing in the frame would be seen more than a quarter of a pixel aside from there."""
@@ -332,8 +365,7 @@ class _Fused:
         moved = np.linalg.norm(waypoint.pose.position - before.pose.position)
         if turned > angle or moved == 0.0:
             return bool(turned <= angle)
-        nearest = max(float(rendering.inverse_depth.max()) for rendering in self.renderings)
-        return bool(turned + moved * nearest <= angle)
+        return bool(turned + moved * self.nearest() <= angle)
 
     def again(self, waypoint: Waypoint, samples: MemoryForFrames | None) -> Frame:
         """The frame at another place; samples, which are kept until they are written, in memory of their own."""
@@ -349,6 +381,8 @@ def _fused(
     samples: MemoryForFrames | None,
 ) -> _Fused:  # fmt: skip
     """The frame of two renderings that were given one exposure."""
+    if segment.on_device is not None:
+        return _fused_on_device(segment, segment.on_device, waypoint, options, clock, samples)
     expose = ExposureMatcher(segment.check.curve, options.threads)
     is_judged = options.confidence or segment.cross_fade is not None
     makers = row_makers(segment.renderers, fuser, is_rounded=samples is not None, is_judged=is_judged)
@@ -362,7 +396,23 @@ def _fused(
         image = fuser(first, second, waypoint.t)
         if segment.cross_fade is not None and confidence is not None:
             segment.cross_fade(image, confidence, waypoint.pose, waypoint.t)
-    return _Fused(Frame(image, waypoint, None, confidence), (first, second))
+    return _Fused(Frame(image, waypoint, None, confidence), _nearest_of(first, second))
+
+
+def _nearest_of(*renderings: Rendering | RowRendering) -> Callable[[], float]:
+    return lambda: max(float(rendering.inverse_depth.max()) for rendering in renderings)
+
+
+def _fused_on_device(
+    segment: Segment, pair: GpuPair, waypoint: Waypoint, options: SynthesisOptions, clock: Stopwatch,
+    samples: MemoryForFrames | None,
+) -> _Fused:  # fmt: skip
+    """The same, all of it on a device."""
+    image = np.empty((*options.size, 3), np.float32) if samples is None else samples()
+    with clock("render"):
+        target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in segment.poses)
+        pair.frame(target_from_first, target_from_second, waypoint.t, image)
+    return _Fused(Frame(image, waypoint, None), lambda: pair.nearest)
 
 
 def _fused_by_rows(
@@ -377,7 +427,7 @@ def _fused_by_rows(
     with clock("fuse"):
         rounded = samples()
         fuser.samples(*expose.by_rows(first, second, waypoint.t), waypoint.t, rounded)
-    return _Fused(Frame(rounded, waypoint, None), (first, second))
+    return _Fused(Frame(rounded, waypoint, None), _nearest_of(first, second))
 
 
 def _renderings(segment: Segment, waypoint: Waypoint, *, needs_both: bool) -> tuple[Rendering, Rendering]:

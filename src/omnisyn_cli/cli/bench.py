@@ -74,8 +74,9 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 @click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
 @click.option("--pairs", metavar="0:4|every:N|FILE", help="Frames that are inputs, see omnisyn eval.")
 @click.option(
-    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True, help="For networks."
-)
+    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
+    help="For networks; cuda also for the frames of clips, see omnisyn interpolate.",
+)  # fmt: skip
 @click.option("--store", metavar="FILE", type=FilePath, help="Write the table that interpolate --budget chooses by.")
 @click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")

@@ -145,7 +145,8 @@ class Size(SizeType):
 @click.option("--save-frames", metavar="FOLDER", type=FilePath, help="Keep the frames as PNG besides the video.")
 @click.option(
     "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
-    help="Where a network runs; everything else runs on the processor.",
+    help="Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer "
+    "mesh, fusion geometric). Poses and matching are found on the processor.",
 )  # fmt: skip
 @click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")

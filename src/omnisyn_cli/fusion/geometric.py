@@ -31,7 +31,7 @@ from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
 
-__all__ = ["ROWS", "BlendOptions", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
+__all__ = ["ROWS", "STILL", "BlendOptions", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
 
 ROWS = 32
 """Rows that are coloured and blended together; an even number."""

@@ -21,7 +21,10 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
 
-__all__ = ["GhostOptions", "GhostRemover"]
+__all__ = [
+    "ENDLESS", "LEAST_CELL", "NEARBY", "ROWS_OF_CELLS", "SAMPLES_ALONG_CELL", "GhostOptions", "GhostRemover",
+    "samples_of_cells",
+]  # fmt: skip
 
 ROWS_OF_CELLS = 128
 LEAST_CELL = 4
@@ -94,7 +97,7 @@ class GhostRemover:
             be changed.
         """
         step = max(1, self.cell // SAMPLES_ALONG_CELL)
-        rows, cols = (_samples_of_cells(count, self.cell, step) for count in self.size)
+        rows, cols = (samples_of_cells(count, self.cell, step) for count in self.size)
         seen = (
             first.colour_at(rows, cols), first.inverse_depth[rows].take(cols, axis=1),
             second.colour_at(rows, cols), second.inverse_depth[rows].take(cols, axis=1),
@@ -158,7 +161,7 @@ class GhostRemover:
         return np.asarray(np.where(self._sums[..., 0] > 0.0, found, 0.0), np.float32)
 
 
-def _samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " samples"]:
+def samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " samples"]:
     """Every ``step``-th pixel of each cell along a side of ``count`` pixels."""
     return np.flatnonzero(np.arange(count) % cell % step == 0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.errors import InputError
@@ -20,6 +21,9 @@ from omnisyn_cli.presets import OMNISYN, PRESETS, SYNSIN_SOURCES
 from omnisyn_cli.synsin import SynSin, open_synsin
 from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize
 from omnisyn_cli.types import DepthEstimator
+
+if TYPE_CHECKING:
+    from omnisyn_cli.gpu.frames import GpuFrames
 
 __all__ = ["make_estimator", "run_interpolation"]
 
@@ -41,10 +45,11 @@ def run_interpolation(
             (:func:`make_estimator`).
 
     Raises:
-        InputError: a picture, mask or depth file turns out to be damaged.
+        InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on.
         EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
     begin, clock = time.perf_counter(), Stopwatch()
+    device = _open_gpu(plan) if plan.is_on_gpu else None
     loader = Loader(plan, clock, read)
     with clock("decode"):
         loader.panorama(0), loader.panorama(1)  # damage is found before anything is begun
@@ -55,7 +60,7 @@ def run_interpolation(
     with depth_keeper(plan) as keep_depth, frame_sinks(plan) as sinks, confidence_sink(plan) as keep_confidence:
         ring = FrameRing(plan.size, frames_in_queue(plan.size)) if own and is_rounded(plan.job) else None
         frames = (
-            _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, triangles, ring)
+            _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, triangles, ring, device)
             if own
             else _synsin_frames(plan, loader, clock)
         )
@@ -76,6 +81,7 @@ def run_interpolation(
 def _frames(
     plan: InterpolationPlan, loader: Loader, estimator: DepthEstimator, clock: Stopwatch, keep_depth: KeepDepth,
     pairs: dict[int, PairConfidence], triangles: dict[int, tuple[int, int]], ring: FrameRing | None,
+    device: GpuFrames | None,
 ) -> Iterator[Frame]:  # fmt: skip
     """All frames; the depth of every pair is handed to ``keep_depth``, what to think of it is put into ``pairs``."""
     job = plan.job
@@ -85,7 +91,7 @@ def _frames(
     )  # fmt: skip
     fuser = make_fuser(plan.fusion, plan.size, device=job.device, threads=job.threads)
     views, prepared = loader.views(), set()
-    for made in synthesize(views, plan.path, estimator, options, fuser, clock, ring):
+    for made in synthesize(views, plan.path, estimator, options, fuser, clock, ring, device):
         if isinstance(made, Segment):
             prepared.add(made.index)
             pairs[made.index] = made.check.confidence
@@ -100,6 +106,12 @@ def _frames(
     if plan.job.save_depth is not None:
         for pair in sorted(set(range(len(views) - 1)) - prepared):  # no frame lay between these two
             keep_depth(pair, estimator(*equalized(views[pair], views[pair + 1], job.threads)))
+
+
+def _open_gpu(plan: InterpolationPlan) -> GpuFrames:
+    from omnisyn_cli.gpu.frames import GpuFrames  # torch takes seconds to import
+
+    return GpuFrames(plan.size)
 
 
 def _synsin_frames(plan: InterpolationPlan, loader: Loader, clock: Stopwatch) -> Iterator[Frame]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from omnisyn_cli.photometry.curve import ExposureCurve
 from omnisyn_cli.photometry.kernels import expose_rows
@@ -12,7 +13,7 @@ from omnisyn_cli.photometry.transfer import linear_from_stored
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
 
-__all__ = ["ExposureMatcher"]
+__all__ = ["CLIPPING", "ExposureMatcher", "loss_of_white"]
 
 CLIPPING = np.float32(0.94)
 """Stored value from which on a channel may have been cut off: interpolation mixes the white with its surroundings."""
@@ -56,7 +57,7 @@ class ExposureMatcher:
         return exposed[0], exposed[1]
 
     def _expose(self, view: Rendering, table: np.ndarray) -> None:
-        loss = _loss(table)
+        loss = loss_of_white(table)
         run_bands(
             lambda begin, end: expose_rows(view.colour, table, loss, CLIPPING, begin, end),
             len(view.colour),
@@ -66,7 +67,7 @@ class ExposureMatcher:
 
 def _exposed(view: RowRendering, table: np.ndarray) -> RowRendering:
     """A rendering whose colours go through a table when they are made."""
-    loss = _loss(table)
+    loss = loss_of_white(table)
 
     def colour_rows(begin: int, end: int, out: np.ndarray) -> None:
         view.colour_rows(begin, end, out)
@@ -80,7 +81,7 @@ def _exposed(view: RowRendering, table: np.ndarray) -> RowRendering:
     return replace(view, colour_rows=colour_rows, colour_at=colour_at)
 
 
-def _loss(table: np.ndarray) -> np.float32:
-    """Share of its worth that a white pixel loses."""
+def loss_of_white(table: Float[np.ndarray, "3 entries"]) -> np.float32:
+    """Share of its worth that a white pixel loses when it goes through ``table``, see :meth:`ExposureCurve.table`."""
     white = float(linear_from_stored(np.asarray(table[:, -1], np.float64)).min())
     return np.float32(min(MOST_LOSS, 1.0 - white**4))

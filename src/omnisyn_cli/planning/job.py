@@ -59,7 +59,8 @@ class InterpolationJob:
             ``network``, or ``auto``: files where every panorama has one, else what the preset says.
         model: for ``network`` and ``refined``: an ONNX file, or a name in the manifest of installed models; None is the
             preset's.
-        device: where the network runs: ``auto``, ``cpu`` or ``cuda``. All else runs on the processor.
+        device: where the network runs: ``auto``, ``cpu`` or ``cuda``, with which the GPU makes the frames as well if it
+            can (:mod:`omnisyn_cli.planning.on_gpu`). Poses and matching are found on the processor.
         renderer: ``mesh``, ``points``, ``two-pass``, or ``auto``: what the preset says.
         cut: where meshes are cut; None is the preset's.
         fusion: ``geometric``, ``network``, which corrects it where the views contradict each other, ``painting``, which

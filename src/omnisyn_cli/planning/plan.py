@@ -25,6 +25,7 @@ from omnisyn_cli.planning.checks import (
 )
 from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
+from omnisyn_cli.planning.on_gpu import are_frames_on_gpu, notes_about_gpu
 from omnisyn_cli.presets import FUSION_MODELS, OMNISYN, PRESETS, SYNSIN_MODELS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.models import find_model
@@ -77,6 +78,11 @@ class InterpolationPlan:
     memory: int
     notes: tuple[str, ...]
 
+    @property
+    def is_on_gpu(self) -> bool:
+        """Whether frames are made on a GPU."""
+        return are_frames_on_gpu(self.job, self.renderer, self.fusion)
+
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
         height, width = self.size
@@ -125,7 +131,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checked_size(image, job) for image in job.images)
     depth = _depth_method(job, entries)
-    made_with = _made_with(job, depth)
+    model, fusion, renderer, cut = _made_with(job, depth)
     for network in networks_of(job, entries):
         find_model(network)
     check_companions(entries, depth)
@@ -138,8 +144,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
     memory = _memory(job, size, source_sizes, entries, depth)
     return InterpolationPlan(
-        job, entries, source_sizes, size, path, depth, *made_with, path_length(poses), memory,
-        (*remarks, *_notes(job, entries, depth)),
+        job, entries, source_sizes, size, path, depth, model, fusion, renderer, cut, path_length(poses), memory,
+        (*remarks, *_notes(job, entries, depth), *notes_about_gpu(job, renderer, fusion)),
     )  # fmt: skip
 
 
@@ -155,8 +161,10 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
         find_model(network)
     model, fusion, renderer, cut = _made_with(job, depth)
     memory = _memory(job, plan.size, plan.source_sizes, plan.entries, depth)
+    former = notes_about_gpu(plan.job, plan.renderer, plan.fusion)
+    notes = (*(note for note in plan.notes if note not in former), *notes_about_gpu(job, renderer, fusion))
     return replace(
-        plan, job=job, depth=depth, model=model, fusion=fusion, renderer=renderer, cut=cut, memory=memory
+        plan, job=job, depth=depth, model=model, fusion=fusion, renderer=renderer, cut=cut, memory=memory, notes=notes
     )  # fmt: skip
 
 
