@@ -7,7 +7,8 @@ import numpy as np
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-from omnisyn_cli.synthesis import Frame, Segment, SynthesisOptions, synthesize
+from omnisyn_cli.segments import Segment, SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 

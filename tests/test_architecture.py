@@ -19,7 +19,8 @@ LAYERS = (
     {"interpolation"},
     {"planning"},
     {"synsin"},
-    {"estimators", "fusers", "posing", "synthesis"},
+    {"synthesis"},
+    {"estimators", "fusers", "posing", "segments"},
     {"crosscheck", "fallback", "gpu", "rows"},
     {
         "confidence",

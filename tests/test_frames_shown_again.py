@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from omnisyn_cli import synthesis
-from omnisyn_cli.synthesis import Frame, Segment, SynthesisOptions, synthesize
+from omnisyn_cli.segments import Segment, SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth
 from synthesis_samples import hall_view, posed

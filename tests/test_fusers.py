@@ -18,7 +18,8 @@ from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.networks.export import export_fusion
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth
 from synthesis_samples import hall_view, posed, write_hall

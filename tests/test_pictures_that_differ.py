@@ -12,8 +12,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
 from omnisyn_cli.metrics import ws_psnr
+from omnisyn_cli.segments import Segment, SynthesisOptions
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.synthesis import Frame, Segment, SynthesisOptions, synthesize
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, KnownDepth, View
 from photometry_samples import exposed, in_eight_bits

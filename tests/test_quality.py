@@ -6,8 +6,9 @@ import pytest
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+from omnisyn_cli.segments import SynthesisOptions
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import as_bytes, hall_view, posed

@@ -22,7 +22,7 @@ from omnisyn_cli.planning import networks_of, plan_interpolation
 from omnisyn_cli.presets import SYNSIN_MODELS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis import Stopwatch
+from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.trajectory import Waypoint
 from synsin_samples import TINY_SIZE, write_synsin_models
 from synthesis_samples import SIZE, hall_view, write_hall

@@ -10,8 +10,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.runtime import models
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.runtime.synsin import MonocularDepthEstimator, SynSinSessions
+from omnisyn_cli.segments import SynthesisOptions
 from omnisyn_cli.synsin import SynSin, open_synsin
-from omnisyn_cli.synthesis import SynthesisOptions
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synsin_samples import TINY_SIZE, HallNetworks, write_synsin_models

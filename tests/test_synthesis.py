@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize, turned_panorama
+from omnisyn_cli.segments import Segment, Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize, turned_panorama
 from omnisyn_cli.trajectory import HEADINGS, Waypoint, plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import SIZE, hall_image, hall_view, posed, ws_psnr

@@ -24,7 +24,8 @@ from omnisyn_cli.render.soft_points import Cloud, splat
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.runtime.synsin import SynSinSessions, upright_image
-from omnisyn_cli.synthesis import Frame, Stopwatch, SynthesisOptions, photograph_at, turned_panorama
+from omnisyn_cli.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis import Frame, photograph_at, turned_panorama
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import View
 

@@ -22,7 +22,8 @@ from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.photometry.transfer import linear_from_stored, stored_from_linear
 from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.synthesis import Segment, SynthesisOptions, synthesize
+from omnisyn_cli.segments import Segment, SynthesisOptions
+from omnisyn_cli.synthesis import synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, View
 

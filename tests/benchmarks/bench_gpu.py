@@ -20,7 +20,8 @@ from omnisyn_cli.estimators import make_estimator
 from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.gpu.frames import GpuFrames
 from omnisyn_cli.io import read_panorama, read_poses
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth, View

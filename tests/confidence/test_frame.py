@@ -6,7 +6,8 @@ import pytest
 from confidence_samples import generated_views
 from omnisyn_cli.confidence import confidence_of_frame, doubtful_regions
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, Rendering
 

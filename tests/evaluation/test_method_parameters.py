@@ -14,7 +14,7 @@ from omnisyn_cli.fusers import make_fuser
 from omnisyn_cli.presets import FUSION_MODELS
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis import Stopwatch
+from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
 

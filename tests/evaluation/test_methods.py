@@ -21,7 +21,7 @@ from omnisyn_cli.evaluation.synthesizers import (
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis import Stopwatch
+from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr

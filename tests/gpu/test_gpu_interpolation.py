@@ -15,7 +15,8 @@ from omnisyn_cli.interpolation import run, run_interpolation
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.planning import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.presets import SYNSIN_SOURCES
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint, plan_path
 from omnisyn_cli.types import KnownDepth
 from synthesis_samples import hall_view, posed, write_hall

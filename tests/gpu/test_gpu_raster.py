@@ -8,7 +8,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.gpu import raster
 from omnisyn_cli.gpu.quads import quads_of
 from omnisyn_cli.gpu.raster import GpuRasterizer
-from omnisyn_cli.render.mesh import FACES_PER_QUAD, Cut, Mesh, build_mesh
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
+from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.reference import rasterize_reference
 

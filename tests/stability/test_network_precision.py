@@ -22,10 +22,11 @@ from omnisyn_cli.runtime.models import find_model, models_folder
 from omnisyn_cli.runtime.refinement import SessionRefinement
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.scenes import generate_scene, render_views, sample_path
+from omnisyn_cli.segments import SynthesisOptions
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.refined import RefinedDepthEstimator
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synthesis_samples import ws_psnr

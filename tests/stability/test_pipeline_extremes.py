@@ -17,7 +17,8 @@ from omnisyn_cli.io import read_inverse_depth, read_panorama, write_depth
 from omnisyn_cli.io.encode import write_channels
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from process_memory import peak_memory, renewed_peak_memory

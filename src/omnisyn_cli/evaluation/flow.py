@@ -15,7 +15,8 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.evaluation.synthesizers import Picture
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import wrap_pixel
-from omnisyn_cli.synthesis import Stopwatch, turned_panorama
+from omnisyn_cli.segments import Stopwatch
+from omnisyn_cli.synthesis import turned_panorama
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 

@@ -22,7 +22,8 @@ from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.metrics import depth_metrics, lrce, psnr, row_weights, scored_pixels, ssim, ws_psnr, ws_ssim
 from omnisyn_cli.metrics.temporal import flicker, warping_error
-from omnisyn_cli.synthesis import Stopwatch, turned_panorama
+from omnisyn_cli.segments import Stopwatch
+from omnisyn_cli.synthesis import turned_panorama
 from omnisyn_cli.trajectory import STILL, Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from omnisyn_cli.evaluation.synthesizers import Picture
 from omnisyn_cli.runtime.synsin import SynSinSessions
+from omnisyn_cli.segments import Stopwatch, SynthesisOptions
 from omnisyn_cli.synsin import SynSin
-from omnisyn_cli.synthesis import Stopwatch, SynthesisOptions
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 

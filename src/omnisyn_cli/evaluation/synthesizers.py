@@ -21,7 +21,8 @@ from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.synthesis import Frame, Stopwatch, SynthesisOptions, synthesize
+from omnisyn_cli.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 

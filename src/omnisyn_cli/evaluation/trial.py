@@ -28,7 +28,8 @@ from omnisyn_cli.io import PosedPanorama, open_video, write_poses
 from omnisyn_cli.io.frames import read_frames
 from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.presets import PRESETS
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize, turned_panorama
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize, turned_panorama
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = ["Trial", "run_trial"]

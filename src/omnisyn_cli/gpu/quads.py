@@ -14,7 +14,8 @@ import torch
 from jaxtyping import Bool, Float, Integer
 from torch import Tensor
 
-from omnisyn_cli.render.mesh import CUT_EDGES, DIAGONAL, FACES_PER_QUAD, QUARTER_WEIGHTS, REMOVED, Mesh
+from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, FACES_PER_QUAD, QUARTER_WEIGHTS, REMOVED
 
 __all__ = ["Quads", "quads_of"]
 

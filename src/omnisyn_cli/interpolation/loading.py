@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.cap import outside_nadir
 from omnisyn_cli.io import Panorama, PosedPanorama, read_inverse_depth, read_mask
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.planning import InterpolationPlan
-from omnisyn_cli.synthesis import Stopwatch
+from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["KeptPanorama", "Loader", "PanoramaReader"]

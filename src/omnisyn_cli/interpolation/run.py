@@ -18,8 +18,9 @@ from omnisyn_cli.io.background import FrameRing, frames_in_queue
 from omnisyn_cli.photometry import equalized
 from omnisyn_cli.planning import InterpolationPlan, is_rounded, sample_types
 from omnisyn_cli.presets import OMNISYN, PRESETS, SYNSIN_SOURCES
+from omnisyn_cli.segments import Segment, Stopwatch, SynthesisOptions
 from omnisyn_cli.synsin import SynSin, open_synsin
-from omnisyn_cli.synthesis import Frame, Segment, Stopwatch, SynthesisOptions, synthesize
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.types import DepthEstimator
 
 if TYPE_CHECKING:

@@ -82,7 +82,7 @@ class InterpolationJob:
         allow_outside: accept depth and masks that the pose file names outside of its folder.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
-        adaptive: draw flat surfaces with fewer triangles, see :class:`omnisyn_cli.synthesis.SynthesisOptions`.
+        adaptive: draw flat surfaces with fewer triangles, see :class:`omnisyn_cli.segments.SynthesisOptions`.
     """
 
     images: tuple[Path, ...]

@@ -28,7 +28,8 @@ from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector, slerp
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.scenes import Scene, generate_scene, render_panorama, sample_path
-from omnisyn_cli.synthesis import Frame, SynthesisOptions, synthesize
+from omnisyn_cli.segments import SynthesisOptions
+from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.training.data import save_arrays
 from omnisyn_cli.training.pool import photos_in, scene_path
 from omnisyn_cli.trajectory import Waypoint
