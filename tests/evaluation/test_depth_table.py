@@ -134,12 +134,12 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path, guesses):
 
 
 def test_what_is_not_there_is_a_row_with_its_reason(tmp_path, guesses):
-    absent = f"guess-3.0,network-paper,network:{tmp_path / 'missing.onnx'}"
+    absent = f"guess-3.0,network:depth-gone,network:{tmp_path / 'missing.onnx'}"
     records = run_depth_table(job(tmp_path / "report", methods=absent))
     for table in depth_tables(records):
         rows = {row.name: row for row in table.rows}
         assert rows["guess-3.0"].cells
-        assert "'depth-paper'" in rows["network-paper"].reason
+        assert "'depth-gone'" in rows["network:depth-gone"].reason
         assert "expected an ONNX file" in rows[f"network:{tmp_path / 'missing.onnx'}"].reason
 
 
@@ -167,11 +167,10 @@ def test_seeds_of_training_are_refused_and_the_standard_scenes_are_others(tmp_pa
 
 def test_every_row_of_the_papers_table_and_every_preset_is_there():
     names = [method.name for method in find_depth_methods("all")]
-    assert {"network-paper", "network-accurate", "network-fast", "synsin", "matching"} < set(names)
-    assert {f"omnisyn-{preset}" for preset in PRESETS} < set(names)
-    with pytest.raises(InputError, match="one of network-paper"):
+    assert set(names) == {"synsin", "matching", *(f"omnisyn-{preset}" for preset in PRESETS)}
+    with pytest.raises(InputError, match="one of synsin"):
         find_depth_methods("guesswork")
-    with pytest.raises(InputError, match="one of network-paper"):
+    with pytest.raises(InputError, match="one of synsin"):
         find_depth_methods(" , ")
 
 
@@ -190,7 +189,7 @@ def test_the_command_prints_both_tables(tmp_path):
         "--size",
         "32x16",
         "--methods",
-        "synsin,network-paper",
+        "synsin,network:depth-gone",
         "--report",
         str(tmp_path / "r"),
     ]
@@ -198,5 +197,5 @@ def test_the_command_prints_both_tables(tmp_path):
     assert result.return_value == 0, result.output
     assert "Streets, 1 m" in result.output
     assert "Rooms, 1 m" in result.output
-    assert result.output.count("network-paper: expected a model of the manifest") == 2
+    assert result.output.count("network:depth-gone: expected a model of the manifest") == 2
     assert (tmp_path / "r" / "depth-table.md").exists()

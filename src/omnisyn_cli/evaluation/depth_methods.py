@@ -24,14 +24,12 @@ class DepthMethod:
         source: a depth source of :mod:`omnisyn_cli.estimators`.
         rows: that matching works towards.
         model: of the manifest, or a file; None where no network takes part.
-        absence: why it works on no pair at all; empty where it does.
     """
 
     name: str
     source: str
     rows: int = 512
     model: str | None = None
-    absence: str = ""
 
     def make(self, device: str, threads: int | None) -> DepthEstimator:
         """Set it to work; InputError where its network is missing."""
@@ -44,15 +42,12 @@ class DepthMethod:
 
 
 NETWORK = "network:"
-"""Before the name of an ONNX file: that model."""
+"""Before a model's name in the manifest or its ONNX file: that stereo network alone."""
 
 METHODS: Mapping[str, DepthMethod] = MappingProxyType(
     {
         method.name: method
         for method in (
-            DepthMethod("network-paper", "network", model="depth-paper"),
-            DepthMethod("network-accurate", "network", model="depth-accurate"),
-            DepthMethod("network-fast", "network", model="depth-fast"),
             DepthMethod("synsin", "monocular", model=SYNSIN_MODELS[0]),
             DepthMethod("matching", "matching"),
             *(
@@ -62,7 +57,7 @@ METHODS: Mapping[str, DepthMethod] = MappingProxyType(
         )
     }
 )
-"""The rows of the table: the stereo networks alone, SynSin's monocular one, matching alone, and the presets."""
+"""The rows of the table: SynSin's monocular network, matching alone, and the presets; ``paper`` is a network alone."""
 
 
 def find_depth_methods(text: str) -> list[DepthMethod]:

@@ -180,8 +180,6 @@ class _Worker:
         for method in self._methods:
             blank = UnitRecord("", f"{kind}-{seed}", "first", "second", method.name, "unavailable", baseline=BASELINE)
             try:
-                if method.absence:
-                    raise InputError(method.absence)
                 blank = replace(blank, key=self._key(method, kind, seed))
                 estimator = self._estimator(method)
             except InputError as error:
