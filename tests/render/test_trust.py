@@ -2,9 +2,20 @@ import numpy as np
 import pytest
 from render_samples import rough
 
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import build_mesh
-from omnisyn_cli.render.quads import CUT_EDGES
-from omnisyn_cli.render.trust import AT_CUTS, AT_RIMS, FAR_BEHIND, LEAST, REACH, trust_of_quads
+from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUARTER
+from omnisyn_cli.render.rasterize import rasterize
+from omnisyn_cli.render.shade import Shader, make_texture, make_trust, trust_of_faces
+from omnisyn_cli.render.trust import (
+    AT_CUTS,
+    BEHIND_CUTS,
+    FAR_BEHIND,
+    IN_RIMS,
+    LEAST,
+    REACH,
+    trust_of_quarters,
+)
 
 
 def whole(height, width):
@@ -14,14 +25,23 @@ def whole(height, width):
 def test_is_the_least_confidence_of_the_corners_and_never_zero():
     confidence = np.ones((4, 6), np.float32)
     confidence[1, 2], confidence[3, 5] = 0.5, 0.0
-    expected = np.ones((3, 6))
+    expected = np.ones((3, 6, 4))
     expected[:2, 1:3], expected[2, 4:6] = 0.5, LEAST
-    np.testing.assert_allclose(trust_of_quads(np.ones((4, 6)), whole(4, 6), confidence), expected)
+    np.testing.assert_allclose(trust_of_quarters(np.ones((4, 6)), whole(4, 6), confidence), expected)
+    nothing = trust_of_quarters(rough(8, 16), ~whole(8, 16), np.zeros((8, 16)))
+    assert nothing.min() >= LEAST
 
 
-def test_is_little_where_the_mesh_is_cut():
-    mesh = build_mesh(rough(8, 16))
-    np.testing.assert_allclose(mesh.trust[(mesh.quads & CUT_EDGES) != 0], AT_CUTS)
+def test_is_little_where_the_mesh_is_cut_and_less_far_behind_the_cut():
+    rho = np.full((8, 16), 0.1, np.float32)
+    rho[:, 5:10] = 0.09
+    rho[:, 10:14] = 1.0
+    mesh = build_mesh(rho)
+    assert (mesh.quads[:, [4, 9, 13, 15]] & CUT_EDGES == [5, 5, 5, 0]).all()
+    np.testing.assert_allclose(mesh.trust[:, 4], [np.float32([BEHIND_CUTS, AT_CUTS])[[1, 0, 1, 0]]] * 7)
+    np.testing.assert_allclose(mesh.trust[:, 9], [np.float32([BEHIND_CUTS, AT_CUTS, BEHIND_CUTS, AT_CUTS])] * 7)
+    np.testing.assert_allclose(mesh.trust[:, 13], [np.float32([AT_CUTS, BEHIND_CUTS, AT_CUTS, BEHIND_CUTS])] * 7)
+    np.testing.assert_allclose(mesh.trust[:, 11], 1.0)
 
 
 @pytest.mark.parametrize("times", [0.98 * FAR_BEHIND, 1.02 * FAR_BEHIND, np.inf])
@@ -33,8 +53,9 @@ def test_a_rim_lies_around_what_is_much_nearer_across_the_seam_but_not_beyond_th
     apart = np.maximum(abs(rows - row), np.minimum((cols - col) % 60, (col - cols) % 60))
     is_rim = (apart <= REACH) & (apart > 0) & (times > FAR_BEHIND)
     corners = [is_rim[:-1], is_rim[1:], np.roll(is_rim, -1, axis=1)[:-1], np.roll(is_rim, -1, axis=1)[1:]]
-    expected = np.where(np.any(corners, axis=0), np.float32(AT_RIMS), np.float32(1.0))
-    np.testing.assert_array_equal(trust_of_quads(rho, whole(40, 60)), expected)
+    expected = np.where(np.any(corners, axis=0), np.float32(IN_RIMS), np.float32(1.0))
+    found = trust_of_quarters(rho, whole(40, 60))
+    np.testing.assert_array_equal(found, np.repeat(expected[..., None], 4, axis=-1))
 
 
 def test_masked_vertices_are_before_nothing():
@@ -43,3 +64,17 @@ def test_masked_vertices_are_before_nothing():
     rho[6, 8], mask[6, 8] = 5.0, False
     mesh = build_mesh(rho, mask=mask)
     assert (mesh.trust[(mesh.quads & CUT_EDGES) == 0] == 1.0).all()
+
+
+def test_is_found_by_face_and_by_place_alike():
+    """Seen from its own centre, a pixel of a panorama lies in the quarter whose face it shows."""
+    mesh, size = build_mesh(rough(12, 24)), (96, 192)
+    texture = make_texture(np.ones((*size, 3), np.float32))
+    fragments = rasterize(mesh, Pose.identity(), size)
+    by_face = np.append(mesh.trust.ravel(), np.float32(1.0))[
+        np.minimum(fragments.face // FACES_PER_QUARTER, mesh.trust.size)
+    ]
+    assert len(np.unique(by_face)) > 2
+    for face, trust in ((fragments.face, trust_of_faces(mesh)), (None, make_trust(mesh, texture))):
+        shown = Shader(size, 1).surface((fragments.inverse_depth, face), trust, texture, Pose.identity())
+        np.testing.assert_allclose(shown[..., 3], by_face, rtol=1e-5)

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Integer
 from torch import Tensor
 
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, FACES_PER_QUAD, QUARTER_WEIGHTS, REMOVED
+from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, FACES_PER_QUAD, FACES_PER_QUARTER, QUARTER_WEIGHTS, REMOVED
 
 __all__ = ["Quads", "quads_of"]
 
@@ -30,7 +30,7 @@ class Quads:
         corner: indices of each quad's points: top left, top right, bottom left, bottom right.
         is_rising: split from bottom left to top right, else from top left to bottom right.
         face: number of the first triangle of each; that of the second follows.
-        trust: by quad of the mesh, row after row, and of the caps.
+        trust: by quarter of the quads of the mesh, quad after quad, and of the caps.
         triangles: how many of these have an area.
     """
 
@@ -44,12 +44,12 @@ class Quads:
 
     def trust_of(self, face: Integer[Tensor, "*pixels"]) -> Float[Tensor, "*pixels"]:
         """Trust in faces; numbers below 0 get any."""
-        quad = torch.div(face, FACES_PER_QUAD, rounding_mode="floor")
-        return self.trust[quad.clamp(0, len(self.trust) - 1)]
+        quarter = torch.div(face, FACES_PER_QUARTER, rounding_mode="floor")
+        return self.trust[quarter.clamp(0, len(self.trust) - 1)]
 
 
 def quads_of(mesh: Mesh, device: torch.device) -> Quads:
-    """The quads of a mesh: 32 bytes for every point, 45 for every quad."""
+    """The quads of a mesh: 32 bytes for every point, 57 for every quad."""
     whole = np.flatnonzero((mesh.quads.ravel() & (CUT_EDGES | REMOVED)) == 0)
     vertex_direction = mesh.vertex_directions()[: mesh.inverse_depth.size]
     vertex_rho = mesh.inverse_depth.ravel().astype(np.float64)

@@ -34,7 +34,7 @@ from omnisyn_cli.render.quads import (
     RIGHT,
     TOP,
 )
-from omnisyn_cli.render.trust import trust_of_quads
+from omnisyn_cli.render.trust import trust_of_quarters
 
 __all__ = [
     "Cut",
@@ -74,13 +74,14 @@ class Mesh:
         quads: ``(height - 1, width)`` one byte of flags per quad.
         caps: ``(2, width, 3)`` float32: inverse depth of (pole, left, right) of each cap triangle, north then south;
             negative where it is not drawn.
-        trust: ``(height - 1, width)`` float32 in (0, 1]: how much the colour seen on each quad is worth in a blend.
+        trust: ``(height - 1, width, 4)`` float32 in (0, 1]: how much the colour seen on each quarter of each quad is
+            worth in a blend; in a whole quad all four are equal.
     """
 
     inverse_depth: Float[np.ndarray, "height width"]
     quads: UInt8[np.ndarray, "height-1 width"]
     caps: Float[np.ndarray, "2 width 3"]
-    trust: Float[np.ndarray, "height-1 width"]
+    trust: Float[np.ndarray, "height-1 width 4"]
 
     @property
     def size(self) -> tuple[int, int]:
@@ -251,7 +252,7 @@ def build_mesh(
     if mask is not None:
         quads |= _flag(REMOVED, ~_any_corner(mask))
         rho = np.where(mask, rho, np.float32(NO_SURFACE))
-    return Mesh(rho, quads, caps, trust_of_quads(rho, (quads & CUT_EDGES) != 0, confidence))
+    return Mesh(rho, quads, caps, trust_of_quarters(rho, (quads & CUT_EDGES) != 0, confidence))
 
 
 def _flag(bit: int, where: np.ndarray) -> np.ndarray:

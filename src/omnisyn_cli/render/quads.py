@@ -14,6 +14,7 @@ __all__ = [
     "DIAGONAL",
     "DIRECTION_WEIGHTS",
     "FACES_PER_QUAD",
+    "FACES_PER_QUARTER",
     "INVERSE_DEPTH_WEIGHTS",
     "LEFT",
     "QUARTER_WEIGHTS",
@@ -30,6 +31,7 @@ DIAGONAL = 16
 REMOVED = 32
 """Set where nothing of the quad is drawn (all of it is masked)."""
 FACES_PER_QUAD = 8
+FACES_PER_QUARTER = 2
 
 # Corners of a quad: 0 top left, 1 top right, 2 bottom left, 3 bottom right.
 _BESIDE = (1, 0, 3, 2)

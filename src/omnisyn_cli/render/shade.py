@@ -59,11 +59,11 @@ class Texture:
 
 @dataclass(frozen=True)
 class TrustMap:
-    """Trust in the quads of a mesh, to be looked up by face or by texture coordinates.
+    """Trust in the quarters of the quads of a mesh, to be looked up by face or by texture coordinates.
 
     Attributes:
-        values: of the quads, row after row. For texture coordinates with a row for each polar cap and one column more,
-            before the first; empty where all of it is 1.
+        values: of the quarters, quad after quad. For texture coordinates an image of them, row after row, with a row
+            for each polar cap and one column more, before the first; empty where all of it is 1.
         layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row. Zeros
             where faces lead to the values.
     """
@@ -79,11 +79,13 @@ def trust_of_faces(mesh: Mesh) -> TrustMap:
 
 def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
     """Trust in a mesh by the texture coordinates of its panorama."""
-    bordered = np.pad(np.pad(mesh.trust, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), constant_values=1.0)
+    rows, cols, _ = mesh.trust.shape
+    image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
+    bordered = np.pad(np.pad(image, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), constant_values=1.0)
     layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
         scale, zero = texture.layout[0, offset : offset + 2]
-        mesh_scale, mesh_zero = pixel_scale(mesh.size)[axis : axis + 2]
+        mesh_scale, mesh_zero = (2.0 * number for number in pixel_scale(mesh.size)[axis : axis + 2])
         layout += [mesh_scale / scale, mesh_zero + 1.0 - zero * mesh_scale / scale]
     values = bordered.ravel() if (mesh.trust != 1.0).any() else bordered[:0].ravel()
     return TrustMap(values.astype(np.float32), np.array([*layout, bordered.shape[1]], np.float32))
@@ -265,7 +267,7 @@ _SKY = Mesh(
     inverse_depth=np.zeros((2, 2), np.float32),
     quads=np.zeros((1, 2), np.uint8),
     caps=np.zeros((2, 2, 3), np.float32),
-    trust=np.ones((1, 2), np.float32),
+    trust=np.ones((1, 2, 4), np.float32),
 )
 """A surface that is infinitely far away everywhere."""
 

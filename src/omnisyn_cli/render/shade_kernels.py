@@ -8,14 +8,14 @@ import math
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
-from omnisyn_cli.render.quads import FACES_PER_QUAD
+from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.simd import load_floats, pair, splat, store_half, swapped
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
 __all__ = ["shade_rows"]
 
-FACE_BITS = FACES_PER_QUAD.bit_length() - 1
-"""A face number without these bits is its quad's."""
+FACE_BITS = FACES_PER_QUARTER.bit_length() - 1
+"""A face number without these bits is that of its quarter, counted through all quads."""
 
 MAGNIFIED = 1.05
 """Texels per target pixel up to which the full resolution is read as it is."""
@@ -43,11 +43,11 @@ def shade_rows(
 ):  # fmt: skip
     """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector.
 
-    Trust is that of the quad of a face or, without faces, of the quad that a texture coordinate lies in:
+    Trust is that of the quarter of a face or, without faces, of the quarter that a texture coordinate lies in:
     ``trust_layout`` takes texel rows and columns to those of ``trust``. Without any ``trust`` it is 1.
     """
     width = rho.shape[1]
-    quads = np.empty(RUN, np.int32)
+    quarters = np.empty(RUN, np.int32)
     places, index = np.empty((CUBIC + 8, RUN), np.float32), np.empty(RUN, np.int32)
     flat = image.reshape(-1)
     starts, strides, factors = layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64), _levels_from_full(layout)
@@ -60,7 +60,7 @@ def shade_rows(
                 layout, places, index,
             )  # fmt: skip
             if face is None and len(trust) > 0:
-                _find_quads(places[Y], places[X], trust_layout, quads, right - left)
+                _find_quarters(places[Y], places[X], trust_layout, quarters, right - left)
             if bicubic:
                 _find_cubic_weights(places[DOWN], places[CUBIC:])
                 _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
@@ -79,9 +79,9 @@ def shade_rows(
                     colour = _bilinear(texels, first, first + stride, places[DOWN, col], places[ACROSS, col])
                 store_half(flat, at, colour * splat(unit))
                 if len(trust) > 0:
-                    quad = quads[col] if face is None else face[row, left + col] >> FACE_BITS
-                    if quad < len(trust) and trust[quad] != 1.0:  # the caps beyond have all of it
-                        flat[at + 3] *= trust[quad]
+                    quarter = quarters[col] if face is None else face[row, left + col] >> FACE_BITS
+                    if quarter < len(trust) and trust[quarter] != 1.0:  # the caps beyond have all of it
+                        flat[at + 3] *= trust[quarter]
 
 
 @fast_kernel()
@@ -112,13 +112,13 @@ def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, 
 
 
 @fast_kernel()
-def _find_quads(y, x, trust_layout, quads, count):
-    """Index of the quad at each texture coordinate in an image of quads with a border."""
+def _find_quarters(y, x, trust_layout, quarters, count):
+    """Index of the quarter at each texture coordinate in an image of quarters with a border."""
     row_scale, row_zero, col_scale, col_zero = trust_layout[0], trust_layout[1], trust_layout[2], trust_layout[3]
     stride = np.int32(trust_layout[4])
     for k in range(count):
         row, col = np.int32(y[k] * row_scale + row_zero), np.int32(x[k] * col_scale + col_zero)
-        quads[k] = np.int32(row * stride) + col
+        quarters[k] = np.int32(row * stride) + col
 
 
 @fast_kernel()

@@ -28,7 +28,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.joint import JointNetwork, PairPrediction
 from omnisyn_cli.render.mesh import Mesh, build_mesh
-from omnisyn_cli.render.quads import FACES_PER_QUAD
+from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.checkpoint import load_checkpoint
@@ -126,10 +126,10 @@ def view_between(
 
 
 def _worth(fragments: Fragments, mesh: Mesh) -> Float[Tensor, "height width"]:
-    """Trust in the quads that are seen; all of it in the caps."""
+    """Trust in the quarters of quads that are seen; all of it in the caps."""
     trust = np.append(mesh.trust.ravel(), np.float32(1.0))
-    quad = np.minimum(fragments.face // FACES_PER_QUAD, mesh.trust.size)
-    return torch.from_numpy(np.where(fragments.visibility, trust[quad], np.float32(0.0)))
+    quarter = np.minimum(fragments.face // FACES_PER_QUARTER, mesh.trust.size)
+    return torch.from_numpy(np.where(fragments.visibility, trust[quarter], np.float32(0.0)))
 
 
 @dataclass(frozen=True)
