@@ -190,7 +190,7 @@ BAD_OUTPUT = {
     "quality": (["out.mp4", "--crf", "99"], "expected a quality from 0 (best) to 51"),
     "speed": (["out.mp4", "--encoder-preset", "warp"], "expected a preset for h264"),
     "too few frames": (["out.mp4", "--frames", "2"], "expected at least 3 frames"),
-    "endless": (["out.mp4", "--duration", "inf", "--fps", "30"], "at most 1,000,000 frames"),
+    "endless": (["out.mp4", "--duration", "1e9", "--fps", "30"], "at most 1,000,000 frames"),
     "frames into a video": (["out.mp4", "--save-frames", "b.mp4"], "expected a folder or a pattern"),
     "no folder for depth": (["out.mp4", "--save-depth", "none/depth"], "create it first"),
 }

@@ -132,7 +132,7 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
         click.option(
             "--rate",
             default=rate,
-            type=FiniteRange(0, min_open=True),
+            type=FiniteRange(0),
             help=f"Learning rate after the warm-up.{by_variant}",
             **shown,
         ),
