@@ -25,7 +25,7 @@ REACH = 5
 """Vertices: how wide a rim is."""
 
 FAR_BEHIND = 5.0
-"""Times as far. With 2.5 a room with its true depth loses 0.3 dB: close behind an edge the other view may see others."""
+"""Times as far. With 2.5 a room with its true depth loses 0.3 dB: close behind an edge the other view may be hidden."""
 
 LEAST = 0.01
 """However little is known: where neither view knows anything both should count."""
