@@ -45,6 +45,13 @@ def test_a_panorama_is_described(folder: Path) -> None:
     assert seen["gpano"] == {"PoseHeadingDegrees": 12.0}
 
 
+def test_a_panorama_too_small_for_a_surface_is_not_usable(tmp_path: Path) -> None:
+    write_with(tmp_path / "dot.png", smooth_image()[:1, :2])
+    seen = describe_file(tmp_path / "dot.png")
+    assert (seen["usable"], seen["width"]) == (False, 2)
+    assert "at least 4×2 pixels, got 2×1" in seen["problem"]
+
+
 def test_depth_is_described(folder: Path) -> None:
     seen = describe_file(folder / "a_depth.exr")
     assert (seen["kind"], seen["nearest_metres"], seen["infinite_share"]) == ("depth", 2.0, 0.25)

@@ -12,12 +12,15 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import Placement, placement_of
 
-__all__ = ["INTEGER_PEAKS", "Panorama", "read_mask", "read_panorama"]
+__all__ = ["INTEGER_PEAKS", "Panorama", "read_mask", "read_panorama", "sphere_size"]
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""
 
 FLOATS = frozenset({"float16", "float32", "float64"})
+
+LEAST_HEIGHT = 2
+"""Rows of the smallest panorama that a surface can be made of."""
 
 USABLE_ALPHA = 0.5
 """Pixels that are less opaque than this are not usable."""
@@ -53,15 +56,38 @@ def read_panorama(path: Path | str, *, allow_aspect: bool = False, max_pixels: i
         max_pixels: refuse larger images before decoding them.
 
     Raises:
-        ImageError: missing, empty, damaged, too large, not 2:1, not equirectangular, or with NaN or infinite samples.
+        ImageError: missing, empty, damaged, too large or too small, not 2:1, not equirectangular, or with NaN or
+            infinite samples.
     """
     header, samples = decode_image(path, max_pixels=max_pixels)
-    placement = placement_of(header)
-    check_pixel_count(header.path, placement.full_height, placement.full_width, max_pixels)
-    _check_aspect(header, placement, allow_aspect)
+    size = sphere_size(header, allow_aspect=allow_aspect, max_pixels=max_pixels)
     colour, alpha = colour_and_alpha(header, upright(samples, header.orientation))
-    panorama = _panorama(header, colour, alpha, placement)
-    return panorama if _is_two_to_one(panorama.image) else _resampled(panorama)
+    panorama = _panorama(header, colour, alpha, placement_of(header))
+    return panorama if panorama.image.shape[:2] == size else _resampled(panorama, size)
+
+
+def sphere_size(header: ImageHeader, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> tuple[int, int]:
+    """Height and width of the panorama that :func:`read_panorama` makes of a file.
+
+    Raises:
+        ImageError: too large or too small, not 2:1 where that is not allowed, or not equirectangular.
+    """
+    placement = placement_of(header)
+    height, width = placement.full_height, placement.full_width
+    check_pixel_count(header.path, height, width, max_pixels)
+    if min(height, width // 2) < LEAST_HEIGHT:
+        raise ImageError(
+            f"{header.path}: expected a panorama of at least {2 * LEAST_HEIGHT}×{LEAST_HEIGHT} pixels, got "
+            f"{width}×{height}; choose a larger image"
+        )
+    if width == 2 * height:
+        return height, width
+    if not allow_aspect:
+        raise ImageError(
+            f"{header.path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
+            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
+        )
+    return width // 2, width // 2 * 2
 
 
 def read_mask(
@@ -176,29 +202,14 @@ def _channel(names: tuple[str, ...], wanted: str) -> int | None:
     return next((index for index, name in enumerate(names) if name.rpartition(".")[2] == wanted), None)
 
 
-def _is_two_to_one(image: np.ndarray) -> bool:
-    return bool(image.shape[1] == 2 * image.shape[0])
-
-
-def _check_aspect(header: ImageHeader, placement: Placement, allow_aspect: bool) -> None:
-    height, width = placement.full_height, placement.full_width
-    if not (allow_aspect and width >= 2) and width != 2 * height:
-        raise ImageError(
-            f"{header.path}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
-            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
-        )
-
-
-def _resampled(panorama: Panorama) -> Panorama:
-    """The same sphere with square pixels: the width is kept (made even), the height becomes half of it."""
+def _resampled(panorama: Panorama, size: tuple[int, int]) -> Panorama:
+    """The same sphere with square pixels, in another height and width."""
     # OpenCV takes a while to import and is needed for odd images only.
     import cv2
 
-    width = panorama.image.shape[1] // 2 * 2
-    size = (width, width // 2)
-    image = np.asarray(cv2.resize(panorama.image, size, interpolation=cv2.INTER_AREA), np.float32)
+    image = np.asarray(cv2.resize(panorama.image, size[::-1], interpolation=cv2.INTER_AREA), np.float32)
     mask = None
     if panorama.mask is not None:
-        opacity = cv2.resize(panorama.mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        opacity = cv2.resize(panorama.mask.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA)
         mask = np.asarray(opacity > 1 - 1e-6, bool)
     return Panorama(image, mask, None, panorama.path)

@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from omnisyn_cli.errors import ImageError, InputError, OutputPathError
+from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, check_output, check_video, read_header, sample_type
-from omnisyn_cli.io.decode import check_pixel_count
 from omnisyn_cli.io.depth import check_depth_header
 from omnisyn_cli.io.paths import check_name
-from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.planning.job import DEPTH_METHODS, FALLBACKS, RENDERER_CHOICES, InterpolationJob, depth_files
@@ -25,7 +23,6 @@ __all__ = [
     "check_inputs_survive",
     "check_names",
     "check_outputs",
-    "checked_size",
 ]
 
 OF_OWN_FRAMES = (
@@ -35,9 +32,6 @@ OF_OWN_FRAMES = (
 
 MOST_NADIR = math.radians(90.0)
 """A cap that is no hemisphere yet."""
-
-LEAST_HEIGHT = 2
-"""Rows of the smallest panorama that a surface can be made of."""
 
 
 def check_names(job: InterpolationJob) -> None:
@@ -106,30 +100,6 @@ def _check_is_plain(job: InterpolationJob) -> None:
                 f"expected no {name.replace('_', '-')} with the method {job.method}, which leaves none to choose, got "
                 f"{chosen}; leave it out, or take the method {OMNISYN}"
             )
-
-
-def checked_size(image: Path, job: InterpolationJob) -> tuple[int, int]:
-    """Height and width of the panorama that :func:`omnisyn_cli.io.read_panorama` will make of a file.
-
-    Raises:
-        ImageError: it is unreadable, too large or too small, or not 2:1 where that is not allowed.
-    """
-    placement = placement_of(read_header(image))
-    height, width = placement.full_height, placement.full_width
-    check_pixel_count(image, height, width, job.max_pixels)
-    if min(height, width // 2) < LEAST_HEIGHT:
-        raise ImageError(
-            f"{image}: expected a panorama of at least {2 * LEAST_HEIGHT}×{LEAST_HEIGHT} pixels, got {width}×{height}; "
-            "choose a larger image"
-        )
-    if width == 2 * height:
-        return height, width
-    if not job.allow_aspect:
-        raise ImageError(
-            f"{image}: expected an equirectangular panorama twice as wide as high, got {width}×{height}; "
-            "stitch it to 2:1, or allow other aspect ratios (--allow-aspect) if the image does cover the whole sphere"
-        )
-    return width // 2, width // 2 * 2
 
 
 def check_companions(entries: Sequence[PosedPanorama], depth: str) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_header, read_poses
 from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.images import sphere_size
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.planning.checks import (
     check_choices,
@@ -21,7 +22,6 @@ from omnisyn_cli.planning.checks import (
     check_inputs_survive,
     check_names,
     check_outputs,
-    checked_size,
 )
 from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
@@ -129,7 +129,10 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     check_choices(job)
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
-    source_sizes = tuple(checked_size(image, job) for image in job.images)
+    source_sizes = tuple(
+        sphere_size(read_header(image), allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
+        for image in job.images
+    )
     depth = _depth_method(job, entries)
     model, fusion, renderer, cut = _made_with(job, depth)
     for network in networks_of(job, entries):

@@ -26,7 +26,7 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
     sentences = [_verdict(diagnosis), _off(given, diagnosis)]
     measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.supporting} with the poses given"
     if not estimate.is_in_place:
-        measured += f"; median residual {_degrees(given.residual)}, at best {_degrees(estimate.residual)}"
+        measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
     sentences.append(measured)
     sentences.extend(_advice(diagnosis))
