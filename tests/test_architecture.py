@@ -38,7 +38,7 @@ LAYERS = (
     },
     {"types"},
     {"geometry"},
-    {"errors", "jit", "presets", "threads"},
+    {"errors", "jit", "presets", "thread_limit", "threads"},
 )
 """From the top to the bottom; what is in one set does not know each other."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from confidence_samples import disturbed
-from omnisyn_cli.crosscheck import cross_check
+from omnisyn_cli.crosscheck import _middle_of, cross_check
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.types import DepthEstimate, View
 from photometry_samples import exposed, in_eight_bits
@@ -44,6 +44,21 @@ def test_wrong_poses_score_less_and_less() -> None:
     ]
     assert scores == sorted(scores, reverse=True)
     assert scores[0] > scores[-1] + 6
+
+
+@pytest.mark.parametrize("factor", [2, 3, 4, 8])
+def test_depth_made_smaller_stays_where_it_was(factor: int) -> None:
+    """A ramp keeps its place to half a pixel of the larger map; an edge keeps both of its values."""
+    rows, cols = 8 * factor, 16 * factor
+    ramp = np.broadcast_to(np.arange(rows, dtype=np.float32)[:, None], (rows, cols))
+    found = _middle_of(DepthEstimate(ramp, 0.5 * ramp), (8, 16))
+    centres = (np.arange(8) + 0.5) * factor - 0.5
+    assert np.abs(found.inverse_depth - centres[:, None]).max() <= 0.5
+    np.testing.assert_array_equal(found.confidence, 0.5 * found.inverse_depth)
+    edge = np.where(np.arange(cols) < cols // 2 + 1, np.float32(1.0), np.float32(0.25)) + np.zeros(
+        (rows, 1), np.float32
+    )
+    assert set(np.unique(_middle_of(DepthEstimate(edge, edge), (8, 16)).inverse_depth)) == {0.25, 1.0}
 
 
 @pytest.mark.parametrize("size", [(16, 32), (64, 128), (300, 600)])

@@ -185,7 +185,10 @@ def test_an_encoder_that_fails_at_the_very_end_takes_everything_with_it(
     images = write_hall(inputs, CHAIN[:2])
     program = fake_ffmpeg(tmp_path, "the muxer lost its mind")
     monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
-    job = job_of(inputs, images, output=out / "a.mp4", save_frames=out / "frames", save_depth=out / "depth")
+    job = job_of(
+        inputs, images, output=out / "a.mp4", save_frames=out / "frames", save_depth=out / "depth",
+        save_confidence=out / "sure",
+    )  # fmt: skip
     with pytest.raises(EncodingError, match="the muxer lost its mind"):
         run_interpolation(plan_interpolation(job))
     assert list(out.iterdir()) == []

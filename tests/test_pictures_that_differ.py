@@ -147,7 +147,7 @@ def test_wrong_poses_are_warned_about_or_refused(tmp_path: Path) -> None:
         ({"nadir": 1.6}, "less than 90 degrees"),
         ({"nadir": -0.1}, "less than 90 degrees"),
         ({"fallback": "guess"}, "as fallback"),
-        ({"save_confidence": Path("frames")}, "another place"),
+        ({"save_confidence": Path("frames")}, "place of its own"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_beforehand(options: dict, message: str, tmp_path: Path) -> None:

@@ -81,7 +81,18 @@ REFUSED = {
     "endless": ({"frames": None, "duration": float("inf")}, InputError, "at most 1,000,000 frames, got inf"),
     "undefined": ({"frames": None, "fps": float("nan")}, InputError, "at most 1,000,000 frames, got nan"),
     "frames as a video": ({"save_frames": "b.mp4"}, OutputPathError, "folder or a pattern"),
-    "frames where frames go": ({"save_frames": "out"}, OutputPathError, "another place"),
+    "frames where frames go": ({"save_frames": "out"}, OutputPathError, "place of its own"),
+    "confidence where frames go": ({"save_confidence": "out/%06d.png"}, OutputPathError, "place of its own"),
+    "confidence where frames are kept": (
+        {"save_frames": "kept", "save_confidence": "kept"},
+        OutputPathError,
+        "place of its own",
+    ),
+    "confidence as the video": (
+        {"output": "a.mp4", "save_confidence": "./a.mp4"},
+        OutputPathError,
+        "place of its own",
+    ),
     "no folder for depth": ({"save_depth": "none/depth"}, OutputPathError, "create it first"),
     "depth into a file": ({"save_depth": "poses.json"}, OutputPathError, "got a file"),
     "odd size for video": ({"output": "a.mp4", "size": (17, 34)}, InputError, "even width and height"),
@@ -177,5 +188,21 @@ def test_depth_of_some_panoramas_only_is_said_not_to_be_used(tmp_path: Path) -> 
     del entries["panoramas"][images[1].name]["depth"]
     (tmp_path / "poses.json").write_text(json.dumps(entries))
     (note,) = plan_interpolation(job_of(tmp_path, images)).notes
-    assert images[0].name in note
-    assert "matching" in note
+    assert f"for {images[0].name} only" in note
+
+
+def test_depth_beside_a_model_is_said_not_to_be_used(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    (note,) = plan_interpolation(job_of(tmp_path, images, model="refine-balanced")).notes
+    assert "unused with --model" in note
+
+
+def test_a_mask_of_another_size_is_refused_wherever_it_is_in_a_chain(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    masks = []
+    for k, image in enumerate(images):
+        mask = np.full_like(as_bytes(hall_image(CHAIN[k])), 255)
+        write_image(tmp_path / f"m{k}.png", mask[:4, :8] if k == 2 else mask)
+        masks.append(image.with_name(f"m{k}.png"))
+    with pytest.raises(InputError, match=r"m2\.png: expected a mask of 128×64 pixels, got 8×4"):
+        plan_interpolation(job_of(tmp_path, images, masks=tuple(masks)))

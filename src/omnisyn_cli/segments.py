@@ -16,11 +16,10 @@ from omnisyn_cli.confidence import LEAST_SCORE
 from omnisyn_cli.crosscheck import CrossCheck, cross_check
 from omnisyn_cli.fallback import CrossFade
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import STILL, Pose
 from omnisyn_cli.photometry import equalized
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
-from omnisyn_cli.trajectory import STILL
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 if TYPE_CHECKING:

@@ -130,14 +130,14 @@ def photograph_at(
 
     Arguments are those of :func:`synthesize`.
     """
-    panorama = _panorama_at(views, waypoint)
+    panorama = _panorama_at(waypoint)
     if panorama is None:
         return None
     view = views[panorama]
     return _photograph(view, waypoint, panorama, options, clock, samples) if _is_complete(view) else None
 
 
-def _panorama_at(views: Sequence[View], waypoint: Waypoint) -> int | None:
+def _panorama_at(waypoint: Waypoint) -> int | None:
     """The panorama whose place this is."""
     if waypoint.t not in (0.0, 1.0):
         return None

@@ -14,21 +14,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.geometry.pose import (
-    Pose,
-    rotation_taking,
-    slerp,
-)
+from omnisyn_cli.geometry.pose import STILL, Pose, rotation_taking, slerp
 
-__all__ = ["EASES", "HEADINGS", "STILL", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
+__all__ = ["EASES", "HEADINGS", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
 
 Ease = Literal["linear", "smooth"]
 Heading = Literal["panoramas", "first", "fixed", "travel"]
 EASES: tuple[Ease, ...] = ("linear", "smooth")
 HEADINGS: tuple[Heading, ...] = ("panoramas", "first", "fixed", "travel")
-
-STILL = 1e-9
-"""Panoramas closer than this (metres) are at the same place."""
 
 FORWARD = np.array([0.0, 0.0, -1.0])
 

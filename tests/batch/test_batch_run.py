@@ -342,6 +342,41 @@ def test_files_that_no_batch_has_written_are_safe(tmp_path: Path) -> None:
     assert len(batch(tmp_path, line(0, 1), overwrite=True).done) == 1
 
 
+def test_files_that_no_record_names_are_safe_beside_those_of_a_batch(tmp_path: Path) -> None:
+    write_row(tmp_path, 3)
+    batch(tmp_path, line(0, 1))
+    mine = tmp_path / "out" / "1-2"
+    mine.mkdir()
+    (mine / "mine.txt").write_text("mine")
+    with pytest.raises(OutputPathError, match="1 that exist"):
+        batch(tmp_path, line(0, 1, frames=4), line(1, 2))
+    assert (mine / "mine.txt").exists()
+    assert len(batch(tmp_path, line(0, 1, frames=4)).done) == 1, "what the batch has made it may replace"
+
+
+def test_what_a_killed_run_had_no_time_to_record_is_replaced(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    (tmp_path / "out" / WORKSHOP).mkdir(parents=True)
+    (tmp_path / "out" / "0-1").mkdir()
+    assert len(batch(tmp_path, line(0, 1)).done) == 1
+
+
+@pytest.mark.parametrize("mistaken", ["depth1.exr", "mask.png"])
+def test_what_a_pose_file_names_is_never_an_output(tmp_path: Path, mistaken: str) -> None:
+    write_row(tmp_path, 2)
+    poses = json.loads((tmp_path / "poses.json").read_text())
+    poses["panoramas"]["p0.png"]["mask"] = "mask.png"
+    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    write_image(tmp_path / "mask.png", np.full((*SIZE, 3), 255, np.uint8))
+    (tmp_path / mistaken).rename(tmp_path / "a.mp4")
+    (tmp_path / "poses.json").write_text((tmp_path / "poses.json").read_text().replace(mistaken, "a.mp4"))
+    before = (tmp_path / "a.mp4").read_bytes()
+    path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1, output="a.mp4")])
+    with pytest.raises(OutputPathError, match="expected inputs"):
+        run_batch(read_manifest(path), tmp_path, BatchOptions(overwrite=True))
+    assert (tmp_path / "a.mp4").read_bytes() == before
+
+
 @pytest.mark.parametrize("mistaken", ["p1.png", "poses.json", "jobs.jsonl"])
 def test_inputs_are_never_outputs(tmp_path: Path, mistaken: str) -> None:
     """Not even where their names are those of videos."""

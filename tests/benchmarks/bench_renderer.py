@@ -1,10 +1,10 @@
 """How long a view takes compared with Embree, which only traces the rays.
 
 ``python tests/benchmarks/bench_renderer.py [depth.exr]``: a 1024×512 mesh (of a street, with ``--room`` of an empty
-room, or of a file's depth) drawn at 2048×1024 and 4096×2048 with a texture of the same size, everything on one thread,
-in turn with Embree on the same triangles and rays. ``adaptive`` is the mesh with its flat parts merged for the way from
-the panorama to the target. Times are the thread's own (what it computed, not what it waited), the best of the rounds
-counts. Only the ratios mean anything on a machine that does other work as well.
+room, or of a file's depth) drawn at 2048×1024 and 4096×2048 with a photograph of the same size, everything on one
+thread, in turn with Embree on the same triangles and rays. ``adaptive`` is the mesh with its flat parts merged for the
+way from the panorama to the target. Times are the thread's own (what it computed, not what it waited), the best of the
+rounds counts. Only the ratios mean anything on a machine that does other work as well.
 """
 
 from __future__ import annotations
@@ -67,17 +67,21 @@ def embree(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     return lambda: scene.run(origins, rays)
 
 
+def photograph(size: tuple[int, int]) -> np.ndarray:
+    """As many samples of 8 bits as a photograph of that size has."""
+    return np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+
+
 def renderer(mesh: Mesh, size: tuple[int, int], *, bicubic: bool) -> Callable[[], object]:
     """Rasterises and shades one view."""
-    image = np.random.default_rng(0).random((*size, 3), dtype=np.float32)
-    texture = make_texture(image)
+    texture = make_texture(photograph(size))
     rasterizer, shader = Rasterizer(mesh.size, size, threads=1), Shader(size, threads=1, bicubic=bicubic)
     return lambda: shader(rasterizer(mesh, POSE), mesh, texture, POSE)
 
 
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
-    texture = make_texture(np.random.default_rng(0).random((*size, 3), dtype=np.float32))
+    texture = make_texture(photograph(size))
     tiles, trust = simplify(mesh, -POSE.position, size[0], threads=1), make_trust(mesh, texture)
     print(f"{size[1]}×{size[0]}  {tiles.triangles} of {len(mesh.faces())} triangles kept")
     rasterizer, shader = TileRasterizer(size, threads=1), Shader(size, threads=1)

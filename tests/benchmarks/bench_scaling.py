@@ -26,8 +26,11 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer
 
 WIDTHS = (1024, 2048, 4096, 8192)
-FEW, MORE = 4, 8
+FEW = 4
 """Frames; two of them are the photographs."""
+
+MORE_PIXELS = 2**27
+"""By so many pixels the second clip of a size is longer: frames of the smallest size are few milliseconds each."""
 
 STREET = Path(__file__).resolve().parents[2] / "examples" / "street"
 
@@ -52,6 +55,7 @@ class Scale:
         width: of the frames.
         seconds: of computing, each frame.
         memory: bytes at the peak, with few and with more frames.
+        more: how many those are.
         planned: bytes that the plan expects.
     """
 
@@ -59,6 +63,7 @@ class Scale:
     seconds: float
     memory: tuple[int, int]
     planned: int
+    more: int
 
     @property
     def megapixels(self) -> float:
@@ -81,10 +86,11 @@ def clip(inputs: Sequence[Path], width: int, frames: int, *options: str) -> tupl
 
 def scale_of(inputs: Sequence[Path], width: int) -> Scale:
     """Measure one size."""
-    few, more = (clip(inputs, width, frames) for frames in (FEW, MORE))
-    plan = json.loads(clip(inputs, width, MORE, "--dry-run")[2])
-    seconds = (more[0] - few[0]) / (MORE - FEW)
-    return Scale(width, seconds, (few[1], more[1]), plan["memory_mib"] * 2**20)
+    longer = MORE_PIXELS // (width * width // 2)
+    few, more = (clip(inputs, width, frames) for frames in (FEW, FEW + longer))
+    plan = json.loads(clip(inputs, width, FEW, "--dry-run")[2])
+    seconds = (more[0] - few[0]) / longer
+    return Scale(width, seconds, (few[1], more[1]), plan["memory_mib"] * 2**20, FEW + longer)
 
 
 def rendering(threads: int, width: int = 4096) -> Callable[[], object]:
@@ -120,9 +126,9 @@ def plot(scales: Sequence[Scale], path: Path) -> None:
     time_axes.plot(pixels, seconds[-1] * pixels / pixels[-1], color="0.7", linestyle="--", label="in proportion")
     time_axes.plot(pixels, seconds, marker="o", color="#0072b2", label="measured")
     time_axes.set_ylabel("Seconds of computing for each frame")
-    for k, (frames, marker) in enumerate(((FEW, "o"), (MORE, "x"))):
+    for k, (frames, marker) in enumerate(((f"{FEW} frames", "o"), ("more frames", "x"))):
         memory = [scale.memory[k] / 1e9 for scale in scales]
-        memory_axes.plot(pixels, memory, marker=marker, label=f"{frames} frames, measured")
+        memory_axes.plot(pixels, memory, marker=marker, label=f"{frames}, measured")
     memory_axes.plot(pixels, [scale.planned / 1e9 for scale in scales], color="0.7", linestyle="--", label="--dry-run")
     memory_axes.set_ylabel("Peak memory, GB")
     time_axes.set_yscale("log")
@@ -144,14 +150,15 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="write the diagram, such as docs/scaling.png")
     options = parser.parse_args()
     inputs = options.inputs or [STREET / name for name in ("first.jpg", "second.jpg", "poses.json")]
-    print(f"{'size':>12}{'s/frame':>10}{'s/Mpixel':>10}{'GB, ' + str(FEW):>9}{'GB, ' + str(MORE):>9}{'planned':>9}")
+    print(f"{'size':>12}{'s/frame':>10}{'s/Mpixel':>10}{'GB, few':>9}{'frames':>8}{'GB, more':>10}{'planned':>9}")
     scales = []
     for width in options.widths:
         scale = scale_of(inputs, width)
         scales.append(scale)
         few, more, planned = (value / 1e9 for value in (*scale.memory, scale.planned))
         name, per_pixel = f"{width}x{width // 2}", scale.seconds / scale.megapixels
-        print(f"{name:>12}{scale.seconds:10.2f}{per_pixel:10.3f}{few:9.2f}{more:9.2f}{planned:9.2f}", flush=True)
+        print(f"{name:>12}{scale.seconds:10.2f}{per_pixel:10.3f}{few:9.2f}", end="")
+        print(f"{scale.more:8}{more:10.2f}{planned:9.2f}", flush=True)
     if options.plot is not None:
         plot(scales, options.plot)
     print(f"a view of 4096x2048 on two threads: {speed_up():.2f} times as fast as on one")

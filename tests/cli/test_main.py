@@ -103,6 +103,7 @@ def test_bugs_are_not_dressed_up(capsys: pytest.CaptureFixture[str], monkeypatch
 NOT_FINITE = [
     ("interpolate", "--cut"), ("interpolate", "--cut-metres"), ("interpolate", "--budget"),
     ("interpolate", "--baseline"), ("interpolate", "--duration"), ("interpolate", "--fps"), ("interpolate", "--nadir"),
+    ("batch plan", "--max-baseline"),
     ("batch", "--gpus"), ("scenes make", "--baseline"), ("scenes make", "--tilt"), ("poses estimate", "--baseline"),
     ("poses import", "--time-tolerance"), ("train depth", "--rate"), ("train depth", "--minutes"),
 ]  # fmt: skip

@@ -93,6 +93,22 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads(output.read_text(encoding="utf-8"))["version"] == 1
 
 
+@pytest.mark.parametrize("command", ["import", "export"])
+def test_not_even_overwriting_reaches_the_source(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    source = table(tmp_path)
+    if command == "export":
+        assert run_cli(capsys, "poses", "import", source, "-o", tmp_path / "poses.json").code == 0
+        source = tmp_path / "poses.json"
+    before = source.read_bytes()
+    more = ["--format", "tum"] if command == "export" else []
+    result = run_cli(capsys, "poses", command, source, "-o", source, "--overwrite", *more)
+    assert result.code == 3
+    assert "inputs that are not overwritten" in result.err
+    assert source.read_bytes() == before
+
+
 def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "walk.csv"
     source.write_text(TABLE + "c.png,1,2,north\n", encoding="utf-8")

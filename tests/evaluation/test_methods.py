@@ -150,6 +150,15 @@ def test_names_that_mean_nothing_are_refused(name: str) -> None:
         find_method(name)
 
 
+def test_frames_that_are_shown_again_have_their_geometry(hall: LoadedPair) -> None:
+    """From so near that nothing moves by a quarter of a pixel."""
+    path = [Waypoint(0, 0.5, posed((1e-5 * step, 0.1, 0))) for step in range(3)]
+    for name in ("oracle-depth", "oracle-depth:views=1"):
+        shown = pictures(name, hall, path)
+        assert all(picture.inverse_depth is not None for picture in shown)
+        assert shown[0].image is not shown[1].image
+
+
 def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
     assert [method.name for method in find_methods("all")] == list(METHODS)
     assert len(METHODS) == len(set(METHODS))

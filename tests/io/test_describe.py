@@ -1,14 +1,17 @@
 """``describe_file`` and ``omnisyn info`` tell what is in a file, and go on after one that cannot be used."""
 
 import json
+import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from io_samples import smooth_image, write_with
 
 from omnisyn_cli.cli.info import info
+from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io import open_video, write_depth
 from omnisyn_cli.io.describe import describe_file
 
@@ -50,6 +53,27 @@ def test_a_panorama_too_small_for_a_surface_is_not_usable(tmp_path: Path) -> Non
     seen = describe_file(tmp_path / "dot.png")
     assert (seen["usable"], seen["width"]) == (False, 2)
     assert "at least 4×2 pixels, got 2×1" in seen["problem"]
+
+
+def test_a_panorama_without_a_visible_pixel_is_not_usable(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "clear.png"), np.zeros((32, 64, 4), np.uint8))
+    assert not describe_file(tmp_path / "clear.png")["usable"]
+
+
+@pytest.mark.parametrize(("reference", "sign"), [(0, 1), (1, -1), (2, 1), (3, -1)])
+def test_altitudes_below_the_sea_and_below_the_ellipsoid_are_negative(
+    tmp_path: Path, reference: int, sign: int
+) -> None:
+    tags = {**GPS, "GPS:Altitude": 5.0, "GPS:AltitudeRef": ("uint8", reference)}
+    write_with(tmp_path / "deep.jpg", smooth_image(), **tags)
+    assert describe_file(tmp_path / "deep.jpg")["gps"]["altitude"] == sign * 5.0
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+def test_a_pipe_is_called_one(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.raises(ImageError, match="got a device or a pipe"):
+        describe_file(tmp_path / "pipe.png")
 
 
 def test_depth_is_described(folder: Path) -> None:

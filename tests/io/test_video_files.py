@@ -187,6 +187,7 @@ def test_frames_of_another_shape_are_refused(tmp_path: Path) -> None:
 REFUSED = {
     "odd": ({"size": (31, 63)}, InputError, "63×31"),
     "rate": ({"fps": 0}, InputError, "frame rate"),
+    "hardly any rate": ({"fps": 0.0004}, InputError, "frame rate from 0.001"),
     "undefined rate": ({"fps": float("nan")}, InputError, "frame rate"),
     "codec": ({"codec": "h266"}, InputError, "h264, h265, av1, prores"),
     "extension": ({"path": "a.mp4", "codec": "prores"}, OutputPathError, r"\.mov"),

@@ -46,6 +46,15 @@ def test_one_place_is_recognised(metres: float) -> None:
     assert rotation_error(estimate.first_from_second, second) < np.radians(0.1)
 
 
+def test_one_picture_twice_is_one_place() -> None:
+    """All samples of equal directions are degenerate: no essential matrix follows from them."""
+    directions = unit(np.random.default_rng(3).normal(size=(200, 3)))
+    estimate = estimate_relative_pose(Matches(directions, directions, PIXEL))
+    assert estimate is not None
+    assert estimate.is_in_place
+    assert rotation_error(estimate.first_from_second, Pose.identity()) < 1e-6
+
+
 def test_noise_alone_has_no_pose() -> None:
     rng = np.random.default_rng(2)
     noise = Matches(unit(rng.normal(size=(300, 3))), unit(rng.normal(size=(300, 3))), PIXEL)

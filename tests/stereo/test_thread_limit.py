@@ -13,7 +13,7 @@ from stereo_samples import OPENINGS, room
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.stereo import matching
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.stereo.thread_limit import limited_threads
+from omnisyn_cli.thread_limit import both, limited_threads
 
 SMALL = MatchingOptions(size=(96, 192))
 
@@ -57,3 +57,14 @@ def test_an_estimate_keeps_to_its_threads_and_does_not_depend_on_them(monkeypatc
         np.testing.assert_array_equal(free.inverse_depth, limited.inverse_depth)
         np.testing.assert_array_equal(free.confidence, limited.confidence)
     assert seen == [counts()] * 2 + [(1, 1)] * 2
+
+
+@pytest.mark.parametrize("threads", [1, None])
+def test_both_are_done_under_the_limit_and_failures_are_told(threads: int | None) -> None:
+    with limited_threads(threads):
+        inside = numba.get_num_threads()
+        assert both(numba.get_num_threads, numba.get_num_threads) == (inside, inside)
+        with pytest.raises(ZeroDivisionError):
+            both(lambda: 1, lambda: 1 // 0)
+        with pytest.raises(ZeroDivisionError):
+            both(lambda: 1 // 0, lambda: 1)

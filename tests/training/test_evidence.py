@@ -8,6 +8,7 @@ from omnisyn_cli.networks.refine import RefineConfig, RefinePrediction
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.evidence import PLANES
 from omnisyn_cli.training import evidence
+from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.evidence import EvidenceConfig, draw_evidence, load_evidence, make_evidence
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.losses import refine_loss
@@ -19,18 +20,10 @@ SIZE = (32, 64)
 
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory):
-    """Two scenes; matching is run at the size of its default, as in life, from small pictures."""
+    """Two small scenes."""
     folder = tmp_path_factory.mktemp("evidence")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evidence, "MatchingDepthEstimator", small_matching)
-        paths = [make_evidence(folder, seed, EvidenceConfig(size=SIZE)) for seed in (0, 1)]
+    paths = [make_evidence(folder, seed, EvidenceConfig(size=SIZE)) for seed in (0, 1)]
     return [path for path in paths if path is not None]
-
-
-def small_matching(threads):
-    from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-
-    return MatchingDepthEstimator(MatchingOptions(size=(2 * SIZE[0], 2 * SIZE[1])), threads)
 
 
 def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
@@ -148,3 +141,24 @@ def test_a_compact_checkpoint_is_replaced_only_on_request(tmp_path, pool):
             main([*arguments, *more])
         assert left.value.code == code
         assert (small.read_bytes() == b"mine") == (code != 0)
+
+
+def test_a_checkpoint_is_never_made_compact_in_its_own_place(tmp_path, pool):
+    folder, path = str(pool[0].parent), tmp_path / "run" / "checkpoint.pt"
+    train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
+    before = path.read_bytes()
+    with pytest.raises(SystemExit) as left:
+        main(["train", "compact", str(path), "-o", str(path), "--overwrite"])
+    assert (left.value.code, path.read_bytes() == before) == (3, True)
+
+
+def test_scenes_for_another_network_are_refused(tmp_path, pool):
+    folder = str(pool[0].parent)
+    with pytest.raises(InputError, match="made by `omnisyn train fusion-pool`"):
+        list_pool(pool[0].parent, "fusion-pool")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "00000000.npz").write_bytes(b"PK")
+    for validation in (tmp_path, tmp_path / "broken"):
+        with pytest.raises(InputError, match="expected a"):
+            train(TINY, TrainConfig(folder, str(validation), size=SIZE, batch=1), tmp_path / "run", steps=1)
+    assert not (tmp_path / "run" / "checkpoint.pt").exists()

@@ -1,7 +1,7 @@
 import pytest
 from training_samples import TINY, make_pool
 
-from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.errors import OmnisynError, OutputPathError
 from omnisyn_cli.presets import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
 from omnisyn_cli.training import publish
@@ -26,6 +26,16 @@ def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
     assert (entry.name, entry.role, entry.size, entry.training) == ("depth-tiny", "depth", (64, 128), "1 steps")
     assert read_manifest(tmp_path / "models") == {"depth-tiny": entry}
     assert find_model("depth-tiny", tmp_path / "models") == tmp_path / "models" / "depth-tiny.onnx"
+
+
+def test_a_model_is_replaced_only_on_request(tmp_path, checkpoint):
+    folder = tmp_path / "models"
+    publish.publish_all(checkpoint, folder, **options(licence="MIT"))
+    with pytest.raises(OutputPathError, match="overwrite"):
+        publish.publish_all(checkpoint, folder, **options())
+    assert read_manifest(folder)["depth-tiny"].licence == "MIT"
+    publish.publish_all(checkpoint, folder, **options(overwrite=True))
+    assert read_manifest(folder)["depth-tiny"].licence == "Apache-2.0"
 
 
 def test_a_model_that_says_something_else_is_refused(tmp_path, checkpoint, monkeypatch):

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from omnisyn_cli.batch.manifest import RECORDS, WORKSHOP
+from omnisyn_cli.batch.records import recorded_places
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
 
@@ -33,6 +34,8 @@ Files = Mapping[str, bytes]
 def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path], *, overwrite: bool) -> None:
     """Refuse a folder in which a batch would destroy something, and make it if there is none.
 
+    What a batch has recorded may be replaced, and, where a run was killed, what it had no time to record.
+
     Raises:
         OutputPathError: an output would replace an input, or a file that no batch has written.
     """
@@ -40,18 +43,18 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
         check_folder(folder.parent)
         folder.mkdir()
     check_folder(folder)
-    root, sources = folder.resolve(), {path.resolve() for path in inputs}
-    places = [root / place for place in outputs]
-    targets = set(places)
+    root, sources, outputs = folder.resolve(), {path.resolve() for path in inputs}, list(outputs)
+    targets = {root / place for place in outputs}
     for source in sources:
         if source in targets or targets & set(source.parents):
             raise OutputPathError(f"{source}: expected inputs that are not overwritten, got this one; write elsewhere")
-    if overwrite or (folder / RECORDS).exists():
+    if overwrite or (folder / WORKSHOP).exists():
         return
-    if existing := [place for place in places if place.exists()]:
+    recorded = recorded_places(folder / RECORDS)
+    if existing := [place for place in outputs if place not in recorded and (root / place).exists()]:
         raise OutputPathError(
-            f"{existing[0]}: expected new outputs, got {len(existing)} that exist and no {RECORDS} that says they are "
-            "ours; choose another folder or allow overwriting (--overwrite)"
+            f"{root / existing[0]}: expected new outputs, got {len(existing)} that exist and no record of {RECORDS} "
+            "names; choose another folder or allow overwriting (--overwrite)"
         )
 
 

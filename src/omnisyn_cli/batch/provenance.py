@@ -16,7 +16,7 @@ from omnisyn_cli.io import PosedPanorama, PoseFile, read_poses
 from omnisyn_cli.planning import networks_of
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
-__all__ = ["digest_of_network", "has_same_sources", "hash_file", "sources", "stamp"]
+__all__ = ["digest_of_network", "files_of", "has_same_sources", "hash_file", "sources", "stamp"]
 
 Stamp = tuple[str, int, int]
 
@@ -34,6 +34,13 @@ def hash_file(path: Path) -> dict[str, Any]:
         return {"sha256": _hash(mark), "bytes": size, "changed": changed}
     except OSError:
         return {"sha256": None, "bytes": None, "changed": None}
+
+
+def files_of(job: BatchJob) -> Iterator[Path]:
+    """Every file that is read for a job."""
+    entries = _entries(job)
+    yield from _files(job, entries, _networks(job, entries))
+    yield job.poses
 
 
 def sources(job: BatchJob) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any, Self
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.paths import write_errors
 
-__all__ = ["Records"]
+__all__ = ["Records", "recorded_places"]
 
 if sys.platform == "win32":  # pragma: no cover
 
@@ -27,6 +27,23 @@ else:
 
     def _lock(descriptor: int) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def recorded_places(path: Path) -> set[str]:
+    """Files and folders that any record of a file names as made by a batch; none where there is no such file.
+
+    Lines that are no records are passed over: :class:`Records` refuses them.
+    """
+    places: set[str] = set()
+    if not path.is_file():
+        return places
+    with path.open("rb") as lines:
+        for line in lines:
+            try:
+                places.update(json.loads(line)["outputs"])
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue
+    return places
 
 
 class Records:

@@ -1,6 +1,6 @@
 """A batch from its manifest to its records: what ``omnisyn batch`` does, as a library.
 
-:func:`plan_batch` compares the manifest with what former runs left behind, :func:`run_batch` does the rest.
+:func:`run_batch` compares the manifest with what former runs left behind and does what is missing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from omnisyn_cli.batch.interpolations import Settings
 from omnisyn_cli.batch.local import LocalCrew
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.places import measure, open_workshop, prepare_folder, unpack
-from omnisyn_cli.batch.provenance import has_same_sources, sources
+from omnisyn_cli.batch.provenance import files_of, has_same_sources, sources
 from omnisyn_cli.batch.records import Records
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.io import read_header
@@ -116,7 +116,7 @@ def run_batch(
     if manifest.problems:
         raise InputError(f"{manifest.path}: expected lines without problems, got {len(manifest.problems)}; mend them")
     places = [place for job in manifest.jobs for place in job.places]
-    inputs = {path for job in manifest.jobs for path in (*job.images, *job.masks, job.poses)} | {manifest.path}
+    inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
     prepare_folder(folder, places, inputs, overwrite=options.overwrite)
     report = BatchReport()
     with Records(folder / RECORDS) as records, open_workshop(folder) as token:

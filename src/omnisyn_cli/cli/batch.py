@@ -89,7 +89,7 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
 @click.argument("source", metavar="FOLDER|POSES", type=FilePath)
 @click.option("-o", "--output", required=True, type=FilePath, help="Manifest to write (.jsonl).")
 @click.option(
-    "--max-baseline", type=click.FloatRange(0, min_open=True), default=10.0, show_default=True,
+    "--max-baseline", type=FiniteRange(0, min_open=True), default=10.0, show_default=True,
     help="Metres; panoramas farther apart are no neighbours.",
 )  # fmt: skip
 @click.option(

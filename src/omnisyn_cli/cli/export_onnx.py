@@ -21,8 +21,9 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--pairs", "pool", type=FOLDER, help="Pool of its kind to compare on as well.")
 @click.option("--training", default="", help="On what and for how long it was trained, for the manifest.")
 @click.option("--licence", default="Apache-2.0", show_default=True, help="Of the weights.")
+@click.option("--overwrite", is_flag=True, help="Replace models of the same names.")
 def export_onnx(
-    checkpoint: Path, output: Path, name: str | None, pool: Path | None, training: str, licence: str
+    checkpoint: Path, output: Path, name: str | None, pool: Path | None, training: str, licence: str, overwrite: bool
 ) -> None:
     """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
 
@@ -33,7 +34,9 @@ def export_onnx(
     """
     from omnisyn_cli.training.publish import publish_all
 
-    made = publish_all(checkpoint, output, name=name, pool=pool, training=training, licence=licence)
+    made = publish_all(
+        checkpoint, output, name=name, pool=pool, training=training, licence=licence, overwrite=overwrite
+    )
     for entry, difference in made:
         click.echo(
             f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"

@@ -142,7 +142,12 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--save-confidence", metavar="FILE", type=FilePath, help="Keep the confidence of every pixel as a video.")
 @click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
-@click.option("--save-frames", metavar="FOLDER", type=FilePath, help="Keep the frames as PNG besides the video.")
+@click.option(
+    "--save-frames",
+    metavar="FOLDER",
+    type=FilePath,
+    help="Keep the frames as images besides the video: PNG, or a pattern such as DIR/%05d.jpg.",
+)
 @click.option(
     "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
     help="Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer "
@@ -171,7 +176,9 @@ def interpolate(
     omnisyn interpolate a.jpg b.jpg c.jpg --poses poses.json -o walk.mp4 --ease smooth --size 4096x2048
     omnisyn interpolate a.jpg b.jpg --poses poses.json -o frames/ --frames 12
 
-    The first and the last frame are the panoramas themselves. Names that begin with a dash go after ``--``.
+    With the default --heading the first and the last frame are the panoramas themselves.
+
+    Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.planning import InterpolationJob, plan_interpolation
     from omnisyn_cli.render.mesh import Cut

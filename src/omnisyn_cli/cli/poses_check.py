@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.numbers import FiniteRange
-from omnisyn_cli.errors import InputError
 
 __all__ = ["check", "estimate", "refine"]
 
@@ -79,11 +78,12 @@ def refine(
     was given; every pair's correction is printed.
     """
     from omnisyn_cli.io import check_output, read_poses, write_poses
+    from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.posing import PictureOptions, refine_poses
 
     pose_file = read_poses(poses, allow_outside=allow_outside)
     check_output(output, overwrite)
-    _check_kept(output, (poses, *images))
+    check_kept(output, (poses, *images))
     refined = refine_poses(images, pose_file, PictureOptions(**options))
     write_poses(output, refined.panoramas, allow_outside=allow_outside)
     _report(refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined", quiet)
@@ -109,20 +109,14 @@ def estimate(
     how far neighbours are apart.
     """
     from omnisyn_cli.io import check_output, write_poses
+    from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.posing import PictureOptions, estimate_poses
 
     check_output(output, overwrite)
-    _check_kept(output, images)
+    check_kept(output, images)
     found = estimate_poses(images, baselines, PictureOptions(**options))
     write_poses(output, found.panoramas)
     _report(found.notes, f"{output}: {len(found.panoramas)} poses", quiet)
-
-
-def _check_kept(output: Path, inputs: Sequence[Path]) -> None:
-    """Overwriting must not reach what the poses are made of."""
-    for path in inputs:
-        if path.resolve() == output.resolve():
-            raise InputError(f"{path}: expected inputs that are not overwritten, got this one; write elsewhere")
 
 
 def _report(notes: Sequence[str], last: str, quiet: bool) -> None:

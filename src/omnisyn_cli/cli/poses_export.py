@@ -45,8 +45,10 @@ def export(
     tum         a trajectory in OpenCV axes; names in comments
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io import read_poses
+    from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.io.pose_formats import export_poses
 
+    check_kept(output, [poses])
     pose_file = read_poses(poses, allow_outside=allow_outside)
     notes = export_poses(pose_file, output, format_name, images=images, size=size, overwrite=overwrite)
     if not quiet:

@@ -101,8 +101,10 @@ def import_(
     What had to be assumed is said on stderr, one line each.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.io.pose_formats import ImportOptions, import_poses, write_imported
 
+    check_kept(output, sources)
     check_output(output, overwrite)
     options = ImportOptions(images, origin, up, camera_axes, floor, time_tolerance, allow_outside)
     name, imported = import_poses(sources, format_name, options)

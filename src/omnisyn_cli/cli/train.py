@@ -329,9 +329,11 @@ def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     The result is an eighth of the size. It can be exported, and put into a new folder as checkpoint.pt to train on.
     """
     from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 
     check_output(output, overwrite)
+    check_kept(output, [checkpoint])
     save_checkpoint(output, compact(load_checkpoint(checkpoint)))
 
 

@@ -65,7 +65,7 @@ def apply_budget(
     """The plan with the most accurate preset that is expected to be done in time, and a note that says so.
 
     Args:
-        plan: of the job; its preset does not matter.
+        plan: of the job; its preset only says what is drawn, and how.
         budget: seconds that the whole run may take.
         table: figures to choose by; by default those that came with the program.
         calibration: see :func:`omnisyn_cli.evaluation.calibration.calibrate`; measured now by default.

@@ -17,14 +17,14 @@ from jaxtyping import Float
 from omnisyn_cli.evaluation.records import DepthRecord
 from omnisyn_cli.evaluation.synthesizers import Picture, Synthesizer
 from omnisyn_cli.evaluation.views import LoadedPair
-from omnisyn_cli.geometry.pose import Pose, interpolate_pose
+from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.metrics import depth_metrics, lrce, psnr, row_weights, scored_pixels, ssim, ws_psnr, ws_ssim
 from omnisyn_cli.metrics.temporal import flicker, warping_error
 from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.synthesis import turned_panorama
-from omnisyn_cli.trajectory import STILL, Waypoint
+from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["Measurement", "Perceptual", "depth_records", "frame_scores", "measure"]

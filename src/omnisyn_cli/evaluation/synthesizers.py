@@ -169,9 +169,8 @@ class GeometricSynthesizer:
         if shows_first_only:
             path = [replace(waypoint, t=AT_FIRST) for waypoint in path]
         for made in synthesize(self._views, path, estimator, options, fuser, clock):
-            if isinstance(made, Frame):
-                yield Picture(made.image.copy(), fuser.inverse_depth)
-                fuser.inverse_depth = None
+            if isinstance(made, Frame):  # one that is shown again has the geometry that it had before
+                yield Picture(made.image.copy(), None if made.waypoint.t in (0.0, 1.0) else fuser.inverse_depth)
 
     def _estimate(self, clock: Stopwatch, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """The depth of both views; ``clock`` is given the seconds that this does not take now."""

@@ -27,20 +27,18 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover
 from omnisyn_cli.fusion.kernels import blend_rows
 from omnisyn_cli.fusion.row_kernels import blend_samples
+from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
 
-__all__ = ["ROWS", "STILL", "BlendOptions", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
+__all__ = ["ROWS", "BlendOptions", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
 
 ROWS = 32
 """Rows that are coloured and blended together; an even number."""
 
 MOST_SAMPLED = 0.25
 """Share of the pixels that may be coloured twice, once to look for ghosts, rather than be kept."""
-
-STILL = 1e-6
-"""Metres between two views below which they were taken from one place."""
 
 
 @dataclass(frozen=True)

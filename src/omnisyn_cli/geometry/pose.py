@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 __all__ = [
+    "STILL",
     "Pose",
     "enu_from_geographic",
     "interpolate_pose",
@@ -27,6 +28,9 @@ __all__ = [
     "rotation_vector_from_rotation",
     "slerp",
 ]
+
+STILL = 1e-6
+"""Panoramas closer than this (metres) were taken from one place."""
 
 SMALL_ANGLE = 1e-8
 """Below this (radians) the series of sin(x)/x is exact in float64."""

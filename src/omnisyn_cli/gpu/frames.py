@@ -19,8 +19,8 @@ import torch
 from jaxtyping import Bool, Float32, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.geometric import STILL, BlendOptions, hiding_strength
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.fusion.geometric import BlendOptions, hiding_strength
+from omnisyn_cli.geometry.pose import STILL, Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.gpu.blending import BlendRule, Exposure, Shown, blend, expose, samples_of
 from omnisyn_cli.gpu.device import memory_of_device, open_device

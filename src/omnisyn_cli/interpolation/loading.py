@@ -10,11 +10,11 @@ from weakref import ref
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.cap import outside_nadir
 from omnisyn_cli.io import Panorama, PosedPanorama, read_inverse_depth, read_mask
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.planning import InterpolationPlan
+from omnisyn_cli.planning.checks import check_mask_size
 from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -114,9 +114,5 @@ class _LazySequence(Sequence[View]):
 
 
 def _combined(mask: np.ndarray | None, second: np.ndarray, size: tuple[int, ...], path: Path) -> np.ndarray:
-    if second.shape != size:
-        raise InputError(
-            f"{path}: expected a mask of {size[1]}×{size[0]} pixels, got {second.shape[1]}×{second.shape[0]}; "
-            "give it the size of its panorama"
-        )
+    check_mask_size(path, second.shape, size)
     return second if mask is None else mask & second

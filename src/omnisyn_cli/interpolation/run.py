@@ -21,6 +21,7 @@ from omnisyn_cli.presets import OMNISYN, PRESETS, SYNSIN_SOURCES
 from omnisyn_cli.segments import Segment, Stopwatch, SynthesisOptions
 from omnisyn_cli.synsin import SynSin, open_synsin
 from omnisyn_cli.synthesis import Frame, synthesize
+from omnisyn_cli.thread_limit import limited_threads
 from omnisyn_cli.types import DepthEstimator
 
 if TYPE_CHECKING:
@@ -58,7 +59,12 @@ def run_interpolation(
     pairs: dict[int, PairConfidence] = {}
     triangles: dict[int, tuple[int, int]] = {}
     own = plan.job.method == OMNISYN
-    with depth_keeper(plan) as keep_depth, frame_sinks(plan) as sinks, confidence_sink(plan) as keep_confidence:
+    with (
+        limited_threads(plan.job.threads),
+        depth_keeper(plan) as keep_depth,
+        confidence_sink(plan) as keep_confidence,
+        frame_sinks(plan) as sinks,  # finished first: if that fails, nothing else is kept either
+    ):
         ring = FrameRing(plan.size, frames_in_queue(plan.size)) if own and is_rounded(plan.job) else None
         frames = (
             _frames(plan, loader, estimator or make_estimator(plan), clock, keep_depth, pairs, triangles, ring, device)

@@ -1,4 +1,4 @@
-"""Files in and out: panoramas, masks, depth, poses, videos. The only package that touches files."""
+"""Files in and out: panoramas, masks, depth, poses, videos."""
 
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, read_header
 from omnisyn_cli.io.depth import read_depth, read_inverse_depth, write_depth

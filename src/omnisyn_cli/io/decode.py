@@ -29,6 +29,9 @@ MOST_SAMPLES_PER_PIXEL = 4
 LONGEST_COMPLAINT = 500
 """Characters of what a decoder says that are passed on."""
 
+BELOW = (1, 3)
+"""Values of EXIF's GPSAltitudeRef for depths below the sea level and below the ellipsoid."""
+
 HARMLESS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
 
@@ -65,6 +68,12 @@ class ImageHeader:
     is_alpha_associated: bool
     orientation: int
     attributes: Mapping[str, Any]
+
+    @property
+    def altitude(self) -> float | None:
+        """Metres of EXIF's GPS altitude, negative below the sea level or the ellipsoid; None without one."""
+        metres = self.number("GPS:Altitude")
+        return -metres if metres is not None and self.number("GPS:AltitudeRef") in BELOW else metres
 
     def number(self, name: str) -> float | None:
         """A finite numeric attribute, or None where it is missing or not a number."""
@@ -161,7 +170,7 @@ def check_is_file(path: Path) -> None:
     """Refuse names that lead to nothing, to a folder, to an empty file or to one that must not be read."""
     try:
         if not path.is_file():
-            found = "a folder" if path.is_dir() else "no such file"
+            found = "a folder" if path.is_dir() else "a device or a pipe" if path.exists() else "no such file"
             raise ImageError(f"{path}: expected a file, got {found}; check the name")
         if path.stat().st_size == 0:
             raise ImageError(f"{path}: expected an image, got an empty file; copy or export it anew")
@@ -219,8 +228,9 @@ def _text_of(message: Callable[[], str]) -> str:
 def _complaint(message: str) -> str:
     """The decoder's words on one line, without those that mean no harm."""
     lines = [line.strip() for line in message.splitlines()]
-    harmful = (line for line in lines if line and not any(harmless in line for harmless in HARMLESS))
-    return "; ".join(harmful)[:LONGEST_COMPLAINT]
+    harmful = [line for line in lines if line and not any(harmless in line for harmless in HARMLESS)]
+    told = (line for k, line in enumerate(harmful) if not any(line in other for other in harmful[k + 1 :]))
+    return "; ".join(told)[:LONGEST_COMPLAINT]
 
 
 def _check_png_is_complete(path: Path) -> None:

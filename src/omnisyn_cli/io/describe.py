@@ -77,6 +77,8 @@ def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
         return {**description, "usable": False, "problem": str(error)}
     seen = 1.0 if panorama.mask is None else float(panorama.mask.mean())
     height, width = panorama.image.shape[:2]
+    if seen == 0.0:
+        return {**description, "usable": False, "problem": "no pixel may be used: all of it is transparent or left out"}
     return {**description, "usable": True, "sphere_width": width, "sphere_height": height, "usable_share": seen}
 
 
@@ -98,11 +100,7 @@ def geographic_place(header: ImageHeader) -> dict[str, float] | None:
     if latitude is None or longitude is None:
         return None
     place = {"latitude": latitude, "longitude": longitude}
-    altitude = header.number("GPS:Altitude")
-    if altitude is not None:
-        is_below_sea = header.number("GPS:AltitudeRef") == 1
-        place["altitude"] = -altitude if is_below_sea else altitude
-    return place
+    return place if header.altitude is None else {**place, "altitude": header.altitude}
 
 
 def _degrees(header: ImageHeader, name: str, negative: str) -> float | None:

@@ -150,8 +150,13 @@ def check_frame_size(size: tuple[int, int]) -> None:
 
 def check_frame_rate(fps: float | Fraction) -> None:
     """Refuse rates that no player follows."""
-    if not 0 < fps <= 1000:
-        raise InputError(f"expected a frame rate above 0 and up to 1000 per second, got {fps}; choose another")
+    if not (0 < fps <= 1000 and as_fraction(fps) > 0):
+        raise InputError(f"expected a frame rate from 0.001 to 1000 per second, got {fps}; choose another")
+
+
+def as_fraction(fps: float | Fraction) -> Fraction:
+    """The nearest rate that containers can say, such as 30000/1001."""
+    return Fraction(fps).limit_denominator(1001)
 
 
 def raw_format(settings: EncoderSettings) -> str:
@@ -172,7 +177,7 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     codec = CODECS[settings.codec]
     encoder = _available_encoder(settings.codec)
     height, width = settings.size
-    rate = str(Fraction(settings.fps).limit_denominator(1001))
+    rate = str(as_fraction(settings.fps))
     expected = raw_format(settings)
     frames = ffmpeg.input("pipe:0", format="rawvideo", pix_fmt=expected, s=f"{width}x{height}", framerate=rate)
     if expected != PLANAR:

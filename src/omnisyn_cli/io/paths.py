@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from omnisyn_cli.errors import InputError, OutputPathError, WriteError
 
 __all__ = [
     "check_folder",
+    "check_kept",
     "check_name",
     "check_output",
     "make_folder",
@@ -54,6 +55,17 @@ def make_folder(folder: Path, what: str) -> None:
         raise OutputPathError(
             f"{folder}: expected a folder for {what}, got '{error.strerror}'; choose another place"
         ) from error
+
+
+def check_kept(output: Path, inputs: Iterable[Path]) -> None:
+    """Refuse an output that is one of the files it is made of.
+
+    Raises:
+        OutputPathError: it is.
+    """
+    for path in inputs:
+        if path.resolve() == output.resolve():
+            raise OutputPathError(f"{path}: expected inputs that are not overwritten, got this one; write elsewhere")
 
 
 def check_output(path: Path | str, overwrite: bool = False) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, check_output, check_video, read_header, sample_type
 from omnisyn_cli.io.depth import check_depth_header
+from omnisyn_cli.io.images import sphere_size
 from omnisyn_cli.io.paths import check_name
-from omnisyn_cli.io.sequence import image_sequence, is_sequence
+from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.planning.job import DEPTH_METHODS, FALLBACKS, RENDERER_CHOICES, InterpolationJob, depth_files
 from omnisyn_cli.presets import FUSION_CHOICES, METHODS, OMNISYN, PRESETS
@@ -21,8 +23,10 @@ __all__ = [
     "check_choices",
     "check_companions",
     "check_inputs_survive",
+    "check_mask_size",
     "check_names",
     "check_outputs",
+    "source_size",
 ]
 
 OF_OWN_FRAMES = (
@@ -102,17 +106,43 @@ def _check_is_plain(job: InterpolationJob) -> None:
             )
 
 
-def check_companions(entries: Sequence[PosedPanorama], depth: str) -> None:
-    """Refuse masks, and depth files if they are used, that are not there.
+def source_size(job: InterpolationJob, image: Path) -> tuple[int, int]:
+    """Height and width of the panorama that a file becomes.
+
+    Raises:
+        ImageError: there is none.
+    """
+    return sphere_size(read_header(image), allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
+
+
+def check_companions(
+    job: InterpolationJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], depth: str
+) -> None:
+    """Refuse masks of other sizes than their panoramas, and depth files, if they are used, that are none.
 
     Raises:
         ImageError: one is missing or unreadable, or is no depth.
+        InputError: a mask has another size.
     """
-    for entry in entries:
-        if entry.mask is not None:
-            read_header(entry.mask)
+    for k, (entry, size) in enumerate(zip(entries, sizes, strict=True)):
+        for mask in (entry.mask, *job.masks[k : k + 1]):
+            if mask is not None:
+                check_mask_size(mask, source_size(job, mask), size)
         if entry.depth is not None and depth == "file":
             check_depth_header(read_header(entry.depth))
+
+
+def check_mask_size(path: Path, size: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    """Refuse a mask of another height and width than its panorama.
+
+    Raises:
+        InputError: it has.
+    """
+    if size != expected:
+        raise InputError(
+            f"{path}: expected a mask of {expected[1]}×{expected[0]} pixels, got {size[1]}×{size[0]}; "
+            "give it the size of its panorama"
+        )
 
 
 def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
@@ -136,12 +166,14 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         dtype=sample_type(job.output, job.codec),
         overwrite=job.overwrite,
     )
-    if job.save_frames is not None:
-        _check_saved_frames(job, job.save_frames, size)
-    if job.save_confidence is not None:
-        check_video(job.save_confidence, size=size, fps=job.fps, overwrite=job.overwrite)
-        if job.save_confidence.resolve() == job.output.resolve():
-            raise OutputPathError(f"{job.output}: expected another place for the confidence; name another file")
+    if job.save_frames is not None and not is_sequence(job.save_frames):
+        raise OutputPathError(
+            f"{job.save_frames}: expected a folder or a pattern such as frames/%05d.png, got a file name"
+        )
+    for images in (job.save_frames, job.save_confidence):
+        if images is not None:
+            check_video(images, size=size, fps=job.fps, overwrite=job.overwrite)
+    _check_distinct(path for path in (job.output, job.save_frames, job.save_confidence) if path is not None)
     if job.save_depth is not None:
         check_staged_folder(job.save_depth)
         for file in depth_files(job):
@@ -149,12 +181,17 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
                 check_output(file, job.overwrite)
 
 
-def _check_saved_frames(job: InterpolationJob, frames: Path, size: tuple[int, int]) -> None:
-    if not is_sequence(frames):
-        raise OutputPathError(f"{frames}: expected a folder or a pattern such as frames/%05d.png, got a file name")
-    if is_sequence(job.output) and image_sequence(frames) == image_sequence(job.output):
-        raise OutputPathError(f"{frames}: expected another place than the output's, got the same; name another folder")
-    check_video(frames, size=size, fps=job.fps, overwrite=job.overwrite)
+def _check_distinct(targets: Iterable[Path]) -> None:
+    """Refuse two targets that are one file, or one row of numbered images."""
+    taken: set[Path | ImageSequence] = set()
+    for target in targets:
+        place: Path | ImageSequence = target.resolve()
+        if is_sequence(target):
+            images = image_sequence(target)
+            place = replace(images, folder=images.folder.resolve())
+        if place in taken:
+            raise OutputPathError(f"{target}: expected a place of its own, got that of another output; name another")
+        taken.add(place)
 
 
 def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> None:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_header, read_poses
 from omnisyn_cli.io.encoders import CODECS
-from omnisyn_cli.io.images import sphere_size
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.planning.checks import (
     check_choices,
@@ -22,6 +22,7 @@ from omnisyn_cli.planning.checks import (
     check_inputs_survive,
     check_names,
     check_outputs,
+    source_size,
 )
 from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
@@ -30,7 +31,7 @@ from omnisyn_cli.presets import FUSION_MODELS, OMNISYN, PRESETS, SYNSIN_MODELS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
-from omnisyn_cli.trajectory import STILL, Waypoint, path_length, plan_path
+from omnisyn_cli.trajectory import Waypoint, path_length, plan_path
 
 __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "networks_of", "plan_interpolation", "with_preset"]
 
@@ -129,17 +130,12 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     check_choices(job)
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
-    source_sizes = tuple(
-        sphere_size(read_header(image), allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
-        for image in job.images
-    )
+    source_sizes = tuple(source_size(job, image) for image in job.images)
     depth = _depth_method(job, entries)
     model, fusion, renderer, cut = _made_with(job, depth)
     for network in networks_of(job, entries):
         find_model(network)
-    check_companions(entries, depth)
-    for mask in job.masks:
-        read_header(mask)
+    check_companions(job, entries, source_sizes, depth)
     size = job.size or _even(max(source_sizes))
     check_outputs(job, size)
     check_inputs_survive(job, entries)
@@ -316,7 +312,8 @@ def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], depth: str) 
         yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
     if job.method == OMNISYN and job.depth == "auto" and depth != "file" and named:
-        yield f"{job.poses.name} names depth for {', '.join(named)} only: depth of all comes from matching"
+        why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
+        yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
             same = second.pose.almost_equals(first.pose)

@@ -8,8 +8,6 @@ away, where nothing is stretched by more than 1.23. The bands close in themselve
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_pixel, pixel_scale, pixel_to_direction
+from omnisyn_cli.thread_limit import limited_threads
 
 __all__ = ["Features", "Matches", "find_features", "match_features"]
 
@@ -99,7 +98,7 @@ def find_features(
     Zisserman, Three things everyone should know to improve object retrieval, 2012.
     """
     grey = _grey(image)
-    with _limited_threads(threads):
+    with limited_threads(threads):
         found = [_band_features(grey, axis) for axis in range(3)]
     direction, descriptor, response = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if usable is not None:
@@ -163,13 +162,3 @@ def _normalised(descriptor: np.ndarray) -> np.ndarray:
     total = descriptor.sum(axis=1, keepdims=True)
     share = descriptor / np.where(total > 0, total, 1.0)
     return np.asarray(np.rint(np.sqrt(share) * QUANTISED_NORM), np.float32)
-
-
-@contextmanager
-def _limited_threads(threads: int | None) -> Iterator[None]:
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(before if threads is None else min(threads, before))
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)

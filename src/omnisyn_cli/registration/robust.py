@@ -25,6 +25,8 @@ __all__ = ["LEAST_INLIERS", "Estimate", "estimate_relative_pose", "inlier_scale"
 LEAST_INLIERS = 24
 """Fewer matches that agree may agree by chance."""
 
+STRAIGHT_AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
+
 LEAST_SHARE = 0.08
 """Of all matches, that have to agree."""
 
@@ -117,6 +119,7 @@ def _in_place(rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimat
 def _best_pose(matches: Matches, known: Sequence[Pose], scale: float) -> Pose:
     hypotheses = _essential_hypotheses(matches, scale)
     starts = [*known, *(_in_front_of_both(essential, matches, scale) for essential in hypotheses)]
+    starts = starts or [STRAIGHT_AHEAD]  # one picture twice: all samples are degenerate
     refined = [refine_pose(start, matches, scale) for start in starts]
     costs = [_pose_cost(pose, matches, scale) for pose in refined]
     return refined[int(np.argmin(costs))]

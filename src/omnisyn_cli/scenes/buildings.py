@@ -88,7 +88,7 @@ def town_house(
     if rng.random() < 0.6:
         _band(build, base, wide, side, floor - 0.05, 0.14, trim, rng.uniform(0.08, 0.3))
     if rng.random() < 0.35:
-        _pilasters(build, base, wide, side, tall, trim)
+        _pilasters(build, base, wide, tall, trim)
     if rng.random() < 0.5:
         _balconies(build, base, wide, side, floors, floor)
     _ground_floor(build, base, wide, side, floor, front.detail > 0.4)
@@ -108,7 +108,7 @@ def _band(
     build.add(Shape.BOX, (base[0], base[1] + at, base[2]), (out, half, 0.5 * wide), trim)
 
 
-def _pilasters(build: SceneBuilder, base: Point, wide: float, side: float, tall: float, trim: Material) -> None:
+def _pilasters(build: SceneBuilder, base: Point, wide: float, tall: float, trim: Material) -> None:
     count = max(2, int(wide / build.rng.uniform(2.6, 5.0)))
     for k in range(count + 1):
         z = base[2] + (k / count - 0.5) * (wide - 0.5)
@@ -246,7 +246,7 @@ def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detail
     trim = Material(Pattern.PLAIN, palette.darker(wall, rng.uniform(0.7, 1.15)), grain=0.08)
     _band(build, base, wide, side, tall, 0.4, trim, 0.1)
     if rng.random() < 0.4:
-        _pilasters(build, base, wide, side, tall, trim)
+        _pilasters(build, base, wide, tall, trim)
     elif rng.random() < 0.6:
         for level in range(1, min(9, int(tall / floor))):
             _band(build, base, wide, side, level * floor, 0.15, trim, rng.uniform(0.3, 0.9))

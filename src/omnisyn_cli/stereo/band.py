@@ -15,7 +15,8 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
 
-from omnisyn_cli.stereo.semi_global import FAR, RUN_UP, UNSEEN, census, difference_of_pixels, mixed_cost
+from omnisyn_cli.jit import parallel_kernel
+from omnisyn_cli.stereo.semi_global import FAR, RUN_UP, UNSEEN, census_kernel, difference_of_pixels, mixed_cost
 
 __all__ = ["Bands", "aggregate_bands", "band_cost", "choose_in_bands"]
 
@@ -75,12 +76,12 @@ def choose_in_bands(
     return np.asarray(disparity), np.asarray(margin)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@parallel_kernel()
 def _cost(first, second, usable, lowest, begin, colour_share, truncation):  # type: ignore[no-untyped-def]
     height, width, _ = first.shape
     grey_a = (first[..., 0] + first[..., 1] + first[..., 2]) / np.float32(3.0)
     grey_b = (second[..., 0] + second[..., 1] + second[..., 2]) / np.float32(3.0)
-    bits_a, bits_b = census(grey_a), census(grey_b)
+    bits_a, bits_b = census_kernel(grey_a), census_kernel(grey_b)
     colour = np.float32(colour_share)
     scale = np.float32(1.0 / (3.0 * truncation))
     cost = np.empty(begin[-1], np.float32)
@@ -96,7 +97,7 @@ def _cost(first, second, usable, lowest, begin, colour_share, truncation):  # ty
     return cost
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, fastmath=True)
+@parallel_kernel(fastmath=True)
 def _aggregate(cost, lowest, begin, luminance, step, jump, contrast):  # type: ignore[no-untyped-def]
     height, width = lowest.shape
     total = np.zeros(len(cost), np.float32)
@@ -178,7 +179,7 @@ def _cheapest_way(behind, at, leap, small):  # type: ignore[no-untyped-def]
     return best
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@parallel_kernel()
 def _choose(total, lowest, begin):  # type: ignore[no-untyped-def]
     height, width = lowest.shape
     disparity, margin = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
+from omnisyn_cli.jit import parallel_kernel
 
 __all__ = ["fill", "median_around", "remove_speckles", "upsample"]
 
@@ -138,7 +139,7 @@ def _smooth(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], reach: f
     return channels
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@parallel_kernel()
 def _pass_across(
     channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width channels"]:
@@ -166,7 +167,7 @@ def _pass_across(
     return out
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@parallel_kernel()
 def _pass_down(
     channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
 ) -> Float[np.ndarray, "height width channels"]:
@@ -236,7 +237,7 @@ def upsample(
     )
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, fastmath=True)
+@parallel_kernel(fastmath=True)
 def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
     height, width, _ = guide.shape
     row_scale = (low.shape[0] - 2 * ring) / height

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool
@@ -22,7 +23,7 @@ from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
-from omnisyn_cli.stereo.thread_limit import limited_threads
+from omnisyn_cli.thread_limit import both, limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["SPECKLE", "MatchingDepthEstimator", "MatchingOptions", "agreeing", "is_measurable"]
@@ -59,7 +60,7 @@ class MatchingDepthEstimator:
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
         there, back = self.evidence(first, second)
         with limited_threads(self.threads):
-            return self._finish(first, there, baseline), self._finish(second, back, baseline)
+            return both(lambda: self._finish(first, there, baseline), lambda: self._finish(second, back, baseline))
 
     def evidence(self, first: View, second: View) -> tuple[Evidence, Evidence]:
         """What is known about both before edges are moved to where the image has them, at half of ``options.size``.
@@ -70,7 +71,9 @@ class MatchingDepthEstimator:
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
             there, back = _match(pair, self.options_for(first, second))
-            return _evidence(first, second, pair, there), _evidence(second, first, pair.reversed(), back)
+            return both(
+                lambda: _evidence(first, second, pair, there), lambda: _evidence(second, first, pair.reversed(), back)
+            )
 
     def options_for(self, first: View, second: View) -> MatchingOptions:
         """What may be believed of a pair: colours count less where one of the pictures has lost some."""
@@ -93,10 +96,10 @@ def _match(pair: RectifiedPair, options: MatchingOptions) -> tuple[Matches, Matc
     """Both directions; ``seen`` is what they agree on."""
     pairs = (pair, pair.reversed())
     grids = [Meridians.of(p) for p in pairs]
-    free = agreeing([match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True)], options)
-    surfaces = [assign_surfaces(p, g, f, options) for p, g, f in zip(pairs, grids, free, strict=True)]
-    there, back = agreeing(surfaces, options)
-    return there, back
+    one, other = (match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True))  # costs take much memory
+    free = agreeing((one, other), options)
+    surfaces = both(*(partial(assign_surfaces, p, g, f, options) for p, g, f in zip(pairs, grids, free, strict=True)))
+    return agreeing(surfaces, options)
 
 
 def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) -> Evidence:
@@ -128,12 +131,13 @@ def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.nd
     return inverse_depth, agreed, sky
 
 
-def agreeing(both: list[Matches], options: MatchingOptions) -> list[Matches]:
+def agreeing(found: tuple[Matches, Matches], options: MatchingOptions) -> tuple[Matches, Matches]:
     """Left-right check of both directions: keep as seen what the other one saw at the same depth."""
-    return [
+    there, back = (
         replace(a, seen=a.seen & _confirmed(a.disparity, exchanged_in_epipole_frame(b.disparity), options.agreement))
-        for a, b in (both, both[::-1])
-    ]
+        for a, b in (found, found[::-1])
+    )
+    return there, back
 
 
 def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bool[np.ndarray, "height width"]:

@@ -10,6 +10,8 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
+from omnisyn_cli.jit import parallel_kernel
+
 __all__ = ["find_planes"]
 
 BLOCKS = (12, 32, 64)
@@ -70,7 +72,7 @@ def find_planes(
     return np.array(planes).reshape(-1, 3)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, fastmath=True)
+@parallel_kernel(fastmath=True)
 def _inliers(
     proposals: Float[np.ndarray, "proposals 3"],
     d: Float[np.ndarray, "points 3"],

@@ -16,7 +16,7 @@ from omnisyn_cli.stereo.matching import MatchingDepthEstimator
 from omnisyn_cli.stereo.rectify import usable_pixels
 from omnisyn_cli.stereo.sharpening import Answer, sharpened
 from omnisyn_cli.stereo.sizes import doubled_sizes
-from omnisyn_cli.stereo.thread_limit import limited_threads
+from omnisyn_cli.thread_limit import both, limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["RefinedDepthEstimator", "Refinement"]
@@ -57,20 +57,25 @@ class RefinedDepthEstimator:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         if np.array_equal(first.pose.position, second.pose.position):
             return self.matching(first, second)
+        with limited_threads(self.matching.threads):
+            return self._estimates(first, second)
+
+    def _estimates(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         there, back = self.matching.evidence(first, second)
-        answers = self._refined(there, back), self._refined(back, there)
+        planes = both(lambda: evidence_planes(there, back), lambda: evidence_planes(back, there))
+        answers = self._refined(there, planes[0]), self._refined(back, planes[1])
         picture_rows = max(view.image.shape[0] for view in (first, second))
         for size in doubled_sizes(there.filled.shape[0], self.rows // 2, picture_rows)[1:]:
-            with limited_threads(self.matching.threads):
-                answers = sharpened(first, second, answers, size, self.matching.options_for(first, second))
+            answers = sharpened(first, second, answers, size, self.matching.options_for(first, second))
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
-        return (
-            _estimate(first, second, answers[0], answers[1][0], baseline),
-            _estimate(second, first, answers[1], answers[0][0], baseline),
+        (one, trust), (other, back_trust) = answers
+        return both(
+            lambda: _estimate(first, second, (one, trust), other, baseline),
+            lambda: _estimate(second, first, (other, back_trust), one, baseline),
         )
 
-    def _refined(self, evidence: Evidence, other: Evidence) -> Answer:
-        inverse_depth, confidence = self.refinement(evidence_planes(evidence, other))
+    def _refined(self, evidence: Evidence, planes: np.ndarray) -> Answer:
+        inverse_depth, confidence = self.refinement(planes)
         return np.where(evidence.agreed | evidence.sky, inverse_depth, median_around(inverse_depth)), confidence
 
 

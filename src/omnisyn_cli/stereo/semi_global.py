@@ -13,6 +13,8 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, UInt64
 
+from omnisyn_cli.jit import one_at_a_time, parallel_kernel
+
 __all__ = ["FORBIDDEN", "aggregate", "census", "choose", "sweep_cost", "warp_cost"]
 
 HALF_WINDOW = 3
@@ -35,8 +37,11 @@ FAR = np.float32(1e9)
 
 
 @numba.njit(cache=True, parallel=True, nogil=True)
-def census(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.ndarray, "height width"]:
-    """Which of the 48 neighbours in 7×7 are brighter than the pixel; columns wrap, end rows repeat."""
+def census_kernel(luminance):  # type: ignore[no-untyped-def]
+    """Which of the 48 neighbours in 7×7 are brighter than each pixel ``(height, width)``, as bits of uint64.
+
+    Columns wrap, end rows repeat. For other kernels; from Python it is :func:`census`.
+    """
     height, width = luminance.shape
     wide = np.empty((height, width + 2 * HALF_WINDOW), np.float32)
     wide[:, HALF_WINDOW:-HALF_WINDOW] = luminance
@@ -54,7 +59,10 @@ def census(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.ndarray, "
     return signature
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+census = one_at_a_time(census_kernel)
+
+
+@parallel_kernel()
 def sweep_cost(
     first: Float[np.ndarray, "height width 3"],
     second: Float[np.ndarray, "height width 3"],
@@ -78,7 +86,7 @@ def sweep_cost(
     height, width, _ = first.shape
     grey_a = (first[..., 0] + first[..., 1] + first[..., 2]) / np.float32(3.0)
     grey_b = (second[..., 0] + second[..., 1] + second[..., 2]) / np.float32(3.0)
-    bits_a, bits_b = census(grey_a), census(grey_b)
+    bits_a, bits_b = census_kernel(grey_a), census_kernel(grey_b)
     colour = np.float32(colour_share)
     scale = np.float32(1.0 / (3.0 * truncation))
     cost = np.empty((height, width, levels), np.float32)
@@ -97,7 +105,7 @@ def sweep_cost(
     return cost
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@parallel_kernel()
 def warp_cost(
     first: Float[np.ndarray, "height width 3"],
     first_census: UInt64[np.ndarray, "height width"],
@@ -123,7 +131,7 @@ def warp_cost(
                 seen[row, col] = usable[r, col] and usable[r + 1, col]
                 for k in range(3):
                     warped[row, col, k] = (1 - share) * second[r, col, k] + share * second[r + 1, col, k]
-    bits = census((warped[..., 0] + warped[..., 1] + warped[..., 2]) / np.float32(3.0))
+    bits = census_kernel((warped[..., 0] + warped[..., 1] + warped[..., 2]) / np.float32(3.0))
     scale = np.float32(1.0 / (3.0 * truncation))
     cost = np.empty((height, width), np.float32)
     for row in numba.prange(height):
@@ -139,7 +147,7 @@ def warp_cost(
     return cost
 
 
-@numba.njit(cache=True, parallel=True, nogil=True, fastmath=True)
+@parallel_kernel(fastmath=True)
 def aggregate(
     cost: Float[np.ndarray, "height width levels"],
     luminance: Float[np.ndarray, "height width"],
@@ -190,7 +198,7 @@ def aggregate(
     return total
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@parallel_kernel()
 def choose(
     total: Float[np.ndarray, "height width levels"],
 ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:

@@ -6,6 +6,8 @@ matched, so that a larger size costs little more than a smaller one, and what re
 
 from __future__ import annotations
 
+from functools import partial
+
 import cv2
 import numpy as np
 from jaxtyping import Float32
@@ -17,6 +19,7 @@ from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample
 from omnisyn_cli.stereo.matching import SPECKLE, agreeing, is_measurable
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians
+from omnisyn_cli.thread_limit import both
 from omnisyn_cli.types import View
 
 __all__ = ["Answer", "sharpened"]
@@ -53,19 +56,16 @@ def sharpened(
         options: of the matching.
     """
     views = (first, second)
-    bases = [_enlarged(view, answer, size) for view, answer in zip(views, answers, strict=True)]
+    bases = both(*(partial(_enlarged, view, answer, size) for view, answer in zip(views, answers, strict=True)))
     pair = rectify(first, second, size)
     pairs = (pair, pair.reversed())
     grids = [Meridians.of(each) for each in pairs]
-    found = [
+    there, back = (  # one after the other: costs take much memory
         _match(each, grid, _in_pair(base[0], view, each), options)
         for each, grid, base, view in zip(pairs, grids, bases, views, strict=True)
-    ]
-    one, other = (
-        _measured(view, base, each, grid, matches)
-        for view, base, each, grid, matches in zip(views, bases, pairs, grids, agreeing(found, options), strict=True)
     )
-    return one, other
+    matches = agreeing((there, back), options)
+    return both(*(partial(_measured, *each) for each in zip(views, bases, pairs, grids, matches, strict=True)))
 
 
 def _enlarged(view: View, answer: Answer, size: tuple[int, int]) -> Answer:

@@ -60,7 +60,8 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     except UnpicklingError:
         raise InputError(f"expected a checkpoint in {path}, got another file; give the path `train` wrote to") from None
     except Exception as error:
+        reason = str(error) or type(error).__name__
         raise InputError(
-            f"expected a checkpoint in {path}, got a file torch cannot read: {error!s:.{LONGEST_REASON}}"
+            f"expected a checkpoint in {path}, got a file torch cannot read: {reason:.{LONGEST_REASON}}"
         ) from error
     return state

@@ -18,6 +18,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -30,6 +31,9 @@ from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.io.paths import write_errors
 
 __all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "load_scene", "save_arrays", "save_scene"]
+
+TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0"}
+"""By the command that makes pools of a kind, an array that only these have."""
 
 ONE_SURFACE = 0.1
 """Relative difference of inverse depth between neighbouring pixels that still belong together."""
@@ -120,15 +124,29 @@ def load_scene(path: Path) -> PoolScene:
         return PoolScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
 
 
-def list_pool(folder: Path) -> list[Path]:
+def list_pool(folder: Path, maker: str = "pool") -> list[Path]:
     """All scenes of a pool in a fixed order.
 
+    Args:
+        folder: of the pool.
+        maker: command that such pools are made by, one of :data:`TELLTALES`.
+
     Raises:
-        InputError: there are none.
+        InputError: there are none, or of another kind.
     """
     paths = sorted(folder.glob("*.npz"))
+    command = f"`omnisyn train {maker}`"
     if not paths:
-        raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; run `omnisyn train pool`")
+        raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; make one with {command}")
+    try:
+        with np.load(paths[0]) as file:
+            is_of_kind = TELLTALES[maker] in file
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(f"expected a scene in {paths[0]}, got '{error!s:.80}'; delete the file") from error
+    if not is_of_kind:
+        raise InputError(
+            f"expected scenes made by {command} in {folder}, got scenes for another network; name its pool"
+        )
     return paths
 
 

@@ -25,7 +25,7 @@ from torch import Tensor
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.training.data import Augmentation, save_arrays, vary_colours
 from omnisyn_cli.training.pool import STOPS, photos_in, scene_path
 from omnisyn_cli.types import View
@@ -97,7 +97,8 @@ def make_evidence(folder: Path, seed: int, config: EvidenceConfig) -> Path | Non
         told = Pose(pose.rotation @ rotation_from_rotation_vector(spread * rng.standard_normal(3)), pose.position)
         shown.append((image, inverse_depth, told))
     inner = ((0, 1), (1, 2))[int(rng.integers(2))]
-    estimator = MatchingDepthEstimator(threads=1)
+    height, width = config.size
+    estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # evidence has half
     ends = ((0, 2), inner)
     pairs = [pair for i, j in ends for pair in _matched(shown[i], shown[j], estimator, rng)]
     file = scene_path(folder, seed)

@@ -191,7 +191,8 @@ def train(
     path = folder / "checkpoint.pt"
     trainer = open_trainer(network, config, path, precision, weights)
     started, losses = time.monotonic(), list[float]()
-    pool = list_pool(Path(config.pool))
+    pool = list_pool(Path(config.pool), trainer.task.pool)
+    list_pool(Path(config.validation_pool), trainer.task.pool)  # found wrong now, not after hundreds of steps
     while not trainer.is_finished() and (steps is None or trainer.step < steps):
         losses.append(trainer.advance(pool))
         out_of_time = time.monotonic() - started > 60.0 * minutes
@@ -202,7 +203,7 @@ def train(
             report(row)
             if board is not None:
                 board.add(row, pictures)
-            losses, pool = [], list_pool(Path(config.pool))
+            losses, pool = [], list_pool(Path(config.pool), trainer.task.pool)
         if trainer.step % config.save_every == 0 or out_of_time:
             save_checkpoint(path, trainer.state())
         if out_of_time:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.io.paths import make_folder, replaced_when_complete
+from omnisyn_cli.io.paths import check_output, make_folder, replaced_when_complete
 from omnisyn_cli.networks.depth import DepthConfig
 from omnisyn_cli.networks.export import (
     PARITY,
@@ -81,7 +81,14 @@ def publish(
 
 
 def publish_all(
-    checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
+    checkpoint: Path,
+    folder: Path,
+    *,
+    name: str | None,
+    pool: Path | None,
+    training: str,
+    licence: str,
+    overwrite: bool = False,
 ) -> list[tuple[ModelEntry, float]]:
     """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
 
@@ -92,12 +99,14 @@ def publish_all(
         pool: scenes to compare on, besides random inputs; of networks trained together only the depth.
         training: on what and for how long, for the manifest.
         licence: of the weights.
+        overwrite: replace models of the same names.
 
     Returns:
         The entries of the manifest, each with the largest relative difference found.
 
     Raises:
         InputError: no checkpoint, no scenes, or a name that is a path.
+        OutputPathError: there is a model of that name already.
         OmnisynError: ONNX Runtime and torch do not agree; nothing is left behind.
     """
     if name is not None and Path(name).name != name:
@@ -105,6 +114,8 @@ def publish_all(
     network, state = load_network(checkpoint)
     parts = _parts(network, state, name, pool)
     make_folder(folder, "models")
+    for part in parts:
+        check_output(folder / f"{part.name}.onnx", overwrite)
     partials = [folder / f"{part.name}.partial.onnx" for part in parts]
     try:
         differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
@@ -229,7 +240,7 @@ def _planes(config: RefineConfig, size: tuple[int, int], pool: Path | None) -> I
     for _ in range(COMPARED):
         yield (rng.random((1, config.planes, *size), dtype=np.float32),)
     for _ in range(COMPARED if pool is not None else 0):
-        yield (draw_evidence(list_pool(pool or Path()), rng, 1).planes[:1].numpy(),)
+        yield (draw_evidence(list_pool(pool or Path(), "evidence"), rng, 1).planes[:1].numpy(),)
 
 
 def _fusion_planes(config: FusionConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
@@ -237,7 +248,7 @@ def _fusion_planes(config: FusionConfig, size: tuple[int, int], pool: Path | Non
     for _ in range(COMPARED):
         yield (rng.random((1, config.planes, *size), dtype=np.float32),)
     for _ in range(COMPARED if pool is not None else 0):
-        yield (inputs_of(config, draw_fusion(list_pool(pool or Path()), rng, 1).planes).numpy(),)
+        yield (inputs_of(config, draw_fusion(list_pool(pool or Path(), "fusion-pool"), rng, 1).planes).numpy(),)
 
 
 EXPORTS: Mapping[str, tuple[Callable[[Any, Path], None], Callable[..., Iterator[tuple[np.ndarray, ...]]]]] = (

@@ -88,6 +88,7 @@ class Task:
         validate: figures of a network on fixed pairs without augmentation, the mean over pairs.
         pictures: what a network makes of the first of these pairs, RGB in [0, 1] by name; None where nobody looks.
         contest: how it learns against an opponent, instead of by ``loss`` alone; None where it has none.
+        pool: command that makes what it learns from, see :func:`omnisyn_cli.training.data.list_pool`.
     """
 
     config: type[Any]
@@ -96,6 +97,7 @@ class Task:
     validate: Callable[[Any, TrainConfig], dict[str, float]]
     pictures: Callable[[Any, TrainConfig], dict[str, np.ndarray]] | None = None
     contest: Contest | None = None
+    pool: str = "pool"
 
 
 def on_device(network: Module, *tensors: Tensor) -> list[Tensor]:
@@ -152,7 +154,7 @@ def _refine_loss(network: RefineNetwork, pool: list[Path], rng: np.random.Genera
 
 @torch.no_grad()
 def _validate_refine(network: RefineNetwork, config: TrainConfig) -> dict[str, float]:
-    pool = list_pool(Path(config.validation_pool))
+    pool = list_pool(Path(config.validation_pool), "evidence")
     scores = []
     for index in range(config.validation_pairs):
         pair = load_evidence(pool[index % len(pool)])[index // len(pool) % 2]
@@ -172,7 +174,7 @@ def _fusion_loss(
 
 @torch.no_grad()
 def _validate_fusion(network: FusionNetwork | PaintingNetwork, config: TrainConfig) -> dict[str, float]:
-    pool = list_pool(Path(config.validation_pool))
+    pool = list_pool(Path(config.validation_pool), "fusion-pool")
     scores = []
     for index in range(config.validation_pairs):
         sample = load_fusion(pool[index % len(pool)], index // len(pool))[0]
@@ -240,8 +242,8 @@ TASKS: Mapping[str, Task] = MappingProxyType(
     {
         "depth": Task(DepthConfig, DepthNetwork, _depth_loss, _validate_depth, _show_depth),
         "paper": Task(PaperConfig, PaperNetwork, _paper_loss, _validate_depth, _show_depth),
-        "refine": Task(RefineConfig, RefineNetwork, _refine_loss, _validate_refine),
-        "fusion": Task(FusionConfig, build_fusion, _fusion_loss, _validate_fusion),
+        "refine": Task(RefineConfig, RefineNetwork, _refine_loss, _validate_refine, pool="evidence"),
+        "fusion": Task(FusionConfig, build_fusion, _fusion_loss, _validate_fusion, pool="fusion-pool"),
         "joint": Task(JointConfig, JointNetwork, _joint_loss, _validate_joint, _show_joint),
         "synsin": Task(
             SynSinConfig,

@@ -27,9 +27,6 @@ from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, Impor
 
 __all__ = ["read_exif"]
 
-BELOW = (1, 3)
-"""Values of GPSAltitudeRef for depths below the sea level and below the ellipsoid."""
-
 ELLIPSOID = (2, 3)
 
 
@@ -72,7 +69,7 @@ def _place(header: ImageHeader) -> Place:
         heading,
         header.number("GPano:PosePitchDegrees") or 0.0,
         header.number("GPano:PoseRollDegrees") or 0.0,
-        _altitude(header),
+        header.altitude,
     )
     if problem := unit_problem(place):
         raise PoseError(f"{header.path}: {problem}; correct the tag")
@@ -93,16 +90,9 @@ def _angle(header: ImageHeader, name: str, negative: str) -> float:
     return -angle if reference == negative else angle
 
 
-def _altitude(header: ImageHeader) -> float | None:
-    altitude = header.number("GPS:Altitude")
-    if altitude is None:
-        return None
-    return -altitude if header.number("GPS:AltitudeRef") in BELOW else altitude
-
-
 def _notes(headers: list[ImageHeader], skipped: list[str]) -> list[str]:
     notes = []
-    if any(h.number("GPS:Altitude") is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID for h in headers):
+    if any(h.altitude is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID for h in headers):
         notes.append(altitudes_note("EXIF"))
     by_compass = [h for h in headers if h.number("GPano:PoseHeadingDegrees") is None]
     if by_compass:
