@@ -14,7 +14,7 @@ from omnisyn_cli.rows import are_frames_by_rows
 
 __all__ = ["estimated_memory"]
 
-PROGRAM = 490e6
+PROGRAM = 530e6
 """Bytes of the interpreter, its libraries, compiled kernels and matching."""
 
 PAINTING, PAINTED_ROWS = 150, 1024
