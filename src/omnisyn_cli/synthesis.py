@@ -26,6 +26,7 @@ from omnisyn_cli.segments import Segment, Stopwatch, SynthesisOptions, prepare_s
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.trajectory import Waypoint
 from omnisyn_cli.types import (
+    UNSEEN,
     DepthEstimator,
     Fuser,
     Rendering,
@@ -55,9 +56,6 @@ ASIDE = 0.25
 
 LEAST_SHARE = 1.0 / 512.0
 """A share of the way that changes no colour by more than half of one of 256 levels."""
-
-UNSEEN = 1e-4
-"""A colour worth less than this is none."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from omnisyn_cli.geometry.pose import Pose
 
 __all__ = [
+    "UNSEEN",
     "DepthEstimate",
     "DepthEstimator",
     "Fuser",
@@ -22,6 +23,9 @@ __all__ = [
     "RowRendering",
     "View",
 ]
+
+UNSEEN = np.float32(1e-4)
+"""A colour worth less than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel
+from omnisyn_cli.types import UNSEEN
 
 __all__ = ["confidence_rows"]
 
-UNSEEN = np.float32(1e-4)
 BELIEF = np.float32(4.0)
 """A colour is believed as far as a quarter of full worth, which cut edges have."""
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import UNSEEN, Rendering
 
 __all__ = ["LEAST_SCORE", "PairConfidence", "assess_pair"]
 
@@ -25,9 +25,6 @@ LEAST_SCORE = 0.3
 
 WORST, BEST = 12.0, 36.0
 """Decibels that score 0 and 1."""
-
-UNSEEN = 1e-4
-"""A colour worth less than this is none."""
 
 DISAGREEMENT = 0.1
 """Relative difference of inverse depth above which two surfaces are different ones."""

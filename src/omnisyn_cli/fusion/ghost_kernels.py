@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
+from omnisyn_cli.types import UNSEEN
 
 __all__ = ["gather_cells", "silence_rows"]
-
-UNSEEN = np.float32(1e-4)
-"""A colour worth less than this is none, as in fusion."""
 
 
 @fast_kernel()

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.fusion.kernels import UNSEEN, view_weights
+from omnisyn_cli.fusion.kernels import view_weights
 from omnisyn_cli.jit import fast_kernel, inlined
+from omnisyn_cli.types import UNSEEN
 
 __all__ = ["DIFFERENT", "LEAST_SHARE", "PLAIN", "colour_holes", "compare_rows", "correct_rows", "reduce_rows"]
 

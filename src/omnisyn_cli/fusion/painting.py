@@ -16,13 +16,12 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.fusion.geometric import BlendOptions, GeometricFuser, is_in_place
-from omnisyn_cli.fusion.kernels import UNSEEN
 from omnisyn_cli.fusion.network import working_size
 from omnisyn_cli.fusion.network_kernels import reduce_rows
 from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import UNSEEN, Rendering
 
 __all__ = ["MOST_ROWS", "MULTIPLE", "Painter", "PaintingFuser"]
 

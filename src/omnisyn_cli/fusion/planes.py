@@ -27,11 +27,11 @@ from jaxtyping import Float32
 
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.geometric import kernel_views
-from omnisyn_cli.fusion.kernels import UNSEEN, blend_rows
+from omnisyn_cli.fusion.kernels import blend_rows
 from omnisyn_cli.fusion.network_kernels import compare_rows, reduce_rows
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import UNSEEN, Rendering
 
 __all__ = [
     "FIRST",

@@ -12,11 +12,9 @@ import numpy as np
 
 from omnisyn_cli.fusion.kernels import BELIEF, FAR_PREFERENCE
 from omnisyn_cli.jit import fast_kernel, inlined
+from omnisyn_cli.types import UNSEEN
 
 __all__ = ["blend_samples", "push_samples"]
-
-UNSEEN = np.float32(1e-4)
-"""A colour worth less than this is none, as in :mod:`omnisyn_cli.fusion.kernels`."""
 
 RUN = 512
 """Pixels of a row that are blended together: what is found out about them stays in the nearest cache."""

@@ -13,11 +13,9 @@ from torch import Tensor
 
 from omnisyn_cli.fusion.kernels import BELIEF, FAR_PREFERENCE
 from omnisyn_cli.photometry.matching import CLIPPING
+from omnisyn_cli.types import UNSEEN
 
-__all__ = ["UNSEEN", "BlendRule", "Exposure", "Shown", "blend", "expose", "samples_of"]
-
-UNSEEN = 1e-4
-"""A colour worth less than this is none, as in :mod:`omnisyn_cli.fusion.kernels`."""
+__all__ = ["BlendRule", "Exposure", "Shown", "blend", "expose", "samples_of"]
 
 
 @dataclass(frozen=True)
@@ -104,8 +102,8 @@ def _weights(first: Shown, second: Shown, rays: Tensor, rule: BlendRule) -> tupl
     """Of both views, not normalised, see :func:`omnisyn_cli.fusion.kernels.view_weights`."""
     worth_a, worth_b = first.colour[..., 3], second.colour[..., 3]
     near_a, near_b = first.inverse_depth.clamp_min(0.0), second.inverse_depth.clamp_min(0.0)
-    a = torch.where(worth_a > UNSEEN, worth_a * _nearness(near_a, rays, first.offset), 0.0)
-    b = torch.where(worth_b > UNSEEN, worth_b * _nearness(near_b, rays, second.offset), 0.0)
+    a = torch.where(worth_a > float(UNSEEN), worth_a * _nearness(near_a, rays, first.offset), 0.0)
+    b = torch.where(worth_b > float(UNSEEN), worth_b * _nearness(near_b, rays, second.offset), 0.0)
     gap = (near_a - near_b) / (torch.maximum(near_a, near_b) * rule.disagreement + 1e-9)
     believed = (BELIEF * torch.where(gap > 0.0, worth_a, worth_b)).clamp_max(1.0)
     rest = 1.0 - believed * (1.0 - torch.exp(-gap * gap).clamp_min(rule.hidden))

@@ -23,7 +23,8 @@ from omnisyn_cli.fusion.ghosts import (
     samples_of_cells,
 )
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.gpu.blending import UNSEEN, Shown
+from omnisyn_cli.gpu.blending import Shown
+from omnisyn_cli.types import UNSEEN
 
 __all__ = ["GpuGhosts"]
 
@@ -77,7 +78,7 @@ class GpuGhosts:
         rows, cols = losers.shape
         line = torch.lerp(losers[upper.clamp(0, rows - 1)], losers[lower.clamp(0, rows - 1)], down[:, None])
         value = torch.lerp(line[:, left % cols], line[:, right % cols], across)
-        both = (first[..., 3] > UNSEEN) & (second[..., 3] > UNSEEN)
+        both = (first[..., 3] > float(UNSEEN)) & (second[..., 3] > float(UNSEEN))
         first[..., 3] *= torch.where(both, 1.0 + value.clamp_max(0.0), 1.0)
         second[..., 3] *= torch.where(both, 1.0 - value.clamp_min(0.0), 1.0)
 
@@ -90,7 +91,7 @@ class GpuGhosts:
 
     def _gathered(self, first: Shown, second: Shown) -> Float32[Tensor, "rows cols 11"]:
         """Sums over the pixels of each cell that both see: count, colours, worths and inverse depths of both."""
-        both = ((first.colour[..., 3] > UNSEEN) & (second.colour[..., 3] > UNSEEN))[..., None]
+        both = ((first.colour[..., 3] > float(UNSEEN)) & (second.colour[..., 3] > float(UNSEEN)))[..., None]
         values = [
             torch.ones_like(both, dtype=torch.float32), first.colour[..., :3], second.colour[..., :3],
             first.colour[..., 3:], second.colour[..., 3:],

@@ -23,29 +23,21 @@ from torch import Tensor
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.gpu.quads import Quads
+from omnisyn_cli.render.box_kernels import WIDE
+from omnisyn_cli.render.patch_kernels import AT_A_POLE
+from omnisyn_cli.render.quad_kernels import EDGE_ON
+from omnisyn_cli.render.raster_kernels import NOTHING
 
-__all__ = ["NOTHING", "GpuRasterizer"]
-
-NOTHING = -1
-"""Face number of pixels that see no surface."""
+__all__ = ["GpuRasterizer"]
 
 QUADS_AT_A_TIME = 1 << 18
 CANDIDATES_AT_A_TIME = 1 << 21
 
-EDGE_ON = 1e-13
-"""Determinants below this are triangles seen edge-on: they cover nothing."""
-
 OVERLAP = 1e-9
 """Radians by which edges are moved outwards, far beyond rounding: no gap opens between neighbours or at a vertex."""
 
-WIDE = 0.5
-"""Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""
-
 BOX_MARGIN = 1e-3
 """Pixels added around boxes, for what is moved outwards and for rounding."""
-
-AT_A_POLE = 1e-8
-"""A point that is less than this (radians) from a pole of the target has no azimuth of its own."""
 
 LAST = 2**31 - 1
 """Of the order of drawing."""

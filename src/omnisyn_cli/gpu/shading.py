@@ -6,7 +6,6 @@ alpha times trust. Memory: about 0.2 kB for each pixel that is looked up togethe
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +15,9 @@ from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Texture
+from omnisyn_cli.render.shade_kernels import SPECIAL
 
 __all__ = ["GpuTexture", "shade", "texture_on"]
-
-SPECIAL = math.log2(1.05)
-"""Mip level above which a pixel is not simply read at full resolution: it is minified."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ def shade(
     col = torch.atan2(x, -z) * col_scale + col_zero
     footprint = (texture.rows / target_rows) ** 2 / (flat + y * y + 1e-20)
     level = (0.5 * torch.log2(footprint)).clamp_max(float(len(texture.begin) - 1))
-    is_minified = (level > SPECIAL)[..., None]
+    is_minified = (level > float(SPECIAL))[..., None]
     colour = torch.where(is_minified, _between_levels(texture, row, col, level), _bicubic(texture, row, col))
     colour = colour * texture.unit
     colour[..., 3] *= trust

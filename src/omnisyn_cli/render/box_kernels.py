@@ -10,7 +10,7 @@ import numpy as np
 from omnisyn_cli.jit import fast_kernel, inlined
 from omnisyn_cli.render.trigonometry import atan2_fast
 
-__all__ = ["find_boxes", "project_points"]
+__all__ = ["WIDE", "find_boxes", "project_points"]
 
 WIDE = 0.5
 """Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""

@@ -14,7 +14,7 @@ from omnisyn_cli.render.box_kernels import project_points
 from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.render.simd import load, splat, store_half, swapped
 
-__all__ = ["transform_caps", "transform_quarters"]
+__all__ = ["AT_A_POLE", "transform_caps", "transform_quarters"]
 
 AT_A_POLE = 1e-8
 """A point that is less than this (radians) from a pole of the target has no azimuth of its own."""

@@ -38,8 +38,20 @@ from omnisyn_cli.render.simd import (
 )
 
 __all__ = [
-    "A_LEFT", "A_OTHER", "A_PLANE", "B_OTHER", "B_PLANE", "B_RIGHT", "CUT", "DRAWN", "IN_FLOAT32", "NOT_AT_ALL",
-    "PLAN_ROWS", "draw_quads", "plan_quads",
+    "A_LEFT",
+    "A_OTHER",
+    "A_PLANE",
+    "B_OTHER",
+    "B_PLANE",
+    "B_RIGHT",
+    "CUT",
+    "DRAWN",
+    "EDGE_ON",
+    "IN_FLOAT32",
+    "NOT_AT_ALL",
+    "PLAN_ROWS",
+    "draw_quads",
+    "plan_quads",
 ]  # fmt: skip
 
 EDGE_ON = 1e-13

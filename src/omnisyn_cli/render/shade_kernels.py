@@ -12,7 +12,7 @@ from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.simd import load_floats, pair, splat, store_half, swapped
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
-__all__ = ["shade_rows"]
+__all__ = ["SPECIAL", "shade_rows"]
 
 FACE_BITS = FACES_PER_QUARTER.bit_length() - 1
 """A face number without these bits is that of its quarter, counted through all quads."""
