@@ -53,6 +53,8 @@ class Room:
 class Remembered:
     """Matching whose answer is known; stands in for :class:`MatchingDepthEstimator`."""
 
+    threads = None
+
     def __init__(self, evidence: tuple[Evidence, Evidence]) -> None:
         self._evidence = evidence
 
