@@ -83,7 +83,7 @@ def refine(
 
     pose_file = read_poses(poses, allow_outside=allow_outside)
     check_output(output, overwrite)
-    check_kept(output, (poses, *images))
+    check_kept([output], (poses, *images))
     refined = refine_poses(images, pose_file, PictureOptions(**options))
     write_poses(output, refined.panoramas, allow_outside=allow_outside)
     _report(refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined", quiet)
@@ -113,7 +113,7 @@ def estimate(
     from omnisyn_cli.posing import PictureOptions, estimate_poses
 
     check_output(output, overwrite)
-    check_kept(output, images)
+    check_kept([output], images)
     found = estimate_poses(images, baselines, PictureOptions(**options))
     write_poses(output, found.panoramas)
     _report(found.notes, f"{output}: {len(found.panoramas)} poses", quiet)

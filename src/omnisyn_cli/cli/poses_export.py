@@ -48,7 +48,7 @@ def export(
     from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.io.pose_formats import export_poses
 
-    check_kept(output, [poses])
+    check_kept([output], [poses])
     pose_file = read_poses(poses, allow_outside=allow_outside)
     notes = export_poses(pose_file, output, format_name, images=images, size=size, overwrite=overwrite)
     if not quiet:

@@ -104,7 +104,7 @@ def import_(
     from omnisyn_cli.io.paths import check_kept
     from omnisyn_cli.io.pose_formats import ImportOptions, import_poses, write_imported
 
-    check_kept(output, sources)
+    check_kept([output], sources)
     check_output(output, overwrite)
     options = ImportOptions(images, origin, up, camera_axes, floor, time_tolerance, allow_outside)
     name, imported = import_poses(sources, format_name, options)

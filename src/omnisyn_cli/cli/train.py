@@ -333,7 +333,7 @@ def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 
     check_output(output, overwrite)
-    check_kept(output, [checkpoint])
+    check_kept([output], [checkpoint])
     save_checkpoint(output, compact(load_checkpoint(checkpoint)))
 
 

@@ -57,14 +57,15 @@ def make_folder(folder: Path, what: str) -> None:
         ) from error
 
 
-def check_kept(output: Path, inputs: Iterable[Path]) -> None:
-    """Refuse an output that is one of the files it is made of.
+def check_kept(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+    """Refuse outputs that would overwrite what they are made of.
 
     Raises:
-        OutputPathError: it is.
+        OutputPathError: one would.
     """
+    replaced = {output.resolve() for output in outputs}
     for path in inputs:
-        if path.resolve() == output.resolve():
+        if path.resolve() in replaced:
             raise OutputPathError(f"{path}: expected inputs that are not overwritten, got this one; write elsewhere")
 
 

@@ -11,7 +11,7 @@ from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, check_output, check_video, read_header, sample_type
 from omnisyn_cli.io.depth import check_depth_header
 from omnisyn_cli.io.images import sphere_size
-from omnisyn_cli.io.paths import check_name
+from omnisyn_cli.io.paths import check_kept, check_name
 from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
 from omnisyn_cli.planning.job import DEPTH_METHODS, FALLBACKS, RENDERER_CHOICES, InterpolationJob, depth_files
@@ -200,13 +200,11 @@ def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]
     Raises:
         OutputPathError: one would.
     """
-    replaced = {job.output.resolve(), *(file.resolve() for file in depth_files(job))}
+    outputs = [job.output, *depth_files(job)]
     if job.save_confidence is not None:
-        replaced.add(job.save_confidence.resolve())
+        outputs.append(job.save_confidence)
     for place in (job.output, job.save_frames, job.save_confidence):
         if place is not None and is_sequence(place):
-            replaced.update(file.resolve() for file in image_sequence(place).existing())
+            outputs.extend(image_sequence(place).existing())
     companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
-    for file in (*job.images, *job.masks, job.poses, *companions):
-        if file.resolve() in replaced:
-            raise OutputPathError(f"{file}: expected inputs that are not overwritten, got this one; write elsewhere")
+    check_kept(outputs, (*job.images, *job.masks, job.poses, *companions))
