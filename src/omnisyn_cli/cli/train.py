@@ -201,7 +201,7 @@ def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int,
     from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
     from omnisyn_cli.training.pool import fill_pool
 
-    config = FusionPoolConfig(size=(height, 2 * height), rows=2 * height, textures=_textures(textures))
+    config = FusionPoolConfig(size=(height, 2 * height), rows=4 * height, textures=_textures(textures))
     make = partial(make_fusion_scene, config=config)
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)

@@ -1,7 +1,8 @@
-"""Training data for the fusion network: renderings from estimated depth as the program makes them, and the truth.
+"""Training data for the fusion network: renderings as the program makes them, and the truth.
 
 A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a straight way through the scene are
-photographed, their depth is estimated, both surfaces are rendered from places in between. For each place ``k``:
+photographed, their depth is estimated or, for a few, known, both surfaces are rendered from places in between. For each
+place ``k``:
 
 * ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes`,
 * ``truth_k`` ``(3, height, width)`` float16, the scene as it is seen from there, in [0, 1].
@@ -33,7 +34,7 @@ from omnisyn_cli.synthesis import Frame, synthesize
 from omnisyn_cli.training.data import save_arrays
 from omnisyn_cli.training.pool import photos_in, scene_path
 from omnisyn_cli.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimator, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = [
     "FusionBatch",
@@ -75,7 +76,8 @@ class FusionPoolConfig:
         places: per scene.
         shares: of the way, between which the places lie.
         matched: share of scenes whose depth comes from matching alone, the others' being refined by a network.
-        rows: that matching works towards.
+        known: share of scenes whose depth is the true one.
+        rows: that depth is looked for at.
         model: that refines.
         tilts: standard deviations of pitch and roll that a scene draws one of, radians.
         turned: share of scenes with pose errors.
@@ -87,8 +89,9 @@ class FusionPoolConfig:
     kinds: tuple[str, ...] = ("room", "street")
     places: int = 3
     shares: tuple[float, float] = (0.1, 0.9)
-    matched: float = 0.25
-    rows: int = 512
+    matched: float = 0.1
+    known: float = 0.1
+    rows: int = 1024
     model: str = "refine-balanced"
     tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
     turned: float = 0.3
@@ -131,8 +134,7 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
         ends = sample_path(scene, seed, 2)
     except ValueError:
         return None
-    depth = "matching" if rng.random() < config.matched else "refined"
-    estimator = _estimator(depth, config.rows, config.model)
+    estimator = _estimator(_depth_source(rng.random(), config), config.rows, config.model)
     samples = list(_samples(scene, ends, estimator, rng, config))
     if not samples:
         return None
@@ -141,7 +143,14 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
     return file
 
 
-@lru_cache(maxsize=2)
+def _depth_source(draw: float, config: FusionPoolConfig) -> str:
+    """What a number drawn from [0, 1) decides."""
+    if draw < config.matched:
+        return "matching"
+    return "file" if draw < config.matched + config.known else "refined"
+
+
+@lru_cache(maxsize=3)
 def _estimator(depth: str, rows: int, model: str) -> DepthEstimator:
     return make_estimator(depth, rows=rows, model=model if depth == "refined" else None, device="cpu", threads=1)
 
@@ -166,11 +175,12 @@ def _samples(
 def _photograph(
     scene: Scene, position: np.ndarray, tilt: float, spread: float, size: tuple[int, int], rng: np.random.Generator
 ) -> View:
-    """A panorama with the pose that it is said to have."""
+    """A panorama with the pose that it is said to have, and its true depth."""
     rotation = rotation_from_heading(rng.uniform(-np.pi, np.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
-    image = render_panorama(scene, Pose(rotation, position), size, supersample=1, threads=1)[0]
+    image, depth = render_panorama(scene, Pose(rotation, position), size, supersample=1, threads=1)
     told = rotation @ rotation_from_rotation_vector(spread * rng.standard_normal(3))
-    return View(np.asarray(image, np.float32), Pose(told, position))
+    known = DepthEstimate((1.0 / depth).astype(np.float32), np.ones(size, np.float32))
+    return View(np.asarray(image, np.float32), Pose(told, position), known_depth=known)
 
 
 def _between(views: Sequence[View], share: float) -> Waypoint:

@@ -25,12 +25,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, TypeAdapter
 
-from omnisyn_cli.evaluation.datasets.scene import Scene, SceneFrame, SceneSource, read_json
+from omnisyn_cli.evaluation.datasets.scene import Scene, SceneFrame, SceneSource
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth
+from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json, validated
 
 __all__ = ["find_scenes", "read_face_depth"]
 
@@ -43,19 +43,19 @@ FARTHEST = 65.535
 """Metres; the largest number that the files can hold."""
 
 
-class _Location(BaseModel):
+class _Location(ForeignModel):
     x: float
     y: float
     z: float
 
 
-class _Rotation(BaseModel):
+class _Rotation(ForeignModel):
     pitch: float
     yaw: float
     roll: float
 
 
-class _Entry(BaseModel):
+class _Entry(ForeignModel):
     frame: int
     location: _Location
     rotation: _Rotation
@@ -63,7 +63,8 @@ class _Entry(BaseModel):
     longitude: float | None = None
 
 
-ENTRIES = TypeAdapter(list[_Entry])
+class _Run(ForeignModel):
+    frames: list[_Entry]
 
 
 def find_scenes(folder: Path) -> list[SceneSource]:
@@ -75,7 +76,7 @@ def find_scenes(folder: Path) -> list[SceneSource]:
 
 
 def _read(name: str, run: Path) -> Scene:
-    entries = [entry for entry in read_json(run / POSES, ENTRIES) if all(p.is_file() for p in _files(run, entry))]
+    entries = [entry for entry in _read_run(run / POSES) if all(p.is_file() for p in _files(run, entry))]
     positions = _scaled(
         np.array([[e.location.y, e.location.z, -e.location.x] for e in entries]).reshape(-1, 3), entries
     )
@@ -86,6 +87,10 @@ def _read(name: str, run: Path) -> Scene:
         image, depth = _files(run, entry)
         frames.append(SceneFrame(image.name, image, Pose(rotation, position), depth, None, read_face_depth))
     return Scene(name, tuple(frames))
+
+
+def _read_run(path: Path) -> list[_Entry]:
+    return validated(path, _Run, {"frames": read_json(path)}).frames
 
 
 def _files(run: Path, entry: _Entry) -> tuple[Path, Path]:

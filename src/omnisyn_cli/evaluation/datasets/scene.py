@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import TypeAdapter, ValidationError
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_inverse_depth
 
-__all__ = ["NoScaleError", "Scene", "SceneFrame", "SceneSource", "read_json"]
-
-Model = TypeVar("Model")
+__all__ = ["NoScaleError", "Scene", "SceneFrame", "SceneSource"]
 
 
 class NoScaleError(PoseError):
@@ -71,21 +67,3 @@ class SceneSource:
 
     name: str
     read: Callable[[], Scene]
-
-
-def read_json(path: Path, adapter: TypeAdapter[Model]) -> Model:
-    """A JSON file whose content has the shape that ``adapter`` describes.
-
-    Raises:
-        PoseError: missing, not readable, no JSON, or of another shape.
-    """
-    try:
-        return adapter.validate_json(path.read_bytes())
-    except OSError as error:
-        raise PoseError(f"{path}: expected poses, got '{error.strerror}'; check the folder") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "the file"
-        raise PoseError(
-            f"{path}: {where}: expected the layout of its format, got '{first['msg']}'; repair it"
-        ) from error

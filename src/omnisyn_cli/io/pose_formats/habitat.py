@@ -19,7 +19,7 @@ from omnisyn_cli.io.pose_formats.files import entries, images_in, natural_key
 from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions
 from omnisyn_cli.io.pose_formats.text import data_lines, numbers
 
-__all__ = ["habitat_folders", "read_habitat"]
+__all__ = ["habitat_folders", "habitat_pose", "read_habitat"]
 
 TURNED = 1e-6
 """Radians above which a rotation is worth a remark."""
@@ -47,10 +47,23 @@ def read_habitat(source: Path, options: ImportOptions) -> ImportedPoses:
     return ImportedPoses(views, tuple(notes))
 
 
-def _view(folder: Path, options: ImportOptions) -> ImportedView:
+def habitat_pose(folder: Path, *, camera: str = "opengl", up: str = "y") -> Pose:
+    """Where the panorama of a folder was taken.
+
+    Args:
+        folder: with ``rot.txt`` and ``tran.txt``.
+        camera: axes of the camera, see :data:`omnisyn_cli.io.pose_formats.axes.CAMERA_AXES`.
+        up: axis of the world that points upwards, see :data:`omnisyn_cli.io.pose_formats.axes.WORLD_UP`.
+
+    Raises:
+        PoseError: a file is missing, or holds something else.
+    """
     rotation = checked_rotation(f"{folder / 'rot.txt'}", _values(folder / "rot.txt", 9, "a 3×3 rotation").reshape(3, 3))
-    position = _values(folder / "tran.txt", 3, "a position")
-    pose: Pose = pose_from_foreign(rotation, position, camera=options.camera or "opengl", up=options.up or "y")
+    return pose_from_foreign(rotation, _values(folder / "tran.txt", 3, "a position"), camera=camera, up=up)
+
+
+def _view(folder: Path, options: ImportOptions) -> ImportedView:
+    pose = habitat_pose(folder, camera=options.camera or "opengl", up=options.up or "y")
     image = _panorama(folder)
     depth = folder / "depth.png"
     return ImportedView(f"{folder.name}/{image.name}", pose, image, depth if depth.is_file() else None)

@@ -24,7 +24,9 @@ from omnisyn_cli.io.pose_formats.files import find_image, listed
 from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions
 from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json, validated
 
-__all__ = ["read_zind"]
+__all__ = ["POSES", "Panorama", "Tour", "pose_on_floor", "read_tour", "read_zind"]
+
+POSES = "zind_data.json"
 
 
 class Similarity(ForeignModel):
@@ -44,10 +46,33 @@ class Panorama(ForeignModel):
 
 
 class Tour(ForeignModel):
-    """The file; rooms and panoramas are checked one by one."""
+    """The file: floor, complete room, partial room and panorama by their names; panoramas are checked one by one."""
 
     merger: Annotated[dict[str, dict[str, dict[str, dict[str, Any]]]], Field(min_length=1)]
     scale_meters_per_coordinate: dict[str, float | None] = Field(default_factory=dict)
+
+
+def read_tour(path: Path) -> Tour:
+    """What a ``zind_data.json`` says.
+
+    Raises:
+        PoseError: no such file, or a malformed one.
+    """
+    return validated(path, Tour, read_json(path))
+
+
+def pose_on_floor(panorama: Panorama, metres: float) -> Pose:
+    """The mirrored similarity: (x, y) of the floor is (−x, −z) of ours, counter-clockwise there is clockwise here.
+
+    Args:
+        panorama: of a tour.
+        metres: per unit of the floor.
+    """
+    similarity = panorama.floor_plan_transformation
+    x, y = similarity.translation
+    height = panorama.camera_height * similarity.scale
+    rotation = rotation_from_heading(math.radians(similarity.rotation))
+    return Pose(rotation, metres * np.array([-x, height, -y]))
 
 
 def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
@@ -58,8 +83,8 @@ def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
     Raises:
         PoseError: no such file, a malformed entry, several floors and none chosen, or no such floor.
     """
-    path = source / "zind_data.json" if source.is_dir() else source
-    tour = validated(path, Tour, read_json(path))
+    path = source / POSES if source.is_dir() else source
+    tour = read_tour(path)
     floor = _floor(path, tour, options)
     metres = tour.scale_meters_per_coordinate.get(floor)
     panoramas = [
@@ -71,7 +96,7 @@ def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
     views = tuple(
         ImportedView(
             panorama.image_path,
-            _pose(panorama, metres or 1.0),
+            pose_on_floor(panorama, metres or 1.0),
             find_image(str(path), panorama.image_path, [path.parent], options),
         )
         for panorama in panoramas
@@ -93,12 +118,3 @@ def _floor(path: Path, tour: Tour, options: ImportOptions) -> str:
         wanted = f"the floor '{options.floor}'" if options.floor else "one floor"
         raise PoseError(f"{path}: expected {wanted}, got {listed(floors)}; choose with --floor")
     return options.floor
-
-
-def _pose(panorama: Panorama, metres: float) -> Pose:
-    """The mirrored similarity: (x, y) of the floor is (−x, −z) of ours, counter-clockwise there is clockwise here."""
-    similarity = panorama.floor_plan_transformation
-    x, y = similarity.translation
-    height = panorama.camera_height * similarity.scale
-    rotation = rotation_from_heading(math.radians(similarity.rotation))
-    return Pose(rotation, metres * np.array([-x, height, -y]))
