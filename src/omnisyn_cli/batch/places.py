@@ -15,7 +15,7 @@ from pathlib import Path
 from omnisyn_cli.batch.manifest import RECORDS, WORKSHOP
 from omnisyn_cli.batch.records import recorded_places
 from omnisyn_cli.errors import OutputPathError
-from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
+from omnisyn_cli.io.paths import check_folder, check_kept, temporary_name, write_errors
 
 __all__ = [
     "attempt_folder",
@@ -43,17 +43,14 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
         check_folder(folder.parent)
         folder.mkdir()
     check_folder(folder)
-    root, sources, outputs = folder.resolve(), {path.resolve() for path in inputs}, list(outputs)
-    targets = {root / place for place in outputs}
-    for source in sources:
-        if source in targets or targets & set(source.parents):
-            raise OutputPathError(f"{source}: expected inputs that are not overwritten, got this one; write elsewhere")
+    outputs = list(outputs)
+    check_kept((folder / place for place in outputs), inputs, whole_folders=True)
     if overwrite or (folder / WORKSHOP).exists():
         return
     recorded = recorded_places(folder / RECORDS)
-    if existing := [place for place in outputs if place not in recorded and (root / place).exists()]:
+    if existing := [place for place in outputs if place not in recorded and (folder / place).exists()]:
         raise OutputPathError(
-            f"{root / existing[0]}: expected new outputs, got {len(existing)} that exist and no record of {RECORDS} "
+            f"{folder / existing[0]}: expected new outputs, got {len(existing)} that exist and no record of {RECORDS} "
             "names; choose another folder or allow overwriting (--overwrite)"
         )
 

@@ -57,15 +57,21 @@ def make_folder(folder: Path, what: str) -> None:
         ) from error
 
 
-def check_kept(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
+def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders: bool = False) -> None:
     """Refuse outputs that would overwrite what they are made of.
+
+    Args:
+        outputs: files and folders that will be written.
+        inputs: what they are made of.
+        whole_folders: outputs that are folders are replaced with everything in them, not added to.
 
     Raises:
         OutputPathError: one would.
     """
     replaced = {output.resolve() for output in outputs}
     for path in inputs:
-        if path.resolve() in replaced:
+        source = path.resolve()
+        if source in replaced or (whole_folders and not replaced.isdisjoint(source.parents)):
             raise OutputPathError(f"{path}: expected inputs that are not overwritten, got this one; write elsewhere")
 
 
