@@ -35,8 +35,8 @@ TEXTS = {
     "kitti": ("a.txt", "1 0 0 0 0 1 0 0 0 0 -1 0\n", r"a\.txt:1: .*determinant \+1\), got a mirror image"),
     "kitti scale": ("a.txt", "2 0 0 0 0 2 0 0 0 0 2 0\n", r"a\.txt:1: .*got a deviation of 3"),
     "csv number": ("a.csv", "image,lat,lng,heading\na,1,2,3\nb,1,x,3\n", r"a\.csv:3: expected numbers \(longitude\)"),
-    "csv range": ("a.csv", "image,lat,lng,heading\na,91,2,3\n", r"a\.csv:2: expected a latitude within ±90, got 91"),
-    "csv column": ("a.csv", "image,lat,lng\na,1,2\n", r"a\.csv:1: expected a heading \(heading or yaw"),
+    "csv range": ("a.csv", "image,lat,lng,heading\na,91,2,3\n", r"a\.csv:2: expected latitude within ±90, got 91"),
+    "csv column": ("a.csv", "image,lat,lng\na,1,2\n", r"a\.csv:1: expected heading \(heading or yaw"),
     "csv twice": ("a.csv", "image,lat,lng,heading\na,1,2,3\na,1,2,3\n", r"a\.csv:3: .*got 'a' twice"),
     "csv short": ("a.csv", "image,lat,lng,heading\na,1,2\n", r"a\.csv:2: expected numbers \(heading\)"),
     "csv empty": ("a.csv", "image,lat,lng,heading\n", r"a\.csv: expected at least one panorama"),
@@ -80,7 +80,7 @@ DOCUMENTS: dict[str, tuple[Any, str]] = {
     "floors": ({"merger": {"floor_01": {}, "floor_02": {}}}, r"one floor, got 'floor_01', 'floor_02'; .*--floor"),
     "tour": ({"merger": {"floor_01": {"r": {"p": {"q": {}}}}}}, r"merger\.floor_01\.r\.p\.q.*image_path"),
     "table": ([1], "JSON with int"),
-    "table keys": ([{"lat": 1}], r"panorama 1: expected a image \(image or file"),
+    "table keys": ([{"lat": 1}], r"panorama 1: expected image \(image or file"),
 }  # fmt: skip
 
 

@@ -54,7 +54,7 @@ def unit_problem(place: Place) -> str | None:
     for name, limit in LIMITS.items():
         value = getattr(place, name)
         if value is not None and not abs(value) <= limit:
-            return f"expected a {name} within ±{limit:g}, got {value:g}"
+            return f"expected {name} within ±{limit:g}, got {value:g}"
     return None
 
 

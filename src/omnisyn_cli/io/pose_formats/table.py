@@ -115,7 +115,7 @@ def _check_columns(where: str, names: list[str]) -> None:
     for required in REQUIRED:
         if not known & set(COLUMNS[required]):
             raise PoseError(
-                f"{where}: expected a {required} ({' or '.join(COLUMNS[required][:4])}), got only {listed(names, 8)}; "
+                f"{where}: expected {required} ({' or '.join(COLUMNS[required][:4])}), got only {listed(names, 8)}; "
                 "add it, or name the format with --format"
             )
 
