@@ -1,6 +1,6 @@
 """A small network of the same build as the real ones."""
 
-from omnisyn_cli.networks.depth import DepthConfig
+from omnisyn_cli.networks.depth_config import DepthConfig
 
 TINY = DepthConfig(
     name="tiny",

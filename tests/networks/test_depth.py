@@ -8,17 +8,10 @@ from depth_samples import TINY
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.networks.depth import (
-    VARIANTS,
-    DepthConfig,
-    DepthNetwork,
-    level_roots,
-    lookup,
-    meridian_products,
-    resampling_matrix,
-    sphere_volume,
-)
+from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.depth_config import VARIANTS, DepthConfig, level_roots
 from omnisyn_cli.networks.layers import unit_groups
+from omnisyn_cli.networks.sphere_volume import lookup, meridian_products, resampling_matrix, sphere_volume
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.geometric import BlendOptions
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.networks.depth import VARIANTS
+from omnisyn_cli.networks.depth_config import VARIANTS
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.joint import JointConfig, JointNetwork, PairPrediction, exchanged_panoramas
 from omnisyn_cli.networks.paper import PaperConfig, PaperPrediction

@@ -4,7 +4,7 @@ from training_samples import make_pool
 
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.networks.depth import VARIANTS
+from omnisyn_cli.networks.depth_config import VARIANTS
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session

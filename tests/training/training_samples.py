@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.networks.depth import DepthConfig
+from omnisyn_cli.networks.depth_config import DepthConfig
 from omnisyn_cli.training.data import PoolScene, save_scene
 
 TINY = DepthConfig(

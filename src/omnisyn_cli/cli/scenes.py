@@ -137,7 +137,7 @@ def make(
         with staged_folder(folder) as staged:
             write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
         if not quiet:
-            click.echo(f"{folder}: {kind}, seed {number}, {frames} panorama{"s" * (frames > 1)}", err=True)
+            click.echo(f"{folder}: {kind}, seed {number}, {frames} panorama{'s' * (frames > 1)}", err=True)
 
 
 def _check_suite_options(context: click.Context) -> None:

@@ -164,7 +164,7 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
 @click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
 def depth(variant: str, height: int, rate: float | None, **options: Any) -> None:
     """Train a depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
-    from omnisyn_cli.networks.depth import VARIANTS
+    from omnisyn_cli.networks.depth_config import VARIANTS
     from omnisyn_cli.networks.paper import PAPER_VARIANTS
 
     known: dict[str, Any] = {**VARIANTS, **PAPER_VARIANTS}
@@ -231,7 +231,7 @@ def joint(depth: str, fusion: str, height: int, **options: Any) -> None:
     The pool's scenes need three views: the outer ones are the pair, the inner one is what the fused picture is compared
     with. `omnisyn export-onnx` writes both networks of the checkpoint, and each of them can begin another run.
     """
-    from omnisyn_cli.networks.depth import VARIANTS
+    from omnisyn_cli.networks.depth_config import VARIANTS
     from omnisyn_cli.networks.fusion import FUSION_VARIANTS
     from omnisyn_cli.networks.joint import JointConfig
     from omnisyn_cli.networks.paper import PAPER_VARIANTS

@@ -5,7 +5,8 @@ so matches lie in the same column and the network needs no pose. What it predict
 ``inverse_depth · baseline``: dimensionless, even steps of it are nearly even steps of parallax.
 
 1. Features of both images; every row of a meridian of the first against every row of the same meridian of the second:
-   one small matrix product. A constant matrix turns pairs of rows into spheres (:func:`resampling_matrix`).
+   one small matrix product. A constant matrix turns pairs of rows into spheres
+   (:mod:`omnisyn_cli.networks.sphere_volume`).
 2. Aggregation over the sphere together with features of the first image alone (the monocular skip): a distribution
    over spheres, whose mean is the coarse root.
 3. At twice and four times the resolution: look the same product up around the estimate, choose among nearby roots.
@@ -19,18 +20,15 @@ upsampling.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_to_angles
-from omnisyn_cli.geometry.sweep import parallax_from_inverse_depth
+from omnisyn_cli.networks.depth_config import DepthConfig, level_roots
 from omnisyn_cli.networks.layers import (
     LEAK,
     ResidualBlock,
@@ -44,18 +42,15 @@ from omnisyn_cli.networks.layers import (
     upsample_nearest,
     wrap_columns,
 )
+from omnisyn_cli.networks.sphere_volume import (
+    at_least_single,
+    lookup,
+    meridian_products,
+    resampling_matrix,
+    sphere_volume,
+)
 
-__all__ = [
-    "VARIANTS",
-    "DepthConfig",
-    "DepthNetwork",
-    "DepthPrediction",
-    "level_roots",
-    "lookup",
-    "meridian_products",
-    "resampling_matrix",
-    "sphere_volume",
-]
+__all__ = ["DepthNetwork", "DepthPrediction"]
 
 CLASSICAL_SCALES = 2
 """Normalised patches are compared at this many image scales in the coarse volume."""
@@ -65,87 +60,6 @@ CLASSICAL_PATCH = 8
 
 REFINED_PATCH = 6
 """Side of the patches compared in a refinement; they are two pixels of the scaled image apart."""
-
-
-@dataclass(frozen=True)
-class DepthConfig:
-    """What makes one depth network differ from another.
-
-    Attributes:
-        name: of the variant.
-        size: ``(height, width)`` it is trained and exported at; multiples of eight times ``coarse_stride``.
-        widths: encoder channels at strides 2, 4, 8, …; those beyond ``coarse_stride`` are for context.
-        coarse_stride: pixels of the image per cell of the sphere volume: 4 or 8.
-        levels: spheres of the volume.
-        greatest_root: root of the nearest sphere.
-        match_channels: features compared, in ``match_groups`` groups.
-        match_groups: similarity channels that are learned.
-        hidden: channels of the aggregation.
-        volume_filters: channels of 3-D filters over the volume before spheres become channels; 0 leaves them out.
-        refined_widths: channels of each refinement, coarse to fine.
-        reach: candidates on either side of the estimate in a refinement.
-    """
-
-    name: str
-    size: tuple[int, int]
-    widths: tuple[int, ...]
-    coarse_stride: int
-    levels: int
-    greatest_root: float
-    match_channels: int
-    match_groups: int
-    hidden: int
-    volume_filters: int
-    refined_widths: tuple[int, ...]
-    reach: int
-
-    @property
-    def size_multiple(self) -> int:
-        """Image heights have to be a multiple of this."""
-        return 8 * self.coarse_stride
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> DepthConfig:
-        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        return DepthConfig(**plain)
-
-
-VARIANTS = {
-    "fast": DepthConfig(
-        name="fast",
-        size=(256, 512),
-        widths=(24, 48, 64, 96, 96),
-        coarse_stride=8,
-        levels=48,
-        greatest_root=2.0,
-        match_channels=32,
-        match_groups=4,
-        hidden=96,
-        volume_filters=0,
-        refined_widths=(48, 24),
-        reach=4,
-    ),
-    "accurate": DepthConfig(
-        name="accurate",
-        size=(512, 1024),
-        widths=(24, 48, 80, 128, 128),
-        coarse_stride=8,
-        levels=80,
-        greatest_root=2.0,
-        match_channels=64,
-        match_groups=8,
-        hidden=128,
-        volume_filters=16,
-        refined_widths=(64, 32),
-        reach=6,
-    ),
-}
-"""The networks by name."""
 
 
 @dataclass(frozen=True)
@@ -170,85 +84,9 @@ class DepthPrediction:
         return self.confidence_logit.sigmoid()
 
 
-def level_roots(config: DepthConfig) -> Float[np.ndarray, " levels"]:
-    """Roots of the spheres of the volume: even steps, the first one below zero so that a mean can reach zero."""
-    step = config.greatest_root / (config.levels - 2)
-    roots: np.ndarray = np.linspace(-step, config.greatest_root, config.levels)
-    return roots
-
-
-def resampling_matrix(
-    roots: Float[np.ndarray, " levels"], rows_first: int, rows_second: int
-) -> Float[np.ndarray, "levels rows_first rows_second"]:
-    """Weights of the second image's rows for each sphere and each row of the first, float32; every row sums to 1.
-
-    Linear interpolation at the row where a point of the sphere is seen by the second camera, in the epipole frame.
-    """
-    row = np.arange(rows_first, dtype=np.float64)[None, :]
-    seen = np.asarray(_row_in_second(row, np.maximum(roots, 0.0)[:, None], rows_first, rows_second))
-    seen = np.clip(seen, 0.0, rows_second - 1.0)[..., None]
-    distance = np.abs(seen - np.arange(rows_second))
-    return np.asarray(np.maximum(1.0 - distance, 0.0), np.float32)
-
-
 @lru_cache(maxsize=8)
 def _resampling_tensor(config: DepthConfig, rows_first: int, rows_second: int) -> Tensor:
     return torch.from_numpy(resampling_matrix(level_roots(config), rows_first, rows_second))
-
-
-def _row_in_second(row: Any, root: Any, rows_first: int, rows_second: int) -> Any:
-    """Row index (fractional) in the second image of points at ``root`` in a row of the first."""
-    _, polar_angle = pixel_to_angles(row, row, (rows_first, 2 * rows_first))
-    seen_angle = polar_angle + parallax_from_inverse_depth(polar_angle, root * root)
-    return angles_to_pixel(seen_angle, seen_angle, (rows_second, 2 * rows_second))[0]
-
-
-def meridian_products(
-    first: Float[Tensor, "batch groups channels rows_first width"],
-    second: Float[Tensor, "batch groups channels rows_second width"],
-) -> Float[Tensor, "batch groups width rows_first rows_second"]:
-    """Scalar products of all features of each meridian of the first image with all of the same of the second."""
-    return torch.matmul(first.permute(0, 1, 4, 3, 2), second.permute(0, 1, 4, 2, 3))
-
-
-def sphere_volume(
-    products: Float[Tensor, "batch groups width rows_first rows_second"],
-    matrix: Float[Tensor, "levels rows_first rows_second"],
-) -> Float[Tensor, "batch groups levels rows_first width"]:
-    """Pairs of rows resampled to spheres."""
-    batch, groups, width, rows_first, rows_second = sizes(products)
-    by_row = products.permute(3, 4, 0, 1, 2).reshape(rows_first, rows_second, batch * groups * width)
-    volume = torch.matmul(matrix.transpose(0, 1), by_row)  # (rows_first, levels, batch·groups·width)
-    return volume.view(rows_first, -1, batch, groups, width).permute(2, 3, 1, 0, 4)
-
-
-def lookup(
-    products: Float[Tensor, "batch groups width rows_first rows_second"],
-    roots: Float[Tensor, "batch candidates rows_first width"],
-) -> Float[Tensor, "batch groups candidates rows_first width"]:
-    """The products at the rows where points at the candidate roots are seen, linearly interpolated.
-
-    No gradient reaches the roots. Rows beyond a pole read the last row. Rows of half-precision products are found in
-    single precision, as eight bits cannot tell where between two rows a point lies.
-    """
-    rows_first, rows_second = sizes(products)[-2:]
-    products = at_least_single(products)
-    with torch.no_grad():
-        row = torch.arange(rows_first, dtype=roots.dtype, device=roots.device).view(1, 1, -1, 1)
-        seen = _row_in_second(row, roots.clamp(min=0.0), rows_first, rows_second)
-        seen = seen.clamp(0.0, rows_second - 1.0).permute(0, 3, 2, 1).unsqueeze(1)  # batch, 1, width, rows, candidates
-        seen = seen.expand(-1, sizes(products)[1], -1, -1, -1)
-        lower = seen.floor()
-        share = seen - lower
-        index = lower.long()
-    above = products.gather(-1, index)
-    below = products.gather(-1, (index + 1).clamp(max=rows_second - 1))
-    return torch.lerp(above, below, share).permute(0, 1, 4, 3, 2)
-
-
-def at_least_single(x: Tensor) -> Tensor:
-    """The same values in single precision, where they came in half precision (autocast)."""
-    return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x
 
 
 class DepthNetwork(nn.Module):

@@ -15,7 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omnisyn_cli.networks.depth import DepthConfig, DepthNetwork, DepthPrediction
+from omnisyn_cli.networks.depth import DepthNetwork, DepthPrediction
+from omnisyn_cli.networks.depth_config import DepthConfig
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork, PaperPrediction
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.io.paths import check_output, make_folder, replaced_when_complete
-from omnisyn_cli.networks.depth import DepthConfig
+from omnisyn_cli.networks.depth_config import DepthConfig
 from omnisyn_cli.networks.export import (
     PARITY,
     export_depth,

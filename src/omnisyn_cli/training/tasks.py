@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn import Module
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.networks.depth import DepthConfig, DepthNetwork
+from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.depth_config import DepthConfig
 from omnisyn_cli.networks.discriminator import PatchDiscriminator
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork, build_fusion
 from omnisyn_cli.networks.joint import JointConfig, JointNetwork

@@ -1,0 +1,99 @@
+"""What makes one stereo network differ from another, and those that there are."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+__all__ = ["VARIANTS", "DepthConfig", "level_roots"]
+
+
+@dataclass(frozen=True)
+class DepthConfig:
+    """What makes one depth network differ from another.
+
+    Attributes:
+        name: of the variant.
+        size: ``(height, width)`` it is trained and exported at; multiples of eight times ``coarse_stride``.
+        widths: encoder channels at strides 2, 4, 8, …; those beyond ``coarse_stride`` are for context.
+        coarse_stride: pixels of the image per cell of the sphere volume: 4 or 8.
+        levels: spheres of the volume.
+        greatest_root: root of the nearest sphere.
+        match_channels: features compared, in ``match_groups`` groups.
+        match_groups: similarity channels that are learned.
+        hidden: channels of the aggregation.
+        volume_filters: channels of 3-D filters over the volume before spheres become channels; 0 leaves them out.
+        refined_widths: channels of each refinement, coarse to fine.
+        reach: candidates on either side of the estimate in a refinement.
+    """
+
+    name: str
+    size: tuple[int, int]
+    widths: tuple[int, ...]
+    coarse_stride: int
+    levels: int
+    greatest_root: float
+    match_channels: int
+    match_groups: int
+    hidden: int
+    volume_filters: int
+    refined_widths: tuple[int, ...]
+    reach: int
+
+    @property
+    def size_multiple(self) -> int:
+        """Image heights have to be a multiple of this."""
+        return 8 * self.coarse_stride
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> DepthConfig:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        return DepthConfig(**plain)
+
+
+VARIANTS = {
+    "fast": DepthConfig(
+        name="fast",
+        size=(256, 512),
+        widths=(24, 48, 64, 96, 96),
+        coarse_stride=8,
+        levels=48,
+        greatest_root=2.0,
+        match_channels=32,
+        match_groups=4,
+        hidden=96,
+        volume_filters=0,
+        refined_widths=(48, 24),
+        reach=4,
+    ),
+    "accurate": DepthConfig(
+        name="accurate",
+        size=(512, 1024),
+        widths=(24, 48, 80, 128, 128),
+        coarse_stride=8,
+        levels=80,
+        greatest_root=2.0,
+        match_channels=64,
+        match_groups=8,
+        hidden=128,
+        volume_filters=16,
+        refined_widths=(64, 32),
+        reach=6,
+    ),
+}
+"""The networks by name."""
+
+
+def level_roots(config: DepthConfig) -> Float[np.ndarray, " levels"]:
+    """Roots of the spheres of the volume: even steps, the first one below zero so that a mean can reach zero."""
+    step = config.greatest_root / (config.levels - 2)
+    roots: np.ndarray = np.linspace(-step, config.greatest_root, config.levels)
+    return roots
