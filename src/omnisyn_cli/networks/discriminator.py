@@ -14,7 +14,7 @@ from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
 from omnisyn_cli.networks.layers import WrappedConv
-from omnisyn_cli.networks.paper import row_channel
+from omnisyn_cli.networks.paper_layers import row_channel
 
 __all__ = ["PatchDiscriminator"]
 

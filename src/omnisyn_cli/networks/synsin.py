@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes
-from omnisyn_cli.networks.paper import row_channel
+from omnisyn_cli.networks.paper_layers import row_channel
 from omnisyn_cli.networks.unet import Hourglass
 
 __all__ = [
