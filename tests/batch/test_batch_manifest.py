@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from batch_samples import line, write_lines, write_row
 
-from omnisyn_cli.batch.manifest import Line, read_manifest
+from omnisyn_cli.batch.manifest import read_manifest
+from omnisyn_cli.batch.schema import Line
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.render.mesh import Cut

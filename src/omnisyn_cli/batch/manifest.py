@@ -12,31 +12,22 @@ names the columns, empty cells are left out and ``inputs`` and ``masks`` are sep
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal, Self, get_type_hints
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model, model_validator
+from pydantic import ValidationError
 
 from omnisyn_cli.batch.lines import read_lines
+from omnisyn_cli.batch.schema import OUTPUTS, PLACES, Line, explained
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.io import MAX_PIXELS, PoseFile, check_encoding, read_poses, sample_type
+from omnisyn_cli.io import PoseFile, check_encoding, read_poses, sample_type
 from omnisyn_cli.io.sequence import NUMBER
-from omnisyn_cli.planning import (
-    DEPTH_METHODS,
-    POSES_FROM_PICTURES,
-    RENDERER_CHOICES,
-    InterpolationJob,
-    check_choices,
-    frame_count,
-)
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS
+from omnisyn_cli.planning import POSES_FROM_PICTURES, InterpolationJob, check_choices, frame_count
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.runtime.session import DEVICES
 
-__all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "check_options", "read_manifest"]
+__all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "read_manifest"]
 
 RECORDS = "results.jsonl"
 """File in the folder of a batch that says what became of every job."""
@@ -44,80 +35,8 @@ RECORDS = "results.jsonl"
 WORKSHOP = ".omnisyn-batch"
 """Hidden folder for what is not finished yet."""
 
-OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence")
-"""What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
-
-PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
-"""What a line says beside the options of its interpolation."""
-
 EVEN_SIZE = (2, 4)
 """Rows and columns that every encoder takes."""
-
-Fraction = Annotated[float, Field(gt=0, le=1)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Name = Annotated[str, StringConstraints(min_length=1)]
-
-
-class _Places(BaseModel):
-    """The part of a line that is about files."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    id: Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$", max_length=120)]
-    inputs: Annotated[list[Name], Field(min_length=2)] | None = None
-    scene: Name | None = None
-    poses: Name | None = None
-    group: Name | None = None
-    output: Name | None = None
-    save_depth: Name | None = None
-    save_frames: Name | None = None
-    save_confidence: Name | None = None
-
-    @model_validator(mode="after")
-    def _has_panoramas(self) -> Self:
-        if self.scene is None and (self.inputs is None or self.poses is None):
-            raise ValueError("expected inputs with poses, or a scene; name one of them")
-        return self
-
-
-CONSTRAINED: dict[str, Any] = {
-    "frames": (Annotated[int, Field(ge=2)] | None, None),
-    "duration": (Positive | None, None),
-    "fps": (Annotated[float, Field(gt=0, le=1000)], 30.0),
-    "size": (Annotated[str, StringConstraints(pattern=r"^[1-9]\d{0,5}x[1-9]\d{0,5}$")] | None, None),
-    "method": (Literal[METHODS], OMNISYN),
-    "preset": (Literal[tuple(PRESETS)], DEFAULT_PRESET),
-    "depth": (Literal[DEPTH_METHODS], "auto"),
-    "device": (Literal[DEVICES], "auto"),
-    "renderer": (Literal[RENDERER_CHOICES], "auto"),
-    "fusion": (Literal[FUSION_CHOICES], "auto"),
-    "baseline": (Positive | None, None),
-    "cut": (Fraction | None, None),
-    "cut_metres": (Positive | None, None),
-    "encoder_preset": (Name | None, None),
-    "masks": (list[Name] | None, None),
-    "nadir": (Annotated[float, Field(ge=0, lt=90)], 0.0),
-    "max_pixels": (Annotated[int, Field(ge=1)], MAX_PIXELS),
-}
-"""Options whose values can be checked more closely than the types of :class:`InterpolationJob` say."""
-
-OF_THE_RUN = {"images", "threads", "overwrite"}
-"""Fields of :class:`InterpolationJob` that a line does not choose."""
-
-
-def _options() -> dict[str, Any]:
-    """Type and default of every option that a line may have."""
-    hints = get_type_hints(InterpolationJob)
-    known = {
-        field.name: (hints[field.name], field.default)
-        for field in fields(InterpolationJob)
-        if field.name not in OF_THE_RUN | set(PLACES)
-    }
-    return {**known, **CONSTRAINED}
-
-
-Line: Any = create_model("Line", __base__=_Places, **_options())
-"""One line of a manifest."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +141,7 @@ class _Reader:
             self._check_unique(job, number)
             _check_feasible(job.interpolation(Path()))
         except ValidationError as error:
-            self.problems.extend(f"line {number}: {problem}" for problem in _explained(error))
+            self.problems.extend(f"line {number}: {problem}" for problem in explained(error))
         except InputError as error:
             self.problems.append(f"line {number}: {error}")
         else:
@@ -283,22 +202,6 @@ class _Reader:
             for parent in place.parents:
                 if parent.name:
                     self._parents.setdefault(parent, number)
-
-
-def check_options(options: Mapping[str, Any]) -> None:
-    """Refuse what the jobs of a manifest cannot all say.
-
-    Raises:
-        InputError: an unknown option, one that is different for every job, or a value that it does not take.
-    """
-    common = sorted(set(Line.model_fields) - set(PLACES) | {"poses"})
-    for name in options:
-        if name not in common:
-            raise InputError(f"expected an option for all jobs, got {name!r}; choose from {', '.join(common)}")
-    try:
-        Line.model_validate({"id": "job", "scene": "scene", **options})
-    except ValidationError as error:
-        raise InputError("; ".join(_explained(error))) from None
 
 
 def _is_file(path: Path) -> bool:
@@ -377,10 +280,3 @@ def _inside(place: str) -> PurePosixPath:
     if path.parts[0] in (RECORDS, WORKSHOP):
         raise InputError(f"expected another name than {path.parts[0]}, which the batch itself uses; choose one")
     return path
-
-
-def _explained(error: ValidationError) -> Iterator[str]:
-    for detail in error.errors(include_url=False):
-        where = ".".join(str(part) for part in detail["loc"])
-        given = "" if detail["type"] in ("missing", "value_error") else f", got {detail['input']!r:.80}"
-        yield f"{where + ': ' if where else ''}{detail['msg'].removeprefix('Value error, ')}{given}"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.batch.manifest import check_options
+from omnisyn_cli.batch.schema import check_options
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.io import check_output, read_poses
