@@ -16,7 +16,8 @@ import numpy as np
 
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, PoseFile, read_mask, read_panorama
+from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, PoseFile, read_panorama
+from omnisyn_cli.io.masks import usable_part
 from omnisyn_cli.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.registration.features import Features, Matches, find_features, match_features
 from omnisyn_cli.registration.robust import LEAST_INLIERS, Estimate, estimate_relative_pose
@@ -43,11 +44,15 @@ class PictureOptions:
         allow_aspect: see :func:`omnisyn_cli.io.read_panorama`.
         threads: at most this many; None is one per core.
         max_pixels: see :func:`omnisyn_cli.io.read_panorama`.
+        masks: an image for every panorama that is black where it must not be used, besides those of poses; or none.
+        nadir: radians around straight down that must not be used: tripod, roof of a car.
     """
 
     allow_aspect: bool = False
     threads: int | None = None
     max_pixels: int = MAX_PIXELS
+    masks: tuple[Path, ...] = ()
+    nadir: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ def check_poses(
     """Judge the poses of all neighbours, one after the other.
 
     Raises:
-        InputError: fewer than two panoramas, or an image or mask that cannot be used.
+        InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used.
         PoseError: no entry for one.
     """
     _check_images(images)
@@ -128,7 +133,8 @@ def estimate_poses(
         options: how pictures are read.
 
     Raises:
-        InputError: fewer than two panoramas, one named twice, the wrong number of baselines, or an unusable image.
+        InputError: fewer than two panoramas, one named twice, the wrong number of baselines or masks, or an unusable
+            image or mask.
         PoseError: too few matches between two neighbours.
     """
     _check_images(images)
@@ -177,22 +183,22 @@ def _baseline_note(baselines: Sequence[float]) -> str:
 
 
 def _matched_pairs(images: Sequence[Path], masks: Sequence[Path | None], options: PictureOptions) -> Iterator[Matches]:
-    features = (_features(image, mask, options) for image, mask in zip(images, masks, strict=True))
+    if options.masks and len(options.masks) != len(images):
+        raise InputError(
+            f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}; name them in their order"
+        )
+    given = options.masks or (None,) * len(images)
+    features = (_features(image, both, options) for image, *both in zip(images, masks, given, strict=True))
     for first, second in pairwise(features):
         yield match_features(first, second)
 
 
-def _features(image: Path, mask: Path | None, options: PictureOptions) -> Features:
+def _features(image: Path, masks: Sequence[Path | None], options: PictureOptions) -> Features:
     panorama = read_panorama(image, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels)
-    usable = panorama.mask
-    if mask is not None:
-        also = read_mask(mask, allow_aspect=options.allow_aspect, max_pixels=options.max_pixels)
-        if also.shape != panorama.image.shape[:2]:
-            raise InputError(
-                f"{mask}: expected a mask of {panorama.image.shape[1]}×{panorama.image.shape[0]} pixels, got "
-                f"{also.shape[1]}×{also.shape[0]}; give it the size of its panorama"
-            )
-        usable = also if usable is None else usable & also
+    usable = usable_part(
+        panorama.mask, panorama.image.shape[:2], masks, options.nadir,
+        allow_aspect=options.allow_aspect, max_pixels=options.max_pixels,
+    )  # fmt: skip
     return find_features(panorama.image, usable, options.threads)
 
 

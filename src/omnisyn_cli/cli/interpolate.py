@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
@@ -128,14 +129,8 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--crf", type=float, help="Constant quality of the encoder, lower is better.  [default: 18 for h264]")
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
-@click.option(
-    "--mask", "masks", metavar="FILE", multiple=True, type=FilePath,
-    help="Image that is black where a panorama must not be used; once for each panorama, in their order.",
-)  # fmt: skip
-@click.option(
-    "--nadir", metavar="DEGREES", type=FiniteRange(0, 90, max_open=True), default=0.0,
-    help="Do not use what is this close to straight down in the panoramas: tripod, roof of a car.",
-)  # fmt: skip
+@masks_option
+@nadir_option
 @click.option(
     "--fallback", type=click.Choice(["none", "crossfade", "fail"]), default="none", show_default=True,
     help="Where confidence is low: warn only, show the photographs cross-faded in doubtful regions, or give up.",

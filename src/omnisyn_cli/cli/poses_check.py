@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange
+
+if TYPE_CHECKING:
+    from omnisyn_cli.posing import PictureOptions
 
 __all__ = ["check", "estimate", "refine"]
 
@@ -29,6 +34,8 @@ quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing b
 @click.command(epilog="Exit codes: 0 the poses fit or nearly fit (or cannot be judged), 3 they do not.")
 @images
 @poses_option
+@masks_option
+@nadir_option
 @threads_option
 @aspect_option
 @outside_option
@@ -42,12 +49,12 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
     import json
 
     from omnisyn_cli.io import read_poses
-    from omnisyn_cli.posing import PictureOptions, check_poses
+    from omnisyn_cli.posing import check_poses
     from omnisyn_cli.registration.words import diagnosis_sentences, diagnosis_values
 
     does_fit, values = True, []
     pose_file = read_poses(poses, allow_outside=allow_outside)
-    for pair in check_poses(images, pose_file, PictureOptions(**options)):
+    for pair in check_poses(images, pose_file, _picture_options(**options)):
         does_fit &= pair.diagnosis.verdict not in ("mistake", "contradiction")
         values.append({"first": str(pair.first), "second": str(pair.second), **diagnosis_values(pair.diagnosis)})
         if not as_json:
@@ -64,6 +71,8 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
 @poses_option
 @output_option
 @overwrite_option
+@masks_option
+@nadir_option
 @threads_option
 @aspect_option
 @outside_option
@@ -79,12 +88,12 @@ def refine(
     """
     from omnisyn_cli.io import check_output, read_poses, write_poses
     from omnisyn_cli.io.paths import check_kept
-    from omnisyn_cli.posing import PictureOptions, refine_poses
+    from omnisyn_cli.posing import refine_poses
 
     pose_file = read_poses(poses, allow_outside=allow_outside)
     check_output(output, overwrite)
     check_kept([output], (poses, *images))
-    refined = refine_poses(images, pose_file, PictureOptions(**options))
+    refined = refine_poses(images, pose_file, _picture_options(**options))
     write_poses(output, refined.panoramas, allow_outside=allow_outside)
     _report(refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined", quiet)
 
@@ -97,6 +106,8 @@ def refine(
 )  # fmt: skip
 @output_option
 @overwrite_option
+@masks_option
+@nadir_option
 @threads_option
 @aspect_option
 @quiet_option
@@ -110,13 +121,19 @@ def estimate(
     """
     from omnisyn_cli.io import check_output, write_poses
     from omnisyn_cli.io.paths import check_kept
-    from omnisyn_cli.posing import PictureOptions, estimate_poses
+    from omnisyn_cli.posing import estimate_poses
 
     check_output(output, overwrite)
     check_kept([output], images)
-    found = estimate_poses(images, baselines, PictureOptions(**options))
+    found = estimate_poses(images, baselines, _picture_options(**options))
     write_poses(output, found.panoramas)
     _report(found.notes, f"{output}: {len(found.panoramas)} poses", quiet)
+
+
+def _picture_options(nadir: float, **options: Any) -> PictureOptions:
+    from omnisyn_cli.posing import PictureOptions
+
+    return PictureOptions(nadir=math.radians(nadir), **options)
 
 
 def _report(notes: Sequence[str], last: str, quiet: bool) -> None:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from pathlib import Path
 from weakref import ref
 
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.geometry.cap import outside_nadir
-from omnisyn_cli.io import Panorama, PosedPanorama, read_inverse_depth, read_mask
+from omnisyn_cli.io import Panorama, PosedPanorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS
+from omnisyn_cli.io.masks import usable_part
 from omnisyn_cli.planning import InterpolationPlan
-from omnisyn_cli.planning.checks import check_mask_size
 from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -74,26 +72,12 @@ class Loader:
 
     def _read_companions(self, index: int) -> tuple[np.ndarray | None, DepthEstimate | None]:
         """What of a panorama may be used, and its depth if that is known."""
-        entry, panorama = self._plan.entries[index], self.panorama(index)
-        mask = panorama.mask
-        if entry.mask is not None:
-            mask = _combined(mask, self._mask(entry.mask), panorama.size, entry.mask)
-        return self._usable(index, mask), self._known_depth(entry)
-
-    def _usable(self, index: int, mask: np.ndarray | None) -> np.ndarray | None:
-        """A panorama's mask with what the job forbids besides."""
-        job, size = self._plan.job, self.panorama(index).size
-        if job.masks:
-            path = job.masks[index]
-            mask = _combined(mask, self._mask(path), size, path)
-        if job.nadir > 0.0:
-            cap = outside_nadir((size[0], size[1]), job.nadir)
-            mask = cap if mask is None else mask & cap
-        return mask
-
-    def _mask(self, path: Path) -> np.ndarray:
-        job = self._plan.job
-        return read_mask(path, allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
+        job, entry, panorama = self._plan.job, self._plan.entries[index], self.panorama(index)
+        mask = usable_part(
+            panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir,
+            allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
+        )  # fmt: skip
+        return mask, self._known_depth(entry)
 
     def _known_depth(self, entry: PosedPanorama) -> DepthEstimate | None:
         if self._plan.depth != "file" or entry.depth is None:
@@ -111,8 +95,3 @@ class _LazySequence(Sequence[View]):
 
     def __getitem__(self, index: int) -> View:  # type: ignore[override]
         return self._item(index)
-
-
-def _combined(mask: np.ndarray | None, second: np.ndarray, size: tuple[int, ...], path: Path) -> np.ndarray:
-    check_mask_size(path, second.shape, size)
-    return second if mask is None else mask & second

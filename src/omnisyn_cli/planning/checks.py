@@ -11,6 +11,7 @@ from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, check_output, check_video, read_header, sample_type
 from omnisyn_cli.io.depth import check_depth_header
 from omnisyn_cli.io.images import sphere_size
+from omnisyn_cli.io.masks import check_mask_size
 from omnisyn_cli.io.paths import check_kept, check_name
 from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.io.staging import check_staged_folder
@@ -23,7 +24,6 @@ __all__ = [
     "check_choices",
     "check_companions",
     "check_inputs_survive",
-    "check_mask_size",
     "check_names",
     "check_outputs",
     "source_size",
@@ -130,19 +130,6 @@ def check_companions(
                 check_mask_size(mask, source_size(job, mask), size)
         if entry.depth is not None and depth == "file":
             check_depth_header(read_header(entry.depth))
-
-
-def check_mask_size(path: Path, size: tuple[int, ...], expected: tuple[int, ...]) -> None:
-    """Refuse a mask of another height and width than its panorama.
-
-    Raises:
-        InputError: it has.
-    """
-    if size != expected:
-        raise InputError(
-            f"{path}: expected a mask of {expected[1]}×{expected[0]} pixels, got {size[1]}×{size[0]}; "
-            "give it the size of its panorama"
-        )
 
 
 def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:

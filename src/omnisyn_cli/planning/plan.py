@@ -195,7 +195,7 @@ def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
     # OpenCV takes a while to import and is needed for poses from pictures only.
     from omnisyn_cli.posing import PictureOptions, estimate_poses, refine_poses
 
-    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels)
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir)
     if is_found:
         found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
     else:
