@@ -1,5 +1,7 @@
 """Frames between two panoramas of a hall with exact depth are what a camera there would see."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -137,6 +139,20 @@ def test_what_one_mask_forbids_comes_from_the_other_view_at_any_time() -> None:
             (frame,) = frames_of(views, [Waypoint(0, time, at)])
             assert np.abs(frame.image - hall_image(at)).max() < 0.1
             assert ws_psnr(frame.image, hall_image(at)) > 50
+
+
+def test_what_a_mask_forbids_does_not_come_back_where_photographs_are_cross_faded() -> None:
+    poses = BASELINES["sideways"]
+    hole = np.zeros(SIZE, bool)
+    hole[20:36, 56:72] = True
+    wrong = DepthEstimate(np.full(SIZE, 1.2, np.float32), np.ones(SIZE, np.float32))
+    views = [replace(garbled(hall_view(pose), hole), known_depth=wrong) for pose in poses]
+    options = SynthesisOptions(SIZE, threads=1, cross_fade=True)
+    segment, frame = synthesize(views, plan_path(poses, 3)[1:-1], KnownDepth(), options)
+    assert isinstance(segment, Segment)
+    assert isinstance(frame, Frame)
+    assert segment.cross_fade is not None
+    assert frame.image.max() < 1.2
 
 
 def test_what_nobody_saw_is_filled_with_what_is_around() -> None:

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.confidence import doubtful_regions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader, make_texture
-from omnisyn_cli.types import View
 
 __all__ = ["CrossFade"]
 
 
 class CrossFade:
-    """Both photographs of a pair, turned but not moved. Not shared between threads."""
+    """Both photographs of a pair, turned but not moved. Not shared between threads.
 
-    def __init__(self, views: tuple[View, View], size: tuple[int, int], threads: int | None = None) -> None:
-        self._poses = [view.pose for view in views]
-        self._textures = [make_texture(view.image) for view in views]
+    Args:
+        images: the photographs, painted over where they may not be shown.
+        poses: of both, world-from-camera.
+        size: height and width of the frames.
+        threads: at most this many; None is one per core.
+    """
+
+    def __init__(
+        self, images: Sequence[np.ndarray], poses: Sequence[Pose], size: tuple[int, int], threads: int | None = None
+    ) -> None:
+        self._poses = tuple(poses)
+        self._textures = [make_texture(image) for image in images]
         self._shader = Shader(size, threads)
 
     def __call__(
