@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from render_samples import POSES, moved, random_pose, rough, smooth, sphere, turn
 
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.points import LEAST_RADIUS, RADIUS, SAME_SURFACE, render_points
 
@@ -95,3 +95,24 @@ def test_masked_pixels_are_no_points_and_a_point_at_the_camera_is_none():
     fragments, colour = render_points(image, rho, inside, (16, 32))
     assert np.isfinite(fragments.inverse_depth).all()
     assert np.isfinite(colour).all()
+
+
+@pytest.mark.parametrize("rows", [1024, 2048])
+def test_the_closest_of_many_small_points_is_shown(rows):
+    """Where single precision cannot tell cosines apart: near the equator of a panorama that is turned by a little."""
+    size = (rows, 2 * rows)
+    turned = Pose(rotation_from_rotation_vector(np.array([0.1, 0.7, -0.2]) * 1e-3), np.zeros(3))
+    band = slice(rows // 2 - 8, rows // 2 + 8)
+    is_point = np.zeros(size, bool)
+    is_point[rows // 2 - 16 : rows // 2 + 16, :256] = True
+    image, infinitely_far = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
+    fragments, _ = render_points(image, infinitely_far, turned, size, mask=is_point)
+    face = fragments.face[band, 32:224]
+    rays = pixel_directions(*size)
+    own = rays[band, 32:224]
+    chosen = np.linalg.norm(rays.reshape(-1, 3)[face] @ turned.rotation.T - own, axis=-1)
+    row, col = face // size[1], face % size[1]
+    for down in (-1, 0, 1):
+        for across in (-1, 0, 1):
+            other = np.linalg.norm(rays[row + down, col + across] @ turned.rotation.T - own, axis=-1)
+            assert (chosen <= other + 1e-9).mean() > 0.9999

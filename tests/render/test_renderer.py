@@ -74,6 +74,22 @@ def test_confidence_becomes_trust(name):
 
 
 @everywhere
+@pytest.mark.parametrize(("confidence", "worth"), [(0.5, 0.5), (0.0, LEAST)])
+def test_confidence_becomes_trust_up_to_the_poles_and_never_nothing(name, confidence, worth):
+    sure = np.full((16, 32), confidence, np.float32)
+    renderer = make_renderer(name, picture(32, 64), None, smooth(16, 32), sure, (64, 128), WHOLE)
+    inverse_depth, colour = renderer(Pose.identity())
+    np.testing.assert_allclose(colour[inverse_depth >= 0.0, 3], worth, rtol=1e-4)
+
+
+def test_a_simplified_mesh_trusts_its_poles_as_little_as_what_is_beside_them():
+    sure = np.full((16, 32), 0.5, np.float32)
+    way = np.array([0.1, 0.0, 0.0])
+    renderer = make_renderer("mesh", picture(32, 64), None, smooth(16, 32), sure, (64, 128), WHOLE, way=way)
+    np.testing.assert_allclose(renderer(Pose.identity())[1][..., 3], 0.5, rtol=1e-4)
+
+
+@everywhere
 @pytest.mark.parametrize("threads", [2, 3])
 def test_the_number_of_threads_changes_nothing(name, threads):
     scene = (picture(16, 32), None, rough(16, 32), None, (24, 48), Cut())

@@ -71,13 +71,9 @@ def apply_budget(
         calibration: see :func:`omnisyn_cli.evaluation.calibration.calibrate`; measured now by default.
 
     Raises:
-        InputError: the renderer is one that was not measured, or no preset was.
+        InputError: the job asks for something that was not measured, or no preset was.
     """
-    if plan.renderer != "mesh":
-        raise InputError(
-            f"expected the renderer 'mesh' with a budget, got {plan.renderer!r}, whose times were not measured; "
-            "leave one of them out"
-        )
+    _check_measured(plan)
     work = Workload(
         len(plan.entries), len(plan.path), plan.size, max(plan.source_sizes),
         calibrate(plan.job.threads) if calibration is None else calibration, plan.depth != "file",
@@ -87,6 +83,24 @@ def apply_budget(
         return replace(plan, notes=(*plan.notes, _without_choice(choice)))
     chosen = with_preset(plan, choice.preset)
     return replace(chosen, notes=(*chosen.notes, str(choice)))
+
+
+def _check_measured(plan: InterpolationPlan) -> None:
+    """Presets were measured as they are, on the processor; depth from files takes no time."""
+    job = plan.job
+    asked = {
+        "renderer": (plan.renderer, ("mesh",)),
+        "depth": (job.depth, ("auto", "file", "refined")),
+        "model": (job.model, (None,)),
+        "fusion": (job.fusion, ("auto",)),
+        "device": ("cuda" if plan.is_on_gpu else "cpu", ("cpu",)),
+    }
+    for name, (given, measured) in asked.items():
+        if given not in measured:
+            usual = f"the {name} {measured[0]!r}" if measured[0] else f"no {name}"
+            raise InputError(
+                f"expected {usual} with a budget, got {given!r}, whose times were not measured; leave one of them out"
+            )
 
 
 def _without_choice(choice: Choice) -> str:

@@ -45,7 +45,7 @@ class Quads:
     def trust_of(self, face: Integer[Tensor, "*pixels"]) -> Float[Tensor, "*pixels"]:
         """Trust in faces; numbers below 0 get any."""
         quarter = torch.div(face, FACES_PER_QUARTER, rounding_mode="floor")
-        return self.trust[quarter.clamp(0, len(self.trust) - 1)]
+        return self.trust[quarter.clamp(min=0)]
 
 
 def quads_of(mesh: Mesh, device: torch.device) -> Quads:
@@ -70,7 +70,7 @@ def quads_of(mesh: Mesh, device: torch.device) -> Quads:
         there(np.concatenate([_corners_of(whole, mesh.size[1]), own])),
         there(falling_or_rising != 0),
         there(np.concatenate([FACES_PER_QUAD * whole, patches.face[drawn].astype(np.int64)])),
-        there(np.append(mesh.trust.ravel(), np.float32(1.0)).astype(np.float32)),
+        there(mesh.quarter_trust),
         mesh.face_count(),
     )
 

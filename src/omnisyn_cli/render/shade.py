@@ -62,8 +62,8 @@ class TrustMap:
     """Trust in the quarters of the quads of a mesh, to be looked up by face or by texture coordinates.
 
     Attributes:
-        values: of the quarters, quad after quad. For texture coordinates an image of them, row after row, with a row
-            for each polar cap and one column more, before the first; empty where all of it is 1.
+        values: of the quarters, quad after quad, and of the caps. For texture coordinates an image of them, row after
+            row, with a row for each polar cap and one column more, before the first; empty where all of it is 1.
         layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row. Zeros
             where faces lead to the values.
     """
@@ -74,14 +74,14 @@ class TrustMap:
 
 def trust_of_faces(mesh: Mesh) -> TrustMap:
     """Trust in a mesh by face."""
-    return TrustMap(mesh.trust.ravel(), NO_LAYOUT)
+    return TrustMap(mesh.quarter_trust, NO_LAYOUT)
 
 
 def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
     """Trust in a mesh by the texture coordinates of its panorama."""
     rows, cols, _ = mesh.trust.shape
     image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
-    bordered = np.pad(np.pad(image, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), constant_values=1.0)
+    bordered = np.pad(np.pad(image, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
     layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
         scale, zero = texture.layout[0, offset : offset + 2]

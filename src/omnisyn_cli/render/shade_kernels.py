@@ -80,7 +80,7 @@ def shade_rows(
                 store_half(flat, at, colour * splat(unit))
                 if len(trust) > 0:
                     quarter = quarters[col] if face is None else face[row, left + col] >> FACE_BITS
-                    if quarter < len(trust) and trust[quarter] != 1.0:  # the caps beyond have all of it
+                    if trust[quarter] != 1.0:
                         flat[at + 3] *= trust[quarter]
 
 
