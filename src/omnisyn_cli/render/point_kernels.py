@@ -81,13 +81,14 @@ def find_nearest(points, radius, sin_p, cos_p, out_rho, begin, end):
 
 
 @kernel()
-def choose_points(points, radius, same_surface, sin_p, cos_p, closest, out_rho, out_face, begin, end):
+def choose_points(points, radius, same_surface, sin_p, cos_p, aside, out_rho, out_face, begin, end):
     """Of the points on the nearest surface, the one whose centre is closest to the pixel; ties go to the first.
 
-    ``out_rho`` holds the answer of :func:`find_nearest` and gets the inverse depth of the chosen point.
+    ``out_rho`` holds the answer of :func:`find_nearest` and gets the inverse depth of the chosen point; ``aside`` is
+    room for one minus the cosine between the two, which single precision can tell apart where cosines are nearly 1.
     """
     height, width = out_rho.shape
-    closest[begin:end] = -2.0
+    aside[begin:end] = 4.0
     out_face[begin:end] = EMPTY
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
@@ -102,9 +103,9 @@ def choose_points(points, radius, same_surface, sin_p, cos_p, closest, out_rho, 
                     if point[3] < same_surface * out_rho[row, col]:
                         continue
                     turn = math.cos((turned - point[2]) * (2.0 * math.pi / width))
-                    cosine = np.float32(cos_p[row] * point[0] + sin_p[row] * point[1] * turn)
-                    if cosine > closest[row, col]:
-                        closest[row, col] = cosine
+                    distance = np.float32(1.0 - (cos_p[row] * point[0] + sin_p[row] * point[1] * turn))
+                    if distance < aside[row, col]:
+                        aside[row, col] = distance
                         out_face[row, col] = i * points.shape[1] + j
     for row in range(begin, end):
         for col in range(width):

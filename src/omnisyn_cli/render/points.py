@@ -19,6 +19,7 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions, pixe
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.point_kernels import choose_points, find_nearest, project_points
 from omnisyn_cli.render.rasterize import Fragments, rasterize
+from omnisyn_cli.render.trust import LEAST
 from omnisyn_cli.threads import run_bands
 
 __all__ = ["PointRenderer", "render_points"]
@@ -83,6 +84,7 @@ class PointRenderer:
     ) -> None:
         full = (image.shape[0], image.shape[1])
         trust = np.ones(full) if confidence is None else sample_bilinear(confidence, pixel_directions(*full))
+        trust = np.maximum(trust, LEAST)
         self._image = np.concatenate([image, trust[..., None]], axis=-1).astype(np.float32)
         self._inverse_depth = rasterize(build_mesh(inverse_depth, cut), Pose.identity(), full, threads).inverse_depth
         self._mask, self._size, self._threads = mask, size, threads
@@ -114,13 +116,13 @@ def projected_points(
 
 def _splat(points: np.ndarray, angle: float, size: tuple[int, int], threads: int | None) -> Fragments:
     fragments = Fragments(np.empty(size, np.float32), np.empty(size, np.int32))
-    closest = np.empty(size, np.float32)
+    aside = np.empty(size, np.float32)
     sin_p, cos_p, _, _ = direction_tables(*size)
 
     def band(begin: int, end: int) -> None:
         find_nearest(points, angle, sin_p, cos_p, fragments.inverse_depth, begin, end)
         choose_points(
-            points, angle, SAME_SURFACE, sin_p, cos_p, closest, fragments.inverse_depth, fragments.face, begin, end
+            points, angle, SAME_SURFACE, sin_p, cos_p, aside, fragments.inverse_depth, fragments.face, begin, end
         )
 
     run_bands(band, size[0], threads)
