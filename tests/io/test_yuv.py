@@ -7,14 +7,15 @@ from omnisyn_cli.io.yuv import PlanarFrames
 
 
 def planes_of(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """BT.709, items 3.2, 3.3 and 3.4 with the quantisation of item 4.6, in float64, before rounding."""
+    """BT.709, items 3.2, 3.3 and 3.4 with the quantisation of item 4.6, in float64, before rounding.
+
+    Chroma lies in the even columns: a quarter of either neighbour, across the seam, and half of the column itself.
+    """
     red, green, blue = np.moveaxis(frame / 255.0, -1, 0)
     luma = 0.2126 * red + 0.7152 * green + 0.0722 * blue
-    height, width = luma.shape
-    means = [
-        ((colour - luma) / scale).reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
-        for colour, scale in ((blue, 1.8556), (red, 1.5748))
-    ]
+    differences = [((colour - luma) / scale) for colour, scale in ((blue, 1.8556), (red, 1.5748))]
+    across = [0.5 * x + 0.25 * (np.roll(x, 1, axis=1) + np.roll(x, -1, axis=1)) for x in differences]
+    means = [0.5 * (x[::2] + x[1::2])[:, ::2] for x in across]
     return 16 + 219 * luma, 128 + 224 * means[0], 128 + 224 * means[1]
 
 
@@ -35,11 +36,21 @@ def test_every_plane_is_within_half_a_code_of_the_formula(size: tuple[int, int])
 def test_black_white_and_primary_colours_have_the_codes_of_the_standard() -> None:
     """White is (235, 128, 128), black (16, 128, 128); pure blue and red reach the end of their scale, 240."""
     colours = np.array([[0, 0, 0], [255, 255, 255], [0, 0, 255], [255, 0, 0], [0, 255, 0]], np.uint8)
-    frame = np.ascontiguousarray(np.broadcast_to(np.repeat(colours, 2, axis=0), (2, 10, 3)))
-    luma, blue, red = split(PlanarFrames((2, 10))(frame), (2, 10))
-    assert list(luma[0, ::2]) == [16, 235, 32, 63, 173]
-    assert list(blue[0]) == [128, 128, 240, 102, 42]
-    assert list(red[0]) == [128, 128, 118, 240, 26]
+    frame = np.ascontiguousarray(np.broadcast_to(np.repeat(colours, 4, axis=0), (2, 20, 3)))
+    luma, blue, red = split(PlanarFrames((2, 20))(frame), (2, 20))
+    assert list(luma[0, ::4]) == [16, 235, 32, 63, 173]
+    assert list(blue[0, 1::2]) == [128, 128, 240, 102, 42]
+    assert list(red[0, 1::2]) == [128, 128, 118, 240, 26]
+
+
+def test_chroma_lies_where_players_look_for_it() -> None:
+    """Of a ramp it has the codes of the even columns, not of half a pixel beside them (H.264, figure E-1, type 0)."""
+    ramp = np.arange(64, 192, dtype=np.uint8)
+    frame = np.zeros((2, 128, 3), np.uint8)
+    frame[..., 2] = ramp
+    _, blue, _ = split(PlanarFrames((2, 128))(frame), (2, 128))
+    exact = 128 + 224 * 0.5 * ramp[2:-1:2] / 255.0
+    assert abs((blue[0, 1:] - exact).mean()) < 0.02
 
 
 def test_the_memory_is_used_again() -> None:

@@ -1,9 +1,12 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 """RGB pictures as the planes that encoders work on: BT.709 in limited range, one chroma sample for four pixels.
 
-ffmpeg would do the same, several times slower and from twice as many bytes.
+A chroma sample lies where players take it to be if a stream says nothing: in the column of every other pixel, half way
+between two rows. It is the mean of both rows over that column and, with half the weight, the ones beside it; columns
+wrap around. ffmpeg would do the same, several times slower and from twice as many bytes.
 
-Sources: Recommendation ITU-R BT.709-6, items 3.2 to 3.4 and 4.6; Recommendation ITU-T H.264, section 6.2 (4:2:0).
+Sources: Recommendation ITU-R BT.709-6, items 3.2 to 3.4 and 4.6; Recommendation ITU-T H.264, section 6.2 (4:2:0) and
+figure E-1 (type 0).
 """
 
 from __future__ import annotations
@@ -29,6 +32,11 @@ HALF = 0.5
 RUN = 512
 """Pixels of two rows that are converted together: their sums stay in the nearest cache."""
 
+CHANNEL = RUN + 1
+"""Sums of a channel: those of a run and, first, that of the column before it."""
+
+TWICE = np.float32(2.0)
+
 
 def _luma_shares() -> tuple[np.float32, np.float32, np.float32]:
     """What a sample of each channel adds to the code of luma."""
@@ -37,9 +45,9 @@ def _luma_shares() -> tuple[np.float32, np.float32, np.float32]:
 
 
 def _chroma_shares(axis: int) -> tuple[np.float32, np.float32, np.float32]:
-    """What a sample of each channel, summed over four pixels, adds to the code of blue (2) or red (0) difference."""
+    """What a sample of each channel adds to the code of blue (2) or red (0) difference; weights sum up to eight."""
     luma = np.array((RED, GREEN, BLUE))
-    difference = (np.eye(3)[axis] - luma) * (0.5 * CHROMA_RANGE / 255.0 / (1.0 - luma[axis]) / 4.0)
+    difference = (np.eye(3)[axis] - luma) * (0.5 * CHROMA_RANGE / 255.0 / (1.0 - luma[axis]) / 8.0)
     red, green, blue = (np.float32(share) for share in difference)
     return red, green, blue
 
@@ -74,14 +82,19 @@ class PlanarFrames:
 def _convert_rows(rgb, luma, blue, red, begin, end):
     """Rows ``begin`` to ``end`` of the chroma planes and the two rows of luma for each."""
     width = luma.shape[1]
-    sums, flat = np.empty(3 * RUN, np.float32), rgb.reshape(-1)
+    sums, flat = np.empty(3 * CHANNEL, np.float32), rgb.reshape(-1)
     for row in range(begin, end):
+        upper, lower = 6 * row * width, (6 * row + 3) * width
+        for k in range(3):  # the column before the first is the last one
+            last = 3 * (width - 1) + k
+            sums[k * CHANNEL] = np.float32(flat[upper + last]) + np.float32(flat[lower + last])
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
-            upper, lower = 6 * row * width, (6 * row + 3) * width
             _begin_sums(flat[upper + 3 * left : upper + 3 * right], luma[2 * row, left:right], sums)
             _end_sums(flat[lower + 3 * left : lower + 3 * right], luma[2 * row + 1, left:right], sums)
             _differences(sums, blue[row, left // 2 : right // 2], red[row, left // 2 : right // 2])
+            for k in range(3):
+                sums[k * CHANNEL] = sums[k * CHANNEL + right - left]
 
 
 @fast_kernel()
@@ -90,7 +103,7 @@ def _begin_sums(rgb, luma, sums):
     for col in range(len(luma)):
         r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
-        sums[col], sums[RUN + col], sums[2 * RUN + col] = r, g, b
+        sums[1 + col], sums[CHANNEL + 1 + col], sums[2 * CHANNEL + 1 + col] = r, g, b
 
 
 @fast_kernel()
@@ -99,17 +112,18 @@ def _end_sums(rgb, luma, sums):
     for col in range(len(luma)):
         r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
-        sums[col] += r
-        sums[RUN + col] += g
-        sums[2 * RUN + col] += b
+        sums[1 + col] += r
+        sums[CHANNEL + 1 + col] += g
+        sums[2 * CHANNEL + 1 + col] += b
 
 
 @fast_kernel()
 def _differences(sums, blue, red):
-    """Chroma of the mean colour of two by two pixels."""
+    """Chroma of every other pixel, of the columns beside it and of both rows; the first sum is of the column before."""
     for col in range(len(blue)):
-        r = sums[2 * col] + sums[2 * col + 1]
-        g = sums[RUN + 2 * col] + sums[RUN + 2 * col + 1]
-        b = sums[2 * RUN + 2 * col] + sums[2 * RUN + 2 * col + 1]
+        before, at, after = 2 * col, 2 * col + 1, 2 * col + 2
+        r = sums[before] + TWICE * sums[at] + sums[after]
+        g = sums[CHANNEL + before] + TWICE * sums[CHANNEL + at] + sums[CHANNEL + after]
+        b = sums[2 * CHANNEL + before] + TWICE * sums[2 * CHANNEL + at] + sums[2 * CHANNEL + after]
         blue[col] = np.uint8(np.int32(UR * r + UG * g + UB * b + CHROMA_ZERO))
         red[col] = np.uint8(np.int32(VR * r + VG * g + VB * b + CHROMA_ZERO))
