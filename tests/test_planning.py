@@ -206,3 +206,16 @@ def test_a_mask_of_another_size_is_refused_wherever_it_is_in_a_chain(tmp_path: P
         masks.append(image.with_name(f"m{k}.png"))
     with pytest.raises(InputError, match=r"m2\.png: expected a mask of 128×64 pixels, got 8×4"):
         plan_interpolation(job_of(tmp_path, images, masks=tuple(masks)))
+
+
+def test_two_pictures_of_one_name_are_refused_and_the_same_one_again_is_not(tmp_path: Path) -> None:
+    """A pose file could not tell them apart, nor could names of depth files."""
+    images = write_hall(tmp_path, CHAIN)
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / images[0].name
+    other.write_bytes(images[1].read_bytes())
+    with pytest.raises(PoseError, match=r"other.*expected a name of its own, got that of"):
+        plan_interpolation(job_of(tmp_path, [images[0], images[1], other]))
+    other.unlink()
+    other.symlink_to(images[0])
+    assert len(plan_interpolation(job_of(tmp_path, [images[0], images[1], other])).entries) == 3

@@ -18,6 +18,7 @@ from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, PoseFile, read_panorama
 from omnisyn_cli.io.masks import usable_part
+from omnisyn_cli.io.poses import check_names_tell_apart
 from omnisyn_cli.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.registration.features import Features, Matches, find_features, match_features
 from omnisyn_cli.registration.robust import LEAST_INLIERS, Estimate, estimate_relative_pose
@@ -86,9 +87,10 @@ def check_poses(
 
     Raises:
         InputError: fewer than two panoramas, another number of masks, or an image or mask that cannot be used.
-        PoseError: no entry for one.
+        PoseError: no entry for one, or two of one name.
     """
     _check_images(images)
+    check_names_tell_apart(images)
     entries = [pose_file.of(image) for image in images]
     pairs = _matched_pairs(images, [entry.mask for entry in entries], options or PictureOptions())
     for (first, second), (a, b), matches in zip(pairwise(images), pairwise(entries), pairs, strict=True):

@@ -11,7 +11,7 @@ import difflib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -41,7 +41,7 @@ from omnisyn_cli.io.pose_models import (
     path_problem,
 )
 
-__all__ = ["PoseFile", "PosedPanorama", "read_poses", "write_poses"]
+__all__ = ["PoseFile", "PosedPanorama", "check_names_tell_apart", "read_poses", "write_poses"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -96,6 +96,22 @@ class PoseFile:
         near = same or difflib.get_close_matches(name, self.panoramas, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "add an entry for it"
         raise PoseError(f"{self.path}: expected an entry for '{name}', got {_listed(self.panoramas)}; {hint}")
+
+
+def check_names_tell_apart(images: Iterable[Path]) -> None:
+    """Refuse different pictures of one name: a pose file knows panoramas by their file names.
+
+    Raises:
+        PoseError: there are two; the same one may come again.
+    """
+    known: dict[str, Path] = {}
+    for image in images:
+        former = known.setdefault(image.name, image)
+        if former.resolve() != image.resolve():
+            raise PoseError(
+                f"{image}: expected a name of its own, got that of {former}; pose files know panoramas by their names, "
+                "so rename one"
+            )
 
 
 def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:

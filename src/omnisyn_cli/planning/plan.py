@@ -15,6 +15,7 @@ from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_header, read_poses
 from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.poses import check_names_tell_apart
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.planning.checks import (
     check_choices,
@@ -127,6 +128,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
     check_names(job)
+    check_names_tell_apart(job.images)
     check_choices(job)
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
