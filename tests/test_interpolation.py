@@ -102,6 +102,17 @@ def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, way: str
     np.testing.assert_array_equal(samples_of(tmp_path / "out" / "000002.png"), samples_of(images[1]))
 
 
+def test_a_mask_that_forbids_everything_is_refused(tmp_path: Path) -> None:
+    """Usually one of zeros and ones, where white was meant."""
+    first, second = write_hall(tmp_path, CHAIN[:2])
+    write_image(tmp_path / "mask.png", np.ones_like(as_bytes(hall_image(CHAIN[0]))[..., 0]))
+    mask = tmp_path / "mask.png"
+    job = job_of(tmp_path, [first, second], masks=(mask, mask))
+    with pytest.raises(InputError, match=r"mask\.png: expected white where the panorama may be used"):
+        run_interpolation(plan_interpolation(job))
+    assert not job.output.exists()
+
+
 def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
     write_image(tmp_path / "mask.png", np.full((8, 16), 255, np.uint8))

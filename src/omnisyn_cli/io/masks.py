@@ -34,12 +34,17 @@ def usable_part(
 
     Raises:
         ImageError: a mask cannot be read.
-        InputError: it has another size.
+        InputError: it has another size, or forbids everything.
     """
     parts = [] if own is None else [own]
     for path in (path for path in masks if path is not None):
         mask = read_mask(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
         check_mask_size(path, mask.shape, size)
+        if not mask.any():
+            raise InputError(
+                f"{path}: expected white where the panorama may be used, got a mask that forbids all of it; brightness "
+                "goes from 0 to 255 or 65535, not from 0 to 1"
+            )
         parts.append(mask)
     if nadir > 0.0:
         parts.append(outside_nadir((size[0], size[1]), nadir))
