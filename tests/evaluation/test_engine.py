@@ -11,9 +11,14 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import engine, fingerprint, methods
 from omnisyn_cli.evaluation.datasets import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
+from omnisyn_cli.evaluation.measure import measure
 from omnisyn_cli.evaluation.methods import Method
 from omnisyn_cli.evaluation.records import RESULTS_NAME, UnitRecord, read_records
+from omnisyn_cli.evaluation.synthesizers import Picture
+from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.types import View
 from synthesis_samples import ws_psnr
 
 METHODS = "crossfade,oracle-depth"
@@ -43,6 +48,24 @@ def test_frames_between_are_compared_where_they_were_taken(tmp_path: Path) -> No
         d0, d1 = (float(np.linalg.norm(pose.position - end.position)) for end in (PATH[0], PATH[-1]))
         assert frame.t == pytest.approx(d0 / (d0 + d1))
         assert frame.distance == pytest.approx(min(d0, d1))
+
+
+def test_what_is_brighter_than_white_is_shown_as_white() -> None:
+    """Videos hold nothing beyond, and neither may what is measured."""
+
+    class Overshooting:
+        depths = None
+
+        def pictures(self, path, size, clock):
+            dark = np.zeros((*size, 3))
+            return [Picture(dark + 1.2, dark[..., 0] + 0.1) for _ in path]
+
+    poses = [Pose(np.eye(3), np.array([x, 0.0, 0.0])) for x in (0.0, 1.0)]
+    white = np.ones((16, 32, 3), np.float32)
+    pair = LoadedPair((View(white, poses[0]), View(white, poses[1])), (), (16, 32))
+    measured = measure(Overshooting(), pair, ("a", "b"))
+    expected = dict.fromkeys(("end_first", "end_second", "warping_error", "flicker"), 0.0)
+    assert measured.temporal == pytest.approx(expected, abs=1e-12)
 
 
 def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def measure(
     """
     clock = Stopwatch()
     path = [truth.waypoint for truth in pair.truths]
-    images = tuple(np.clip(picture.image, 0, 1) for picture in method.pictures(path, pair.size, clock))
+    images = tuple(_shown(picture.image) for picture in method.pictures(path, pair.size, clock))
     seconds = dict(clock.seconds)
     scores = tuple(
         frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
@@ -94,6 +94,11 @@ def measure(
     return Measurement(
         images, scores, depths, method.depths, temporal, {**seconds, "total": math.fsum(seconds.values())}
     )
+
+
+def _shown(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+    """As a video holds it: black and white are the ends, whatever interpolation makes of edges."""
+    return np.asarray(np.clip(image, 0.0, 1.0))
 
 
 def frame_scores(
@@ -151,7 +156,7 @@ def _clip_measures(method: Synthesizer, pair: LoadedPair) -> dict[str, float]:
 
 def _followed(clip: Sequence[Picture], poses: Sequence[Pose]) -> dict[str, float]:
     """Both measures along the geometry of the clip; none where neighbouring frames show nothing in common."""
-    frames = [picture.image for picture in clip]
+    frames = [_shown(picture.image) for picture in clip]
     inverse_depths = [picture.inverse_depth for picture in clip if picture.inverse_depth is not None]
     try:
         return {
@@ -171,6 +176,6 @@ def _end_errors(method: Synthesizer, pair: LoadedPair, threads: int | None) -> d
         if truth.shape[:2] != pair.size:
             truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
         weights = row_weights(pair.size[0])
-        squared = ((picture.image.astype(np.float64) - truth) ** 2).mean(axis=(1, 2))
+        squared = ((_shown(picture.image).astype(np.float64) - _shown(truth)) ** 2).mean(axis=(1, 2))
         errors.append(math.sqrt(float(np.average(squared, weights=weights))))
     return {"end_first": errors[0], "end_second": errors[1]}
