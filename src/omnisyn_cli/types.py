@@ -77,8 +77,8 @@ class Rendering:
 
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre from the target; negative where nothing is seen.
-        colour: ``(height, width, 4)`` RGB and, last, how much it is worth in a blend: in [0, 1], 0 where nothing is
-            seen.
+        colour: ``(height, width, 4)`` RGB and, last, how much it is worth in a blend: 0 where nothing is seen, else up
+            to 1, or a little more beside a mask, where interpolation overshoots.
         target_from_source: the transform it was rendered with.
     """
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omnisyn_cli.fusion import GeometricFuser
-from omnisyn_cli.fusion.geometric import BlendOptions, hiding_strength
+from omnisyn_cli.fusion.geometric import hiding_strength
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Rendering
 

@@ -5,6 +5,7 @@ import pytest
 
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Rendering
@@ -65,6 +66,18 @@ def test_a_thing_in_one_picture_only_is_there_or_not_but_never_half(column: int,
         assert share.max() - share.min() < 0.1, "one view for the whole of it"
         if object_rho == 0.3:
             assert (share > 0.5).all() == (t < 0.5)
+
+
+@pytest.mark.parametrize(("disagreement", "winner"), [(0.06, 0), (50.0, 1)])
+def test_the_view_that_wins_is_the_one_that_the_blend_prefers(disagreement: float, winner: int) -> None:
+    """The nearer thing of the first view, unless differences of distance count for nothing: then the share decides."""
+    where, background = ball(200), wall()
+    near = rendering(with_ball(background, where), np.where(where, 0.6, 0.3), z=-1e-3)
+    far = rendering(background, z=1e-3)
+    GhostRemover(SIZE, BlendOptions(disagreement=disagreement), threads=1)(near, far, 0.8)
+    inner = where & ~border(where, 8)
+    assert ((near, far)[winner].colour[inner, 3] == 1.0).all()
+    assert ((near, far)[1 - winner].colour[inner, 3] < 0.03).all()
 
 
 def test_outside_of_what_moved_nothing_changes() -> None:
@@ -147,7 +160,7 @@ def test_any_size_works(size: tuple[int, int]) -> None:
     for c in colour:
         c[..., :3] = rng.random((*size, 3))
     views = [Rendering(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
-    GhostRemover(size, GhostOptions(difference=0.01), threads=1)(views[0], views[1], 0.5)
+    GhostRemover(size, options=GhostOptions(difference=0.01), threads=1)(views[0], views[1], 0.5)
     assert all(np.isfinite(c).all() and (c >= 0).all() for c in colour)
 
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.geometric import BlendOptions
 from omnisyn_cli.fusion.network import NetworkFuser, working_size
 from omnisyn_cli.fusion.network_kernels import reduce_rows
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker, doubt_of
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions

@@ -6,9 +6,10 @@ import torch
 from gpu_samples import BRIGHTER, CPU
 
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.geometric import BlendOptions, GeometricFuser
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostRemover
 from omnisyn_cli.fusion.kernels import blend_rows
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.gpu.blending import BlendRule, Exposure, Shown, blend, expose, samples_of

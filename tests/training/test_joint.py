@@ -11,7 +11,7 @@ from training_samples import TINY, ball_scene, make_pool
 from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion.geometric import BlendOptions
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.depth_config import VARIANTS

@@ -17,7 +17,6 @@ further factor for the angle at which a surface was seen lost 0.1 dB and is left
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,34 +25,20 @@ from jaxtyping import Float32, UInt8
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover
 from omnisyn_cli.fusion.kernels import blend_rows
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.fusion.row_kernels import blend_samples
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
 
-__all__ = ["ROWS", "BlendOptions", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
+__all__ = ["ROWS", "GeometricFuser", "hiding_strength", "is_in_place", "kernel_views"]
 
 ROWS = 32
 """Rows that are coloured and blended together; an even number."""
 
 MOST_SAMPLED = 0.25
 """Share of the pixels that may be coloured twice, once to look for ghosts, rather than be kept."""
-
-
-@dataclass(frozen=True)
-class BlendOptions:
-    """What decides between two views that see different things.
-
-    Attributes:
-        disagreement: relative difference of inverse depth at which the farther surface has lost most of its weight.
-        hidden: the least share of its weight that a hidden surface keeps.
-        ends: share of the way at either end over which the rule sets in, so that nothing pops up next to an end.
-    """
-
-    disagreement: float = 0.06
-    hidden: float = 0.003
-    ends: float = 0.1
 
 
 class GeometricFuser:
@@ -65,7 +50,7 @@ class GeometricFuser:
         self._image, self._weight = np.empty((*size, 3), np.float32), np.empty(size, np.float32)
         self._is_seen, self._holes = np.empty(size, np.uint8), np.empty(size[0] // 2, np.int32)
         self._colours: list[np.ndarray] = []
-        self._filler, self._ghosts = HoleFiller(size, threads), GhostRemover(size, threads=threads)
+        self._filler, self._ghosts = HoleFiller(size, threads), GhostRemover(size, self.options, threads=threads)
 
     def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
         """The fused picture, every pixel of it filled, never negative; the next call overwrites it.

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering, RowRendering
@@ -47,22 +48,36 @@ class GhostOptions:
         beyond: how far one colour has to lie outside of the range of the other view around that place: what is there
             a little aside is displaced by wrong depth, and nothing that moved.
         neighbourhood: cells to every side over which a common difference is no thing of its own.
-        disagreement: relative difference of inverse depth at which the nearer surface hides the other one.
-        hidden: the least share of its weight that a hidden surface keeps.
     """
 
     difference: float = 0.12
     beyond: float = 0.08
     neighbourhood: int = 12
-    disagreement: float = 0.06
-    hidden: float = 0.003
 
 
 class GhostRemover:
-    """Takes the worth of one of two renderings away where blending them would show a ghost. Reused between frames."""
+    """Takes the worth of one of two renderings away where blending them would show a ghost. Reused between frames.
 
-    def __init__(self, size: tuple[int, int], options: GhostOptions | None = None, threads: int | None = None) -> None:
-        self.size, self.options, self.threads = size, options or GhostOptions(), threads
+    Args:
+        size: height and width of the renderings.
+        blend: how they will be blended.
+        options: what a ghost is.
+        threads: at most this many; None is one per core.
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        blend: BlendOptions | None = None,
+        options: GhostOptions | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.size, self.blend, self.options, self.threads = (
+            size,
+            blend or BlendOptions(),
+            options or GhostOptions(),
+            threads,
+        )
         self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._sums = np.zeros((*self._grid, 11), np.float32)
@@ -153,8 +168,8 @@ class GhostRemover:
             -1.5 * np.log(((self._directions - rho[..., None] * offset) ** 2).sum(axis=-1) + 1e-8)
             for rho, offset in zip(rhos, offsets, strict=True)
         ]
-        gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * self.options.disagreement + 1e-9)
-        hidden = strictness * -np.log(self.options.hidden)
+        gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * self.blend.disagreement + 1e-9)
+        hidden = strictness * -np.log(self.blend.hidden)
         hides = np.sign(gap) * np.minimum(gap * gap, hidden)
         share = np.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
         found = share + np.log(worths[0] / worths[1]) + near[0] - near[1] + hides

@@ -15,8 +15,9 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.geometric import BlendOptions, GeometricFuser, is_in_place
+from omnisyn_cli.fusion.geometric import GeometricFuser, is_in_place
 from omnisyn_cli.fusion.network_kernels import colour_holes, correct_rows
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.fusion.planes import FusionPlanes, PlaneMaker
 from omnisyn_cli.types import Rendering
 

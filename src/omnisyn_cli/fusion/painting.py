@@ -15,9 +15,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.geometric import BlendOptions, GeometricFuser, is_in_place
+from omnisyn_cli.fusion.geometric import GeometricFuser, is_in_place
 from omnisyn_cli.fusion.network import working_size
 from omnisyn_cli.fusion.network_kernels import reduce_rows
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.threads import run_bands

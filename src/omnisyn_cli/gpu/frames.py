@@ -19,7 +19,8 @@ import torch
 from jaxtyping import Bool, Float32, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.geometric import BlendOptions, hiding_strength
+from omnisyn_cli.fusion.geometric import hiding_strength
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.pose import STILL, Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.gpu.blending import BlendRule, Exposure, Shown, blend, expose, samples_of
@@ -55,7 +56,7 @@ class GpuFrames:
 
     def __init__(self, size: tuple[int, int], device: str = "cuda", options: BlendOptions | None = None) -> None:
         self.size, self.device, self.options = size, open_device(device), options or BlendOptions()
-        self.rasterizer, self.ghosts = GpuRasterizer(size, self.device), GpuGhosts(size, self.device)
+        self.rasterizer, self.ghosts = GpuRasterizer(size, self.device), GpuGhosts(size, self.device, self.options)
         self._tables = [torch.from_numpy(table).to(self.device, torch.float32) for table in direction_tables(*size)]
 
     def surface(

@@ -22,6 +22,7 @@ from omnisyn_cli.fusion.ghosts import (
     GhostOptions,
     samples_of_cells,
 )
+from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.gpu.blending import Shown
 from omnisyn_cli.types import UNSEEN
@@ -38,8 +39,8 @@ PREFERENCE_STEPS = 2.0**20
 class GpuGhosts:
     """Takes the worth of one of two renderings away where blending them would show a ghost."""
 
-    def __init__(self, size: tuple[int, int], device: torch.device, options: GhostOptions | None = None) -> None:
-        self.size, self.options = size, options or GhostOptions()
+    def __init__(self, size: tuple[int, int], device: torch.device, blend: BlendOptions | None = None) -> None:
+        self.size, self.blend, self.options = size, blend or BlendOptions(), GhostOptions()
         self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
         step = max(1, self.cell // SAMPLES_ALONG_CELL)
         self._along = -(-self.cell // step)
@@ -127,8 +128,8 @@ class GpuGhosts:
             -1.5 * torch.log((self._directions - rho[..., None] * offset).square().sum(-1) + 1e-8)
             for rho, offset in zip(rhos, (first_offset, second_offset), strict=True)
         ]
-        gap = (rhos[0] - rhos[1]) / (torch.maximum(*rhos) * self.options.disagreement + 1e-9)
-        hides = gap.sign() * gap.square().clamp_max(strictness * -math.log(self.options.hidden))
+        gap = (rhos[0] - rhos[1]) / (torch.maximum(*rhos) * self.blend.disagreement + 1e-9)
+        hides = gap.sign() * gap.square().clamp_max(strictness * -math.log(self.blend.hidden))
         share = math.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
         found = share + torch.log(worths[0] / worths[1]) + near[0] - near[1] + hides
         return torch.where(sums[..., 0] > 0.0, found, 0.0)

@@ -36,7 +36,7 @@ class Evidence:
         sky: ``(height, width)`` infinitely far.
         filled: ``(height, width)`` what agreed or is sky, carried on into the rest.
         usable: ``(height, width)`` False where a mask forbids the image.
-        second_from_first: where the other camera stands, as seen from this one, in baselines.
+        second_from_first: takes points of this camera's frame to the other one's, in baselines.
         up: ``(3,)`` the world's up in this camera's frame.
     """
 
