@@ -6,10 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO
 import pytest
 
 from interpolation_samples import CHAIN, job_of
-from omnisyn_cli.io import write_image
+from omnisyn_cli.io import read_header, write_image
 from omnisyn_cli.planning import InterpolationJob, plan_interpolation
 from omnisyn_cli.rows import LEAST_ROWS
 from synthesis_samples import posed, write_hall
@@ -60,6 +61,18 @@ def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> No
         plan_interpolation(job_of(tmp_path, images, renderer=name)).memory for name in ("mesh", "points", "two-pass")
     ]
     assert sizes == sorted(set(sizes))
+
+
+def test_a_data_window_of_depth_takes_the_memory_of_the_whole_sphere(tmp_path: Path) -> None:
+    """And is planned with: its own 24 rows would not be half its width."""
+    images = write_hall(tmp_path, CHAIN[:2], (32, 64))
+    whole = plan_interpolation(job_of(tmp_path, images)).memory
+    for image in images:
+        depth = str(tmp_path / f"{image.stem}_depth.exr")
+        cropped = OpenImageIO.ImageBufAlgo.crop(OpenImageIO.ImageBuf(depth), OpenImageIO.ROI(0, 64, 2, 26))
+        assert cropped.write(depth)
+        assert read_header(depth).height == 24
+    assert plan_interpolation(job_of(tmp_path, images)).memory == whole
 
 
 def test_frames_by_rows_take_less_than_whole_ones(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import struct
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -107,12 +108,22 @@ def _image(suffix: str) -> Target:
 
     name = f"a.{suffix}"
     data = _picture(name, "float32" if suffix == "exr" else "uint8", **GPANO, **GPS)
+    if suffix == "webp":
+        data = _with_xmp(data)
 
     def read(folder: Path) -> None:
         geographic_place(read_header(folder / name))
         read_panorama(folder / name, max_pixels=MAX_PIXELS)
 
     return Target({name: data}, (name,), read)
+
+
+def _with_xmp(webp: bytes) -> bytes:
+    """A simple WebP of 32×16 in the extended format, with the tags that OpenImageIO does not write there."""
+    packet = " ".join(("<rdf:Description", *(f"{name}='{value}'" for name, value in GPANO.items()), "/>")).encode()
+    extended = b"VP8X" + struct.pack("<IIHBHB", 10, 0x04, 31, 0, 15, 0)
+    body = b"WEBP" + extended + webp[12:] + b"XMP " + struct.pack("<I", len(packet)) + packet + bytes(len(packet) % 2)
+    return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
 def _depth() -> Target:

@@ -1,5 +1,7 @@
 """Small images for tests, written by OpenImageIO or Pillow-free means, and bytes to break."""
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -36,3 +38,43 @@ def write_with(
     assert writer.close()
     writer.geterror()
     return path
+
+
+def xmp_packet(tags: dict[str, Any], form: str) -> bytes:
+    """An XMP packet that says ``tags`` (``{"GPano:...": 3}``) as ``attributes`` or as ``elements``."""
+    attributes = "".join(f"\n  {name}='{value}'" for name, value in tags.items())
+    elements = "".join(f"\n  <{name}>{value}</{name}>" for name, value in tags.items())
+    inside = f"{attributes}/>" if form == "attributes" else f">{elements}\n </rdf:Description>"
+    return (
+        "<?xpacket begin='\ufeff' id='W5M0MpCehiHzreSzNTczkc9d'?>\n<x:xmpmeta xmlns:x='adobe:ns:meta/'>\n"
+        "<rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'>\n <rdf:Description rdf:about=''\n"
+        f"  xmlns:GPano='http://ns.google.com/photos/1.0/panorama/'{inside}\n</rdf:RDF>\n</x:xmpmeta>\n"
+        "<?xpacket end='w'?>"
+    ).encode()
+
+
+def exif_of(jpeg: bytes) -> bytes:
+    """The EXIF block of a JPEG, as other formats hold it."""
+    start = jpeg.index(b"Exif\0\0")
+    return jpeg[start + 6 : start - 2 + int.from_bytes(jpeg[start - 2 : start], "big")]
+
+
+def riff_chunk(kind: bytes, data: bytes) -> bytes:
+    return kind + struct.pack("<I", len(data)) + data + bytes(len(data) % 2)
+
+
+def webp_with(webp: bytes, size: tuple[int, int], *, xmp: bytes = b"", exif: bytes = b"") -> bytes:
+    """A simple WebP of ``(height, width)`` in the extended format, with an XMP packet and an EXIF block."""
+    height, width = size
+    flags = 0x04 * bool(xmp) | 0x08 * bool(exif)
+    canvas = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    metadata = [riff_chunk(kind, data) for kind, data in ((b"EXIF", exif), (b"XMP ", xmp)) if data]
+    chunks = (b"WEBP", riff_chunk(b"VP8X", bytes([flags, 0, 0, 0]) + canvas), webp[12:], *metadata)
+    return riff_chunk(b"RIFF", b"".join(chunks))
+
+
+def png_with_xmp(png: bytes, xmp: bytes) -> bytes:
+    """The same PNG with an XMP packet after its header."""
+    body = b"iTXtXML:com.adobe.xmp" + bytes(5) + xmp
+    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    return png[:33] + chunk + png[33:]

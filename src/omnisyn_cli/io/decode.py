@@ -17,6 +17,7 @@ import OpenImageIO
 from jaxtyping import Shaped
 
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.io.webp import panorama_tags
 
 __all__ = ["MAX_PIXELS", "ImageHeader", "check_pixel_count", "decode_image", "read_header"]
 
@@ -202,19 +203,19 @@ def _header(path: Path, reader: Any) -> ImageHeader:
         alpha_channel=spec.alpha_channel if spec.alpha_channel < len(channels) else -1,  # GIF: one beyond the last
         is_alpha_associated=spec.get_int_attribute("oiio:UnassociatedAlpha", 0) == 0,
         orientation=spec.get_int_attribute("Orientation", 1),
-        attributes=_attributes(spec),
+        attributes=_attributes(path, reader),
     )
 
 
-def _attributes(spec: Any) -> dict[str, Any]:
+def _attributes(path: Path, reader: Any) -> dict[str, Any]:
     """Metadata by name, without what is no text: old programs wrote comments in encodings of their own."""
     found = {}
-    for attribute in spec.extra_attribs:
+    for attribute in reader.spec().extra_attribs:
         try:
             found[attribute.name] = attribute.value
         except UnicodeDecodeError:
             continue
-    return found
+    return {**found, **panorama_tags(path)} if reader.format_name() == "webp" else found
 
 
 def _text_of(message: Callable[[], str]) -> str:

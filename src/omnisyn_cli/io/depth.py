@@ -8,12 +8,21 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import ImageError, OutputPathError
-from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, decode_image
+from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.encode import write_channels
 from omnisyn_cli.io.images import upright
 from omnisyn_cli.io.paths import check_output, replaced_when_complete
+from omnisyn_cli.io.placement import placement_of
 
-__all__ = ["DEPTH_CHANNEL", "check_depth_header", "is_depth_header", "read_depth", "read_inverse_depth", "write_depth"]
+__all__ = [
+    "DEPTH_CHANNEL",
+    "check_depth_header",
+    "depth_size",
+    "is_depth_header",
+    "read_depth",
+    "read_inverse_depth",
+    "write_depth",
+]
 
 DEPTH_CHANNEL = "Z"
 
@@ -31,15 +40,20 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.nd
     """Depth ``(height, width)`` in metres, float32, width = 2·height, ``inf`` where there is nothing.
 
     EXR: channel ``Z``, or the only channel, in metres; infinity, zero and anything from 1e9 on mean "nothing there".
-    PNG of 16 bits, one channel: millimetres; zero means unknown or nothing.
+    PNG of 16 bits, one channel: millimetres; zero means unknown or nothing. What is cropped (OpenEXR data window, GPano
+    tags) is put in its place as panoramas are, with nothing around it.
 
     Raises:
-        ImageError: missing, damaged, not 2:1, of another kind, or with negative or undefined (NaN) depths.
+        ImageError: missing, damaged, too large, not 2:1, of another kind, or with negative or undefined (NaN) depths.
     """
     header, samples = decode_image(path, max_pixels=max_pixels)
     depth = upright(samples, header.orientation)[..., _depth_channel(header)].astype(np.float32)
     if header.dtype == "uint16":
         depth *= METRES_PER_UNIT
+    check_pixel_count(header.path, *depth_size(header), max_pixels)
+    placement = placement_of(header)
+    if not placement.is_whole:
+        depth = placement.put(depth)
     _check_depth(header.path, depth)
     return np.where((depth > 0) & (depth < BEYOND_EVERYTHING), depth, np.float32(np.inf))
 
@@ -75,10 +89,23 @@ def check_depth_header(header: ImageHeader) -> None:
     """Refuse a file that :func:`read_depth` would refuse for what its header says, before it is decoded.
 
     Raises:
-        ImageError: of another kind than depth, or not 2:1.
+        ImageError: of another kind than depth, not 2:1, or not equirectangular.
     """
     _depth_channel(header)
-    _check_aspect(header.path, header.height, header.width)
+    depth_size(header)
+
+
+def depth_size(header: ImageHeader) -> tuple[int, int]:
+    """Height and width of the whole sphere that :func:`read_depth` makes of a file.
+
+    Raises:
+        ImageError: not 2:1, or not equirectangular.
+    """
+    placement = placement_of(header)
+    height, width = placement.full_height, placement.full_width
+    if width != 2 * height:
+        raise ImageError(f"{header.path}: expected depth twice as wide as high, got {width}×{height}; render it to 2:1")
+    return height, width
 
 
 def is_depth_header(header: ImageHeader) -> bool:
@@ -116,15 +143,9 @@ def _depth_channel(header: ImageHeader) -> int:
 
 
 def _check_depth(path: Path, depth: np.ndarray) -> None:
-    _check_aspect(path, *depth.shape)
     undefined, negative = np.count_nonzero(np.isnan(depth)), np.count_nonzero(depth < 0)
     if undefined or negative:
         raise ImageError(
             f"{path}: expected depths in metres or infinity, got {undefined} NaN and {negative} negative of "
             f"{depth.size} pixels; write infinity where nothing is there"
         )
-
-
-def _check_aspect(path: Path, height: int, width: int) -> None:
-    if width != 2 * height:
-        raise ImageError(f"{path}: expected depth twice as wide as high, got {width}×{height}; render it to 2:1")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Shaped
@@ -13,6 +14,9 @@ from omnisyn_cli.io.decode import ImageHeader
 __all__ = ["Placement", "placement_of"]
 
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
+
+MOST_TAGGED = 2**31
+"""Pixels; no tag of a size means more, and what is made of it has to stay a number."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,17 @@ class Placement:
                 top - self.top : bottom - self.top, left - self.left : right - self.left
             ]
         return full
+
+
+class _Crop(NamedTuple):
+    """A :class:`Placement` in pixels of the stitched panorama, before it was scaled."""
+
+    height: float
+    width: float
+    top: float
+    left: float
+    full_height: float
+    full_width: float
 
 
 def placement_of(header: ImageHeader) -> Placement:
@@ -78,6 +93,25 @@ def _google_placement(header: ImageHeader, height: int, width: int) -> Placement
 
     Source: Google, "Photo Sphere XMP Metadata".
     """
+    crop = _tagged_crop(header, height, width)
+    if crop is None:
+        return None
+    across, down = width / crop.width, height / crop.height
+    is_even = abs(across - down) <= 1 / crop.width + 1 / crop.height
+    if is_even and crop.full_width == 2 * crop.full_height:
+        return _evenly_scaled(crop, height, width)
+    return Placement(
+        height,
+        width,
+        round(crop.top * down),
+        round(crop.left * across),
+        max(round(crop.full_height * down), height),
+        max(round(crop.full_width * across), width),
+    )
+
+
+def _tagged_crop(header: ImageHeader, height: int, width: int) -> _Crop | None:
+    """The rectangle that GPano tags speak of, or None where they speak of the whole sphere or of none."""
     full_width = header.number("GPano:FullPanoWidthPixels")
     full_height = header.number("GPano:FullPanoHeightPixels")
     if full_width is None or full_height is None:
@@ -89,19 +123,32 @@ def _google_placement(header: ImageHeader, height: int, width: int) -> Placement
     if (crop_width, crop_height) == (full_width, full_height):
         return None
     fits = 0 <= left <= full_width - crop_width and 0 <= top <= full_height - crop_height
-    if not fits or crop_width < 1 or crop_height < 1:
+    if not fits or crop_width < 1 or crop_height < 1 or max(full_width, full_height) > MOST_TAGGED:
         raise ImageError(
             f"{header.path}: expected a GPano crop inside its full panorama, got {crop_width:g}×{crop_height:g} at "
             f"({left:g}, {top:g}) of {full_width:g}×{full_height:g}; correct or remove the GPano tags"
         )
-    across, down = width / crop_width, height / crop_height
+    return _Crop(crop_height, crop_width, top, left, full_height, full_width)
+
+
+def _evenly_scaled(crop: _Crop, height: int, width: int) -> Placement:
+    """A crop of a 2:1 sphere, scaled by one factor to ``height × width``, in a sphere that is 2:1 again.
+
+    Whoever scaled it rounded height and width, each on its own. The sphere is the one that explains both best (least
+    squares) and holds them; the picture's centre lies where that of the tagged rectangle does.
+    """
+    factor = (height * crop.height + width * crop.width) / (crop.height**2 + crop.width**2)
+    full_height = max(round(crop.full_height * factor), height, (width + 1) // 2)
+    scale = full_height / crop.full_height
+    top = round((crop.top + crop.height / 2) * scale - height / 2)
+    left = round((crop.left + crop.width / 2) * scale - width / 2)
     return Placement(
         height,
         width,
-        round(top * down),
-        round(left * across),
-        max(round(full_height * down), height),
-        max(round(full_width * across), width),
+        min(max(top, 0), full_height - height),
+        min(max(left, 0), 2 * full_height - width),
+        full_height,
+        2 * full_height,
     )
 
 

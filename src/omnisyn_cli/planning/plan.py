@@ -14,6 +14,7 @@ import numpy as np
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_header, read_poses
+from omnisyn_cli.io.depth import depth_size
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.poses import check_names_tell_apart
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
@@ -288,8 +289,7 @@ def _memory(
     _, fusion, renderer, _ = _made_with(job, depth)
     rows = PRESETS[job.preset].depth_rows
     if depth == "file":
-        headers = [read_header(entry.depth) for entry in entries if entry.depth is not None]
-        surfaces = [(header.height, header.width) for header in headers]
+        surfaces = [depth_size(read_header(entry.depth)) for entry in entries if entry.depth is not None]
     elif depth == "refined":
         surfaces = list(estimate_sizes(rows, max(height for height, _ in sources)))
     else:
