@@ -1,6 +1,7 @@
 """Frames become videos of the right colours, whole or not at all, and ffmpeg's words reach the user."""
 
 import re
+import struct
 import subprocess
 import sys
 import threading
@@ -11,8 +12,9 @@ import pytest
 
 from omnisyn_cli.errors import EncodingError, InputError, OmnisynError, OutputPathError, WriteError
 from omnisyn_cli.io import check_output, check_video, open_video, read_panorama
+from omnisyn_cli.io.boxes import children_of
 from omnisyn_cli.io.encoder_process import EncoderProcess
-from omnisyn_cli.io.encoders import EncoderSettings, encoder_command, ffmpeg_program
+from omnisyn_cli.io.encoders import CODECS, EncoderSettings, encoder_command, ffmpeg_program
 from omnisyn_cli.io.frames import read_frames
 
 PATCHES = np.array(
@@ -73,6 +75,34 @@ def test_colours_survive_within_rounding_and_are_tagged_bt709(
     assert "Spherical Mapping: equirectangular" in stream
     assert ("hvc1" in stream) == (codec == "h265")
     assert list(tmp_path.iterdir()) == [path]
+
+
+def content(path: Path, *kinds: bytes) -> bytes:
+    """What is in the box of a file that these kinds lead to."""
+    data = path.read_bytes()
+    for kind in kinds:
+        data = next(box.head for box in children_of(path, data).children or () if box.kind == kind)
+    return data
+
+
+MEDIA = (b"moov", b"trak", b"mdia")
+
+SAMPLES = (*MEDIA, b"minf", b"stbl")
+
+
+@pytest.mark.parametrize(("codec", "suffix"), [(name, end) for name, codec in CODECS.items() for end in codec.suffixes])
+def test_whatever_is_offered_is_encoded_and_says_its_colours_and_its_shape(
+    tmp_path: Path, codec: str, suffix: str
+) -> None:
+    path = tmp_path / f"a{suffix.upper()}"
+    with open_video(path, size=(64, 128), fps=25, codec=codec, preset=FAST[codec]) as sink:
+        for _ in range(2):
+            sink.write(FRAME[:64, :128])
+    (entry,) = children_of(path, content(path, *SAMPLES, b"stsd"), 8).children or ()
+    boxes = {box.kind: box.head for box in children_of(path, entry.head, 78).children or ()}
+    assert {b"colr", b"st3d", b"sv3d"} <= set(boxes)
+    expected = b"nclc" if suffix == ".mov" else b"nclx"
+    assert boxes[b"colr"][:10] == expected + struct.pack(">HHH", 1, 1, 1)
 
 
 def test_frames_keep_their_order_and_count(tmp_path: Path) -> None:

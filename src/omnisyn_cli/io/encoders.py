@@ -85,6 +85,9 @@ CODECS: Mapping[str, VideoCodec] = {
     ),
 }
 
+MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov"}
+"""Containers by the name's ending; left alone, ffmpeg makes of .m4v an iPod's, without H.265 and without colours."""
+
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 """ffmpeg's names of the frames that are handed to it, where it converts them."""
 
@@ -188,7 +191,8 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     options = {"c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
     if codec.tag:
         options["tag:v"] = codec.tag
-    output = ffmpeg.output(converted, f"file:{path.absolute()}", an=None, **options)
+    muxer = MUXERS[path.suffix.lower()]
+    output = ffmpeg.output(converted, f"file:{path.absolute()}", format=muxer, an=None, **options)
     quiet = output.global_args("-hide_banner", "-nostats", "-loglevel", "error")
     command: list[str] = ffmpeg.compile(quiet, cmd=ffmpeg_program(), overwrite_output=True)
     return command
