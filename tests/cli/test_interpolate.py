@@ -196,6 +196,12 @@ BAD_OUTPUT = {
 }
 
 
+def test_the_rate_may_be_a_fraction(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    result = run_cli(capsys, *pair_arguments(tmp_path, pair, "a.mp4", "--dry-run", "--json", "--fps", "30000/1001"))
+    assert (result.code, json.loads(result.out)["fps"]) == (0, 30000 / 1001)
+    assert run_cli(capsys, *pair_arguments(tmp_path, pair, "a.mp4", "--fps", "30/0")).code == 2
+
+
 def test_one_rule_for_cutting_meshes_is_enough(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
     before = listing(tmp_path)
     result = run_cli(capsys, *folder_arguments(tmp_path, pair, "--cut", 0.1, "--cut-metres", 2))

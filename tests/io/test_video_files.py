@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import threading
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,24 @@ def test_frames_keep_their_order_and_count(tmp_path: Path) -> None:
     means = decoded(tmp_path / "a.mp4").mean(axis=(1, 2, 3))
     np.testing.assert_allclose(means, np.arange(0, 240, 8), atol=2)
     assert "29.97 fps" in report(tmp_path / "a.mp4")
+
+
+RATES = {
+    23.976: (24000, 1001), 23.98: (24000, 1001), 29.97: (30000, 1001), 30000 / 1001: (30000, 1001),
+    47.95: (48000, 1001), 59.94: (60000, 1001), 119.88: (120000, 1001), Fraction(30000, 1001): (30000, 1001),
+    24: (24, 1), 29.9: (299, 10), 29.98: (1499, 50), 12.5: (25, 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_rates_of_television_are_exact_in_the_file(tmp_path: Path, fps: float | Fraction) -> None:
+    with open_video(tmp_path / "a.mp4", size=(32, 64), fps=fps, preset="ultrafast") as sink:
+        for _ in range(3):
+            sink.write(np.zeros((32, 64, 3), np.uint8))
+    (timescale,) = struct.unpack_from(">I", content(tmp_path / "a.mp4", *MEDIA, b"mdhd"), 12)
+    count, samples, delta = struct.unpack(">III", content(tmp_path / "a.mp4", *SAMPLES, b"stts")[4:])
+    assert (count, samples) == (1, 3)
+    assert Fraction(timescale, delta) == Fraction(*RATES[fps])
 
 
 def interrupted(path: Path, error: type[BaseException], *, overwrite: bool = False) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Size(SizeType):
 @click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
 @click.option(
-    "--fps", type=FiniteRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second."
+    "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(

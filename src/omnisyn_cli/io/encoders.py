@@ -88,6 +88,9 @@ CODECS: Mapping[str, VideoCodec] = {
 MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov"}
 """Containers by the name's ending; left alone, ffmpeg makes of .m4v an iPod's, without H.265 and without colours."""
 
+NTSC_RATES = tuple(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120))
+"""Frame rates of television, which are written rounded to two or three decimals."""
+
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 """ffmpeg's names of the frames that are handed to it, where it converts them."""
 
@@ -158,7 +161,10 @@ def check_frame_rate(fps: float | Fraction) -> None:
 
 
 def as_fraction(fps: float | Fraction) -> Fraction:
-    """The nearest rate that containers can say, such as 30000/1001."""
+    """The nearest rate that containers can say; 23.976, 23.98, 29.97, 47.95, 59.94 and 119.88 stand for n·1000/1001."""
+    for exact in NTSC_RATES:
+        if fps in (round(float(exact), 2), round(float(exact), 3)):
+            return exact
     return Fraction(fps).limit_denominator(1001)
 
 
@@ -172,7 +178,8 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     """The command that reads raw frames of :func:`raw_format` from its standard input and writes ``path``.
 
     RGB is converted to limited-range BT.709 with exact rounding, and tagged as that: left alone, ffmpeg converts to
-    untagged BT.601, which a BT.709 player shows up to 28/255 wrong.
+    untagged BT.601, which a BT.709 player shows up to 28/255 wrong. The rate is said for the output too, because ffmpeg
+    takes the input's for 120 where it is 120000/1001.
 
     Raises:
         EncodingError: this ffmpeg has no encoder for the codec.
@@ -188,7 +195,7 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
         frames = frames.filter("scale", out_color_matrix="bt709", out_range="tv", flags=flags)
         frames = frames.filter("format", codec.pixel_formats[settings.dtype])
     converted = frames.filter("setparams", colorspace="bt709", color_primaries="bt709", color_trc="bt709", range="tv")
-    options = {"c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
+    options = {"r": rate, "c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
     if codec.tag:
         options["tag:v"] = codec.tag
     muxer = MUXERS[path.suffix.lower()]
