@@ -184,6 +184,7 @@ def test_bad_input_is_one_line_code_3_and_nothing_written(tmp_path: Path, capsys
 BAD_OUTPUT = {
     "no folder": (["none/out.mp4"], "expected an existing folder to write into, got none"),
     "unknown ending": (["out.avi"], "expected a name ending in .mp4"),
+    "slip of the pen": (["clip.mpx"], "got '.mpx'; change the name or the codec (a folder of frames: end its name"),
     "one image": (["out.png"], "add a frame number such as %06d"),
     "codec of another container": (["out.mp4", "--codec", "prores"], r".mov"),
     "images in a video": (["out.mp4", "--codec", "png"], "name a folder for images"),
@@ -194,6 +195,29 @@ BAD_OUTPUT = {
     "frames into a video": (["out.mp4", "--save-frames", "b.mp4"], "expected a folder or a pattern"),
     "no folder for depth": (["out.mp4", "--save-depth", "none/depth"], "create it first"),
 }
+
+
+FOLDERS = {
+    "walk_1.5m": ("walk_1.5m", "--codec", "png"),
+    "walk.final": ("walk.final", "--codec", "png"),
+    "frames.v2": ("frames.v2/",),
+    "frames.mp4": ("frames.mp4/",),
+    "frames.2024": ("out", "--save-frames", "frames.2024"),
+    "frames.new": ("out", "--save-frames", "frames.new/"),
+}
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_folders_may_have_a_dot_in_their_names(
+    tmp_path: Path, pair: list[Path], capsys: Capture, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["interpolate", *pair, "--poses", "poses.json", "--frames", 3, "--threads", 1, "-o", *FOLDERS[folder]]
+    planned = run_cli(capsys, *arguments, "--dry-run", "--json")
+    assert (planned.code, json.loads(planned.out)["encoder"]) == (0, "png images")
+    assert not (tmp_path / folder).exists()
+    assert run_cli(capsys, *arguments).code == 0
+    assert sorted(file.name for file in (tmp_path / folder).iterdir()) == [f"00000{k}.png" for k in range(3)]
 
 
 def test_the_rate_may_be_a_fraction(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:

@@ -241,6 +241,11 @@ REFUSED = {
     "codec": ({"codec": "h266"}, InputError, "h264, h265, av1, prores"),
     "extension": ({"path": "a.mp4", "codec": "prores"}, OutputPathError, r"\.mov"),
     "unknown extension": ({"path": "a.mkv"}, OutputPathError, r"\.mp4 or"),
+    "slip of the pen": ({"path": "a.mpx"}, OutputPathError, r"\.mp4 or .*got '\.mpx'; .*end its name with /"),
+    "slip in a pattern": ({"path": "a_%d.pgn"}, OutputPathError, r"\.mp4 or"),
+    "slip with a video codec": ({"path": "a.mvo", "codec": "prores"}, OutputPathError, r"\.mov for prores"),
+    "version with a video codec": ({"path": "a.v2", "codec": "h265"}, OutputPathError, r"video\.mp4"),
+    "other kind of image": ({"path": "a.gif", "codec": "png"}, OutputPathError, "folder for images"),
     "one image": ({"path": "a.png"}, OutputPathError, "frame number"),
     "folder for video": ({"path": "folder", "codec": "h264"}, OutputPathError, "video.mp4"),
     "video for images": ({"codec": "png"}, OutputPathError, "folder for images"),
@@ -286,6 +291,11 @@ def test_existing_targets_are_kept_unless_told_otherwise(tmp_path: Path) -> None
         ("f", "jpg", "f/000000.jpg"),
         ("v_%03d.exr", None, "v_000.exr"),
         ("100%_%d.png", None, "100%_0.png"),
+        ("walk_1.5m", None, "walk_1.5m/000000.png"),
+        ("frames.2024", "jpg", "frames.2024/000000.jpg"),
+        ("frames.v2", None, "frames.v2/000000.png"),
+        ("walk.final", "tif", "walk.final/000000.tif"),
+        ("v_%02d", "jpg", "v_00.jpg"),
     ],
 )
 def test_frames_become_numbered_images(tmp_path: Path, name: str, codec: str | None, first: str) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
+from omnisyn_cli.cli.places import FramePlace
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then.")
 @click.option(
-    "-o", "--output", required=True, type=FilePath,
+    "-o", "--output", required=True, type=FramePlace(),
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
 )  # fmt: skip
 @click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
@@ -145,7 +146,7 @@ class Size(SizeType):
 @click.option(
     "--save-frames",
     metavar="FOLDER",
-    type=FilePath,
+    type=FramePlace(),
     help="Keep the frames as images besides the video: PNG, or a pattern such as DIR/%05d.jpg.",
 )
 @click.option(

@@ -15,6 +15,7 @@ import ffmpeg
 import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
+from omnisyn_cli.io.sequence import is_doubtful
 
 __all__ = [
     "CODECS",
@@ -138,9 +139,10 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
         raise InputError(f"expected a codec among {', '.join(CODECS)}, got '{settings.codec}'; choose one of them")
     codec = CODECS[settings.codec]
     if path.suffix.lower() not in codec.suffixes:
+        folder = " (a folder of frames: end its name with /)" if is_doubtful(path) else ""
         raise OutputPathError(
             f"{path}: expected a name ending in {' or '.join(codec.suffixes)} for {settings.codec}, got "
-            f"'{path.suffix}'; change the name or the codec"
+            f"'{path.suffix}'; change the name or the codec{folder}"
         )
     check_frame_size(settings.size)
     check_frame_rate(settings.fps)

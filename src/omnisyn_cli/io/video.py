@@ -16,7 +16,14 @@ from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.encoder_process import EncoderProcess, Packing
 from omnisyn_cli.io.encoders import CODECS, PLANAR, EncoderSettings, check_settings, encoder_command, raw_format
 from omnisyn_cli.io.paths import check_output, temporary_name, write_errors
-from omnisyn_cli.io.sequence import ImageSequence, check_sequence, image_sequence, is_sequence, open_sequence
+from omnisyn_cli.io.sequence import (
+    ImageSequence,
+    check_sequence,
+    image_sequence,
+    is_doubtful,
+    is_sequence,
+    open_sequence,
+)
 from omnisyn_cli.io.spherical import inject_spherical
 
 __all__ = ["FrameSink", "check_encoding", "check_video", "open_video", "sample_type"]
@@ -167,7 +174,12 @@ def _packing(settings: EncoderSettings) -> Packing | None:
 
 
 def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
-    """Return the image sequence that a path means, or None for a video file."""
+    """Return the image sequence that a path means, or None for a video file.
+
+    A name that may be a slip of the pen is that of a video, unless images are asked for.
+    """
+    if codec not in IMAGE_CODECS and is_doubtful(path):
+        return None
     if not is_sequence(path):
         if path.suffix.lower() in IMAGE_SUFFIXES:
             raise OutputPathError(
