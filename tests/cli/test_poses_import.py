@@ -122,6 +122,26 @@ def test_images_of_one_name_are_copied_under_two(tmp_path: Path, capsys: pytest.
     assert list(read_poses(output).panoramas) == ["a_R0010001.JPG", "b_R0010001.JPG"]
 
 
+@pytest.mark.parametrize(("name", "found"), [("none", "No such file"), ("walk.csv", "Not a directory")])
+def test_a_folder_of_panoramas_has_to_be_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, found: str
+) -> None:
+    source = table(tmp_path)
+    result = run_cli(capsys, "poses", "import", source, "-o", tmp_path / "out.json", "--images", tmp_path / name)
+    assert result.code == 3
+    assert f"{tmp_path / name}: expected a readable folder, got '{found}" in result.err
+    assert list(listing(tmp_path)) == ["walk.csv"]
+
+
+def test_export_names_the_folder_in_which_it_looked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_pair(tmp_path)
+    (tmp_path / "images").mkdir()
+    arguments = ["poses", "export", tmp_path / "poses.json", "--format", "nerfstudio", "-o", tmp_path / "t.json"]
+    result = run_cli(capsys, *arguments, "--images", tmp_path / "images")
+    assert result.code == 3
+    assert f"expected the panorama 'a.png' in '{tmp_path / 'images'}', for its size, got none" in result.err
+
+
 @pytest.mark.parametrize("command", ["import", "export"])
 def test_not_even_overwriting_reaches_the_source(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
