@@ -122,14 +122,12 @@ def test_images_of_one_name_are_copied_under_two(tmp_path: Path, capsys: pytest.
     assert list(read_poses(output).panoramas) == ["a_R0010001.JPG", "b_R0010001.JPG"]
 
 
-@pytest.mark.parametrize(("name", "found"), [("none", "No such file"), ("walk.csv", "Not a directory")])
-def test_a_folder_of_panoramas_has_to_be_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, found: str
-) -> None:
+@pytest.mark.parametrize("name", ["none", "walk.csv"])
+def test_a_folder_of_panoramas_has_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     source = table(tmp_path)
     result = run_cli(capsys, "poses", "import", source, "-o", tmp_path / "out.json", "--images", tmp_path / name)
     assert result.code == 3
-    assert f"{tmp_path / name}: expected a readable folder, got '{found}" in result.err
+    assert f"{tmp_path / name}: expected a readable folder, got '" in result.err
     assert list(listing(tmp_path)) == ["walk.csv"]
 
 

@@ -127,7 +127,11 @@ class Size(SizeType):
     "--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]),
     help="Of the video or of the frames in a folder.  [default: h264, or png for a folder]",
 )  # fmt: skip
-@click.option("--crf", type=float, help="Constant quality of the encoder, lower is better.  [default: 18 for h264]")
+@click.option(
+    "--crf", type=float,
+    help="Constant quality of the encoder, lower is better; for h264 0 is lossless, which few players play.  "
+    "[default: 18 for h264]",
+)  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @click.option(
     "--mask", "masks", metavar="FILE", multiple=True, type=FilePath,

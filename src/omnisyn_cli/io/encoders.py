@@ -251,8 +251,8 @@ def _check_choices(settings: EncoderSettings, codec: VideoCodec) -> None:
         raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
     if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
         raise InputError(
-            f"expected a quality from 0 (best) to {codec.largest_crf} for {settings.codec}, got {settings.crf}; "
-            "choose one in between"
+            f"expected a quality from 0 (largest file) to {codec.largest_crf} for {settings.codec}, got "
+            f"{settings.crf}; choose one in between"
         )
     if settings.dtype not in codec.pixel_formats:
         raise InputError(

@@ -123,7 +123,8 @@ def open_video(
         fps: frames per second.
         codec: ``h264`` (default), ``h265``, ``av1`` or ``prores``; for a folder ``png`` (default), ``jpg``, ``exr``
             or ``tif``.
-        crf: constant quality, lower is better (defaults: H.264 18, H.265 20, AV1 28; ProRes has none).
+        crf: constant quality, lower is better (defaults: H.264 18, H.265 20, AV1 28; ProRes has none). 0 makes H.264
+            lossless, which few players play.
         preset: x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``.
         threads: for the encoder; 0 takes all.
         dtype: of the frames, ``uint8`` or ``uint16`` (10 bits; not for H.264). Image sequences take any.
