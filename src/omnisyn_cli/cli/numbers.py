@@ -22,7 +22,7 @@ class FiniteRange(click.FloatRange):
 
 
 class FrameRate(FiniteRange):
-    """Frames per second from 0.001 to 1000, as a number or, as television has them, as a fraction: ``30000/1001``."""
+    """Frames per second, at most 1000, as a number or, as television has them, as a fraction: ``30000/1001``."""
 
     name = "rate"
 
