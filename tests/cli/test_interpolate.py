@@ -4,6 +4,7 @@ import json
 import os
 import re
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -14,7 +15,8 @@ import numpy as np
 import pytest
 from cli_samples import SIZE, folder_arguments, listing, pair_arguments, run_cli, start_cli, write_pair
 
-from omnisyn_cli.io import PosedPanorama, read_poses, read_spherical, write_image, write_poses
+from omnisyn_cli.io import PosedPanorama, open_video, read_poses, read_spherical, write_image, write_poses
+from omnisyn_cli.io.encoders import ffmpeg_program
 
 Capture = pytest.CaptureFixture[str]
 
@@ -184,16 +186,58 @@ def test_bad_input_is_one_line_code_3_and_nothing_written(tmp_path: Path, capsys
 BAD_OUTPUT = {
     "no folder": (["none/out.mp4"], "expected an existing folder to write into, got none"),
     "unknown ending": (["out.avi"], "expected a name ending in .mp4"),
+    "slip of the pen": (["clip.mpx"], "got '.mpx'; change the name or the codec (a folder of frames: end its name"),
     "one image": (["out.png"], "add a frame number such as %06d"),
     "codec of another container": (["out.mp4", "--codec", "prores"], r".mov"),
     "images in a video": (["out.mp4", "--codec", "png"], "name a folder for images"),
-    "quality": (["out.mp4", "--crf", "99"], "expected a quality from 0 (best) to 51"),
+    "quality": (["out.mp4", "--crf", "99"], "expected a quality from 0 (largest file) to 51"),
     "speed": (["out.mp4", "--encoder-preset", "warp"], "expected a preset for h264"),
     "too few frames": (["out.mp4", "--frames", "2"], "expected at least 3 frames"),
     "endless": (["out.mp4", "--duration", "1e9", "--fps", "30"], "at most 1,000,000 frames"),
     "frames into a video": (["out.mp4", "--save-frames", "b.mp4"], "expected a folder or a pattern"),
     "no folder for depth": (["out.mp4", "--save-depth", "none/depth"], "create it first"),
 }
+
+
+FOLDERS = {
+    "walk_1.5m": ("walk_1.5m", "--codec", "png"),
+    "walk.final": ("walk.final", "--codec", "png"),
+    "frames.v2": ("frames.v2/",),
+    "frames.mp4": ("frames.mp4/",),
+    "frames.2024": ("out", "--save-frames", "frames.2024"),
+    "frames.new": ("out", "--save-frames", "frames.new/"),
+}
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_folders_may_have_a_dot_in_their_names(
+    tmp_path: Path, pair: list[Path], capsys: Capture, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ["interpolate", *pair, "--poses", "poses.json", "--frames", 3, "--threads", 1, "-o", *FOLDERS[folder]]
+    planned = run_cli(capsys, *arguments, "--dry-run", "--json")
+    assert (planned.code, json.loads(planned.out)["encoder"]) == (0, "png images")
+    assert not (tmp_path / folder).exists()
+    assert run_cli(capsys, *arguments).code == 0
+    assert sorted(file.name for file in (tmp_path / folder).iterdir()) == [f"00000{k}.png" for k in range(3)]
+
+
+def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, capsys: Capture) -> None:
+    """At 0 x264 leaves the profiles that players know; right above it does not."""
+    words = run_cli(capsys, "interpolate", "-h").out.split()
+    assert "for h264 0 is lossless, which few players play" in " ".join(words)
+    for crf, profile in ((0, "High 4:4:4 Predictive"), (1, "High")):
+        with open_video(tmp_path / f"{crf}.mp4", size=(32, 64), fps=25, crf=crf) as sink:
+            sink.write(np.full((32, 64, 3), 9, np.uint8))
+        command = [ffmpeg_program(), "-hide_banner", "-i", str(tmp_path / f"{crf}.mp4")]
+        report = subprocess.run(command, capture_output=True, text=True, check=False).stderr
+        assert f"h264 ({profile})" in report
+
+
+def test_the_rate_may_be_a_fraction(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    result = run_cli(capsys, *pair_arguments(tmp_path, pair, "a.mp4", "--dry-run", "--json", "--fps", "30000/1001"))
+    assert (result.code, json.loads(result.out)["fps"]) == (0, 30000 / 1001)
+    assert run_cli(capsys, *pair_arguments(tmp_path, pair, "a.mp4", "--fps", "30/0")).code == 2
 
 
 def test_one_rule_for_cutting_meshes_is_enough(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:

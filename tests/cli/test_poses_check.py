@@ -181,6 +181,26 @@ def test_masks_outside_of_the_folder_are_read_only_if_allowed(tour: Path, tmp_pa
     assert mask.samefile(tmp_path / "mask.png")
 
 
+def test_masks_that_the_new_file_could_not_name_are_refused_before_any_picture_is_read(
+    tour: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    document = json.loads((tour / "poses.json").read_text())
+    document["panoramas"]["a.png"]["mask"] = "mask.png"
+    (tmp_path / "poses.json").write_text(json.dumps(document))
+    write_image(tmp_path / "mask.png", np.full((192, 384), 255, np.uint8))
+    arguments = ("poses", "refine", *images(tour), "--poses", tmp_path / "poses.json", "-o")
+    with monkeypatch.context() as patched:
+        patched.setattr("omnisyn_cli.posing.read_panorama", lambda *_, **__: pytest.fail("a picture was read"))
+        result = run_cli(capsys, *arguments, tmp_path / "elsewhere" / "out.json")
+    assert result.code == 3
+    assert "'a.png'.mask: expected a file in the folder of the pose file" in result.err
+    assert "write the pose file beside it, or allow files elsewhere (--allow-outside)" in result.err
+    assert listing(tmp_path / "elsewhere") == {}
+    assert run_cli(capsys, *arguments, tmp_path / "beside.json").code == 0
+    assert run_cli(capsys, *arguments, tmp_path / "elsewhere" / "out.json", "--allow-outside").code == 0
+
+
 def test_with_too_few_matches_refine_keeps_what_was_given(tour: Path, tmp_path: Path, capsys: Capture) -> None:
     write_poses(tmp_path / "p.json", {name: PosedPanorama(Pose.identity()) for name in ("a.png", "blank.png")})
     arguments = (tour / "a.png", tour / "blank.png", "--poses", tmp_path / "p.json")

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO
 import pytest
 from cli_samples import listing, pair_arguments, run_cli, write_pair
 
@@ -21,6 +22,20 @@ TABLE = "image,lat,lng,heading\na.png,48.1,11.5,0\nb.png,48.10001,11.5,90\n"
 def table(folder: Path) -> Path:
     path = folder / "walk.csv"
     path.write_text(TABLE, encoding="utf-8")
+    return path
+
+
+def placed_panorama(path: Path) -> Path:
+    """A panorama with EXIF GPS and a heading, in a folder that is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    spec = OpenImageIO.ImageSpec(32, 16, 3, "uint8")
+    for name, value in (("GPS:Latitude", (48.0, 8.0, 0.0)), ("GPS:Longitude", (11.0, 30.0, 0.0))):
+        spec.attribute(name, "float[3]", value)
+    spec["GPano:PoseHeadingDegrees"] = 0.0
+    writer = OpenImageIO.ImageOutput.create(str(path))
+    assert writer.open(str(path), spec)
+    assert writer.write_image(np.full((16, 32, 3), 128, np.uint8))
+    assert writer.close()
     return path
 
 
@@ -91,6 +106,38 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFi
     assert output.read_text(encoding="utf-8") == "mine"
     assert run_cli(capsys, *arguments, "--overwrite").code == 0
     assert json.loads(output.read_text(encoding="utf-8"))["version"] == 1
+
+
+def test_images_of_one_name_are_copied_under_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sources = [placed_panorama(tmp_path / "g" / name / "R0010001.JPG") for name in ("a", "b")]
+    output = tmp_path / "out" / "poses.json"
+    output.parent.mkdir()
+    refused = run_cli(capsys, "poses", "import", *sources, "-o", output)
+    assert refused.code == 3
+    assert "image files of different names, got 'a/R0010001.JPG' and 'b/R0010001.JPG'" in refused.err
+    assert "--copy-images" in refused.err
+    copied = run_cli(capsys, "poses", "import", *sources, "-o", output, "--copy-images")
+    assert copied.code == 0, copied.err
+    assert list(listing(output.parent)) == ["a_R0010001.JPG", "b_R0010001.JPG", "poses.json"]
+    assert list(read_poses(output).panoramas) == ["a_R0010001.JPG", "b_R0010001.JPG"]
+
+
+@pytest.mark.parametrize("name", ["none", "walk.csv"])
+def test_a_folder_of_panoramas_has_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    source = table(tmp_path)
+    result = run_cli(capsys, "poses", "import", source, "-o", tmp_path / "out.json", "--images", tmp_path / name)
+    assert result.code == 3
+    assert f"{tmp_path / name}: expected a readable folder, got '" in result.err
+    assert list(listing(tmp_path)) == ["walk.csv"]
+
+
+def test_export_names_the_folder_in_which_it_looked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_pair(tmp_path)
+    (tmp_path / "images").mkdir()
+    arguments = ["poses", "export", tmp_path / "poses.json", "--format", "nerfstudio", "-o", tmp_path / "t.json"]
+    result = run_cli(capsys, *arguments, "--images", tmp_path / "images")
+    assert result.code == 3
+    assert f"expected the panorama 'a.png' in '{tmp_path / 'images'}', for its size, got none" in result.err
 
 
 @pytest.mark.parametrize("command", ["import", "export"])

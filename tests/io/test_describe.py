@@ -87,6 +87,18 @@ def test_poses_are_described(folder: Path) -> None:
     assert [(row["image_exists"], row["depth_exists"]) for row in seen["panoramas"]] == [(True, True), (False, None)]
 
 
+def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folder: Path) -> None:
+    (folder / "poses").mkdir()
+    text = (folder / "poses.json").read_text().replace("a_depth.exr", "../a_depth.exr")
+    (folder / "poses" / "poses.json").write_text(text)
+    refused = CliRunner().invoke(info, [str(folder / "poses" / "poses.json")])
+    assert refused.exit_code == 3
+    assert "--allow-outside" in refused.stderr
+    allowed = CliRunner().invoke(info, ["--json", "--allow-outside", str(folder / "poses" / "poses.json")])
+    assert allowed.exit_code == 0
+    assert json.loads(allowed.stdout)[0]["panoramas"][0]["depth_exists"] is True
+
+
 def test_a_video_is_described(folder: Path) -> None:
     seen = describe_file(folder / "v.mp4")
     assert (seen["codec"], seen["width"], seen["height"], seen["fps"]) == ("h264", 64, 32, 10.0)

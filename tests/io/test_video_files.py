@@ -1,9 +1,11 @@
 """Frames become videos of the right colours, whole or not at all, and ffmpeg's words reach the user."""
 
 import re
+import struct
 import subprocess
 import sys
 import threading
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +13,9 @@ import pytest
 
 from omnisyn_cli.errors import EncodingError, InputError, OmnisynError, OutputPathError, WriteError
 from omnisyn_cli.io import check_output, check_video, open_video, read_panorama
+from omnisyn_cli.io.boxes import children_of
 from omnisyn_cli.io.encoder_process import EncoderProcess
-from omnisyn_cli.io.encoders import EncoderSettings, encoder_command, ffmpeg_program
+from omnisyn_cli.io.encoders import CODECS, EncoderSettings, encoder_command, ffmpeg_program
 from omnisyn_cli.io.frames import read_frames
 
 PATCHES = np.array(
@@ -75,6 +78,34 @@ def test_colours_survive_within_rounding_and_are_tagged_bt709(
     assert list(tmp_path.iterdir()) == [path]
 
 
+def content(path: Path, *kinds: bytes) -> bytes:
+    """What is in the box of a file that these kinds lead to."""
+    data = path.read_bytes()
+    for kind in kinds:
+        data = next(box.head for box in children_of(path, data).children or () if box.kind == kind)
+    return data
+
+
+MEDIA = (b"moov", b"trak", b"mdia")
+
+SAMPLES = (*MEDIA, b"minf", b"stbl")
+
+
+@pytest.mark.parametrize(("codec", "suffix"), [(name, end) for name, codec in CODECS.items() for end in codec.suffixes])
+def test_whatever_is_offered_is_encoded_and_says_its_colours_and_its_shape(
+    tmp_path: Path, codec: str, suffix: str
+) -> None:
+    path = tmp_path / f"a{suffix.upper()}"
+    with open_video(path, size=(64, 128), fps=25, codec=codec, preset=FAST[codec]) as sink:
+        for _ in range(2):
+            sink.write(FRAME[:64, :128])
+    (entry,) = children_of(path, content(path, *SAMPLES, b"stsd"), 8).children or ()
+    boxes = {box.kind: box.head for box in children_of(path, entry.head, 78).children or ()}
+    assert {b"colr", b"st3d", b"sv3d"} <= set(boxes)
+    expected = b"nclc" if suffix == ".mov" else b"nclx"
+    assert boxes[b"colr"][:10] == expected + struct.pack(">HHH", 1, 1, 1)
+
+
 def test_frames_keep_their_order_and_count(tmp_path: Path) -> None:
     with open_video(tmp_path / "a.mp4", size=(128, 256), fps=30000 / 1001, preset="ultrafast") as sink:
         for level in range(0, 240, 8):
@@ -82,6 +113,24 @@ def test_frames_keep_their_order_and_count(tmp_path: Path) -> None:
     means = decoded(tmp_path / "a.mp4").mean(axis=(1, 2, 3))
     np.testing.assert_allclose(means, np.arange(0, 240, 8), atol=2)
     assert "29.97 fps" in report(tmp_path / "a.mp4")
+
+
+RATES = {
+    23.976: (24000, 1001), 23.98: (24000, 1001), 29.97: (30000, 1001), 30000 / 1001: (30000, 1001),
+    47.95: (48000, 1001), 59.94: (60000, 1001), 119.88: (120000, 1001), Fraction(30000, 1001): (30000, 1001),
+    24: (24, 1), 29.9: (299, 10), 29.98: (1499, 50), 12.5: (25, 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_rates_of_television_are_exact_in_the_file(tmp_path: Path, fps: float | Fraction) -> None:
+    with open_video(tmp_path / "a.mp4", size=(32, 64), fps=fps, preset="ultrafast") as sink:
+        for _ in range(3):
+            sink.write(np.zeros((32, 64, 3), np.uint8))
+    (timescale,) = struct.unpack_from(">I", content(tmp_path / "a.mp4", *MEDIA, b"mdhd"), 12)
+    count, samples, delta = struct.unpack(">III", content(tmp_path / "a.mp4", *SAMPLES, b"stts")[4:])
+    assert (count, samples) == (1, 3)
+    assert Fraction(timescale, delta) == Fraction(*RATES[fps])
 
 
 def interrupted(path: Path, error: type[BaseException], *, overwrite: bool = False) -> None:
@@ -192,6 +241,11 @@ REFUSED = {
     "codec": ({"codec": "h266"}, InputError, "h264, h265, av1, prores"),
     "extension": ({"path": "a.mp4", "codec": "prores"}, OutputPathError, r"\.mov"),
     "unknown extension": ({"path": "a.mkv"}, OutputPathError, r"\.mp4 or"),
+    "slip of the pen": ({"path": "a.mpx"}, OutputPathError, r"\.mp4 or .*got '\.mpx'; .*end its name with /"),
+    "slip in a pattern": ({"path": "a_%d.pgn"}, OutputPathError, r"\.mp4 or"),
+    "slip with a video codec": ({"path": "a.mvo", "codec": "prores"}, OutputPathError, r"\.mov for prores"),
+    "version with a video codec": ({"path": "a.v2", "codec": "h265"}, OutputPathError, r"video\.mp4"),
+    "other kind of image": ({"path": "a.gif", "codec": "png"}, OutputPathError, "folder for images"),
     "one image": ({"path": "a.png"}, OutputPathError, "frame number"),
     "folder for video": ({"path": "folder", "codec": "h264"}, OutputPathError, "video.mp4"),
     "video for images": ({"codec": "png"}, OutputPathError, "folder for images"),
@@ -237,6 +291,11 @@ def test_existing_targets_are_kept_unless_told_otherwise(tmp_path: Path) -> None
         ("f", "jpg", "f/000000.jpg"),
         ("v_%03d.exr", None, "v_000.exr"),
         ("100%_%d.png", None, "100%_0.png"),
+        ("walk_1.5m", None, "walk_1.5m/000000.png"),
+        ("frames.2024", "jpg", "frames.2024/000000.jpg"),
+        ("frames.v2", None, "frames.v2/000000.png"),
+        ("walk.final", "tif", "walk.final/000000.tif"),
+        ("v_%02d", "jpg", "v_00.jpg"),
     ],
 )
 def test_frames_become_numbered_images(tmp_path: Path, name: str, codec: str | None, first: str) -> None:

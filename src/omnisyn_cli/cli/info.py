@@ -14,16 +14,19 @@ __all__ = ["info"]
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--max-pixels", type=click.IntRange(1), help="Decode no image with more.  [default: 268435456]")
+@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of a pose file's folder.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of text.")
 @click.pass_context
-def info(context: click.Context, files: tuple[Path, ...], max_pixels: int | None, as_json: bool) -> None:
+def info(
+    context: click.Context, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool
+) -> None:
     """Show what the program sees in panoramas, depth files, pose files and videos.
 
     A file that cannot be used does not stop the others; the exit code is 3 in the end if there was any.
     """
     import json
 
-    descriptions = [_description(path, max_pixels) for path in files]
+    descriptions = [_description(path, max_pixels, allow_outside) for path in files]
     if as_json:
         click.echo(json.dumps(descriptions, indent=2, ensure_ascii=False))
     else:
@@ -33,13 +36,13 @@ def info(context: click.Context, files: tuple[Path, ...], max_pixels: int | None
         context.exit(3)
 
 
-def _description(path: Path, max_pixels: int | None) -> dict[str, Any]:
+def _description(path: Path, max_pixels: int | None, allow_outside: bool) -> dict[str, Any]:
     from omnisyn_cli.errors import OmnisynError
     from omnisyn_cli.io import MAX_PIXELS
     from omnisyn_cli.io.describe import describe_file
 
     try:
-        description = describe_file(path, max_pixels=max_pixels or MAX_PIXELS)
+        description = describe_file(path, max_pixels=max_pixels or MAX_PIXELS, allow_outside=allow_outside)
     except OmnisynError as error:
         return {"file": str(path), "ok": False, "error": str(error)}
     return {"file": str(path), "ok": description.get("usable", True), **description}

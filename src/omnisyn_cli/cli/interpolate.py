@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.masks import masks_option, nadir_option
-from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
+from omnisyn_cli.cli.places import FramePlace
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -57,13 +58,13 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then.")
 @click.option(
-    "-o", "--output", required=True, type=FilePath,
+    "-o", "--output", required=True, type=FramePlace(),
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
 )  # fmt: skip
 @click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
 @click.option(
-    "--fps", type=FiniteRange(0, 1000, min_open=True), default=30.0, show_default=True, help="Frames per second."
+    "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
@@ -127,7 +128,11 @@ class Size(SizeType):
     "--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]),
     help="Of the video or of the frames in a folder.  [default: h264, or png for a folder]",
 )  # fmt: skip
-@click.option("--crf", type=float, help="Constant quality of the encoder, lower is better.  [default: 18 for h264]")
+@click.option(
+    "--crf", type=float,
+    help="Constant quality of the encoder, lower is better; for h264 0 is lossless, which few players play.  "
+    "[default: 18 for h264]",
+)  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @masks_option
 @nadir_option
@@ -140,7 +145,7 @@ class Size(SizeType):
 @click.option(
     "--save-frames",
     metavar="FOLDER",
-    type=FilePath,
+    type=FramePlace(),
     help="Keep the frames as images besides the video: PNG, or a pattern such as DIR/%05d.jpg.",
 )
 @click.option(

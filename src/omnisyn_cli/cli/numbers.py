@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-__all__ = ["FiniteRange"]
+__all__ = ["FiniteRange", "FrameRate"]
 
 
 class FiniteRange(click.FloatRange):
@@ -19,3 +19,23 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"expected a finite number, got {value}", param, ctx)
         return number
+
+
+class FrameRate(FiniteRange):
+    """Frames per second, at most 1000, as a number or, as television has them, as a fraction: ``30000/1001``."""
+
+    name = "rate"
+
+    def __init__(self) -> None:
+        super().__init__(0, 1000, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The rate as a number."""
+        if not isinstance(value, str) or "/" not in value:
+            return super().convert(value, param, ctx)
+        try:
+            frames, seconds = (int(part) for part in value.split("/"))
+            rate = frames / seconds
+        except (ValueError, ArithmeticError):
+            self.fail(f"expected frames per second such as 30 or 30000/1001, got {value!r:.40}", param, ctx)
+        return super().convert(rate, param, ctx)

@@ -88,11 +88,13 @@ def refine(
     """
     from omnisyn_cli.io import check_output, read_poses, write_poses
     from omnisyn_cli.io.paths import check_kept
+    from omnisyn_cli.io.poses import check_companions_named
     from omnisyn_cli.posing import refine_poses
 
     pose_file = read_poses(poses, allow_outside=allow_outside)
     check_output(output, overwrite)
     check_kept([output], (poses, *images))
+    check_companions_named(output, pose_file.panoramas, allow_outside=allow_outside)
     refined = refine_poses(images, pose_file, _picture_options(**options))
     write_poses(output, refined.panoramas, allow_outside=allow_outside)
     _report(refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined", quiet)

@@ -34,12 +34,13 @@ VIDEO_STREAM = re.compile(
 DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
 
 
-def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> dict[str, Any]:
+def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False) -> dict[str, Any]:
     """Describe a file by its kind, which is told by its ending (and, for images, by its channels).
 
     Args:
         path: of the file.
         max_pixels: larger images are not decoded.
+        allow_outside: whether depth and masks may lie outside of a pose file's folder.
 
     Returns:
         ``kind`` (``panorama``, ``depth``, ``poses`` or ``video``) and what belongs to it.
@@ -51,7 +52,7 @@ def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> dict[str
     source = Path(path)
     suffix = source.suffix.lower()
     if suffix == ".json":
-        return _describe_poses(source)
+        return _describe_poses(source, allow_outside)
     if suffix in VIDEO_SUFFIXES:
         return _describe_video(source)
     header = read_header(source)
@@ -126,8 +127,8 @@ def _describe_depth(path: Path, max_pixels: int) -> dict[str, Any]:
     }
 
 
-def _describe_poses(path: Path) -> dict[str, Any]:
-    file = read_poses(path)
+def _describe_poses(path: Path, allow_outside: bool) -> dict[str, Any]:
+    file = read_poses(path, allow_outside=allow_outside)
     positions = np.array([panorama.pose.position for panorama in file.panoramas.values()])
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
     names = list(file.panoramas)

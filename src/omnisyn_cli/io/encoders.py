@@ -15,6 +15,7 @@ import ffmpeg
 import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
+from omnisyn_cli.io.sequence import is_doubtful
 
 __all__ = [
     "CODECS",
@@ -85,6 +86,12 @@ CODECS: Mapping[str, VideoCodec] = {
     ),
 }
 
+MUXERS = {".mp4": "mp4", ".m4v": "mp4", ".mov": "mov"}
+"""Containers by the name's ending; left alone, ffmpeg makes of .m4v an iPod's, without H.265 and without colours."""
+
+NTSC_RATES = tuple(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120))
+"""Frame rates of television, which are written rounded to two or three decimals."""
+
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 """ffmpeg's names of the frames that are handed to it, where it converts them."""
 
@@ -132,9 +139,10 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
         raise InputError(f"expected a codec among {', '.join(CODECS)}, got '{settings.codec}'; choose one of them")
     codec = CODECS[settings.codec]
     if path.suffix.lower() not in codec.suffixes:
+        folder = " (a folder of frames: end its name with /)" if is_doubtful(path) else ""
         raise OutputPathError(
             f"{path}: expected a name ending in {' or '.join(codec.suffixes)} for {settings.codec}, got "
-            f"'{path.suffix}'; change the name or the codec"
+            f"'{path.suffix}'; change the name or the codec{folder}"
         )
     check_frame_size(settings.size)
     check_frame_rate(settings.fps)
@@ -155,7 +163,10 @@ def check_frame_rate(fps: float | Fraction) -> None:
 
 
 def as_fraction(fps: float | Fraction) -> Fraction:
-    """The nearest rate that containers can say, such as 30000/1001."""
+    """The nearest rate that containers can say; 23.976, 23.98, 29.97, 47.95, 59.94 and 119.88 stand for n·1000/1001."""
+    for exact in NTSC_RATES:
+        if fps in (round(float(exact), 2), round(float(exact), 3)):
+            return exact
     return Fraction(fps).limit_denominator(1001)
 
 
@@ -169,7 +180,8 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     """The command that reads raw frames of :func:`raw_format` from its standard input and writes ``path``.
 
     RGB is converted to limited-range BT.709 with exact rounding, and tagged as that: left alone, ffmpeg converts to
-    untagged BT.601, which a BT.709 player shows up to 28/255 wrong.
+    untagged BT.601, which a BT.709 player shows up to 28/255 wrong. The rate is said for the output too, because ffmpeg
+    takes the input's for 120 where it is 120000/1001.
 
     Raises:
         EncodingError: this ffmpeg has no encoder for the codec.
@@ -185,10 +197,11 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
         frames = frames.filter("scale", out_color_matrix="bt709", out_range="tv", flags=flags)
         frames = frames.filter("format", codec.pixel_formats[settings.dtype])
     converted = frames.filter("setparams", colorspace="bt709", color_primaries="bt709", color_trc="bt709", range="tv")
-    options = {"c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
+    options = {"r": rate, "c:v": encoder, "threads": settings.threads, **_quality_options(encoder, settings, codec)}
     if codec.tag:
         options["tag:v"] = codec.tag
-    output = ffmpeg.output(converted, f"file:{path.absolute()}", an=None, **options)
+    muxer = MUXERS[path.suffix.lower()]
+    output = ffmpeg.output(converted, f"file:{path.absolute()}", format=muxer, an=None, **options)
     quiet = output.global_args("-hide_banner", "-nostats", "-loglevel", "error")
     command: list[str] = ffmpeg.compile(quiet, cmd=ffmpeg_program(), overwrite_output=True)
     return command
@@ -238,8 +251,8 @@ def _check_choices(settings: EncoderSettings, codec: VideoCodec) -> None:
         raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
     if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
         raise InputError(
-            f"expected a quality from 0 (best) to {codec.largest_crf} for {settings.codec}, got {settings.crf}; "
-            "choose one in between"
+            f"expected a quality from 0 (largest file) to {codec.largest_crf} for {settings.codec}, got "
+            f"{settings.crf}; choose one in between"
         )
     if settings.dtype not in codec.pixel_formats:
         raise InputError(

@@ -41,7 +41,14 @@ from omnisyn_cli.io.pose_models import (
     path_problem,
 )
 
-__all__ = ["PoseFile", "PosedPanorama", "check_names_tell_apart", "read_poses", "write_poses"]
+__all__ = [
+    "PoseFile",
+    "PosedPanorama",
+    "check_companions_named",
+    "check_names_tell_apart",
+    "read_poses",
+    "write_poses",
+]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -158,6 +165,21 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
     with replaced_when_complete(target) as temporary:
         temporary.write_text(f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n', encoding="utf-8")
+
+
+def check_companions_named(path: Path, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:
+    """Refuse depth and mask files that a pose file could not name, before any work is done for it.
+
+    Args:
+        path: where the pose file is to be written.
+        panoramas: entries by image file name.
+        allow_outside: see :func:`write_poses`.
+
+    Raises:
+        PoseError: one lies outside of the pose file's folder.
+    """
+    for name, panorama in panoramas.items():
+        _companions(path, name, panorama, allow_outside)
 
 
 def _json(value: Any) -> str:
@@ -317,11 +339,14 @@ def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
 def _written(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
     rotation = _rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
     quaternion = quaternion_from_rotation(rotation)
-    entry: dict[str, Any] = {"position": panorama.pose.position.tolist(), "rotation": quaternion.tolist()}
-    for key, file in (("depth", panorama.depth), ("mask", panorama.mask)):
-        if file is not None:
-            entry[key] = _relative(path, name, key, file, allow_outside)
-    return entry
+    pose = {"position": panorama.pose.position.tolist(), "rotation": quaternion.tolist()}
+    return {**pose, **_companions(path, name, panorama, allow_outside)}
+
+
+def _companions(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:
+    """The names by which a pose file calls depth and mask of an entry."""
+    files = {"depth": panorama.depth, "mask": panorama.mask}
+    return {k: _relative(path, name, k, file, allow_outside) for k, file in files.items() if file is not None}
 
 
 def _relative(path: Path, name: str, key: str, file: Path, allow_outside: bool) -> str:
@@ -332,7 +357,7 @@ def _relative(path: Path, name: str, key: str, file: Path, allow_outside: bool) 
     except ValueError as error:
         raise PoseError(
             f"{path}: panoramas.'{name}'.{key}: expected a file in the folder of the pose file, got '{file}'; "
-            "move it there"
+            "write the pose file beside it, or allow files elsewhere (--allow-outside)"
         ) from error
 
 

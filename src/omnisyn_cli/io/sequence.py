@@ -16,11 +16,20 @@ from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
 from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
 
-__all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_sequence", "open_sequence"]
+__all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_doubtful", "is_sequence", "open_sequence"]
 
 DEFAULT_NUMBER = "%06d"
 
 NUMBER = re.compile(r"%0?(\d{0,2})d")
+
+OTHER_SUFFIXES = (
+    ".264", ".265", ".3g2", ".3gp", ".avi", ".bmp", ".gif", ".h264", ".h265", ".heic", ".hevc", ".ivf", ".m2ts", ".m4v",
+    ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".webm", ".webp", ".wmv",
+)  # fmt: skip
+"""Endings of videos, and of images that are not written here: such a name means a file."""
+
+FOLDER_ENDING = re.compile(r"\.v?\d.*", re.IGNORECASE)
+"""Numbers and versions, as in ``walk_1.5m``, ``frames.2024`` and ``walk.v2``: no file's ending."""
 
 
 @dataclass(frozen=True)
@@ -71,19 +80,35 @@ class SequenceWriter:
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether a path means numbered images: a folder, a name without ending, or an image name with ``%06d``."""
-    has_number = NUMBER.search(path.name) is not None and path.suffix.lower() in IMAGE_SUFFIXES
-    return has_number or path.suffix == "" or path.is_dir()
+    """Whether a path can mean numbered images: a folder, an image name with ``%06d``, or no name of a known file."""
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix == "":
+        return True
+    if NUMBER.search(path.name):
+        return suffix in IMAGE_SUFFIXES
+    return not _is_known(suffix)
+
+
+def is_doubtful(path: Path) -> bool:
+    """Whether a name can mean a folder, but looks like a file's: it ends in a dot and letters, such as ``.mpx``."""
+    is_plain = path.suffix == "" or path.is_dir() or _is_known(path.suffix.lower())
+    return not (is_plain or FOLDER_ENDING.fullmatch(path.suffix))
 
 
 def image_sequence(path: Path, suffix: str = ".png") -> ImageSequence:
     """The file names that a folder or a pattern such as ``frames/view_%04d.jpg`` stands for.
 
+    Args:
+        path: the folder or pattern.
+        suffix: ending of the images where ``path`` does not say it.
+
     Raises:
         OutputPathError: more than one number, a number in the folder's name, or an unknown kind of image.
     """
-    if path.is_dir() or path.suffix == "":
+    if path.is_dir() or not (NUMBER.search(path.name) or _is_known(path.suffix.lower())):
         path = path / f"{DEFAULT_NUMBER}{suffix}"
+    elif path.suffix == "":
+        path = path.with_name(path.name + suffix)
     image_suffix(path)
     numbers = list(NUMBER.finditer(path.name))
     if len(numbers) != 1:
@@ -92,6 +117,10 @@ def image_sequence(path: Path, suffix: str = ".png") -> ImageSequence:
         )
     number = numbers[0]
     return ImageSequence(path.parent, path.name[: number.start()], int(number.group(1) or 1), path.name[number.end() :])
+
+
+def _is_known(suffix: str) -> bool:
+    return suffix in IMAGE_SUFFIXES or suffix in OTHER_SUFFIXES
 
 
 def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:

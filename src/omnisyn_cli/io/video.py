@@ -16,7 +16,14 @@ from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.encoder_process import EncoderProcess, Packing
 from omnisyn_cli.io.encoders import CODECS, PLANAR, EncoderSettings, check_settings, encoder_command, raw_format
 from omnisyn_cli.io.paths import check_output, temporary_name, write_errors
-from omnisyn_cli.io.sequence import ImageSequence, check_sequence, image_sequence, is_sequence, open_sequence
+from omnisyn_cli.io.sequence import (
+    ImageSequence,
+    check_sequence,
+    image_sequence,
+    is_doubtful,
+    is_sequence,
+    open_sequence,
+)
 from omnisyn_cli.io.spherical import inject_spherical
 
 __all__ = ["FrameSink", "check_encoding", "check_video", "open_video", "sample_type"]
@@ -116,7 +123,8 @@ def open_video(
         fps: frames per second.
         codec: ``h264`` (default), ``h265``, ``av1`` or ``prores``; for a folder ``png`` (default), ``jpg``, ``exr``
             or ``tif``.
-        crf: constant quality, lower is better (defaults: H.264 18, H.265 20, AV1 28; ProRes has none).
+        crf: constant quality, lower is better (defaults: H.264 18, H.265 20, AV1 28; ProRes has none). 0 makes H.264
+            lossless, which few players play.
         preset: x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``.
         threads: for the encoder; 0 takes all.
         dtype: of the frames, ``uint8`` or ``uint16`` (10 bits; not for H.264). Image sequences take any.
@@ -167,7 +175,12 @@ def _packing(settings: EncoderSettings) -> Packing | None:
 
 
 def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
-    """Return the image sequence that a path means, or None for a video file."""
+    """Return the image sequence that a path means, or None for a video file.
+
+    A name that may be a slip of the pen is that of a video, unless images are asked for.
+    """
+    if codec not in IMAGE_CODECS and is_doubtful(path):
+        return None
     if not is_sequence(path):
         if path.suffix.lower() in IMAGE_SUFFIXES:
             raise OutputPathError(

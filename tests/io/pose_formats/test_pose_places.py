@@ -173,3 +173,19 @@ def test_radians_are_suspected(tmp_path: Path) -> None:
         write_text(tmp_path / "a.csv", "image,lat,lng,heading", "a,1,2,3.1", "b,1,2,-1.5"), expected="table"
     )
     assert any("are they radians" in note for note in result.notes)
+
+
+def test_images_of_one_name_in_two_folders_are_two_images(tmp_path: Path) -> None:
+    """Cameras start counting anew in every folder; a file that is in a folder that is given too counts once."""
+    names = ["g/a/R1.JPG", "g/b/R1.JPG", "g/b/R2.JPG"]
+    for index, name in enumerate(names):
+        write_images(tmp_path, [name], **gps(48.0 + index / 1000, 11.5, 500.0), **pano_pose(10.0 * index))
+    a, b = tmp_path / "g" / "a", tmp_path / "g" / "b"
+    result = imported(a / "R1.JPG", b, b / ".." / "b" / "R1.JPG", expected="exif")
+    assert [view.name for view in result.views] == ["a/R1.JPG", "b/R1.JPG", "b/R2.JPG"]
+    assert [view.image for view in result.views] == [tmp_path / name for name in names]
+    north = [-view.pose.position[2] for view in result.views]
+    np.testing.assert_allclose(np.diff(north), 111.2, atol=0.1)
+    assert [view.name for view in imported(b, b / "R1.JPG", expected="exif").views] == ["R1.JPG", "R2.JPG"]
+    (alone,) = imported(a, expected="exif").views
+    assert alone.name == "R1.JPG"

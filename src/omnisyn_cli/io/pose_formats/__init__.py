@@ -17,6 +17,7 @@ from omnisyn_cli.io.pose_formats.colmap import read_colmap
 from omnisyn_cli.io.pose_formats.detect import detected_format, model_folder
 from omnisyn_cli.io.pose_formats.exif import read_exif
 from omnisyn_cli.io.pose_formats.export import EXPORT_FORMATS, export_poses
+from omnisyn_cli.io.pose_formats.files import entries
 from omnisyn_cli.io.pose_formats.habitat import read_habitat
 from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
 from omnisyn_cli.io.pose_formats.nerfstudio import read_nerfstudio
@@ -75,7 +76,7 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
         The format's name and what was read.
 
     Raises:
-        PoseError: nothing known there, malformed, or an option that does not go with the format.
+        PoseError: nothing known there, malformed, no folder of images, or an option that does not go with the format.
         ImageError: an image (exif) that is none.
     """
     chosen = detected_format(sources) if format_name == "auto" else format_name
@@ -97,6 +98,8 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
 def _check_options(chosen: str, sources: Sequence[Path], options: ImportOptions) -> None:
     if len(sources) > 1 and chosen != "exif":
         raise PoseError(f"{sources[1]}: expected one source of format {chosen}, got {len(sources)}; give one")
+    if options.images is not None:
+        entries(options.images)
     unfit = {
         "--origin": options.origin is not None and chosen not in GEOGRAPHIC,
         "--up": options.up is not None and chosen in LEVEL,

@@ -9,7 +9,9 @@ Source: Google, "Photo Sphere XMP Metadata"; Exif 2.32 and 3.0, GPS attribute in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 from omnisyn_cli.errors import PoseError
@@ -31,27 +33,45 @@ ELLIPSOID = (2, 3)
 
 
 def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
-    """Poses of image files, or of the images in a folder; images without any place are left out and named.
+    """Poses of image files, or of the images in folders; images without any place are left out and named.
+
+    A file that is given twice, by itself and in its folder, counts once.
 
     Raises:
         PoseError: no image has a place, one has no heading, or values contradict each other.
         ImageError: a file that is not an image.
     """
-    paths = [path for source in sources for path in (images_in(source) if source.is_dir() else [source])]
-    headers = {path: read_header(path) for path in paths}
-    placed = {path: header for path, header in headers.items() if "GPS:Latitude" in header.attributes}
+    paths = _different(path for source in sources for path in (images_in(source) if source.is_dir() else [source]))
+    headers = {name: read_header(path) for name, path in zip(_names(paths), paths, strict=True)}
+    placed = {name: header for name, header in headers.items() if "GPS:Latitude" in header.attributes}
     where = str(sources[0])
     if not placed:
         raise PoseError(
             f"{where}: expected images with EXIF GPS, got none in {len(paths)} images; give a table of places (CSV), "
             "or let 'omnisyn poses estimate' find the poses"
         )
-    places = {path.name: _place(header) for path, header in placed.items()}
+    places = {name: _place(header) for name, header in placed.items()}
     complete, notes = with_altitudes(where, places)
     poses, origin = poses_from_places(complete, options.origin)
-    views = tuple(ImportedView(path.name, pose, path) for path, pose in zip(placed, poses, strict=True))
-    skipped = [path.name for path in paths if path not in placed]
+    views = tuple(ImportedView(name, pose, placed[name].path) for name, pose in zip(placed, poses, strict=True))
+    skipped = [name for name in headers if name not in placed]
     return ImportedPoses(views, (origin_note(origin), *notes, *_notes(list(placed.values()), skipped)))
+
+
+def _different(paths: Iterable[Path]) -> list[Path]:
+    """Paths without those that lead to the file of an earlier one."""
+    files: dict[str, Path] = {}
+    for path in paths:
+        files.setdefault(os.path.realpath(path), path)
+    return list(files.values())
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Paths from the folder that all images lie below: their file names, where that is their own folder."""
+    places = [Path(os.path.realpath(path.parent), path.name) for path in paths]
+    levels = zip(*(place.parent.parts for place in places), strict=False)
+    shared = len(list(takewhile(lambda level: len(set(level)) == 1, levels)))
+    return ["/".join(place.parts[shared:]) for place in places]
 
 
 def _place(header: ImageHeader) -> Place:

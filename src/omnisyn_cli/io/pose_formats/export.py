@@ -62,7 +62,7 @@ def export_poses(
         return ("time stamps: the numbers of the panoramas; their names are in comments",)
     folder = images or poses.path.parent
     files = {name: folder / name if (folder / name).is_file() else None for name in chosen}
-    sizes = {name: size or _size(poses.path, name, file) for name, file in files.items()}
+    sizes = {name: size or _size(poses.path, name, folder, file) for name, file in files.items()}
     if format_name == "nerfstudio":
         _write(output, nerfstudio_text(chosen, sizes, files, output.parent))
         return ("world: z up; depth and masks are not written",)
@@ -92,11 +92,11 @@ def _write_colmap(output: Path, poses: Mapping[str, Pose], sizes: Mapping[str, S
             (staged / name).write_text(text, encoding="utf-8")
 
 
-def _size(path: Path, name: str, file: Path | None) -> Size:
+def _size(path: Path, name: str, folder: Path, file: Path | None) -> Size:
     """``(height, width)`` of the whole sphere of a panorama."""
     if file is None:
         raise PoseError(
-            f"{path}: expected the panorama '{name}' in '{path.parent}', for its size, got none; "
+            f"{path}: expected the panorama '{name}' in '{folder}', for its size, got none; "
             "name the folder (--images) or the size (--size)"
         )
     placement = placement_of(read_header(file))
