@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Float32, Int32, Integer, UInt8
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.threads import run_bands
@@ -81,7 +82,9 @@ def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
     """Trust in a mesh by the texture coordinates of its panorama."""
     rows, cols, _ = mesh.trust.shape
     image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
-    bordered = np.pad(np.pad(image, ((0, 0), (1, 0)), mode="wrap"), ((1, 1), (0, 0)), mode="edge")
+    of_caps = mesh.quarter_trust[mesh.trust.size + np.arange(2 * cols) // FACES_PER_QUARTER]
+    caps = of_caps.reshape(2, cols).repeat(2, axis=1)
+    bordered = np.pad(np.concatenate([caps[:1], image, caps[1:]]), ((0, 0), (1, 0)), mode="wrap")
     layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
         scale, zero = texture.layout[0, offset : offset + 2]
