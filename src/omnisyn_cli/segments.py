@@ -118,18 +118,19 @@ def prepare_segment(
             triangles=(pair.triangles, pair.triangles), on_device=pair,
         )  # fmt: skip
     with clock("mesh"):
-        images = [_usable_image(view, options) for view in (first, second)]
         renderers = [
             make_renderer(
-                options.renderer, image, view.mask,
+                options.renderer, _usable_image(view, options), view.mask,
                 depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
                 _way(view, other) if options.adaptive and is_moving else None,
             )
-            for view, other, image, depth in zip((first, second), (second, first), images, depths, strict=True)
+            for view, other, depth in zip((first, second), (second, first), depths, strict=True)
         ]  # fmt: skip
     is_doubtful = options.cross_fade and check.confidence.score < LEAST_SCORE
-    poses = (first.pose, second.pose)
-    cross_fade = CrossFade(images, poses, options.size, options.threads) if is_doubtful else None
+    poses, cross_fade = (first.pose, second.pose), None
+    if is_doubtful:
+        images = [_usable_image(view, options) for view in (first, second)]
+        cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     triangles = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
     return Segment(index, poses, depths, (renderers[0], renderers[1]), check, cross_fade, triangles)

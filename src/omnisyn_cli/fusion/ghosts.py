@@ -72,12 +72,8 @@ class GhostRemover:
         options: GhostOptions | None = None,
         threads: int | None = None,
     ) -> None:
-        self.size, self.blend, self.options, self.threads = (
-            size,
-            blend or BlendOptions(),
-            options or GhostOptions(),
-            threads,
-        )
+        self.size, self.threads = size, threads
+        self.blend, self.options = blend or BlendOptions(), options or GhostOptions()
         self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._sums = np.zeros((*self._grid, 11), np.float32)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from omnisyn_cli.networks.config import NetworkConfig
 
 __all__ = ["VARIANTS", "DepthConfig", "level_roots"]
 
 
 @dataclass(frozen=True)
-class DepthConfig:
+class DepthConfig(NetworkConfig):
     """What makes one depth network differ from another.
 
     Attributes:
@@ -47,16 +48,6 @@ class DepthConfig:
     def size_multiple(self) -> int:
         """Image heights have to be a multiple of this."""
         return 8 * self.coarse_stride
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> DepthConfig:
-        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        return DepthConfig(**plain)
 
 
 VARIANTS = {

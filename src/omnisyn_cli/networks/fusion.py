@@ -13,14 +13,14 @@ Source: OmniSyn, section 3.5.
 from __future__ import annotations
 
 import itertools
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from omnisyn_cli.networks.config import NetworkConfig
 from omnisyn_cli.networks.layers import WrappedConv, initialise, wrap_columns
 from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
 
@@ -47,7 +47,7 @@ PAPER_LEAK = 0.01
 
 
 @dataclass(frozen=True)
-class FusionConfig:
+class FusionConfig(NetworkConfig):
     """What makes one fusion network differ from another.
 
     Attributes:
@@ -69,16 +69,6 @@ class FusionConfig:
     def size_multiple(self) -> int:
         """Heights and widths have to be a multiple of this."""
         return int(2 ** (len(self.widths) - self.paints))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> FusionConfig:
-        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        return FusionConfig(**plain)
 
 
 FUSION_VARIANTS = {

@@ -19,9 +19,8 @@ Source: OmniSyn, sections 3.1 to 3.4.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import torch
@@ -32,6 +31,7 @@ from torch.nn import functional
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.networks.config import NetworkConfig
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, enlarged
 
@@ -74,7 +74,7 @@ COLOURS = 3
 
 
 @dataclass(frozen=True)
-class PaperConfig:
+class PaperConfig(NetworkConfig):
     """The network's sizes; those of the paper unless changed.
 
     Attributes:
@@ -97,16 +97,6 @@ class PaperConfig:
     def size_multiple(self) -> int:
         """Heights and widths have to be a multiple of this."""
         return max(int(2 ** (len(self.widths) - 1)), FEATURE_STRIDE * int(2 ** (len(self.volume_widths) - 1)))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> PaperConfig:
-        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        return PaperConfig(**plain)
 
 
 PAPER_VARIANTS = {

@@ -15,14 +15,14 @@ skip: OmniSyn, section 3.3.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from omnisyn_cli.networks.config import NetworkConfig
 from omnisyn_cli.networks.layers import sizes, wrap_columns
 from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
 
@@ -61,7 +61,7 @@ CORRECTION = 0.1
 
 
 @dataclass(frozen=True)
-class RefineConfig:
+class RefineConfig(NetworkConfig):
     """What makes one refinement network differ from another.
 
     Attributes:
@@ -80,16 +80,6 @@ class RefineConfig:
     def size_multiple(self) -> int:
         """Heights and widths have to be a multiple of this."""
         return int(2 ** len(self.widths))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> RefineConfig:
-        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        return RefineConfig(**plain)
 
 
 REFINE_VARIANTS = {"balanced": RefineConfig("balanced", planes=19, widths=(32, 48, 80, 128, 192), fine=24)}

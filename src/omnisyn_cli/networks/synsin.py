@@ -16,14 +16,14 @@ Source: Wiles et al., SynSin (CVPR 2020); on the sphere as the baseline of OmniS
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from omnisyn_cli.networks.config import NetworkConfig
 from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes
 from omnisyn_cli.networks.paper_layers import row_channel
 from omnisyn_cli.networks.unet import Hourglass
@@ -51,7 +51,7 @@ SMALL = 0.01
 
 
 @dataclass(frozen=True)
-class SynSinConfig:
+class SynSinConfig(NetworkConfig):
     """The networks' sizes.
 
     Attributes:
@@ -80,16 +80,6 @@ class SynSinConfig:
     def size_multiple(self) -> int:
         """Heights and widths have to be a multiple of this."""
         return int(2 ** max(len(self.depth_widths) + 1, len(self.decoder_widths)))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> SynSinConfig:
-        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        plain: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-        return SynSinConfig(**plain)
 
 
 SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}
