@@ -9,7 +9,8 @@ from jaxtyping import Float32
 
 from omnisyn_cli.confidence import doubtful_regions
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
 
 __all__ = ["CrossFade"]
 

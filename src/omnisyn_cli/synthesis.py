@@ -20,7 +20,8 @@ from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.geometry.pose import Pose, rotation_vector_from_rotation
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.photometry import ExposureMatcher
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.rows import row_makers
 from omnisyn_cli.segments import Segment, Stopwatch, SynthesisOptions, prepare_segment
 from omnisyn_cli.threads import run_bands

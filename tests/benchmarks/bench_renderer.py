@@ -23,8 +23,9 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io.depth import read_inverse_depth
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Shader, make_texture, make_trust
+from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.tiles import TileRasterizer
 
 MESH, TARGETS = (512, 1024), ((1024, 2048), (2048, 4096))
@@ -72,10 +73,10 @@ def photograph(size: tuple[int, int]) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
 
 
-def renderer(mesh: Mesh, size: tuple[int, int], *, bicubic: bool) -> Callable[[], object]:
+def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """Rasterises and shades one view."""
     texture = make_texture(photograph(size))
-    rasterizer, shader = Rasterizer(mesh.size, size, threads=1), Shader(size, threads=1, bicubic=bicubic)
+    rasterizer, shader = Rasterizer(mesh.size, size, threads=1), Shader(size, threads=1)
     return lambda: shader(rasterizer(mesh, POSE), mesh, texture, POSE)
 
 
@@ -113,9 +114,8 @@ def main() -> None:
     for size in TARGETS:
         contestants = {
             "embree, rays only": embree(mesh, size),
-            "mesh, bilinear": renderer(mesh, size, bicubic=False),
-            "mesh, bicubic": renderer(mesh, size, bicubic=True),
-            "adaptive, bicubic": adaptive(mesh, size),
+            "mesh": renderer(mesh, size),
+            "adaptive": adaptive(mesh, size),
         }
         best = best_of(contestants, options.rounds)
         for name, seconds in best.items():

@@ -10,7 +10,8 @@ from omnisyn_cli.gpu.quads import quads_of
 from omnisyn_cli.gpu.shading import shade, texture_on
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.shade import Shader, Texture, make_texture
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import Texture, make_texture
 
 SIZE = (40, 80)
 

@@ -6,7 +6,8 @@ from render_samples import random_pose, rough
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
 
 SIZE = (40, 80)
 

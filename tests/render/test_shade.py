@@ -5,11 +5,12 @@ import pytest
 from render_samples import POSES, WHOLE, moved, rough, smooth, turn
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear
+from omnisyn_cli.geometry.sampling import sample_bicubic
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.shade import Shader, make_texture, shade
+from omnisyn_cli.render.shade import Shader, shade
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.trigonometry import ATAN2_ERROR, atan2_fast
 
 
@@ -17,42 +18,39 @@ def noise(height: int, width: int) -> np.ndarray:
     return np.random.default_rng(20).random((height, width, 3)).astype(np.float32)
 
 
-def shaded(image: np.ndarray, rho: np.ndarray, pose: Pose, size: tuple[int, int], **options) -> np.ndarray:
+def shaded(image: np.ndarray, rho: np.ndarray, pose: Pose, size: tuple[int, int], threads: int = 1) -> np.ndarray:
     mesh = build_mesh(rho, WHOLE)
-    return shade(rasterize(mesh, pose, size), mesh, make_texture(image), pose, **options)
+    return shade(rasterize(mesh, pose, size), mesh, make_texture(image), pose, threads)
 
 
-@pytest.mark.parametrize("bicubic", [False, True])
 @pytest.mark.parametrize("shape", [(2, 4), (4, 8), (9, 18), (32, 64)])
-def test_the_identity_pose_returns_the_image(shape, bicubic):
+def test_the_identity_pose_returns_the_image(shape):
     image = noise(*shape)
-    found = shaded(image, rough(*shape), Pose.identity(), shape, bicubic=bicubic)
+    found = shaded(image, rough(*shape), Pose.identity(), shape)
     np.testing.assert_allclose(found[..., :3], image, atol=2e-5)
-    even = shaded(image, np.full(shape, 0.3), Pose.identity(), shape, bicubic=bicubic)
+    even = shaded(image, np.full(shape, 0.3), Pose.identity(), shape)
     np.testing.assert_allclose(even[..., 3], 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("bicubic", "sample"), [(False, sample_bilinear), (True, sample_bicubic)])
 @pytest.mark.parametrize("pose", [pose for name, pose in POSES.items() if name != "outside"])
-def test_magnified_textures_are_read_as_geometry_reads_them(pose, bicubic, sample):
+def test_magnified_textures_are_read_as_geometry_reads_them(pose):
     """At the direction ``Rᵀ(r − ρ·t)``, across seam and poles."""
     image, size = noise(8, 16), (24, 48)
     mesh = build_mesh(smooth(8, 16), WHOLE)
     fragments = rasterize(mesh, pose, size)
-    found = shade(fragments, mesh, make_texture(image), pose, bicubic=bicubic)
+    found = shade(fragments, mesh, make_texture(image), pose)
     rays = pixel_directions(*size) - fragments.inverse_depth[..., None] * pose.position
     directions = rays @ pose.rotation
     magnified = fragments.visibility & (np.linalg.norm(directions, axis=-1) > 8 / 24)
     assert magnified.any()
-    np.testing.assert_allclose(found[magnified, :3], sample(image, directions)[magnified], atol=1e-4)
+    np.testing.assert_allclose(found[magnified, :3], sample_bicubic(image, directions)[magnified], atol=1e-4)
 
 
-def test_magnified_bicubic_reproduces_ramps_and_bilinear_does_too():
+def test_a_magnified_ramp_is_reproduced():
     ramp = np.repeat(np.linspace(0, 1, 32, dtype=np.float32)[:, None, None], 64, axis=1) * np.ones(3, np.float32)
     expected = np.interp((np.arange(96) + 0.5) / 3 - 0.5, np.arange(32), np.linspace(0, 1, 32))
-    for bicubic in (False, True):
-        found = shaded(ramp, smooth(8, 16), Pose.identity(), (96, 192), bicubic=bicubic)
-        np.testing.assert_allclose(found[6:-6, :, 0], np.broadcast_to(expected[6:-6, None], (84, 192)), atol=1e-5)
+    found = shaded(ramp, smooth(8, 16), Pose.identity(), (96, 192))
+    np.testing.assert_allclose(found[6:-6, :, 0], np.broadcast_to(expected[6:-6, None], (84, 192)), atol=1e-5)
 
 
 def test_a_minified_checkerboard_is_grey():
@@ -123,24 +121,6 @@ def test_a_sky_at_infinity_only_turns():
     found = shader.infinitely_far(make_texture(image), moved(5.0, -3.0, 2.0, rotation=rotation))
     expected = sample_bicubic(image, pixel_directions(24, 48) @ rotation)
     np.testing.assert_allclose(found[..., :3], expected, atol=1e-4)
-
-
-class TestTexture:
-    def test_the_first_level_is_the_image_with_a_wrapped_border(self):
-        image = noise(8, 16)
-        texture = make_texture(image)
-        level = texture.texels[: 12 * 20 * 4].reshape(12, 20, 4)
-        np.testing.assert_array_equal(level[2:-2, 2:-2, :3], image)
-        np.testing.assert_array_equal(level[2:-2, 1, :3], image[:, -1])
-        np.testing.assert_array_equal(level[2:-2, -2, :3], image[:, 0])
-        np.testing.assert_array_equal(level[1, 2:-2, :3], np.roll(image[0], 8, axis=0))
-        np.testing.assert_array_equal(level[-1, 2:-2, :3], np.roll(image[-2], 8, axis=0))
-
-    @pytest.mark.parametrize(
-        ("shape", "levels"), [((64, 128), 4), ((8, 16), 1), ((9, 18), 2), ((20, 40), 3), ((2, 4), 1)]
-    )
-    def test_levels_end_at_eight_rows(self, shape, levels):
-        assert len(make_texture(noise(*shape)).layout) == levels
 
 
 def test_the_fast_arctangent_is_as_exact_as_it_says():

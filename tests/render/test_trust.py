@@ -6,7 +6,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.shade import Shader, make_texture, make_trust, trust_of_faces
+from omnisyn_cli.render.shade import Shader, make_trust, trust_of_faces
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.trust import (
     AT_CUTS,
     BEHIND_CUTS,

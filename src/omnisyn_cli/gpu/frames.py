@@ -33,7 +33,7 @@ from omnisyn_cli.gpu.shading import GpuTexture, shade, texture_on
 from omnisyn_cli.photometry import ExposureCurve
 from omnisyn_cli.photometry.matching import loss_of_white
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
-from omnisyn_cli.render.shade import make_texture
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import DepthEstimate
 
 __all__ = ["GpuFrames", "GpuPair", "GpuSurface"]

@@ -14,15 +14,15 @@ from jaxtyping import Float32, Integer
 from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.shade import Texture
 from omnisyn_cli.render.shade_kernels import SPECIAL
+from omnisyn_cli.render.texture import Texture
 
 __all__ = ["GpuTexture", "shade", "texture_on"]
 
 
 @dataclass(frozen=True)
 class GpuTexture:
-    """A :class:`omnisyn_cli.render.shade.Texture` on a device.
+    """A :class:`omnisyn_cli.render.texture.Texture` on a device.
 
     Attributes:
         rows: of the full resolution.

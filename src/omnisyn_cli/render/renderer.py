@@ -17,8 +17,9 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Seen, Shader, make_texture, make_trust, trust_of_faces
+from omnisyn_cli.render.shade import Seen, Shader, make_trust, trust_of_faces
 from omnisyn_cli.render.simplify import Tiles, simplify
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.tiles import TileRasterizer
 from omnisyn_cli.render.two_pass import TwoPassRenderer
 from omnisyn_cli.types import RowRendering

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, Integer, UInt8
+from jaxtyping import Float32, Int32, Integer
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
@@ -19,43 +19,17 @@ from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
+from omnisyn_cli.render.texture import CHANNELS, Texture
 from omnisyn_cli.threads import run_bands
 
-__all__ = ["Seen", "Shader", "Texture", "TrustMap", "make_texture", "make_trust", "shade", "trust_of_faces"]
-
-BORDER = 2
-"""Pixels repeated around every level, across the seam and over the poles, so that kernels never wrap an index."""
-
-CHANNELS = 4
+__all__ = ["Seen", "Shader", "TrustMap", "make_trust", "shade", "trust_of_faces"]
 
 NO_LAYOUT = np.zeros(5, np.float32)
 """Of trust that faces lead to."""
 
-SMALLEST_LEVEL = 8
-"""Rows of the smallest mip level."""
-
-ROWS_AT_A_TIME = 64
-
 
 Seen = tuple[Float32[np.ndarray, "height width"], Int32[np.ndarray, "height width"] | None]
 """Inverse depth and, where there is one, face of every pixel."""
-
-
-@dataclass(frozen=True)
-class Texture:
-    """A panorama's colours and alpha at full and reduced resolutions.
-
-    Attributes:
-        size: height and width of the full resolution.
-        texels: all levels one after the other, float32 or 8 bits of one, each ``(height + 4, width + 4, 4)`` with a
-            border of two pixels; level k is half the size of level k − 1 (rounded down), averaged.
-        layout: per level: offset in ``texels``, numbers per row, (row, col) of an angle as scale and offset, and what
-            to multiply texels by.
-    """
-
-    size: tuple[int, int]
-    texels: Float32[np.ndarray, " numbers"] | UInt8[np.ndarray, " numbers"]
-    layout: Float[np.ndarray, "levels 7"]
 
 
 @dataclass(frozen=True)
@@ -94,89 +68,11 @@ def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
     return TrustMap(values.astype(np.float32), np.array([*layout, bordered.shape[1]], np.float32))
 
 
-def make_texture(
-    image: Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"],
-    mask: Bool[np.ndarray, "height width"] | None = None,
-) -> Texture:
-    """Mip levels of a panorama, down to 8 rows; alpha is 1, or 0 where ``mask`` is False. The width has to be even.
-
-    Samples of 8 bits stay what they are, in a quarter of the memory; their mip levels are rounded to 8 bits.
-    """
-    dtype, peak = (np.uint8, 255) if image.dtype == np.uint8 else (np.float32, 1)
-    sizes = _level_sizes(*image.shape[:2])
-    counts = [(rows + 2 * BORDER) * (cols + 2 * BORDER) * CHANNELS for rows, cols in sizes]
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    texels = np.empty(offsets[-1], dtype)
-    layout = []
-    level = np.empty((0, 0, CHANNELS), np.float32)
-    for (rows, cols), offset, count in zip(sizes, offsets, counts, strict=False):
-        bordered = texels[offset : offset + count].reshape(rows + 2 * BORDER, cols + 2 * BORDER, CHANNELS)
-        inside = bordered[BORDER:-BORDER, BORDER:-BORDER]
-        if offset == 0:
-            inside[..., :3] = image
-            inside[..., 3] = peak if mask is None else np.where(mask, peak, 0)
-            level = inside
-        else:
-            level = _reduced(level, rows, cols)
-            inside[:] = np.rint(level) if dtype == np.uint8 else level
-        _repeat_border(bordered)
-        layout.append((offset, bordered.shape[1] * CHANNELS, *_angle_to_texel((rows, cols)), 1.0 / peak))
-    return Texture(sizes[0], texels, np.array(layout, np.float64))
-
-
-def _level_sizes(height: int, width: int) -> list[tuple[int, int]]:
-    """Each half of the one before, widths even, so that the other side of a pole is a whole number of columns away."""
-    sizes = [(height, width)]
-    while sizes[-1][0] > SMALLEST_LEVEL and sizes[-1][1] >= 8:
-        rows, cols = sizes[-1]
-        sizes.append((rows // 2, 2 * (cols // 4)))
-    return sizes
-
-
-def _reduced(image: np.ndarray, rows: int, cols: int) -> Float32[np.ndarray, "rows cols channels"]:
-    """Means over equal parts, some rows at a time."""
-    if image.shape[:2] != (2 * rows, 2 * cols):
-        return np.asarray(_shrunk(_shrunk(image.astype(np.float32), rows, axis=0), cols, axis=1), np.float32)
-    out = np.empty((rows, cols, image.shape[2]), np.float32)
-    for begin in range(0, rows, ROWS_AT_A_TIME):
-        part = image[2 * begin : 2 * (begin + ROWS_AT_A_TIME)].astype(np.float32)
-        out[begin : begin + ROWS_AT_A_TIME] = _shrunk(_shrunk(part, len(part) // 2, axis=0), cols, axis=1)
-    return out
-
-
-def _shrunk(image: np.ndarray, count: int, axis: int) -> np.ndarray:
-    """Mean over equal parts of one axis; the parts need not be whole numbers of pixels."""
-    pixels = np.moveaxis(image, axis, 0)
-    if len(pixels) == 2 * count:
-        return np.moveaxis(np.float32(0.5) * (pixels[0::2] + pixels[1::2]), 0, axis)
-    edges = np.arange(count + 1) * (len(pixels) / count)
-    whole = np.minimum(edges.astype(np.intp), len(pixels) - 1)
-    sums = np.concatenate([np.zeros((1, *pixels.shape[1:])), np.cumsum(pixels, axis=0, dtype=np.float64)])
-    up_to_edge = sums[whole] + (edges - whole)[:, None, None] * pixels[whole]
-    return np.moveaxis(np.diff(up_to_edge, axis=0) * (count / len(pixels)), 0, axis)
-
-
-def _angle_to_texel(size: tuple[int, int]) -> tuple[float, float, float, float]:
-    """Row scale and offset, column scale and offset of polar angle and azimuth in a bordered level."""
-    row_scale, row_offset, col_scale, col_offset = pixel_scale(size)
-    return row_scale, row_offset + BORDER, col_scale, col_offset + BORDER
-
-
-def _repeat_border(bordered: np.ndarray) -> None:
-    """Fill two pixels on every side: beyond a pole the image goes on half a turn away."""
-    inside = bordered[BORDER:-BORDER, BORDER:-BORDER]
-    half_turn = inside.shape[1] // 2
-    bordered[:BORDER, BORDER:-BORDER] = np.roll(inside[:BORDER], half_turn, axis=1)[::-1]
-    bordered[-BORDER:, BORDER:-BORDER] = np.roll(inside[-BORDER:], half_turn, axis=1)[::-1]
-    bordered[:, :BORDER] = bordered[:, -2 * BORDER : -BORDER]
-    bordered[:, -BORDER:] = bordered[:, BORDER : 2 * BORDER]
-
-
 class Shader:
     """Tables for one target size, and the image it writes; reused from frame to frame."""
 
-    def __init__(self, size: tuple[int, int], threads: int | None = None, *, bicubic: bool = True) -> None:
-        self.size, self.threads, self.bicubic = size, threads, bicubic
+    def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
+        self.size, self.threads = size, threads
         self._tables = tuple(table.astype(np.float32) for table in direction_tables(*size))
         self._image = np.empty((*size, CHANNELS), np.float32)
 
@@ -245,7 +141,7 @@ class Shader:
         source = (trust.values, trust.layout, texture.texels, texture.layout)
 
         def band(seen: tuple[Any, ...], tables: tuple[Any, ...], image: np.ndarray, begin: int, end: int) -> None:
-            shade_rows(*seen, *source, *tables, rotation, translation, ratio, self.bicubic, image, begin, end)
+            shade_rows(*seen, *source, *tables, rotation, translation, ratio, image, begin, end)
 
         return band
 
@@ -280,20 +176,19 @@ def shade(
     mesh: Mesh,
     texture: Texture,
     target_from_source: Pose,
-    *,
-    bicubic: bool = True,
     threads: int | None = None,
 ) -> Float32[np.ndarray, "height width 4"]:
     """Colour of every fragment and, as fourth channel, alpha times the trust in its face; all 0 where nothing is seen.
+
+    Where the photograph is magnified it is read by Catmull-Rom interpolation; where it is shrunk, two mip levels are
+    read bilinearly and mixed.
 
     Args:
         fragments: what the target sees of ``mesh``.
         mesh: the surface.
         texture: the photograph, in the frame of the mesh.
         target_from_source: the transform that the fragments were made with.
-        bicubic: Catmull-Rom where the photograph is magnified, else bilinear. Where it is shrunk, two mip levels are
-            read bilinearly and mixed.
         threads: at most this many.
     """
     height, width = fragments.face.shape
-    return Shader((height, width), threads, bicubic=bicubic)(fragments, mesh, texture, target_from_source)
+    return Shader((height, width), threads)(fragments, mesh, texture, target_from_source)

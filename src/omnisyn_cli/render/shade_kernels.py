@@ -38,8 +38,7 @@ CUBIC = 5
 
 @fast_kernel()
 def shade_rows(
-    rho, face, trust, trust_layout, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, bicubic, image,
-    begin, end,
+    rho, face, trust, trust_layout, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, image, begin, end,
 ):  # fmt: skip
     """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector.
 
@@ -61,9 +60,8 @@ def shade_rows(
             )  # fmt: skip
             if face is None and len(trust) > 0:
                 _find_quarters(places[Y], places[X], trust_layout, quarters, right - left)
-            if bicubic:
-                _find_cubic_weights(places[DOWN], places[CUBIC:])
-                _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
+            _find_cubic_weights(places[DOWN], places[CUBIC:])
+            _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
             for col in range(right - left):
                 at, level = 4 * (row * width + left + col), places[LEVEL, col]
                 if level > SPECIAL:
@@ -72,11 +70,8 @@ def shade_rows(
                             flat[at + k] = 0.0
                         continue
                     colour = _between_levels(texels, starts, strides, factors, places[Y, col], places[X, col], level)
-                elif bicubic:
-                    colour = _bicubic(texels, stride, 4 * np.int64(index[col]), places, col)
                 else:
-                    first = 4 * np.int64(index[col])
-                    colour = _bilinear(texels, first, first + stride, places[DOWN, col], places[ACROSS, col])
+                    colour = _bicubic(texels, stride, 4 * np.int64(index[col]), places, col)
                 store_half(flat, at, colour * splat(unit))
                 if len(trust) > 0:
                     quarter = quarters[col] if face is None else face[row, left + col] >> FACE_BITS

@@ -20,7 +20,8 @@ from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.mesh import Cut, Mesh, Triangles, build_mesh, mask_of_vertices
 from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments
-from omnisyn_cli.render.shade import Shader, make_texture
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles
 from omnisyn_cli.threads import run_bands
 
