@@ -6,14 +6,13 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
-from omnisyn_cli.cli.places import FramePlace
+from omnisyn_cli.cli.places import FilePath, FramePlace
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ else:
 
 __all__ = ["Size", "interpolate"]
 
-FilePath = click.Path(path_type=Path)
 
 COMPILING = "note: compiling the kernels, once per installation: about a minute"
 
@@ -47,9 +45,9 @@ class Size(SizeType):
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
-@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath)
+@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
 @click.option(
-    "--poses", required=True, type=FilePath,
+    "--poses", required=True, type=FilePath(),
     help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
 )  # fmt: skip
 @click.option(
@@ -140,8 +138,10 @@ class Size(SizeType):
     "--fallback", type=click.Choice(["none", "crossfade", "fail"]), default="none", show_default=True,
     help="Where confidence is low: warn only, show the photographs cross-faded in doubtful regions, or give up.",
 )  # fmt: skip
-@click.option("--save-confidence", metavar="FILE", type=FilePath, help="Keep the confidence of every pixel as a video.")
-@click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
+@click.option(
+    "--save-confidence", metavar="FILE", type=FilePath(), help="Keep the confidence of every pixel as a video."
+)
+@click.option("--save-depth", metavar="FOLDER", type=FilePath(), help="Keep the depth of every panorama (EXR, metres).")
 @click.option(
     "--save-frames",
     metavar="FOLDER",

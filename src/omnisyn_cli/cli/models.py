@@ -6,11 +6,13 @@ from pathlib import Path
 
 import click
 
+from omnisyn_cli.cli.places import FilePath
+
 __all__ = ["models"]
 
 
 @click.command()
-@click.argument("folder", required=False, type=click.Path(path_type=Path, file_okay=False, exists=True))
+@click.argument("folder", required=False, type=FilePath(file_okay=False, exists=True))
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 def models(folder: Path | None, as_json: bool) -> None:
     """List the networks in FOLDER, by default those that came with the program, and check their files.
