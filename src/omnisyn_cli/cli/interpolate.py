@@ -161,7 +161,10 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
-@click.option("--dry-run", is_flag=True, help="Check everything, print the plan, do nothing.")
+@click.option(
+    "--dry-run", is_flag=True,
+    help="Check options, poses and what files say of themselves, print the plan, make nothing.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -224,7 +227,10 @@ def _check_budget_decides(method: str) -> None:
 
 
 def _print_plan(plan: InterpolationPlan, as_json: bool) -> None:
-    _print_values(plan.describe(), as_json)
+    values = plan.describe()
+    if not as_json:
+        del values["notes"]  # said before, a line each
+    _print_values(values, as_json)
 
 
 def _print_values(values: dict[str, Any], as_json: bool) -> None:
