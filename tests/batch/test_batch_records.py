@@ -1,12 +1,13 @@
 """Records survive whatever ends a run, and one run at a time writes them."""
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 
 from omnisyn_cli.batch.records import Records
-from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.errors import OutputPathError, WriteError
 
 
 def test_the_last_line_of_a_job_counts(tmp_path: Path) -> None:
@@ -49,3 +50,16 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path, content: bytes) 
     with pytest.raises(OutputPathError, match="expected records"), Records(tmp_path / "r.jsonl"):
         pass
     assert (tmp_path / "r.jsonl").read_bytes() == content
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")
+def test_a_full_disk_is_said_of_the_records_also_when_they_are_closed(tmp_path: Path) -> None:
+    import resource
+
+    path, former = tmp_path / "r.jsonl", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4, former[1]))
+    try:
+        with pytest.raises(WriteError, match=r"r\.jsonl: expected to write it"), Records(path) as records:
+            records.append({"id": "a"})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, former)

@@ -222,6 +222,14 @@ def test_folders_may_have_a_dot_in_their_names(
     assert sorted(file.name for file in (tmp_path / folder).iterdir()) == [f"00000{k}.png" for k in range(3)]
 
 
+def test_notes_about_a_plan_are_said_once(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+    arguments = pair_arguments(tmp_path, [pair[0], pair[0]], "out.mp4", "--dry-run")
+    result = run_cli(capsys, *arguments)
+    assert "note: " in result.err
+    assert (result.out + result.err).count("there is no parallax to follow") == 1
+    assert "no parallax" in "".join(json.loads(run_cli(capsys, *arguments, "--json").out)["notes"])
+
+
 def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, capsys: Capture) -> None:
     """At 0 x264 leaves the profiles that players know; right above it does not."""
     words = run_cli(capsys, "interpolate", "-h").out.split()

@@ -64,6 +64,22 @@ def test_wrong_usage_is_2_and_says_so_on_stderr(capsys: pytest.CaptureFixture[st
     assert "Traceback" not in result.err
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["interpolate", "a", "b", "--poses", "p", "-o", ""], ["interpolate", "", "b", "--poses", "p", "-o", "o"],
+     ["scenes", "make", ""], ["eval", "data", "--report", ""], ["batch", "jobs", "-o", ""]],
+)  # fmt: skip
+def test_an_empty_name_is_not_this_folder(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: list[str]
+) -> None:
+    """As of a variable that the shell has not set."""
+    monkeypatch.chdir(tmp_path)
+    result = run_cli(capsys, *arguments)
+    assert result.code == 2
+    assert "got an empty one" in result.err
+    assert listing(tmp_path) == {}
+
+
 RAISED = {
     "input": (InputError("expected x, got y"), 3, "omnisyn: expected x, got y\n"),
     "failure": (OmnisynError("expected x, got y"), 1, "omnisyn: expected x, got y\n"),

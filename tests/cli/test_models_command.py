@@ -26,7 +26,7 @@ def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
     entry = ModelEntry("a", "refine", "v", "a.onnx", digest, (2, 4), 7, "scenes", "MIT", {"delta_25": 0.5})
     write_manifest(tmp_path, {"a": entry})
     result = CliRunner().invoke(models, [str(tmp_path)])
-    assert "a: refine" in result.output
+    assert "a: refine, 7 parameters" in result.output
     assert "delta_25 0.5" in result.output
     (tmp_path / "a.onnx").write_bytes(b"other weights")
     with pytest.raises(InputError, match="sha256"):

@@ -237,6 +237,16 @@ def test_a_folder_that_cannot_be_written_is_an_error_of_its_own(tmp_path: Path) 
         write_report(tmp_path / "gone" / "report", [])
 
 
+def test_a_full_disk_is_said_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, data: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(WriteError, match="report: expected to write it, got 'No space"):
+        write_report(tmp_path / "report", [])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_is_not_html_is_escaped() -> None:
     assert element("p", "a < b", element("b", "&"), class_='"x"', hidden=True, open=False) == (
         '<p class="&quot;x&quot;" hidden>a &lt; b<b>&amp;</b></p>'

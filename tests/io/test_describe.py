@@ -87,6 +87,13 @@ def test_poses_are_described(folder: Path) -> None:
     assert [(row["image_exists"], row["depth_exists"]) for row in seen["panoramas"]] == [(True, True), (False, None)]
 
 
+def test_zero_has_no_sign(tmp_path: Path) -> None:
+    """As the first place of a tour has by its latitude."""
+    place = {"latitude": 48.0, "longitude": 11.0, "altitude": 5.0, "heading": 0.0}
+    (tmp_path / "poses.json").write_text(json.dumps({"version": 1, "panoramas": {"a.jpg": place}}))
+    assert "position 0, 0, 0, image" in CliRunner().invoke(info, [str(tmp_path / "poses.json")]).stdout
+
+
 def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folder: Path) -> None:
     (folder / "poses").mkdir()
     text = (folder / "poses.json").read_text().replace("a_depth.exr", "../a_depth.exr")

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.errors import OutputPathError, WriteError
+from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.io.staging import check_staged_folder, staged_folder
 
 
@@ -53,3 +54,25 @@ def test_a_folder_that_cannot_be_filled_is_refused(tmp_path: Path) -> None:
         check_staged_folder(tmp_path / "no" / "new")
     with pytest.raises(OutputPathError, match="got a file"):
         check_staged_folder(tmp_path / "file")
+
+
+def test_what_appeared_in_the_meantime_is_kept(tmp_path: Path) -> None:
+    def write(name: str, theirs: str) -> None:
+        with staged_folder(tmp_path, overwrite=False) as staged:
+            for new in ("a", name):
+                (staged / new).write_text(new)
+            (tmp_path / name).write_text(theirs)
+
+    with pytest.raises(OutputPathError, match="b: expected a new file"):
+        write("b", "mine")
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("b", "mine")]
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_errors_name_files_as_they_would_be_called(tmp_path: Path, exists: bool) -> None:
+    folder = tmp_path / "depth"
+    if exists:
+        folder.mkdir()
+    with pytest.raises(WriteError) as caught, staged_folder(folder) as staged, write_errors(staged / "a"):
+        raise OSError(28, "No space left on device")
+    assert str(caught.value).startswith(f"{folder / 'a'}: expected to write it")

@@ -5,6 +5,7 @@ import struct
 import subprocess
 import sys
 import threading
+from contextlib import nullcontext
 from fractions import Fraction
 from pathlib import Path
 
@@ -304,6 +305,21 @@ def test_frames_become_numbered_images(tmp_path: Path, name: str, codec: str | N
             sink.write(np.full((32, 64, 3), level, np.uint8))
     np.testing.assert_allclose(read_panorama(tmp_path / first).image, 10 / 255, atol=1 / 255)
     assert len([file for file in tmp_path.rglob("*") if file.is_file()]) == 2
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "frames/000000.png"])
+def test_what_appeared_in_the_meantime_is_kept_unless_told_otherwise(tmp_path: Path, name: str) -> None:
+    """As when one command is given twice: the second run to end does not replace what the first one made."""
+    mine = tmp_path / name
+    target = mine if mine.suffix == ".mp4" else mine.parent
+    for overwrite in (False, True):
+        writing = open_video(target, size=(128, 256), fps=30, overwrite=overwrite)
+        with pytest.raises(OutputPathError, match="--overwrite") if not overwrite else nullcontext(), writing as sink:
+            sink.write(FRAME)
+            mine.parent.mkdir(exist_ok=True)
+            mine.write_bytes(b"mine")
+        assert (mine.read_bytes() == b"mine") is not overwrite
+        assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
 
 
 def test_overwriting_a_sequence_leaves_no_stale_frames_and_no_stranger_touched(tmp_path: Path) -> None:

@@ -71,7 +71,8 @@ class Records:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        with write_errors(self._path):  # what did not get through is tried once more
+            self._file.close()
 
     def last(self, key: str) -> dict[str, Any] | None:
         """The last record of a job when the file was opened, read again: a city of jobs does not fit into memory."""

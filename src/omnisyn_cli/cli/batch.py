@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["batch", "plan"]
 
-FilePath = click.Path(path_type=Path)
 
 MOST_SHOWN = 20
 """Failures in the table at the end; all of them are in results.jsonl and in --json."""
@@ -41,8 +41,10 @@ class _BatchCommand(click.Command):
     cls=_BatchCommand,
     epilog="Exit codes: 0 all jobs done, 1 some failed, 2 wrong usage, 3 unusable input, 130 interrupted.",
 )
-@click.argument("manifest", type=FilePath)
-@click.option("-o", "--output", required=True, metavar="FOLDER", type=FilePath, help="For all outputs and the records.")
+@click.argument("manifest", type=FilePath())
+@click.option(
+    "-o", "--output", required=True, metavar="FOLDER", type=FilePath(), help="For all outputs and the records."
+)
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
     help="Processes of this machine, or actors of a Ray cluster.",
@@ -86,8 +88,8 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
 
 
 @click.command("plan")
-@click.argument("source", metavar="FOLDER|POSES", type=FilePath)
-@click.option("-o", "--output", required=True, type=FilePath, help="Manifest to write (.jsonl).")
+@click.argument("source", metavar="FOLDER|POSES", type=FilePath())
+@click.option("-o", "--output", required=True, type=FilePath(), help="Manifest to write (.jsonl).")
 @click.option(
     "--max-baseline", type=FiniteRange(0, min_open=True), default=10.0, show_default=True,
     help="Metres; panoramas farther apart are no neighbours.",

@@ -12,6 +12,7 @@ import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.presets import PRESETS, SCALE
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["bench"]
 
-FilePath = click.Path(path_type=Path)
 
 QUICK: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512), "frames": 8}
 """What ``--quick`` stands for."""
@@ -41,9 +41,9 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 
 
 @click.command(epilog="Exit codes: 0 done, 1 a setting failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
-@click.argument("dataset", metavar="[DATASET_DIR]", required=False, type=FilePath)
+@click.argument("dataset", metavar="[DATASET_DIR]", required=False, type=FilePath())
 @click.option(
-    "--report", metavar="DIR", type=FilePath,
+    "--report", metavar="DIR", type=FilePath(),
     help="Keep results, page and diagram here; a run that was interrupted goes on from them.",
 )  # fmt: skip
 @click.option(
@@ -77,7 +77,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
     help="For networks; cuda also for the frames of clips, see omnisyn interpolate.",
 )  # fmt: skip
-@click.option("--store", metavar="FILE", type=FilePath, help="Write the table that interpolate --budget chooses by.")
+@click.option("--store", metavar="FILE", type=FilePath(), help="Write the table that interpolate --budget chooses by.")
 @click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def bench(

@@ -12,6 +12,7 @@ import click
 
 from omnisyn_cli.cli.evaluate import print_table
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.records import UnitRecord
@@ -23,7 +24,7 @@ __all__ = ["depth_table"]
     "depth-table", epilog="Exit codes: 0 done, 1 a method broke, 2 wrong usage, 3 unusable input, 130 interrupted."
 )
 @click.option(
-    "--report", metavar="DIR", type=click.Path(path_type=Path),
+    "--report", metavar="DIR", type=FilePath(),
     help="Keep results and table here; a run that was interrupted goes on from them.",
 )  # fmt: skip
 @click.option(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.engine import EvaluationPlan
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LAYOUTS", "eval_", "print_table"]
 
-FilePath = click.Path(path_type=Path)
 
 LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
 """Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
@@ -42,9 +42,9 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @click.command(
     "eval", epilog="Exit codes: 0 done, 1 something is broken, 2 wrong usage, 3 unusable input, 130 interrupted."
 )
-@click.argument("dataset", metavar="DATASET_DIR", type=FilePath)
+@click.argument("dataset", metavar="DATASET_DIR", type=FilePath())
 @click.option(
-    "--report", metavar="DIR", type=FilePath,
+    "--report", metavar="DIR", type=FilePath(),
     help="Keep results, pictures and the report here; a run that was interrupted goes on from them.",
 )  # fmt: skip
 @click.option(
@@ -66,7 +66,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 )  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the folders of poses.json.")
-@click.option("--lpips", metavar="FILE.onnx", type=FilePath, help="Measure LPIPS with this network as well.")
+@click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
 @click.option("--no-pictures", is_flag=True, help="Keep no frames, error maps and depth as pictures.")
 @click.option(
     "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,

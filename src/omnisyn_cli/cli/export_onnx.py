@@ -6,13 +6,15 @@ from pathlib import Path
 
 import click
 
+from omnisyn_cli.cli.places import FilePath
+
 __all__ = ["export_onnx"]
 
-FOLDER = click.Path(path_type=Path, file_okay=False)
+FOLDER = FilePath(file_okay=False)
 
 
 @click.command("export-onnx")
-@click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("checkpoint", type=FilePath(dir_okay=False))
 @click.option("-o", "--output", required=True, type=FOLDER, help="Folder of models.")
 @click.option(
     "--name",

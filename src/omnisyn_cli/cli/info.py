@@ -8,11 +8,13 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.places import FilePath
+
 __all__ = ["info"]
 
 
 @click.command()
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath())
 @click.option("--max-pixels", type=click.IntRange(1), help="Decode no image with more.  [default: 268435456]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of a pose file's folder.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of text.")
@@ -76,7 +78,7 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value + 0.0:.6g}"  # no sign before zero
     if isinstance(value, list):
         return ", ".join(_text(item) for item in value)
     if isinstance(value, dict):

@@ -6,14 +6,13 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
-from omnisyn_cli.cli.places import FramePlace
+from omnisyn_cli.cli.places import FilePath, FramePlace
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ else:
 
 __all__ = ["Size", "interpolate"]
 
-FilePath = click.Path(path_type=Path)
 
 COMPILING = "note: compiling the kernels, once per installation: about a minute"
 
@@ -47,9 +45,9 @@ class Size(SizeType):
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
-@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath)
+@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
 @click.option(
-    "--poses", required=True, type=FilePath,
+    "--poses", required=True, type=FilePath(),
     help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
 )  # fmt: skip
 @click.option(
@@ -140,8 +138,10 @@ class Size(SizeType):
     "--fallback", type=click.Choice(["none", "crossfade", "fail"]), default="none", show_default=True,
     help="Where confidence is low: warn only, show the photographs cross-faded in doubtful regions, or give up.",
 )  # fmt: skip
-@click.option("--save-confidence", metavar="FILE", type=FilePath, help="Keep the confidence of every pixel as a video.")
-@click.option("--save-depth", metavar="FOLDER", type=FilePath, help="Keep the depth of every panorama (EXR, metres).")
+@click.option(
+    "--save-confidence", metavar="FILE", type=FilePath(), help="Keep the confidence of every pixel as a video."
+)
+@click.option("--save-depth", metavar="FOLDER", type=FilePath(), help="Keep the depth of every panorama (EXR, metres).")
 @click.option(
     "--save-frames",
     metavar="FOLDER",
@@ -161,7 +161,10 @@ class Size(SizeType):
 )  # fmt: skip
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
-@click.option("--dry-run", is_flag=True, help="Check everything, print the plan, do nothing.")
+@click.option(
+    "--dry-run", is_flag=True,
+    help="Check options, poses and what files say of themselves, print the plan, make nothing.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
@@ -224,7 +227,10 @@ def _check_budget_decides(method: str) -> None:
 
 
 def _print_plan(plan: InterpolationPlan, as_json: bool) -> None:
-    _print_values(plan.describe(), as_json)
+    values = plan.describe()
+    if not as_json:
+        del values["notes"]  # said before, a line each
+    _print_values(values, as_json)
 
 
 def _print_values(values: dict[str, Any], as_json: bool) -> None:

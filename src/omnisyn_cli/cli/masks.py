@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.places import FilePath
 
 __all__ = ["masks_option", "nadir_option"]
 
 masks_option = click.option(
-    "--mask", "masks", metavar="FILE", multiple=True, type=click.Path(path_type=Path),
+    "--mask", "masks", metavar="FILE", multiple=True, type=FilePath(),
     help="Image that is black where a panorama must not be used; once for each panorama, in their order.",
 )  # fmt: skip
 

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import click
 
+from omnisyn_cli.cli.places import FilePath
+
 __all__ = ["models"]
 
 
 @click.command()
-@click.argument("folder", required=False, type=click.Path(path_type=Path, file_okay=False, exists=True))
+@click.argument("folder", required=False, type=FilePath(file_okay=False, exists=True))
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 def models(folder: Path | None, as_json: bool) -> None:
     """List the networks in FOLDER, by default those that came with the program, and check their files.
@@ -32,7 +34,11 @@ def models(folder: Path | None, as_json: bool) -> None:
         click.echo("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
     for entry in entries.values():
         height, width = entry.size
-        click.echo(f"{entry.name}: {entry.role}, {entry.parameters / 1e6:.1f} million parameters, {width}x{height}")
+        click.echo(f"{entry.name}: {entry.role}, {_counted(entry.parameters)} parameters, {width}x{height}")
         click.echo(f"    trained on {entry.training}; {entry.licence}; sha256 {entry.sha256[:12]}…")
         if entry.metrics:
             click.echo("    " + ", ".join(f"{key} {value:.4g}" for key, value in entry.metrics.items()))
+
+
+def _counted(number: int) -> str:
+    return f"{number / 1e6:.1f} million" if number >= 1e5 else f"{number:,}"

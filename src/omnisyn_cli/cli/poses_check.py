@@ -11,17 +11,19 @@ import click
 
 from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
     from omnisyn_cli.posing import PictureOptions
 
 __all__ = ["check", "estimate", "refine"]
 
-FilePath = click.Path(path_type=Path)
 
-images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath)
-poses_option = click.option("--poses", required=True, type=FilePath, help="JSON file with the poses of the panoramas.")
-output_option = click.option("-o", "--output", required=True, type=FilePath, help="Pose file to write.")
+images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
+poses_option = click.option(
+    "--poses", required=True, type=FilePath(), help="JSON file with the poses of the panoramas."
+)
+output_option = click.option("-o", "--output", required=True, type=FilePath(), help="Pose file to write.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 threads_option = click.option("--threads", type=click.IntRange(1), help="At most this many.  [default: one per core]")
 aspect_option = click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1.")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.places import FilePath
 
 __all__ = ["export"]
 
@@ -15,12 +16,10 @@ FORMATS = ("colmap", "nerfstudio", "tum")
 
 
 @click.command()
-@click.argument("poses", metavar="POSES", type=click.Path(path_type=Path))
-@click.option(
-    "-o", "--output", required=True, type=click.Path(path_type=Path), help="File to write; for colmap a folder."
-)
+@click.argument("poses", metavar="POSES", type=FilePath())
+@click.option("-o", "--output", required=True, type=FilePath(), help="File to write; for colmap a folder.")
 @click.option("--format", "format_name", type=click.Choice(FORMATS), required=True)
-@click.option("--images", type=click.Path(path_type=Path), help="Folder of the panoramas.  [default: that of POSES]")
+@click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: that of POSES]")
 @click.option("--size", type=Size(), help="Of all panoramas.  [default: read from their files]")
 @click.option(
     "--allow-outside", is_flag=True, help="Accept depth and masks outside of POSES' folder (none is exported)."

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
     from omnisyn_cli.io.pose_formats import Origin
@@ -45,12 +46,10 @@ class Place(PlaceType):
 
 
 @click.command("import")
-@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="The pose file to write.")
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=FilePath())
+@click.option("-o", "--output", required=True, type=FilePath(), help="The pose file to write.")
 @click.option("--format", "format_name", type=click.Choice(FORMATS), default="auto", show_default=True)
-@click.option(
-    "--images", type=click.Path(path_type=Path), help="Folder of the panoramas.  [default: where SOURCE says]"
-)
+@click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: where SOURCE says]")
 @click.option(
     "--copy-images", is_flag=True, help="Copy panoramas (and depth) beside the pose file, under unique names."
 )

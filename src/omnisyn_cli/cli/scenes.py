@@ -11,6 +11,7 @@ import click
 
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
     from omnisyn_cli.scenes.suite import SuiteScene
@@ -22,7 +23,7 @@ KINDS = ("street", "room")
 
 
 TEXTURES = click.option(
-    "--textures", type=click.Path(path_type=Path, file_okay=False), metavar="FOLDER",
+    "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
     help="Photographs that some of the walls, floors, fronts, pictures and things are made of.",
 )  # fmt: skip
 """Of every command that makes scenes."""
@@ -41,7 +42,7 @@ OF_ONE_SCENE = (
 
 
 @scenes.command()
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=FilePath())
 @click.option(
     "--suite", is_flag=True,
     help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, three true frames between.",
@@ -134,7 +135,7 @@ def make(
         except ValueError as error:
             raise InputError(f"{kind} of seed {number}: {error}") from error
         make_folder(folder.parent, "scenes")
-        with staged_folder(folder) as staged:
+        with staged_folder(folder, overwrite=overwrite) as staged:
             write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
         if not quiet:
             click.echo(f"{folder}: {kind}, seed {number}, {frames} panorama{'s' * (frames > 1)}", err=True)
@@ -166,7 +167,7 @@ def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwr
     make_folder(out, "scenes")
     for walk in walks:
         if walk.path:
-            with staged_folder(out / walk.name) as staged:
+            with staged_folder(out / walk.name, overwrite=overwrite) as staged:
                 write_suite_scene(staged, walk, size, threads)
         if not quiet:
             click.echo(f"{out / walk.name}: {_described(walk)}", err=True)

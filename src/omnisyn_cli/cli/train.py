@@ -11,11 +11,12 @@ import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
 __all__ = ["train"]
 
-FOLDER = click.Path(path_type=Path, file_okay=False)
+FOLDER = FilePath(file_okay=False)
 
 DEVICES = ("auto", "cpu", "cuda")
 """Those of :mod:`omnisyn_cli.training.precision`, written out because ``--help`` should not load them."""
@@ -320,8 +321,8 @@ def _train(
 
 
 @train.command("compact")
-@click.argument("checkpoint", type=click.Path(path_type=Path, dir_okay=False))
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, dir_okay=False), help="File to write.")
+@click.argument("checkpoint", type=FilePath(dir_okay=False))
+@click.option("-o", "--output", required=True, type=FilePath(dir_okay=False), help="File to write.")
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     """Keep only the averaged weights of CHECKPOINT, in half precision.

@@ -25,6 +25,7 @@ from omnisyn_cli.evaluation.pareto import (
 )
 from omnisyn_cli.evaluation.plots import COLOURS, DOTS_PER_INCH, HEIGHT, LEGEND_COLUMNS, MARKERS, WIDTH
 from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table
+from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.io.staging import staged_folder
 
 __all__ = ["bench_tables", "pareto_diagram", "write_bench_report"]
@@ -50,7 +51,7 @@ def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
         "machine": machine_in_words(),
         "settings": [figures.to_json() for figures in measured],
     }
-    with staged_folder(folder) as staged:
+    with staged_folder(folder) as staged, write_errors(folder):
         text = json.dumps(values, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
         (staged / f"{REPORT_NAME}.json").write_text(text, encoding="utf-8")
         (staged / f"{REPORT_NAME}.html").write_text(_page(measured, diagram), encoding="utf-8")

@@ -22,6 +22,7 @@ from omnisyn_cli.evaluation.page import render_page
 from omnisyn_cli.evaluation.plots import report_plots
 from omnisyn_cli.evaluation.records import UnitRecord, latest_records
 from omnisyn_cli.evaluation.tables import Table, report_tables
+from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.io.staging import staged_folder
 
 __all__ = ["CSV_COLUMNS", "REPORT_NAME", "write_report"]
@@ -59,7 +60,7 @@ def write_report(folder: Path, records: Iterable[UnitRecord]) -> None:
         "json": _json(units, tables),
         "csv": _csv(units),
     }
-    with staged_folder(folder) as staged:
+    with staged_folder(folder) as staged, write_errors(folder):
         for extension, text in texts.items():
             (staged / f"{REPORT_NAME}.{extension}").write_bytes(text.encode("utf-8", "backslashreplace"))
         for name, data in plots.items():

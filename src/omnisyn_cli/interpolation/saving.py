@@ -29,7 +29,7 @@ KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 def depth_keeper(plan: InterpolationPlan) -> Iterator[KeepDepth]:
     """What writes the depth of pairs to ``job.save_depth``, which appears when everything has gone well."""
     folder = plan.job.save_depth
-    with nullcontext() if folder is None else staged_folder(folder) as staged:
+    with nullcontext() if folder is None else staged_folder(folder, overwrite=plan.job.overwrite) as staged:
 
         def keep(pair: int, depths: tuple[DepthEstimate, DepthEstimate]) -> None:
             if staged is not None:

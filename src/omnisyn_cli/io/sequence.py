@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +13,8 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
-from omnisyn_cli.io.paths import check_folder, temporary_name, write_errors
+from omnisyn_cli.io.paths import check_folder, write_errors
+from omnisyn_cli.io.staging import hidden_folder
 
 __all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_doubtful", "is_sequence", "open_sequence"]
 
@@ -151,18 +151,14 @@ def open_sequence(
     """
     check_sequence(sequence, overwrite)
     folder = sequence.folder
-    temporary = temporary_name(folder if folder.is_dir() else folder.parent)
-    try:
-        with write_errors(folder):
-            temporary.mkdir()
+    with hidden_folder(folder) as temporary:
         writer = SequenceWriter(temporary, sequence, size)
         yield writer
         if writer.frame_count == 0:
             raise EncodingError(f"{folder}: expected at least one frame to write, got none; check the trajectory")
+        check_sequence(sequence, overwrite)  # somebody else may have made frames in the meantime
         with write_errors(folder):
             _publish(temporary, sequence)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _publish(temporary: Path, sequence: ImageSequence) -> None:

@@ -144,18 +144,21 @@ def open_video(
             yield frames
         return
     settings = EncoderSettings(size, fps, _codec_of(target, codec), crf, preset, threads, dtype)
-    with _encoded(target, settings, is_spherical=is_spherical) as encoder:
+    with _encoded(target, settings, overwrite=overwrite, is_spherical=is_spherical) as encoder:
         yield encoder
 
 
 @contextmanager
-def _encoded(target: Path, settings: EncoderSettings, *, is_spherical: bool) -> Iterator[EncoderProcess]:
+def _encoded(
+    target: Path, settings: EncoderSettings, *, overwrite: bool, is_spherical: bool
+) -> Iterator[EncoderProcess]:
     """An encoder to a hidden file, which becomes ``target`` when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
     command, shape = encoder_command(encoded, settings), (*settings.size, 3)
     try:
         with EncoderProcess(command, target, shape, settings.dtype, _packing(settings)) as encoder:
             yield encoder
+        check_output(target, overwrite)  # somebody else may have made one in the meantime
         if is_spherical:
             inject_spherical(encoded, target)
         else:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from foreign_samples import axis_angle, imported, samples, write_images
 
-from omnisyn_cli.errors import OutputPathError, PoseError
+from omnisyn_cli.errors import OutputPathError, PoseError, WriteError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_poses, write_poses
 from omnisyn_cli.io.pose_formats import EXPORT_FORMATS, ImportedPoses, export_poses, write_imported
@@ -100,3 +100,15 @@ def test_sizes_are_read_or_given(tmp_path: Path, format_name: str) -> None:
     assert not output.exists()
     export_poses(poses, output, format_name, size=(512, 1024))
     assert "1024" in ((output / "cameras.txt") if output.is_dir() else output).read_text(encoding="utf-8")
+
+
+@every_format
+def test_a_full_disk_is_said_of_the_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_name: str) -> None:
+    def full(path: Path, text: str, encoding: str) -> None:
+        raise OSError(28, "No space left on device")
+
+    poses, output = written(tmp_path), tmp_path / OUTPUTS[format_name]
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(WriteError, match=f"{output.name}: expected to write it, got 'No space"):
+        export_poses(poses, output, format_name)
+    assert not output.exists()

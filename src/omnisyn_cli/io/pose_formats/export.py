@@ -8,7 +8,7 @@ from pathlib import Path
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.decode import read_header
-from omnisyn_cli.io.paths import check_output, replaced_when_complete
+from omnisyn_cli.io.paths import check_output, replaced_when_complete, write_errors
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.io.pose_formats.colmap import colmap_files
 from omnisyn_cli.io.pose_formats.nerfstudio import nerfstudio_text
@@ -66,7 +66,7 @@ def export_poses(
     if format_name == "nerfstudio":
         _write(output, nerfstudio_text(chosen, sizes, files, output.parent))
         return ("world: z up; depth and masks are not written",)
-    _write_colmap(output, chosen, sizes)
+    _write_colmap(output, chosen, sizes, overwrite)
     return ("world: y down; cameras are EQUIRECTANGULAR, which older versions of COLMAP do not know; no points",)
 
 
@@ -85,9 +85,9 @@ def _write(output: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _write_colmap(output: Path, poses: Mapping[str, Pose], sizes: Mapping[str, Size]) -> None:
+def _write_colmap(output: Path, poses: Mapping[str, Pose], sizes: Mapping[str, Size], overwrite: bool) -> None:
     files = colmap_files(poses, sizes)
-    with staged_folder(output) as staged:
+    with staged_folder(output, overwrite=overwrite) as staged, write_errors(output):
         for name, text in files.items():
             (staged / name).write_text(text, encoding="utf-8")
 

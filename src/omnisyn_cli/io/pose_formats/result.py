@@ -90,7 +90,7 @@ def _write_copies(output: Path, views: Sequence[ImportedView], overwrite: bool) 
             if copy is not None and file is not None and not _same(output.parent / copy, file):
                 check_output(output.parent / copy, overwrite)
                 copies[copy] = file
-    with staged_folder(output.parent) as staged:
+    with staged_folder(output.parent, overwrite=overwrite) as staged:
         for copy, file in copies.items():
             with write_errors(output.parent / copy):
                 shutil.copyfile(file, staged / copy)
