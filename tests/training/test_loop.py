@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import pytest
 import torch
@@ -67,6 +68,13 @@ def test_the_rate_rises_during_the_warm_up(config):
     for trainer.step in range(4):
         rates.append(trainer.rate())
     assert rates == [config.rate / 2, config.rate, config.rate, config.rate]
+
+
+def test_a_later_stage_has_its_own_weight_decay(tmp_path, config):
+    """Optimisers keep theirs in the checkpoint."""
+    train(TINY, config, tmp_path / "run", steps=1)
+    trainer = train(TINY, replace(config, weight_decay=0.5), tmp_path / "run", steps=2)
+    assert [group["weight_decay"] for group in trainer.optimizer.param_groups] == [0.5]
 
 
 def test_the_average_follows_the_weights(tmp_path, config):

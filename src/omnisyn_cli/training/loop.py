@@ -73,14 +73,17 @@ class Trainer:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""
+        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration.
+
+        A compact one has no opponent: a fresh one then watches first, as at the beginning of a run.
+        """
         self.network.load_state_dict(state.get("weights", state["average"]))
         own = self.network.state_dict()
         self.average = {name: value.to(own[name], copy=True) for name, value in state["average"].items()}
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
-        if self.opponent is not None and "opponent" in state:
-            self.opponent.restore(state["opponent"])
+        if self.opponent is not None:
+            self.opponent.restore(state.get("opponent", {"begun": state["step"]}))
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
@@ -114,7 +117,7 @@ class Trainer:
         config = self.config
         rng = np.random.default_rng([config.seed, self.step])
         for group in self.optimizer.param_groups:
-            group["lr"] = self.rate()
+            group.update(lr=self.rate(), weight_decay=config.weight_decay)
         with self.precision.autocast():
             loss, opposing = self._losses(pool, rng)
         self.optimizer.zero_grad(set_to_none=True)
@@ -132,7 +135,8 @@ class Trainer:
         """The network's loss, and that of its opponent."""
         if self.opponent is None or self.task.contest is None:
             return self.task.loss(self.network, pool, rng, self.config), None
-        return self.task.contest.losses(self.network, self.opponent.network, pool, rng, self.config, self.step)
+        watched = self.step - self.opponent.begun
+        return self.task.contest.losses(self.network, self.opponent.network, pool, rng, self.config, watched)
 
     @torch.no_grad()
     def _follow(self) -> None:
