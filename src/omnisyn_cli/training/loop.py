@@ -24,7 +24,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.paths import make_folder, write_errors
 from omnisyn_cli.training.adversarial import Opponent
-from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
+from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
@@ -155,12 +155,13 @@ def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
     """The averaged network of a checkpoint, and the checkpoint; its ``"kind"`` says what it is.
 
     Raises:
-        InputError: no file, or no checkpoint of a known kind.
+        InputError: no file, or no checkpoint of a known kind and of this version.
     """
     state = load_checkpoint(path)
     task = task_named(state.get("kind"), path)
-    network = task.build(task.config.from_dict(state["network"]))
-    network.load_state_dict(state["average"])
+    with of_this_version(path):
+        network = task.build(task.config.from_dict(state["network"]))
+        network.load_state_dict(state["average"])
     return network.eval(), state
 
 
@@ -228,7 +229,8 @@ def open_trainer(
     A cool-down asked for begins at its step.
 
     Raises:
-        InputError: the checkpoint is of another kind than ``network``, whose data and rate would not suit it.
+        InputError: the checkpoint is of another version, or of another kind than ``network``, whose data and rate would
+            not suit it.
     """
     if not path.exists():
         trainer = Trainer(network, config, precision)
@@ -238,8 +240,9 @@ def open_trainer(
         task, kind = task_named(state.get("kind"), path), task_of(network)
         if state["kind"] != kind:
             raise InputError(f"expected a {kind} network in {path}, got a {state['kind']} network; name another folder")
-        trainer = Trainer(task.config.from_dict(state["network"]), config, precision)
-        trainer.restore(state)
+        with of_this_version(path):
+            trainer = Trainer(task.config.from_dict(state["network"]), config, precision)
+            trainer.restore(state)
     if config.cooldown_steps == 0:
         trainer.cooldown_start = None
     elif trainer.cooldown_start is None:
