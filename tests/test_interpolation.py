@@ -1,8 +1,11 @@
 """From files to frames: the photographs at the ends, every kind of input, and all of it or nothing."""
 
+import gc
 import sys
+import weakref
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO
@@ -11,7 +14,7 @@ import pytest
 from interpolation_samples import CHAIN, job_of, listing
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError
 from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
-from omnisyn_cli.io import PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
+from omnisyn_cli.io import Panorama, PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
@@ -42,6 +45,24 @@ def test_photographs_come_out_bit_by_bit_and_frames_between_are_right(tmp_path: 
         else:
             assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
     assert shown == {0, 1, 2}
+
+
+def test_panoramas_are_let_go_of_as_soon_as_a_run_has_ended(tmp_path: Path) -> None:
+    """Not only when somebody looks for cycles: a worker of a batch has begun the next job by then."""
+    plan = plan_interpolation(job_of(tmp_path, write_hall(tmp_path, CHAIN), frames=5))
+    held = []
+
+    def read(path: Path, **options: Any) -> Panorama:
+        panorama = read_panorama(path, **options)
+        held.append(weakref.ref(panorama.original))
+        return panorama
+
+    gc.disable()
+    try:
+        run_interpolation(plan, read=read)
+        assert [reference() for reference in held] == [None] * len(CHAIN)
+    finally:
+        gc.enable()
 
 
 def test_with_a_common_heading_a_chain_is_level_and_still_passes_through(tmp_path: Path) -> None:

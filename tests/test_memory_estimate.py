@@ -63,6 +63,16 @@ def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> No
     assert sizes == sorted(set(sizes))
 
 
+def test_the_network_that_corrects_the_blend_takes_the_same_at_every_size(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    for size in ((64, 128), (512, 1024)):
+        plain, corrected = (
+            plan_interpolation(job_of(tmp_path, images, size=size, fusion=name)).memory
+            for name in ("geometric", "network")
+        )
+        assert corrected - plain == pytest.approx(90e6, abs=1)
+
+
 def test_a_data_window_of_depth_takes_the_memory_of_the_whole_sphere(tmp_path: Path) -> None:
     """And is planned with: its own 24 rows would not be half its width."""
     images = write_hall(tmp_path, CHAIN[:2], (32, 64))

@@ -1,5 +1,7 @@
 """SynSin's frames: where things are seen with true depth, however the cameras are held; and small real networks."""
 
+import gc
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +48,18 @@ def test_one_source_is_the_nearer_panorama_and_each_is_looked_at_once():
     assert networks.looked_at == 1
     list(one.frames([Waypoint(0, t, BETWEEN) for t in (0.5, 0.9)]))
     assert networks.looked_at == 2
+
+
+def test_views_are_let_go_of_with_the_frames():
+    view, networks = hall_view(FIRST), HallNetworks([FIRST.position, SECOND.position])
+    held = weakref.ref(view)
+    gc.disable()
+    try:
+        list(SynSin(networks, [view, hall_view(SECOND)], 2, OPTIONS).frames([Waypoint(0, 0.5, BETWEEN)]))
+        del view
+        assert held() is None
+    finally:
+        gc.enable()
 
 
 def test_where_a_panorama_was_taken_it_is_shown():

@@ -10,7 +10,7 @@ Source: Wiles et al., SynSin (CVPR 2020); OmniSyn, section 4.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float32
@@ -70,7 +70,7 @@ class SynSin:
             raise InputError(f"expected 1 or 2 panoramas for a frame, got {sources}; choose one of these")
         self._networks, self._views, self._sources = networks, views, sources
         self._options, self._clock = options, clock or Stopwatch()
-        self._cloud = lru_cache(maxsize=KEPT)(self._make_cloud)
+        self._cloud = lru_cache(maxsize=KEPT)(partial(_make_cloud, networks, views, self._clock))
 
     def frames(self, path: Sequence[Waypoint]) -> Iterator[Frame]:
         """A frame for every waypoint, in order; where a panorama was taken, the panorama itself."""
@@ -96,15 +96,16 @@ class SynSin:
         moved = cloud.target_from_source.position - position
         return Cloud(cloud.features, cloud.inverse_depth, Pose(np.eye(3), moved), cloud.mask)
 
-    def _make_cloud(self, index: int) -> Cloud:
-        """The points of a panorama, upright, with its position in the world for a pose."""
-        view, size = self._views[index], self._networks.size
-        with self._clock("depth"):
-            image = upright_image(view, size)
-            inverse_depth = self._networks.estimator.inverse_depth(image)
-            features = self._networks.features(image)
-        mask = None
-        if view.mask is not None:
-            directions = turned_directions(size, view.pose.rotation, np.eye(3))
-            mask = np.asarray(sample_nearest(view.mask.astype(np.float32), directions) > 0)
-        return Cloud(features, inverse_depth, Pose(np.eye(3), view.pose.position), mask)
+
+def _make_cloud(networks: SynSinSessions, views: Sequence[View], clock: Stopwatch, index: int) -> Cloud:
+    """The points of a panorama, upright, with its position in the world for a pose."""
+    view, size = views[index], networks.size
+    with clock("depth"):
+        image = upright_image(view, size)
+        inverse_depth = networks.estimator.inverse_depth(image)
+        features = networks.features(image)
+    mask = None
+    if view.mask is not None:
+        directions = turned_directions(size, view.pose.rotation, np.eye(3))
+        mask = np.asarray(sample_nearest(view.mask.astype(np.float32), directions) > 0)
+    return Cloud(features, inverse_depth, Pose(np.eye(3), view.pose.position), mask)

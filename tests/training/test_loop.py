@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import pytest
 import torch
@@ -7,8 +8,8 @@ from training_samples import TINY, make_pool
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthNetwork
 from omnisyn_cli.networks.refine import REFINE_VARIANTS
-from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
-from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
+from omnisyn_cli.training.checkpoint import NEEDED, compact, load_checkpoint, save_checkpoint
+from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
 
 
 @pytest.fixture
@@ -69,6 +70,13 @@ def test_the_rate_rises_during_the_warm_up(config):
     assert rates == [config.rate / 2, config.rate, config.rate, config.rate]
 
 
+def test_a_later_stage_has_its_own_weight_decay(tmp_path, config):
+    """Optimisers keep theirs in the checkpoint."""
+    train(TINY, config, tmp_path / "run", steps=1)
+    trainer = train(TINY, replace(config, weight_decay=0.5), tmp_path / "run", steps=2)
+    assert [group["weight_decay"] for group in trainer.optimizer.param_groups] == [0.5]
+
+
 def test_the_average_follows_the_weights(tmp_path, config):
     trainer = train(TINY, config, tmp_path / "run", steps=3)
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
@@ -79,15 +87,35 @@ def test_the_average_follows_the_weights(tmp_path, config):
     assert not torch.equal(trainer.average[name], trainer.network.state_dict()[name])
 
 
-def test_other_files_are_refused(tmp_path):
+def test_other_files_are_refused(tmp_path, config):
     with pytest.raises(InputError, match="found no file"):
         load_network(tmp_path / "missing.pt")
     (tmp_path / "text.pt").write_text("no checkpoint")
     with pytest.raises(InputError, match="got another file"):
         load_network(tmp_path / "text.pt")
-    save_checkpoint(tmp_path / "other.pt", {"kind": "abacus"})
+    for index, other in enumerate(({"kind": "depth"}, torch.zeros(3))):
+        torch.save(other, tmp_path / f"{index}.pt")
+        with pytest.raises(InputError, match="got other tensors"):
+            load_checkpoint(tmp_path / f"{index}.pt")
+    save_checkpoint(tmp_path / "other.pt", {**Trainer(TINY, config).state(), "kind": "abacus"})
     with pytest.raises(InputError, match="abacus"):
         load_network(tmp_path / "other.pt")
+
+
+def test_a_checkpoint_of_another_version_is_refused_in_one_line(tmp_path, config):
+    """With a setting that is not known here, and with weights of other shapes."""
+    state = Trainer(TINY, config).state()
+    others = {
+        "setting": {**state, "network": {**state["network"], "unheard_of": 1}},
+        "weights": {**state, **dict.fromkeys(("weights", "average"), dict.fromkeys(state["average"], torch.zeros(2)))},
+    }
+    for name, other in others.items():
+        path = tmp_path / name / "checkpoint.pt"
+        save_checkpoint(path, other)
+        for use in (load_network, lambda path: open_trainer(TINY, config, path)):
+            with pytest.raises(InputError, match="this version's networks") as caught:
+                use(path)
+            assert "\n" not in str(caught.value)
 
 
 def test_a_folder_of_another_kind_of_network_is_refused(tmp_path, config):
@@ -97,8 +125,8 @@ def test_a_folder_of_another_kind_of_network_is_refused(tmp_path, config):
 
 
 def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):
-    path = tmp_path / "checkpoint.pt"
-    save_checkpoint(path, {"step": 1})
+    path, state = tmp_path / "checkpoint.pt", dict.fromkeys(NEEDED, 1)
+    save_checkpoint(path, state)
 
     def killed(state, file):
         file.write(b"half a")
@@ -106,8 +134,8 @@ def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):
 
     monkeypatch.setattr(torch, "save", killed)
     with pytest.raises(KeyboardInterrupt):
-        save_checkpoint(path, {"step": 2})
-    assert load_checkpoint(path) == {"step": 1}
+        save_checkpoint(path, {**state, "step": 2})
+    assert load_checkpoint(path) == state
 
 
 @pytest.mark.slow

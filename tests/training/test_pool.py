@@ -1,10 +1,11 @@
 import errno
+import os
 import time
 from pathlib import Path
 
 import pytest
 
-from omnisyn_cli.errors import OutputPathError, WriteError
+from omnisyn_cli.errors import OmnisynError, OutputPathError, WriteError
 from omnisyn_cli.training import pool
 from omnisyn_cli.training.data import load_scene, save_arrays
 from omnisyn_cli.training.pool import PoolConfig, render_pool_scene
@@ -43,6 +44,20 @@ def test_after_a_failure_nothing_more_is_begun(tmp_path):
     with pytest.raises(WriteError, match="full"):
         list(pool.fill_pool(tmp_path, range(500), first_fails))
     assert len(list(tmp_path.iterdir())) < 250
+
+
+def kills_itself(folder: Path, seed: int) -> Path:
+    """Work that ends as it does where memory runs out."""
+    if seed == 1:
+        os._exit(9)
+    (folder / str(seed)).touch()
+    return folder / str(seed)
+
+
+def test_a_worker_that_is_killed_is_an_error_in_one_line(tmp_path):
+    with pytest.raises(OmnisynError, match="expected worker processes to live, got one that was killed; start"):
+        list(pool.fill_pool(tmp_path, range(3), kills_itself))
+    assert (tmp_path / "0").exists()
 
 
 def test_a_place_that_cannot_be_written_is_named_before_any_scene_is_rendered(tmp_path):

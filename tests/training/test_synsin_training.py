@@ -22,7 +22,7 @@ from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weigh
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import PoolScene, list_pool, load_scene
 from omnisyn_cli.training.lessons import Lesson, draw_lessons, make_lesson
-from omnisyn_cli.training.loop import TrainConfig, train
+from omnisyn_cli.training.loop import TrainConfig, open_trainer, train
 
 TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 
@@ -165,6 +165,28 @@ def test_a_compact_checkpoint_has_no_opponent_and_can_be_trained_on(tmp_path, co
     assert "opponent" not in small
     save_checkpoint(tmp_path / "new" / "checkpoint.pt", small)
     assert train(TINY, config, tmp_path / "new", steps=3).step == 3
+
+
+def test_a_fresh_opponent_only_watches_at_first_also_where_a_run_goes_on(tmp_path, config):
+    """From a compact checkpoint of any step; when it began is kept in the next checkpoint."""
+    train(TINY, config, tmp_path / "run", steps=1)
+    late = {**compact(load_checkpoint(tmp_path / "run" / "checkpoint.pt")), "step": 10**6}
+    path = tmp_path / "new" / "checkpoint.pt"
+    save_checkpoint(path, late)
+    trainer = open_trainer(TINY, config, path)
+    pool = list_pool(Path(config.pool))
+    lessons = draw_lessons(pool, np.random.default_rng([config.seed, 10**6]), config.batch, config.size)
+    own = float(synsin.own_loss(synsin.make_pictures(trainer.network, lessons), lessons).detach())
+    assert trainer.advance(pool) == pytest.approx(own, rel=1e-5)
+    save_checkpoint(path, trainer.state())
+    again = open_trainer(TINY, config, path)
+    assert again.opponent.begun == 10**6
+
+
+def test_the_opponent_takes_the_weight_decay_of_the_stage(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=1)
+    trainer = train(TINY, dataclasses.replace(config, weight_decay=0.5), tmp_path / "run", steps=2)
+    assert [group["weight_decay"] for group in trainer.opponent.optimizer.param_groups] == [0.5]
 
 
 def test_the_command_trains_and_refuses_sizes_that_do_not_fit(tmp_path):

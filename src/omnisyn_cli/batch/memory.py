@@ -5,7 +5,7 @@ Both keep a few only, so the memory of a worker does not grow with the number of
 
 from __future__ import annotations
 
-import weakref
+import hashlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from omnisyn_cli.batch.provenance import stamp
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation.loading import KeptPanorama
 from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -28,6 +29,8 @@ MOST_DEPTHS = 4
 class PanoramaMemory:
     """:func:`omnisyn_cli.io.read_panorama` that remembers the last panoramas, as long as their files do not change.
 
+    What is remembered is held as the samples of its file where these say everything: a quarter of the numbers.
+
     Attributes:
         decoded: how many were read from files so far.
     """
@@ -35,20 +38,23 @@ class PanoramaMemory:
     def __init__(self, most: int = MOST_PANORAMAS) -> None:
         self.decoded = 0
         self._most = most
-        self._known: OrderedDict[tuple[object, ...], Panorama] = OrderedDict()
+        self._known: OrderedDict[tuple[object, ...], KeptPanorama] = OrderedDict()
 
     def __call__(self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> Panorama:
-        """The panorama of a file; the same object as long as it is remembered."""
+        """The panorama of a file."""
         if not path.exists():
             return read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)  # which says what is wrong
         key = (*stamp(path), allow_aspect, max_pixels)
         if key in self._known:
             self._known.move_to_end(key)
-            return self._known[key]
+            kept = self._known[key]
+            return Panorama(kept.image(), kept.mask, kept.original, path)
         while len(self._known) >= self._most:  # before the next one takes its memory
             self._known.popitem(last=False)
         self.decoded += 1
-        panorama = self._known[key] = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
+        panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
+        self._known[key] = KeptPanorama(panorama)
+        self._known[key].forget_numbers()
         return panorama
 
 
@@ -78,43 +84,45 @@ class DepthMemory:
         return self._of(first, second)
 
     def _of(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        traces = (_Trace.of(first), _Trace.of(second))
         for pair in self._known:
-            if pair.first.is_of(first) and pair.second.is_of(second):
+            if all(known.is_of(trace) for known, trace in zip(pair.traces, traces, strict=True)):
                 return pair.depths
         self.found += 1
         depths = self._estimator(first, second)
-        self._known = [*self._known[1 - MOST_DEPTHS :], _Pair(_Trace.of(first), _Trace.of(second), depths)]
+        self._known = [*self._known[1 - MOST_DEPTHS :], _Pair(traces, depths)]
         return depths
 
 
 @dataclass(frozen=True)
 class _Trace:
-    """What tells a view from another without keeping its picture alive."""
+    """What tells a view from another without its picture: both may have been made of their files anew.
 
-    image: weakref.ref[np.ndarray]
+    Attributes:
+        digest: of the picture and of what is known about its pixels.
+        pose: of the view.
+    """
+
+    digest: bytes
     pose: Pose
-    mask: np.ndarray | None
 
     @staticmethod
     def of(view: View) -> _Trace:
-        return _Trace(weakref.ref(view.image), view.pose, view.mask)
+        digest = hashlib.sha256(f"{view.image.shape} {view.samples is None} {view.is_cut_off}".encode())
+        for pixels in (view.image if view.samples is None else view.samples, view.mask):
+            if pixels is not None:
+                digest.update(np.ascontiguousarray(pixels).reshape(-1).view(np.uint8).data)
+        return _Trace(digest.digest(), view.pose)
 
-    def is_of(self, view: View) -> bool:
-        """Whether it is the same picture in memory, with the same pose and mask."""
-        has_same_pose = np.array_equal(self.pose.position, view.pose.position) and np.array_equal(
-            self.pose.rotation, view.pose.rotation
+    def is_of(self, other: _Trace) -> bool:
+        """Whether it is the same picture, with the same pose and mask."""
+        has_same_pose = np.array_equal(self.pose.position, other.pose.position) and np.array_equal(
+            self.pose.rotation, other.pose.rotation
         )
-        return self.image() is view.image and has_same_pose and _are_equal(self.mask, view.mask)
+        return self.digest == other.digest and has_same_pose
 
 
 @dataclass(frozen=True)
 class _Pair:
-    first: _Trace
-    second: _Trace
+    traces: tuple[_Trace, _Trace]
     depths: tuple[DepthEstimate, DepthEstimate]
-
-
-def _are_equal(first: np.ndarray | None, second: np.ndarray | None) -> bool:
-    if first is None or second is None:
-        return first is second
-    return np.array_equal(first, second)

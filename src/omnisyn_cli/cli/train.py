@@ -247,6 +247,7 @@ def joint(depth: str, fusion: str, height: int, **options: Any) -> None:
 
 def _beginning(chosen: str, known: Mapping[str, Any], kinds: tuple[str, ...], name: str) -> tuple[Any, dict[str, Any]]:
     """The configuration of a variant or of a checkpoint, and its weights as the joint network names them."""
+    from omnisyn_cli.training.checkpoint import of_this_version
     from omnisyn_cli.training.joint import part_of
     from omnisyn_cli.training.tasks import TASKS
 
@@ -258,7 +259,8 @@ def _beginning(chosen: str, known: Mapping[str, Any], kinds: tuple[str, ...], na
         )
     part = part_of(Path(chosen), kinds)
     weights = {f"{name}.{key}": value for key, value in part.average.items()}
-    return TASKS[part.kind].config.from_dict(part.config), weights
+    with of_this_version(Path(chosen)):
+        return TASKS[part.kind].config.from_dict(part.config), weights
 
 
 @train.command()

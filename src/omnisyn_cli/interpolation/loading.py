@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from weakref import ref
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from omnisyn_cli.io import Panorama, PosedPanorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.masks import usable_part
-from omnisyn_cli.planning import InterpolationPlan
+from omnisyn_cli.planning import InterpolationJob, InterpolationPlan
 from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -46,12 +46,13 @@ class KeptPanorama:
 
 
 class Loader:
-    """Panoramas from their files when they are needed; the last two are kept."""
+    """Panoramas from their files when they are needed; the last two are kept, as long as the loader is."""
 
     def __init__(self, plan: InterpolationPlan, clock: Stopwatch, read: PanoramaReader) -> None:
-        self._plan, self._clock, self._read = plan, clock, read
-        self.panorama = lru_cache(maxsize=2)(self._read_panorama)
-        self._companions = lru_cache(maxsize=2)(self._read_companions)
+        self._plan, self._clock = plan, clock
+        # Methods of its own in here would keep the loader, and what it keeps, alive until somebody looks for cycles.
+        self.panorama = lru_cache(maxsize=2)(partial(_read_panorama, plan.job, read))
+        self._companions = lru_cache(maxsize=2)(partial(_read_companions, plan, self.panorama))
 
     def views(self) -> Sequence[View]:
         """All views, read on demand."""
@@ -61,29 +62,33 @@ class Loader:
         """What a surface has been made of is not needed as numbers any more."""
         self.panorama(index).forget_numbers()
 
-    def _read_panorama(self, index: int) -> KeptPanorama:
-        job = self._plan.job
-        return KeptPanorama(self._read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
-
     def _view(self, index: int) -> View:
         with self._clock("decode"):
             panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
             return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, samples=panorama.samples)
 
-    def _read_companions(self, index: int) -> tuple[np.ndarray | None, DepthEstimate | None]:
-        """What of a panorama may be used, and its depth if that is known."""
-        job, entry, panorama = self._plan.job, self._plan.entries[index], self.panorama(index)
-        mask = usable_part(
-            panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir,
-            allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
-        )  # fmt: skip
-        return mask, self._known_depth(entry)
 
-    def _known_depth(self, entry: PosedPanorama) -> DepthEstimate | None:
-        if self._plan.depth != "file" or entry.depth is None:
-            return None
-        inverse_depth = read_inverse_depth(entry.depth, max_pixels=self._plan.job.max_pixels)
-        return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
+def _read_panorama(job: InterpolationJob, read: PanoramaReader, index: int) -> KeptPanorama:
+    return KeptPanorama(read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
+
+
+def _read_companions(
+    plan: InterpolationPlan, panorama_of: Callable[[int], KeptPanorama], index: int
+) -> tuple[np.ndarray | None, DepthEstimate | None]:
+    """What of a panorama may be used, and its depth if that is known."""
+    job, entry, panorama = plan.job, plan.entries[index], panorama_of(index)
+    mask = usable_part(
+        panorama.mask, panorama.size, (entry.mask, *job.masks[index : index + 1]), job.nadir,
+        allow_aspect=job.allow_aspect, max_pixels=job.max_pixels,
+    )  # fmt: skip
+    return mask, _known_depth(plan, entry)
+
+
+def _known_depth(plan: InterpolationPlan, entry: PosedPanorama) -> DepthEstimate | None:
+    if plan.depth != "file" or entry.depth is None:
+        return None
+    inverse_depth = read_inverse_depth(entry.depth, max_pixels=plan.job.max_pixels)
+    return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
 
 
 class _LazySequence(Sequence[View]):

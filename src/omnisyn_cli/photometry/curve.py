@@ -157,7 +157,8 @@ def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray
         before, after = np.quantile(first[:, k], QUANTILES), np.quantile(second[:, k], QUANTILES)
         usable = (np.minimum(before, after) > low) & (np.maximum(before, after) < high)
         if usable.any():
-            gain[k] = np.median(np.log2(linear_from_stored(after[usable]) / linear_from_stored(before[usable])))
+            stops = [np.log2(linear_from_stored(x[usable])) for x in (before, after)]
+            gain[k] = np.median(stops[1] - stops[0])  # the other way round exactly the opposite, as a quotient is not
     return ExposureCurve(gain if np.abs(gain).max() >= LEAST_ROUGH_GAIN else np.zeros_like(gain))
 
 

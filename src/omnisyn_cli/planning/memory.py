@@ -20,6 +20,9 @@ PROGRAM = 530e6
 PAINTING, PAINTED_ROWS = 150, 1024
 """Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
 
+CORRECTING = 90e6
+"""Bytes that a network which corrects the blend takes, which looks at one size, whatever that of the frames."""
+
 BYTES_PER_VERTEX = {"mesh": 57, "points": 400, "two-pass": 950}
 """Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
 
@@ -81,4 +84,5 @@ def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str
     if is_by_rows:
         return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
     painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if fusion == "painting" else 0
-    return painted + pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)
+    corrected = CORRECTING if fusion == "network" else 0
+    return painted + corrected + pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)

@@ -48,7 +48,7 @@ class Contest:
     Attributes:
         build: a fresh opponent.
         losses: of a network, an opponent, a pool, a generator of random numbers, a configuration and the number of
-            steps done: the network's loss, and the opponent's.
+            steps that the opponent has seen: the network's loss, and the opponent's.
     """
 
     build: Callable[[], Module]
@@ -56,25 +56,39 @@ class Contest:
 
 
 class Opponent:
-    """A discriminator with its optimiser."""
+    """A discriminator with its optimiser.
+
+    Args:
+        network: that tells what is made from what is true.
+        weight_decay: of AdamW.
+
+    Attributes:
+        begun: step of the run that it was fresh at.
+    """
 
     def __init__(self, network: Module, weight_decay: float) -> None:
-        self.network = network
+        self.network, self.begun, self._weight_decay = network, 0, weight_decay
         self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay, betas=BETAS)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
-        return {"weights": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
+        return {
+            "weights": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "begun": self.begun,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint."""
-        self.network.load_state_dict(state["weights"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        """Go on from a checkpoint; from one that says no more than where it begins, afresh."""
+        self.begun = state.get("begun", 0)
+        if "weights" in state:
+            self.network.load_state_dict(state["weights"])
+            self.optimizer.load_state_dict(state["optimizer"])
 
     def learn(self, loss: Float[Tensor, ""], rate: float, clip: float) -> None:
         """One step; ``rate`` is the generator's."""
         for group in self.optimizer.param_groups:
-            group["lr"] = RATE_SHARE * rate
+            group.update(lr=RATE_SHARE * rate, weight_decay=self._weight_decay)
         self.optimizer.zero_grad(set_to_none=True)  # what the generator's loss left here as well
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), clip)
@@ -83,7 +97,7 @@ class Opponent:
 
 
 def adversarial_weight(step: int) -> float:
-    """How much the opponent counts at a step: nothing at first, then more and more."""
+    """How much the opponent counts after so many steps of its own: nothing at first, then more and more."""
     return WEIGHT * min(1.0, max(0.0, (step - ALONE) / RAMP))
 
 

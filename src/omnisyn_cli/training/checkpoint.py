@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -11,7 +13,10 @@ import torch
 
 from omnisyn_cli.errors import InputError, WriteError
 
-__all__ = ["compact", "load_checkpoint", "save_checkpoint"]
+__all__ = ["compact", "load_checkpoint", "of_this_version", "save_checkpoint"]
+
+NEEDED = frozenset({"kind", "network", "training", "step", "average"})
+"""What every checkpoint has, compact or not."""
 
 LONGEST_REASON = 200
 """Characters of what torch says that are passed on."""
@@ -42,7 +47,9 @@ def compact(state: dict[str, Any]) -> dict[str, Any]:
 
     It can be exported, and a run that starts from it goes on with these weights and a fresh optimiser.
     """
-    kept = {key: state[key] for key in ("kind", "network", "training", "step", "scores")}
+    kept: dict[str, Any] = {
+        key: state[key] for key in ("kind", "network", "training", "step", "scores") if key in state
+    }
     average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
     return {**kept, "average": average}
 
@@ -54,7 +61,7 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         InputError: no such file, or no checkpoint.
     """
     try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise InputError(f"expected a checkpoint at {path}, found no file; give the path `train` wrote to") from None
     except UnpicklingError:
@@ -64,4 +71,19 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         raise InputError(
             f"expected a checkpoint in {path}, got a file torch cannot read: {reason:.{LONGEST_REASON}}"
         ) from error
+    if not isinstance(state, dict) or NEEDED - state.keys():
+        raise InputError(f"expected a checkpoint in {path}, got other tensors; give the path `train` wrote to")
     return state
+
+
+@contextmanager
+def of_this_version(path: Path) -> Iterator[None]:
+    """While a network is made of the checkpoint at ``path``: InputError where it is of another one's settings."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:LONGEST_REASON]
+        raise InputError(
+            f"expected a checkpoint of this version's networks in {path}, got '{reason}'; train anew, or use the "
+            "version that wrote it"
+        ) from error

@@ -164,7 +164,7 @@ def part_of(path: Path, kinds: tuple[str, ...]) -> Part:
         InputError: no checkpoint, or it has none.
     """
     state = load_checkpoint(path)
-    found = parts_of(state) if "average" in state and "kind" in state else []
+    found = parts_of(state)
     for part in found:
         if part.kind in kinds:
             return part

@@ -24,7 +24,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.paths import make_folder, write_errors
 from omnisyn_cli.training.adversarial import Opponent
-from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
+from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
@@ -73,14 +73,17 @@ class Trainer:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration."""
+        """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration.
+
+        A compact one has no opponent: a fresh one then watches first, as at the beginning of a run.
+        """
         self.network.load_state_dict(state.get("weights", state["average"]))
         own = self.network.state_dict()
         self.average = {name: value.to(own[name], copy=True) for name, value in state["average"].items()}
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
-        if self.opponent is not None and "opponent" in state:
-            self.opponent.restore(state["opponent"])
+        if self.opponent is not None:
+            self.opponent.restore(state.get("opponent", {"begun": state["step"]}))
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
@@ -114,7 +117,7 @@ class Trainer:
         config = self.config
         rng = np.random.default_rng([config.seed, self.step])
         for group in self.optimizer.param_groups:
-            group["lr"] = self.rate()
+            group.update(lr=self.rate(), weight_decay=config.weight_decay)
         with self.precision.autocast():
             loss, opposing = self._losses(pool, rng)
         self.optimizer.zero_grad(set_to_none=True)
@@ -132,7 +135,8 @@ class Trainer:
         """The network's loss, and that of its opponent."""
         if self.opponent is None or self.task.contest is None:
             return self.task.loss(self.network, pool, rng, self.config), None
-        return self.task.contest.losses(self.network, self.opponent.network, pool, rng, self.config, self.step)
+        watched = self.step - self.opponent.begun
+        return self.task.contest.losses(self.network, self.opponent.network, pool, rng, self.config, watched)
 
     @torch.no_grad()
     def _follow(self) -> None:
@@ -151,12 +155,13 @@ def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
     """The averaged network of a checkpoint, and the checkpoint; its ``"kind"`` says what it is.
 
     Raises:
-        InputError: no file, or no checkpoint of a known kind.
+        InputError: no file, or no checkpoint of a known kind and of this version.
     """
     state = load_checkpoint(path)
     task = task_named(state.get("kind"), path)
-    network = task.build(task.config.from_dict(state["network"]))
-    network.load_state_dict(state["average"])
+    with of_this_version(path):
+        network = task.build(task.config.from_dict(state["network"]))
+        network.load_state_dict(state["average"])
     return network.eval(), state
 
 
@@ -224,7 +229,8 @@ def open_trainer(
     A cool-down asked for begins at its step.
 
     Raises:
-        InputError: the checkpoint is of another kind than ``network``, whose data and rate would not suit it.
+        InputError: the checkpoint is of another version, or of another kind than ``network``, whose data and rate would
+            not suit it.
     """
     if not path.exists():
         trainer = Trainer(network, config, precision)
@@ -234,8 +240,9 @@ def open_trainer(
         task, kind = task_named(state.get("kind"), path), task_of(network)
         if state["kind"] != kind:
             raise InputError(f"expected a {kind} network in {path}, got a {state['kind']} network; name another folder")
-        trainer = Trainer(task.config.from_dict(state["network"]), config, precision)
-        trainer.restore(state)
+        with of_this_version(path):
+            trainer = Trainer(task.config.from_dict(state["network"]), config, precision)
+            trainer.restore(state)
     if config.cooldown_steps == 0:
         trainer.cooldown_start = None
     elif trainer.cooldown_start is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing import get_context
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sweep import UP, epipole_frame
 from omnisyn_cli.io import read_photographs
@@ -106,6 +108,7 @@ def fill_pool(
     Raises:
         OutputPathError: the folder cannot be made.
         WriteError: a file cannot be written; the scenes that have not been begun are left out then.
+        OmnisynError: a worker was killed, as it is where memory runs out; the scenes that are finished stay.
     """
     make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
@@ -116,6 +119,11 @@ def fill_pool(
                 path = future.result()
                 if path is not None:
                     yield path
+        except BrokenProcessPool as error:
+            raise OmnisynError(
+                f"{folder}: expected worker processes to live, got one that was killed; start the command again to go "
+                "on, and if memory ran out take fewer workers"
+            ) from error
         finally:
             executor.shutdown(cancel_futures=True)  # an error or Ctrl-C does not wait for all that is left
 
