@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
+from omnisyn_cli.fusion.kernels import BELIEF
 from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
@@ -165,8 +166,9 @@ class GhostRemover:
             for rho, offset in zip(rhos, offsets, strict=True)
         ]
         gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * self.blend.disagreement + 1e-9)
-        hidden = strictness * -np.log(self.blend.hidden)
-        hides = np.sign(gap) * np.minimum(gap * gap, hidden)
+        believed = np.minimum(1.0, BELIEF * np.where(gap > 0.0, *worths))
+        rest = 1.0 - believed * (1.0 - np.exp(np.maximum(-gap * gap, strictness * np.log(self.blend.hidden))))
+        hides = -np.sign(gap) * np.log(rest)
         share = np.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
         found = share + np.log(worths[0] / worths[1]) + near[0] - near[1] + hides
         return np.asarray(np.where(self._sums[..., 0] > 0.0, found, 0.0), np.float32)

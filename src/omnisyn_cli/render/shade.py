@@ -291,8 +291,8 @@ def shade(
         mesh: the surface.
         texture: the photograph, in the frame of the mesh.
         target_from_source: the transform that the fragments were made with.
-        bicubic: Catmull-Rom where the photograph is magnified, else bilinear. Where it is shrunk, two mip levels are
-            read bilinearly and mixed.
+        bicubic: Catmull-Rom where the photograph is magnified, else bilinear. Where it is shrunk, two mip levels,
+            half a level finer than that, are read bilinearly and mixed.
         threads: at most this many.
     """
     height, width = fragments.face.shape
