@@ -130,7 +130,7 @@ class GpuGhosts:
             for rho, offset in zip(rhos, (first_offset, second_offset), strict=True)
         ]
         gap = (rhos[0] - rhos[1]) / (torch.maximum(*rhos) * self.blend.disagreement + 1e-9)
-        believed = (BELIEF * torch.where(gap > 0.0, *worths)).clamp_max(1.0)
+        believed = (BELIEF * torch.where(gap > 0.0, worths[0], worths[1])).clamp_max(1.0)
         rest = 1.0 - believed * (1.0 - torch.exp((-gap.square()).clamp_min(strictness * math.log(self.blend.hidden))))
         hides = -gap.sign() * torch.log(rest)
         share = math.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
