@@ -80,6 +80,17 @@ def test_the_view_that_wins_is_the_one_that_the_blend_prefers(disagreement: floa
     assert ((near, far)[1 - winner].colour[inner, 3] < 0.03).all()
 
 
+@pytest.mark.parametrize(("worth", "winner"), [(0.3, 0), (0.01, 1)])
+def test_a_nearer_surface_that_is_hardly_trusted_wins_no_region(worth: float, winner: int) -> None:
+    """Wrong depth in front of what the other view knows well: the blend shows the other view, and so does a region."""
+    where, background = ball(200), wall()
+    near = rendering(with_ball(background, where), np.where(where, 0.6, 0.3), z=-1e-3)
+    near.colour[where, 3] = worth
+    found = fuse(near, rendering(background, z=1e-3), 0.5)
+    inner = where & ~border(where, 8)
+    np.testing.assert_allclose(found[inner], (with_ball(background, where), background)[winner][inner], atol=0.03)
+
+
 def test_outside_of_what_moved_nothing_changes() -> None:
     where, background = ball(200), wall()
     picture = with_ball(background, where)

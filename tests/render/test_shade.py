@@ -77,6 +77,18 @@ def test_a_minified_image_keeps_its_mean():
     assert found[..., :3].std() < 0.4 * image.std()
 
 
+@pytest.mark.parametrize("ratio", [2, 3, 4])
+def test_a_minified_image_that_is_read_between_its_texels_stays_sharp(ratio):
+    """Half a pixel aside three quarters remain of a wave of four pixels; of the level itself 0.64 to 0.72 would."""
+    cols = 256
+    waves = np.cos(np.arange(ratio * cols) * (2 * math.pi / (4 * ratio)) + 1.0).astype(np.float32)
+    image = np.broadcast_to(0.5 + 0.5 * waves[None, :, None], (len(waves) // 2, len(waves), 3))
+    pose = Pose(turn(0.0, math.pi / cols, 0.0), np.zeros(3))
+    found = shaded(image, np.zeros((8, 16), np.float32), pose, (cols // 2, cols))[cols // 4, :, 0] - 0.5
+    amplitude = 2.0 / cols * np.abs(found @ np.exp(0.5j * math.pi * np.arange(cols)))
+    assert 0.75 < 2.0 * amplitude < 1.0
+
+
 def test_alpha_is_the_mask_and_trust_multiplies_it():
     mask = np.ones((16, 32), bool)
     mask[:, :8] = False

@@ -10,8 +10,11 @@ from omnisyn_cli.render.shade import Shader, make_trust, trust_of_faces
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.trust import (
     AT_CUTS,
+    BEHIND,
     BEHIND_CUTS,
+    BESIDE_CUTS,
     FAR_BEHIND,
+    FAR_BEHIND_CUTS,
     IN_RIMS,
     LEAST,
     REACH,
@@ -39,22 +42,35 @@ def test_is_little_where_the_mesh_is_cut_and_less_far_behind_the_cut():
     rho[:, 10:14] = 1.0
     mesh = build_mesh(rho)
     assert (mesh.quads[:, [4, 9, 13, 15]] & CUT_EDGES == [5, 5, 5, 0]).all()
-    np.testing.assert_allclose(mesh.trust[:, 4], [np.float32([BEHIND_CUTS, AT_CUTS])[[1, 0, 1, 0]]] * 7)
-    np.testing.assert_allclose(mesh.trust[:, 9], [np.float32([BEHIND_CUTS, AT_CUTS, BEHIND_CUTS, AT_CUTS])] * 7)
-    np.testing.assert_allclose(mesh.trust[:, 13], [np.float32([AT_CUTS, BEHIND_CUTS, AT_CUTS, BEHIND_CUTS])] * 7)
+    np.testing.assert_allclose(mesh.trust[:, 4], [np.float32([FAR_BEHIND_CUTS, AT_CUTS])[[1, 0, 1, 0]]] * 7)
+    np.testing.assert_allclose(mesh.trust[:, 9], [np.float32([FAR_BEHIND_CUTS, AT_CUTS])[[0, 1, 0, 1]]] * 7)
+    np.testing.assert_allclose(mesh.trust[:, 13], [np.float32([AT_CUTS, FAR_BEHIND_CUTS])[[0, 1, 0, 1]]] * 7)
     np.testing.assert_allclose(mesh.trust[:, 11], 1.0)
 
 
-@pytest.mark.parametrize("times", [0.98 * FAR_BEHIND, 1.02 * FAR_BEHIND, np.inf])
+def test_a_little_behind_a_cut_one_quad_counts_for_less():
+    """Across the seam as well; closer behind than that, and in front, nothing but the cut itself does."""
+    for times, beside, behind in ((1.02 * BEHIND, BESIDE_CUTS, BEHIND_CUTS), (0.98 * BEHIND, 1.0, AT_CUTS)):
+        rho = np.full((4, 16), 1.0 / times, np.float32)
+        rho[:, 0:8] = 1.0
+        trust = build_mesh(rho).trust[1]
+        np.testing.assert_allclose(trust[[7, 15]], np.float32([[AT_CUTS, behind] * 2, [behind, AT_CUTS] * 2]))
+        np.testing.assert_allclose(trust[[8, 14]], np.float32(beside))
+        np.testing.assert_allclose(trust[np.r_[0:7, 9:14]], 1.0)
+
+
+@pytest.mark.parametrize("times", [0.98 * BEHIND, 0.98 * FAR_BEHIND, 1.02 * FAR_BEHIND, np.inf])
 @pytest.mark.parametrize(("row", "col"), [(20, 30), (20, 1), (20, 59), (0, 30), (39, 30), (2, 58)])
 def test_a_rim_lies_around_what_is_much_nearer_across_the_seam_but_not_beyond_the_poles(row, col, times):
     rho = np.full((40, 60), 1.0 / times, np.float32)
     rho[row, col] = 1.0
     rows, cols = np.mgrid[:40, :60]
     apart = np.maximum(abs(rows - row), np.minimum((cols - col) % 60, (col - cols) % 60))
-    is_rim = (apart <= REACH) & (apart > 0) & (times > FAR_BEHIND)
-    corners = [is_rim[:-1], is_rim[1:], np.roll(is_rim, -1, axis=1)[:-1], np.roll(is_rim, -1, axis=1)[1:]]
-    expected = np.where(np.any(corners, axis=0), np.float32(IN_RIMS), np.float32(1.0))
+    expected = np.ones((39, 60), np.float32)
+    for reach, least, trust in ((1, BEHIND, BESIDE_CUTS), (REACH, FAR_BEHIND, IN_RIMS)):
+        is_rim = (apart <= reach) & (apart > 0) & (times > least)
+        corners = [is_rim[:-1], is_rim[1:], np.roll(is_rim, -1, axis=1)[:-1], np.roll(is_rim, -1, axis=1)[1:]]
+        expected[np.any(corners, axis=0)] = trust
     found = trust_of_quarters(rho, whole(40, 60))
     np.testing.assert_array_equal(found, np.repeat(expected[..., None], 4, axis=-1))
 

@@ -22,6 +22,7 @@ from omnisyn_cli.fusion.ghosts import (
     GhostOptions,
     samples_of_cells,
 )
+from omnisyn_cli.fusion.kernels import BELIEF
 from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.gpu.blending import Shown
@@ -129,7 +130,9 @@ class GpuGhosts:
             for rho, offset in zip(rhos, (first_offset, second_offset), strict=True)
         ]
         gap = (rhos[0] - rhos[1]) / (torch.maximum(*rhos) * self.blend.disagreement + 1e-9)
-        hides = gap.sign() * gap.square().clamp_max(strictness * -math.log(self.blend.hidden))
+        believed = (BELIEF * torch.where(gap > 0.0, worths[0], worths[1])).clamp_max(1.0)
+        rest = 1.0 - believed * (1.0 - torch.exp((-gap.square()).clamp_min(strictness * math.log(self.blend.hidden))))
+        hides = -gap.sign() * torch.log(rest)
         share = math.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
         found = share + torch.log(worths[0] / worths[1]) + near[0] - near[1] + hides
         return torch.where(sums[..., 0] > 0.0, found, 0.0)

@@ -14,7 +14,7 @@ from jaxtyping import Float32, Integer
 from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.shade_kernels import SPECIAL
+from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.render.texture import Texture
 
 __all__ = ["GpuTexture", "shade", "texture_on"]
@@ -86,7 +86,8 @@ def shade(
     row = torch.atan2(flat.sqrt(), y) * row_scale + row_zero
     col = torch.atan2(x, -z) * col_scale + col_zero
     footprint = (texture.rows / target_rows) ** 2 / (flat + y * y + 1e-20)
-    level = (0.5 * torch.log2(footprint)).clamp_max(float(len(texture.begin) - 1))
+    level = 0.5 * torch.log2(footprint)
+    level = torch.maximum((1.0 - float(FINER)) * level, level - float(FINER)).clamp_max(float(len(texture.begin) - 1))
     is_minified = (level > float(SPECIAL))[..., None]
     colour = torch.where(is_minified, _between_levels(texture, row, col, level), _bicubic(texture, row, col))
     colour = colour * texture.unit

@@ -180,8 +180,8 @@ def shade(
 ) -> Float32[np.ndarray, "height width 4"]:
     """Colour of every fragment and, as fourth channel, alpha times the trust in its face; all 0 where nothing is seen.
 
-    Where the photograph is magnified it is read by Catmull-Rom interpolation; where it is shrunk, two mip levels are
-    read bilinearly and mixed.
+    Where the photograph is magnified it is read by Catmull-Rom interpolation; where it is shrunk, two mip levels,
+    half a level finer than that, are read bilinearly and mixed.
 
     Args:
         fragments: what the target sees of ``mesh``.

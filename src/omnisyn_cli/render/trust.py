@@ -2,7 +2,8 @@
 
 What lies far behind something else has that thing's colours at its edge: lenses blur, estimated edges are not exact.
 Seen from elsewhere they would hang in the sky as an outline. The other view has usually seen the same place without
-them, so they count for little: least in the cut quads of the edge itself, little in a rim beside it.
+them, so they count for little: least in the cut quads of the edge itself, little in a rim beside it. What lies behind,
+but not far, has a narrow rim that counts for a quarter: a wall keeps no outline of the tree before it.
 """
 
 from __future__ import annotations
@@ -10,19 +11,35 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-__all__ = ["AT_CUTS", "BEHIND_CUTS", "FAR_BEHIND", "IN_RIMS", "LEAST", "REACH", "trust_of_quarters"]
+__all__ = [
+    "AT_CUTS", "BEHIND", "BEHIND_CUTS", "BESIDE_CUTS", "FAR_BEHIND", "FAR_BEHIND_CUTS", "IN_RIMS", "LEAST", "REACH",
+    "trust_of_quarters",
+]  # fmt: skip
 
 AT_CUTS = 0.25
 """In a quad with a cut edge, where the colours of two surfaces are mixed."""
 
-BEHIND_CUTS = 0.01
-"""In the quarters of such a quad that lie far behind what it is cut from."""
+BEHIND_CUTS = 0.1
+"""In the quarters of such a quad that lie behind what it is cut from."""
+
+FAR_BEHIND_CUTS = 0.01
+"""In those that lie far behind it."""
+
+BESIDE_CUTS = 0.25
+"""In whole quads with a corner that lies behind what a vertex beside it belongs to.
+
+Measured on ray-traced scenes of 1024×512 with this and :data:`BEHIND_CUTS` (mean SSIM of nine frames): 0.9589 against
+0.9574 with true depth, 0.9239 against 0.9234 with estimated depth. A rim of two vertices at 0.1 loses 0.05 dB there.
+"""
 
 IN_RIMS = 0.05
 """In whole quads of a surface that lies far behind something beside it."""
 
 REACH = 5
 """Vertices: how wide a rim is."""
+
+BEHIND = 1.3
+"""Times as far."""
 
 FAR_BEHIND = 5.0
 """Times as far. With 2.5 a room with its true depth loses 0.3 dB: close behind an edge the other view may be hidden."""
@@ -43,10 +60,12 @@ def trust_of_quarters(
         is_cut: whether any edge of the quad is cut.
         confidence: in [0, 1], of the inverse depths; by default 1. The least one of its corners counts for a quad.
     """
-    is_behind = inverse_depth * np.float32(FAR_BEHIND) < _greatest_within(REACH, inverse_depth)
-    corners = _corners(is_behind)
-    whole = np.where(corners.any(axis=-1), np.float32(IN_RIMS), np.float32(1.0))
-    pieces = np.where(corners, np.float32(BEHIND_CUTS), np.float32(AT_CUTS))
+    whole, pieces = np.full(is_cut.shape, 1.0, np.float32), np.full((*is_cut.shape, 4), AT_CUTS, np.float32)
+    for times, reach, in_whole, in_pieces in (
+        (BEHIND, 1, BESIDE_CUTS, BEHIND_CUTS), (FAR_BEHIND, REACH, IN_RIMS, FAR_BEHIND_CUTS)
+    ):  # fmt: skip
+        corners = _corners(inverse_depth * np.float32(times) < _greatest_within(reach, inverse_depth))
+        whole[corners.any(axis=-1)], pieces[corners] = in_whole, in_pieces
     trust = np.where(is_cut[..., None], pieces, whole[..., None])
     if confidence is not None:
         least = _corners(confidence).min(axis=-1, keepdims=True).astype(np.float32)
