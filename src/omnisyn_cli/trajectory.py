@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import STILL, Pose, rotation_taking, slerp
+from omnisyn_cli.geometry.sphere import FORWARD
 
 __all__ = ["EASES", "HEADINGS", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
 
@@ -22,8 +23,6 @@ Ease = Literal["linear", "smooth"]
 Heading = Literal["panoramas", "first", "fixed", "travel"]
 EASES: tuple[Ease, ...] = ("linear", "smooth")
 HEADINGS: tuple[Heading, ...] = ("panoramas", "first", "fixed", "travel")
-
-FORWARD = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from omnisyn_cli.geometry.sphere import (
     pixel_to_angles,
     pixel_to_direction,
     solid_angles,
-    wrap_angle,
 )
 
 SIZES = [(1, 2), (2, 4), (3, 5), (8, 16), (64, 128), (31, 7)]
@@ -96,15 +95,6 @@ def test_normalize_leaves_the_zero_vector_with_a_finite_gradient():
     unit.sum().backward()
     assert unit.tolist() == [[0.0, 0.0, 0.0], pytest.approx([0.6, 0.0, 0.8])]
     assert torch.isfinite(vector.grad).all()
-
-
-def test_wrapped_angles_are_equal_up_to_whole_turns():
-    angle = np.linspace(-20.0, 20.0, 1001)
-    wrapped = wrap_angle(angle)
-    assert ((wrapped >= -math.pi) & (wrapped < math.pi)).all()
-    turns = (angle - wrapped) / (2 * math.pi)
-    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
-    assert wrap_angle(math.pi) == -math.pi
 
 
 class TestLinearisedArccos:

@@ -9,7 +9,6 @@ from omnisyn_cli.registration.epipolar import (
     angle_between,
     direction_error,
     epipolar_residual,
-    essential_matrix,
     is_in_front,
     parallax,
     relative_pose,
@@ -76,6 +75,12 @@ def test_parallax_is_what_is_left_of_the_motion() -> None:
     first, second = Pose.identity(), Pose(np.eye(3), np.array([1.0, 0, 0]))
     matches = seen(first, second, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -1e9]]))
     np.testing.assert_allclose(parallax(relative_pose(first, second), matches), [np.pi / 4, 0.0], atol=1e-8)
+
+
+def essential_matrix(first_from_second: Pose) -> np.ndarray:
+    """``E = [t]× R`` with ``d₁ᵀ E d₂ = 0``."""
+    x, y, z = first_from_second.position
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ first_from_second.rotation
 
 
 @pytest.mark.parametrize("shape", ["cloud", "plane"])

@@ -23,7 +23,9 @@ from array_api_compat import array_namespace
 from jaxtyping import Float
 
 __all__ = [
+    "FORWARD",
     "LINEARISED_CAP",
+    "UP",
     "angles_to_direction",
     "angles_to_pixel",
     "direction_tables",
@@ -36,10 +38,15 @@ __all__ = [
     "pixel_to_angles",
     "pixel_to_direction",
     "solid_angles",
-    "wrap_angle",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
+
+FORWARD = np.array([0.0, 0.0, -1.0])
+"""Where the centre of an unturned panorama looks."""
+
+UP = np.array([0.0, 1.0, 0.0])
+"""Where its zenith is, and that of the world."""
 
 LINEARISED_CAP = math.radians(10.0)
 """Polar distance α within which :func:`linearised_arccos` is a straight line (paper, section 3.5.2)."""
@@ -132,11 +139,6 @@ def normalize(vector: Float[Array, "*batch 3"]) -> Array:
     squared = xp.sum(vector * vector, axis=-1, keepdims=True)
     is_zero = squared == 0
     return vector / xp.sqrt(xp.where(is_zero, xp.ones_like(squared), squared))
-
-
-def wrap_angle(angle: Array) -> Array:
-    """The same angle in [−π, π)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def linearised_arccos(cosine: Array, cap: float = LINEARISED_CAP) -> Array:

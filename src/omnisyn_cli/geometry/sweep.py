@@ -22,10 +22,9 @@ from jaxtyping import Float, Shaped
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sphere import UP, pixel_directions
 
 __all__ = [
-    "UP",
     "epipole_frame",
     "exchanged_in_epipole_frame",
     "exchanged_in_forward_frame",
@@ -37,9 +36,6 @@ __all__ = [
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
-
-UP = np.array([0.0, 1.0, 0.0])
-"""The world's."""
 
 TOLERANCE = 0.1
 """Relative error in inverse depth that counts as agreement between two views."""

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import rotation_taking
 from omnisyn_cli.geometry.sampling import sample_bicubic
+from omnisyn_cli.geometry.sphere import FORWARD
 from omnisyn_cli.metrics.image import check_same_size
 
 __all__ = ["Lpips", "cube_directions"]
 
-FORWARD = np.array([0.0, 0.0, -1.0])
 FACES = (FORWARD, -FORWARD, *np.eye(3)[:2], *-np.eye(3)[:2])
 """Where the six faces look: forward, backward, right, up, left, down."""
 

@@ -22,7 +22,6 @@ __all__ = [
     "angle_between",
     "direction_error",
     "epipolar_residual",
-    "essential_matrix",
     "is_in_front",
     "parallax",
     "relative_pose",
@@ -37,13 +36,6 @@ def relative_pose(first: Pose, second: Pose) -> Pose:
     """``first_from_second`` with a unit vector between the cameras, or zero where they stand in one place."""
     pose = first.inverse() @ second
     return Pose(pose.rotation, np.asarray(normalize(pose.position)))
-
-
-def essential_matrix(first_from_second: Pose) -> Float[np.ndarray, "3 3"]:
-    """``E = [t]× R`` with ``d₁ᵀ E d₂ = 0``."""
-    x, y, z = first_from_second.position
-    matrix: np.ndarray = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ first_from_second.rotation
-    return matrix
 
 
 def epipolar_residual(first_from_second: Pose, matches: Matches) -> Float[np.ndarray, " n"]:

@@ -13,12 +13,9 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_rotation_vector,
     rotation_vector_from_rotation,
 )
-from omnisyn_cli.geometry.sphere import direction_to_angles
+from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
 
 __all__ = ["angles_in_degrees", "angles_scaled", "heading_angles", "heading_reversed", "scalar_first"]
-
-FORWARD = np.array([0.0, 0.0, -1.0])
-"""Where the centre of an image looks."""
 
 TURNS = 29
 """Full turns by which an angle of at most 180 passes when it is taken for radians."""

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation
+from omnisyn_cli.geometry.sphere import FORWARD
 from omnisyn_cli.registration.epipolar import angle_between, epipolar_residual, is_in_front
 from omnisyn_cli.registration.features import Matches
 from omnisyn_cli.registration.minimal import essential_candidates, poses_of_essential
@@ -25,7 +26,7 @@ __all__ = ["LEAST_INLIERS", "Estimate", "estimate_relative_pose", "inlier_scale"
 LEAST_INLIERS = 24
 """Fewer matches that agree may agree by chance."""
 
-STRAIGHT_AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
+STRAIGHT_AHEAD = Pose(np.eye(3), FORWARD)
 
 LEAST_SHARE = 0.08
 """Of all matches, that have to agree."""

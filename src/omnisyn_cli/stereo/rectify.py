@@ -13,13 +13,13 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
 from omnisyn_cli.geometry.turning import turned_directions
 from omnisyn_cli.types import View
 
 __all__ = ["RectifiedPair", "rectify", "resize_area", "usable_pixels"]
 
-UP = np.array([0.0, 1.0, 0.0])
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
 

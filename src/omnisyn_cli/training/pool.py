@@ -19,7 +19,8 @@ import numpy as np
 
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sweep import UP, epipole_frame
+from omnisyn_cli.geometry.sphere import UP
+from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import read_photographs
 from omnisyn_cli.io.paths import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
