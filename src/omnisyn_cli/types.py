@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from omnisyn_cli.geometry.pose import Pose
 
 __all__ = [
+    "BELIEF",
     "UNSEEN",
     "DepthEstimate",
     "DepthEstimator",
@@ -26,6 +27,9 @@ __all__ = [
 
 UNSEEN = np.float32(1e-4)
 """A colour worth less than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
+
+BELIEF = 4.0
+"""So many times its worth is a colour's depth believed, at most wholly: a quarter is enough, which cut edges have."""
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,9 @@ import math
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN
 
 __all__ = ["confidence_rows"]
-
-BELIEF = np.float32(4.0)
-"""A colour is believed as far as a quarter of full worth, which cut edges have."""
 
 
 @fast_kernel()
@@ -35,7 +32,7 @@ def confidence_rows(first, first_rho, second, second_rho, alone, apart, differin
     for row in range(begin, end):
         for col in range(out.shape[1]):
             a, b = first[row, col, 3], second[row, col, 3]
-            believed = min(one, BELIEF * max(a, b))
+            believed = min(one, np.float32(BELIEF) * max(a, b))
             if a > UNSEEN and b > UNSEEN:
                 near_a, near_b = max(first_rho[row, col], zero), max(second_rho[row, col], zero)
                 gap = (near_a - near_b) / (max(near_a, near_b) * apart + np.float32(1e-9))

@@ -17,11 +17,10 @@ import numpy as np
 from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
-from omnisyn_cli.fusion.kernels import BELIEF
 from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import Rendering, RowRendering
+from omnisyn_cli.types import BELIEF, Rendering, RowRendering
 
 __all__ = [
     "ENDLESS", "LEAST_CELL", "NEARBY", "ROWS_OF_CELLS", "SAMPLES_ALONG_CELL", "GhostOptions", "GhostRemover",

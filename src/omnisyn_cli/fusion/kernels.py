@@ -7,15 +7,12 @@ import math
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN
 
-__all__ = ["BELIEF", "FAR_PREFERENCE", "blend_rows", "pull", "push", "quantize_rows", "view_weights"]
+__all__ = ["FAR_PREFERENCE", "blend_rows", "pull", "push", "quantize_rows", "view_weights"]
 
 FAR_PREFERENCE = 0.01
 """1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
-
-BELIEF = 4.0
-"""A surface hides what is behind it as far as its depth is trusted; a quarter is enough, which cut edges have."""
 
 
 @inlined(fastmath=True)

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.fusion.kernels import BELIEF, FAR_PREFERENCE
+from omnisyn_cli.fusion.kernels import FAR_PREFERENCE
 from omnisyn_cli.jit import fast_kernel, inlined
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN
 
 __all__ = ["blend_samples", "push_samples"]
 

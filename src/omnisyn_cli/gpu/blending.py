@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.kernels import BELIEF, FAR_PREFERENCE
+from omnisyn_cli.fusion.kernels import FAR_PREFERENCE
 from omnisyn_cli.photometry.matching import CLIPPING
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN
 
 __all__ = ["BlendRule", "Exposure", "Shown", "blend", "expose", "samples_of"]
 

@@ -22,11 +22,10 @@ from omnisyn_cli.fusion.ghosts import (
     GhostOptions,
     samples_of_cells,
 )
-from omnisyn_cli.fusion.kernels import BELIEF
 from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.gpu.blending import Shown
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN
 
 __all__ = ["GpuGhosts"]
 

@@ -17,12 +17,12 @@ from torch.nn import functional
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.geometric import hiding_strength
-from omnisyn_cli.fusion.kernels import BELIEF, FAR_PREFERENCE
+from omnisyn_cli.fusion.kernels import FAR_PREFERENCE
 from omnisyn_cli.fusion.network_kernels import DIFFERENT, LEAST_SHARE, PLAIN
 from omnisyn_cli.fusion.options import BlendOptions
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.networks.layers import wrap_columns
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN
 
 __all__ = ["Seen", "fusion_planes"]
 
