@@ -6,16 +6,18 @@ Everything between is dimensionless: distances count in baselines, so inverse de
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
 from omnisyn_cli.geometry.turning import turned_directions
+from omnisyn_cli.thread_limit import both
 from omnisyn_cli.types import View
 
 __all__ = ["RectifiedPair", "rectify", "resize_area", "usable_pixels"]
@@ -72,9 +74,14 @@ class RectifiedPair:
 def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
     """The pair at ``size = (height, width)``; raises ValueError for equal positions."""
     frame, _, baseline = epipole_frame(first.pose, second.pose)
-    images = [_turn(resize_area(v.image, size), v.pose, frame, size) for v in (first, second)]
+    images = both(*(partial(_turned, view, frame, size) for view in (first, second)))
     usable = [_turn_mask(v, frame, size) for v in (first, second)]
     return RectifiedPair(images[0], images[1], usable[0], usable[1], frame.rotation, baseline)
+
+
+def _turned(view: View, frame: Pose, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
+    """The picture of a view at another size and in another frame."""
+    return _turn(resize_area(view.image, size), view.pose, frame, size)
 
 
 def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
