@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
 from omnisyn_cli.cli.places import FilePath, FramePlace
@@ -24,9 +25,6 @@ else:
     SizeType = click.ParamType  # older releases of click have no generic one
 
 __all__ = ["Size", "interpolate"]
-
-
-COMPILING = "note: compiling the kernels, once per installation: about a minute"
 
 
 class Size(SizeType):
@@ -205,10 +203,9 @@ def interpolate(
         _print_plan(plan, as_json)
         return
     from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
-    from omnisyn_cli.jit import when_compiling
 
-    remark = when_compiling(lambda: None if quiet else click.echo(COMPILING, err=True))
-    with remark, _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_frame:
+    progress = _progress(plan, is_shown=not quiet and sys.stderr.isatty())
+    with say_when_compiling(is_quiet=quiet), progress as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:
         for warning in summary.warnings():

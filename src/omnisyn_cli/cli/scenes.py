@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.cli.places import FilePath
@@ -116,6 +117,7 @@ def make(
     from omnisyn_cli.io.staging import staged_folder
     from omnisyn_cli.scenes import generate_scene, pack_photos, sample_path
 
+    context.with_resource(say_when_compiling(is_quiet=quiet))
     if suite:
         _check_suite_options(context)
         _make_suite(out, size, threads, overwrite=overwrite, quiet=quiet)
