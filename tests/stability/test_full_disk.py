@@ -70,9 +70,10 @@ def test_a_checkpoint_needs_room_and_the_former_one_stays(tmp_path: Path) -> Non
     from omnisyn_cli.training.checkpoint import load_checkpoint, save_checkpoint
 
     path = tmp_path / "checkpoint.pt"
-    save_checkpoint(path, {"step": 1})
+    state = {"kind": "depth", "network": {}, "training": {}, "step": 1, "average": {}}
+    save_checkpoint(path, state)
     with room_for(20_000), pytest.raises(WriteError, match="check free space") as caught:
-        save_checkpoint(path, {"step": 2, "weights": torch.zeros(100_000)})
+        save_checkpoint(path, {**state, "step": 2, "weights": torch.zeros(100_000)})
     assert "\n" not in str(caught.value)
     assert load_checkpoint(path)["step"] == 1
     assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
