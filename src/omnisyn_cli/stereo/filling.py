@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Float32
 from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.jit import parallel_kernel
+from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 __all__ = ["fill", "median_around", "remove_speckles", "upsample"]
 
@@ -46,8 +47,6 @@ SPREAD = np.float32(1.0 / 4.5)
 
 WINDOW = 5
 """Side in pixels of the squares that medians are taken of."""
-
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def fill(
@@ -111,18 +110,9 @@ def _planes(
     reach: float,
 ) -> np.ndarray:
     """Value at each pixel of the plane fitted around it."""
-    sums = [weight * directions[..., i] * directions[..., j] for i, j in PAIRS]
-    sums += [weight * values * directions[..., i] for i in range(3)]
-    smooth = _smooth(np.stack(sums, axis=-1).astype(np.float32), edges, reach).astype(np.float64)
-    matrix = np.empty((*values.shape, 3, 3))
-    for k, (i, j) in enumerate(PAIRS):
-        matrix[..., i, j] = matrix[..., j, i] = smooth[..., k]
-    amount = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
-    along = directions[..., :, None] * directions[..., None, :]
-    matrix += FALLBACK_WEIGHT * along + (FLATNESS * reach**2 * amount + 1e-9) * (np.eye(3) - along)
-    vector = smooth[..., 6:] + FALLBACK_WEIGHT * fallback[..., None] * directions
-    normal = np.linalg.solve(matrix, vector[..., None])[..., 0]
-    return np.asarray((normal * directions).sum(axis=-1))
+    values, weight, fallback = (np.asarray(image, np.float64) for image in (values, weight, fallback))
+    sums = _smooth(normal_equations(values, weight, directions), edges, reach)
+    return np.asarray(fitted_values(sums, fallback, directions, FALLBACK_WEIGHT, FLATNESS * reach**2))
 
 
 def _smooth(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], reach: float) -> np.ndarray:
