@@ -76,8 +76,12 @@ def photograph(size: tuple[int, int]) -> np.ndarray:
 def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """Rasterises and shades one view."""
     texture = make_texture(photograph(size))
-    rasterizer, shader = Rasterizer(mesh.size, size, threads=1), Shader(size, threads=1)
-    return lambda: shader(rasterizer(mesh, POSE), mesh, texture, POSE)
+    rasterizer, shader, trust = (
+        Rasterizer(mesh.size, size, threads=1),
+        Shader(size, threads=1),
+        make_trust(mesh, texture),
+    )
+    return lambda: shader(rasterizer.inverse_depth(mesh, POSE), trust, texture, POSE)
 
 
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
@@ -86,7 +90,7 @@ def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     tiles, trust = simplify(mesh, -POSE.position, size[0], threads=1), make_trust(mesh, texture)
     print(f"{size[1]}×{size[0]}  {tiles.triangles} of {len(mesh.faces())} triangles kept")
     rasterizer, shader = TileRasterizer(size, threads=1), Shader(size, threads=1)
-    return lambda: shader.surface((rasterizer(tiles, POSE), None), trust, texture, POSE)
+    return lambda: shader(rasterizer(tiles, POSE), trust, texture, POSE)
 
 
 def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:

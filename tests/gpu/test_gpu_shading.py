@@ -6,18 +6,18 @@ import torch
 from gpu_samples import CPU, POSES
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.gpu.quads import quads_of
-from omnisyn_cli.gpu.shading import shade, texture_on
+from omnisyn_cli.gpu.shading import shade, texture_on, trust_on
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.shade import make_trust
+from omnisyn_cli.render.shade import shade as shade_by_kernels
 from omnisyn_cli.render.texture import Texture, make_texture
 
 SIZE = (40, 80)
 
 
 def looked_up(fragments: Fragments, mesh: Mesh, texture: Texture, pose: str) -> np.ndarray:
-    trust = quads_of(mesh, CPU).trust_of(torch.from_numpy(fragments.face))
+    trust = trust_on(make_trust(mesh, texture), CPU)
     rays = torch.from_numpy(pixel_directions(*SIZE).astype(np.float32))
     rho = torch.from_numpy(fragments.inverse_depth)
     return shade(rho, trust, rays, texture_on(texture, CPU), POSES[pose], SIZE[0]).numpy()
@@ -35,7 +35,7 @@ def test_agrees_with_the_kernels(rows: int, pose: str, dtype: type) -> None:
     rho = (0.3 + 0.1 * rng.random((12, 24))).astype(np.float32)
     mesh = build_mesh(rho, mask=rng.random((12, 24)) > 0.1, confidence=rng.random((12, 24)))
     fragments = rasterize(mesh, POSES[pose], SIZE, threads=1)
-    expected = Shader(SIZE, 1)(fragments, mesh, texture, POSES[pose])
+    expected = shade_by_kernels(fragments.inverse_depth, mesh, texture, POSES[pose])
     found = looked_up(fragments, mesh, texture, pose)
     assert (found[fragments.face < 0] == 0.0).all()
     # A mip level that is all but whole may be rounded up by one and down by the other; the mixture is the same.

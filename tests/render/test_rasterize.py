@@ -149,6 +149,12 @@ class TestSymmetry:
         for pose in POSES.values():
             np.testing.assert_array_equal(reused(mesh, pose).face, rasterize(mesh, pose, (20, 40)).face)
 
+    def test_inverse_depth_alone_is_that_of_the_fragments(self):
+        mesh = build_mesh(rough(24, 48))
+        for pose in POSES.values():
+            alone = Rasterizer((24, 48), (40, 80)).inverse_depth(mesh, pose)
+            np.testing.assert_array_equal(alone, rasterize(mesh, pose, (40, 80)).inverse_depth)
+
 
 class TestVisibility:
     def test_backs_of_faces_are_culled(self):

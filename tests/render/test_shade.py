@@ -20,7 +20,7 @@ def noise(height: int, width: int) -> np.ndarray:
 
 def shaded(image: np.ndarray, rho: np.ndarray, pose: Pose, size: tuple[int, int], threads: int = 1) -> np.ndarray:
     mesh = build_mesh(rho, WHOLE)
-    return shade(rasterize(mesh, pose, size), mesh, make_texture(image), pose, threads)
+    return shade(rasterize(mesh, pose, size).inverse_depth, mesh, make_texture(image), pose, threads)
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (4, 8), (9, 18), (32, 64)])
@@ -38,7 +38,7 @@ def test_magnified_textures_are_read_as_geometry_reads_them(pose):
     image, size = noise(8, 16), (24, 48)
     mesh = build_mesh(smooth(8, 16), WHOLE)
     fragments = rasterize(mesh, pose, size)
-    found = shade(fragments, mesh, make_texture(image), pose)
+    found = shade(fragments.inverse_depth, mesh, make_texture(image), pose)
     rays = pixel_directions(*size) - fragments.inverse_depth[..., None] * pose.position
     directions = rays @ pose.rotation
     magnified = fragments.visibility & (np.linalg.norm(directions, axis=-1) > 8 / 24)
@@ -95,7 +95,7 @@ def test_alpha_is_the_mask_and_trust_multiplies_it():
     confidence = np.full((16, 32), 0.25, np.float32)
     mesh = build_mesh(smooth(16, 32), WHOLE, confidence=confidence)
     fragments = rasterize(mesh, Pose.identity(), (16, 32))
-    found = shade(fragments, mesh, make_texture(noise(16, 32), mask), Pose.identity())[..., 3]
+    found = shade(fragments.inverse_depth, mesh, make_texture(noise(16, 32), mask), Pose.identity())[..., 3]
     quads = fragments.face < 8 * mesh.quads.size
     np.testing.assert_allclose(found[quads & mask], 0.25, atol=1e-4)
     np.testing.assert_allclose(found[~mask], 0.0, atol=1e-4)
@@ -104,7 +104,7 @@ def test_alpha_is_the_mask_and_trust_multiplies_it():
 def test_what_sees_nothing_is_zero():
     mesh, pose = build_mesh(np.full((16, 32), 0.5, np.float32)), moved(0.0, 0.0, -5.0)
     fragments = rasterize(mesh, pose, (16, 32))
-    found = shade(fragments, mesh, make_texture(noise(16, 32)), pose)
+    found = shade(fragments.inverse_depth, mesh, make_texture(noise(16, 32)), pose)
     assert not fragments.visibility.all()
     assert (found[~fragments.visibility] == 0).all()
     assert np.isfinite(found).all()

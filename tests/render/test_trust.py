@@ -6,7 +6,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.shade import Shader, make_trust, trust_of_faces
+from omnisyn_cli.render.shade import shade
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.trust import (
     AT_CUTS,
@@ -83,7 +83,7 @@ def test_masked_vertices_are_before_nothing():
     assert (mesh.trust[(mesh.quads & CUT_EDGES) == 0] == 1.0).all()
 
 
-def test_is_found_by_face_and_by_place_alike():
+def test_is_found_by_place_as_by_face():
     """Seen from its own centre, a pixel of a panorama lies in the quarter whose face it shows."""
     mesh, size = build_mesh(rough(12, 24)), (96, 192)
     texture = make_texture(np.ones((*size, 3), np.float32))
@@ -92,6 +92,5 @@ def test_is_found_by_face_and_by_place_alike():
     caps = [beside[col : col + 2].min() for beside in (north, south) for col in range(0, 24, 2)]
     by_face = np.append(mesh.trust.ravel(), np.float32(caps))[fragments.face // FACES_PER_QUARTER]
     assert len(np.unique(by_face)) > 2
-    for face, trust in ((fragments.face, trust_of_faces(mesh)), (None, make_trust(mesh, texture))):
-        shown = Shader(size, 1).surface((fragments.inverse_depth, face), trust, texture, Pose.identity())
-        np.testing.assert_allclose(shown[..., 3], by_face, rtol=1e-5)
+    shown = shade(fragments.inverse_depth, mesh, texture, Pose.identity())
+    np.testing.assert_allclose(shown[..., 3], by_face, rtol=1e-5)

@@ -29,10 +29,11 @@ from omnisyn_cli.gpu.filling import fill_holes
 from omnisyn_cli.gpu.ghosts import GpuGhosts
 from omnisyn_cli.gpu.quads import Quads, quads_of
 from omnisyn_cli.gpu.raster import GpuRasterizer
-from omnisyn_cli.gpu.shading import GpuTexture, shade, texture_on
+from omnisyn_cli.gpu.shading import GpuTexture, GpuTrust, shade, texture_on, trust_on
 from omnisyn_cli.photometry import ExposureCurve
 from omnisyn_cli.photometry.matching import loss_of_white
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
+from omnisyn_cli.render.shade import make_trust
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.types import DepthEstimate
 
@@ -81,7 +82,8 @@ class GpuFrames:
         mesh = build_mesh(depth.inverse_depth, cut, mask_of_vertices(mask, depth.inverse_depth.shape), depth.confidence)
         texture = make_texture(image, mask)
         with memory_of_device():
-            return GpuSurface(self, quads_of(mesh, self.device), texture_on(texture, self.device))
+            trust = trust_on(make_trust(mesh, texture), self.device)
+            return GpuSurface(self, quads_of(mesh, self.device), trust, texture_on(texture, self.device))
 
     def pair(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve) -> GpuPair:
         """Two of its surfaces between which frames are made, the second picture so much brighter than the first."""
@@ -107,11 +109,13 @@ class GpuSurface:
     Attributes:
         frames: what it is drawn for.
         quads: of its mesh.
+        trust: in it.
         texture: the photograph.
     """
 
     frames: GpuFrames
     quads: Quads
+    trust: GpuTrust
     texture: GpuTexture
 
     def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -121,11 +125,11 @@ class GpuSurface:
 
     def seen_from(self, target_from_source: Pose, exposure: Exposure | None = None) -> Shown:
         """The rendering, exposed otherwise if that is asked for."""
-        rho, face = self.frames.rasterizer(self.quads, target_from_source)
+        rho = self.frames.rasterizer(self.quads, target_from_source)
         colour = torch.empty((*rho.shape, 4), device=rho.device)
         for rows in self.frames.bands():
-            trust, rays = self.quads.trust_of(face[rows]), self.frames.rays(rows)
-            shaded = shade(rho[rows], trust, rays, self.texture, target_from_source, self.frames.size[0])
+            rays = self.frames.rays(rows)
+            shaded = shade(rho[rows], self.trust, rays, self.texture, target_from_source, self.frames.size[0])
             colour[rows] = expose(shaded, exposure)
         return Shown(colour, rho, torch.as_tensor(target_from_source.position, dtype=rho.dtype, device=rho.device))
 

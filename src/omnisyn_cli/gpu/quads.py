@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Integer
 from torch import Tensor
 
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, FACES_PER_QUAD, FACES_PER_QUARTER, QUARTER_WEIGHTS, REMOVED
+from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, QUARTER_WEIGHTS, REMOVED
 
 __all__ = ["Quads", "quads_of"]
 
@@ -29,8 +29,6 @@ class Quads:
         inverse_depth: of the points, 1/metre.
         corner: indices of each quad's points: top left, top right, bottom left, bottom right.
         is_rising: split from bottom left to top right, else from top left to bottom right.
-        face: number of the first triangle of each; that of the second follows.
-        trust: by quarter of the quads of the mesh, quad after quad, and of the caps.
         triangles: how many of these have an area.
     """
 
@@ -38,18 +36,11 @@ class Quads:
     inverse_depth: Float[Tensor, " points"]
     corner: Integer[Tensor, "quads 4"]
     is_rising: Bool[Tensor, " quads"]
-    face: Integer[Tensor, " quads"]
-    trust: Float[Tensor, " values"]
     triangles: int
-
-    def trust_of(self, face: Integer[Tensor, "*pixels"]) -> Float[Tensor, "*pixels"]:
-        """Trust in faces; numbers below 0 get any."""
-        quarter = torch.div(face, FACES_PER_QUARTER, rounding_mode="floor")
-        return self.trust[quarter.clamp(min=0)]
 
 
 def quads_of(mesh: Mesh, device: torch.device) -> Quads:
-    """The quads of a mesh: 32 bytes for every point, 57 for every quad."""
+    """The quads of a mesh: 32 bytes for every point, 33 for every quad."""
     whole = np.flatnonzero((mesh.quads.ravel() & (CUT_EDGES | REMOVED)) == 0)
     vertex_direction = mesh.vertex_directions()[: mesh.inverse_depth.size]
     vertex_rho = mesh.inverse_depth.ravel().astype(np.float64)
@@ -69,8 +60,6 @@ def quads_of(mesh: Mesh, device: torch.device) -> Quads:
         there(np.concatenate([vertex_rho, quarter_rho, cap_rho])),
         there(np.concatenate([_corners_of(whole, mesh.size[1]), own])),
         there(falling_or_rising != 0),
-        there(np.concatenate([FACES_PER_QUAD * whole, patches.face[drawn].astype(np.int64)])),
-        there(mesh.quarter_trust),
         mesh.face_count(),
     )
 

@@ -2,12 +2,11 @@
 
 The rule is that of :mod:`omnisyn_cli.render.rasterize`, quads are split as in :mod:`omnisyn_cli.render.quad_kernels`.
 All of it is float64: the work is reading and writing memory, on a GPU too, and nothing has to be done twice where
-float32 would be too coarse. The nearest surface is the maximum of whole numbers whose upper half is the inverse depth
-and whose lower half is the order of drawing backwards; a maximum does not depend on the order in which pixels are
-visited, so neither does the picture.
+float32 would be too coarse. The nearest surface is the maximum of the inverse depths; that does not depend on the order
+in which pixels are visited, so neither does the picture.
 
 Memory: 1 kB for each of :data:`QUADS_AT_A_TIME` quads, 0.3 kB for each of :data:`CANDIDATES_AT_A_TIME` pixels in boxes,
-24 bytes for every point of the mesh and 60 for every pixel of the target.
+24 bytes for every point of the mesh and 4 for every pixel of the target.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from omnisyn_cli.gpu.quads import Quads
 from omnisyn_cli.render.box_kernels import WIDE
 from omnisyn_cli.render.patch_kernels import AT_A_POLE
 from omnisyn_cli.render.quad_kernels import EDGE_ON
-from omnisyn_cli.render.raster_kernels import NOTHING
 
 __all__ = ["GpuRasterizer"]
 
@@ -38,9 +36,6 @@ OVERLAP = 1e-9
 
 BOX_MARGIN = 1e-3
 """Pixels added around boxes, for what is moved outwards and for rounding."""
-
-LAST = 2**31 - 1
-"""Of the order of drawing."""
 
 
 @dataclass(frozen=True)
@@ -76,10 +71,8 @@ class GpuRasterizer:
         self._tables = tuple(torch.from_numpy(table).to(device) for table in direction_tables(*size))
         self._scale = pixel_scale(size)
 
-    def __call__(
-        self, quads: Quads, target_from_source: Pose
-    ) -> tuple[Float32[Tensor, "height width"], Integer[Tensor, "height width"]]:
-        """Inverse depth (1/metre, negative where nothing is seen) and face of every pixel of the target.
+    def __call__(self, quads: Quads, target_from_source: Pose) -> Float32[Tensor, "height width"]:
+        """Inverse depth at every pixel of the target, 1/metre, negative where nothing is seen.
 
         Args:
             quads: on this device.
@@ -88,25 +81,17 @@ class GpuRasterizer:
         rotation = torch.as_tensor(target_from_source.rotation).to(quads.direction)
         position = torch.as_tensor(target_from_source.position).to(quads.direction)
         points = quads.direction @ rotation.T + quads.inverse_depth[:, None] * position
-        keys = torch.full((self.size[0] * self.size[1],), NOTHING, dtype=torch.int64, device=self.device)
+        nearest = torch.full((self.size[0] * self.size[1],), -1.0, device=self.device)
         for begin in range(0, len(quads.corner), QUADS_AT_A_TIME):
             some = slice(begin, begin + QUADS_AT_A_TIME)
             corner = quads.corner[some]
             corners = points[corner]
             plan = _planned(corners, quads.inverse_depth[corner], quads.is_rising[some])
-            self._draw(plan, self._boxes(corners), 2 * begin, keys)
-        return self._read(keys.reshape(self.size), quads)
+            self._draw(plan, self._boxes(corners), nearest)
+        return nearest.reshape(self.size)
 
-    def _read(self, keys: Tensor, quads: Quads) -> tuple[Tensor, Tensor]:
-        is_seen = keys >= 0
-        order = LAST - (keys & LAST)
-        quad = torch.where(is_seen, order >> 1, 0)
-        face = torch.where(is_seen, quads.face[quad] + (order & 1), NOTHING) if len(quads.face) else keys
-        inverse_depth = (keys >> 32).to(torch.int32).view(torch.float32)
-        return torch.where(is_seen, inverse_depth, -1.0), face.to(torch.int32)
-
-    def _draw(self, plan: _Plan, boxes: _Boxes, first: int, keys: Tensor) -> None:
-        """Write the nearest of ``keys`` and these quads; the order of their first triangle is ``first``."""
+    def _draw(self, plan: _Plan, boxes: _Boxes, nearest: Tensor) -> None:
+        """Write the greater of ``nearest`` and the inverse depths of these quads."""
         sin_p, cos_p, sin_a, cos_a = self._tables
         triangles = plan.triangle.reshape(-1, 11)
         for quad, row, col in self._candidates(boxes, plan.is_seen):
@@ -117,9 +102,8 @@ class GpuRasterizer:
             triangle = triangles[which]
             is_hit = _along(ray, triangle[:, :3]) >= triangle[:, 9]
             is_hit &= _along(ray, triangle[:, 3:6]) >= triangle[:, 10]
-            seen = _along(ray, triangle[:, 6:9])[is_hit].clamp_min(0.0).abs().to(torch.float32)
-            key = (seen.view(torch.int32).to(torch.int64) << 32) | (LAST - first - which[is_hit])
-            keys.scatter_reduce_(0, (row * self.size[1] + col)[is_hit], key, "amax")
+            seen = _along(ray, triangle[:, 6:9])[is_hit].clamp_min(0.0).to(torch.float32)
+            nearest.scatter_reduce_(0, (row * self.size[1] + col)[is_hit], seen, "amax")
 
     def _candidates(self, boxes: _Boxes, is_seen: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """Quad, row and column of every pixel in the boxes of quads that are seen, some at a time.

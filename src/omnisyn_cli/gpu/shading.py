@@ -14,10 +14,11 @@ from jaxtyping import Float32, Integer
 from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.render.shade import TrustMap
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.render.texture import Texture
 
-__all__ = ["GpuTexture", "shade", "texture_on"]
+__all__ = ["GpuTexture", "GpuTrust", "shade", "texture_on", "trust_on"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,33 @@ class GpuTexture:
     unit: float
 
 
+@dataclass(frozen=True)
+class GpuTrust:
+    """A :class:`omnisyn_cli.render.shade.TrustMap` on a device.
+
+    Attributes:
+        values: of the quarters; empty where all of it is 1.
+        place: scale and offset from texel rows to rows of values, the same for columns.
+        stride: values per row.
+    """
+
+    values: Float32[Tensor, " values"]
+    place: tuple[float, ...]
+    stride: int
+
+    def at(self, row: Float32[Tensor, "*pixels"], col: Float32[Tensor, "*pixels"]) -> Float32[Tensor, "*pixels"]:
+        """Trust at texture coordinates."""
+        row_scale, row_zero, col_scale, col_zero = self.place
+        i, j = (row * row_scale + row_zero).to(torch.int64), (col * col_scale + col_zero).to(torch.int64)
+        return self.values[i * self.stride + j]
+
+
+def trust_on(trust: TrustMap, device: torch.device) -> GpuTrust:
+    """The same trust."""
+    *place, stride = trust.layout.tolist()
+    return GpuTrust(torch.from_numpy(trust.values).to(device), tuple(place), int(stride))
+
+
 def texture_on(texture: Texture, device: torch.device) -> GpuTexture:
     """The same texture, its texels as they are."""
     layout = texture.layout
@@ -59,7 +87,7 @@ def texture_on(texture: Texture, device: torch.device) -> GpuTexture:
 
 def shade(
     inverse_depth: Float32[Tensor, "rows width"],
-    trust: Float32[Tensor, "rows width"],
+    trust: GpuTrust,
     rays: Float32[Tensor, "rows width 3"],
     texture: GpuTexture,
     target_from_source: Pose,
@@ -69,7 +97,7 @@ def shade(
 
     Args:
         inverse_depth: 1/metre from the target, negative where nothing is seen.
-        trust: in what is seen.
+        trust: in the surface.
         rays: unit vectors through the pixels, in the frame of the target.
         texture: the photograph.
         target_from_source: the transform.
@@ -91,7 +119,8 @@ def shade(
     is_minified = (level > float(SPECIAL))[..., None]
     colour = torch.where(is_minified, _between_levels(texture, row, col, level), _bicubic(texture, row, col))
     colour = colour * texture.unit
-    colour[..., 3] *= trust
+    if len(trust.values):
+        colour[..., 3] *= trust.at(row, col)
     return torch.where((inverse_depth >= 0.0)[..., None], colour, 0.0)
 
 

@@ -243,7 +243,7 @@ def _draw_wide(plan, k, faces, row_first, row_last, col_first, col_last, tables,
     """One planned quad against the rays in a box, all of it inside the image: eight columns of one row at a time."""
     sin_p, cos_p, sin_a, minus_cos_a = tables
     face_a = face_b = splat(np.int32(0))
-    if faces is not None:
+    if out_face is not None:
         face_a, face_b = splat(np.int32(faces[k])), splat(np.int32(faces[k] + 1))
     for row in range(row_first, row_last + 1):
         sp, y = splat(sin_p[row]), splat(cos_p[row])
@@ -253,7 +253,7 @@ def _draw_wide(plan, k, faces, row_first, row_last, col_first, col_last, tables,
             old = load(out_rho, at)
             seen, wins, in_a = _seen(plan, k, sp * load(sin_a, col), y, sp * load(minus_cos_a, col), old)
             store(out_rho, at, where(wins, seen, old))
-            if faces is not None:
+            if out_face is not None:
                 store(out_face, at, where(wins, where(in_a, face_a, face_b), load(out_face, at)))
 
 
@@ -264,7 +264,7 @@ def _draw_narrow(plan, k, faces, row_first, row_last, col_first, tables, out_rho
     col = min(col_first, width - LANES // 2)
     sine, minus_cosine = load_halves(sin_a, col, col), load_halves(minus_cos_a, col, col)
     face_a = face_b = splat(np.int32(0))
-    if faces is not None:
+    if out_face is not None:
         face_a, face_b = splat(np.int32(faces[k])), splat(np.int32(faces[k] + 1))
     for row in range(row_first, row_last + 1, 2):
         below = min(row + 1, row_last)
@@ -273,7 +273,7 @@ def _draw_narrow(plan, k, faces, row_first, row_last, col_first, tables, out_rho
         old = load_halves(out_rho, at, at_below)
         seen, wins, in_a = _seen(plan, k, sp * sine, y, sp * minus_cosine, old)
         store_halves(out_rho, at, at_below, where(wins, seen, old))
-        if faces is not None:
+        if out_face is not None:
             old_face = load_halves(out_face, at, at_below)
             store_halves(out_face, at, at_below, where(wins, where(in_a, face_a, face_b), old_face))
 
@@ -326,14 +326,14 @@ def draw_float64(
                 seen = np.float32(max(0.0, _dot(x, y, z, px, py, pz)))
                 if seen > out_rho[at]:
                     out_rho[at] = seen
-                    if faces is not None:
+                    if out_face is not None:
                         out_face[at] = faces[k]
             right, other = _dot(x, y, z, rx, ry, rz), _dot(x, y, z, bx, by, bz)
             if has_b and side <= 0.0 and right >= right_out and other >= b_out:
                 seen = np.float32(max(0.0, _dot(x, y, z, qx, qy, qz)))
                 if seen > out_rho[at]:
                     out_rho[at] = seen
-                    if faces is not None:
+                    if out_face is not None:
                         out_face[at] = faces[k] + 1
 
 
@@ -352,8 +352,8 @@ def draw_quads(
 ):  # fmt: skip
     """Quads planned by :func:`plan_quads` in rows ``begin`` to ``end``.
 
-    ``box`` are first and last row and column of each, ``faces`` their numbers; the images are flat. Without ``faces``
-    only inverse depth is written.
+    ``box`` are first and last row and column of each, ``faces`` their numbers; the images are flat. Without
+    ``out_face`` only inverse depth is written.
     """
     for k in range(count):
         if plan[DRAWN, k] == NOT_AT_ALL:

@@ -100,24 +100,26 @@ def find_patch_blocks(pixels, height, width, block_rows, begin, end):
 def clear(inverse_depth, face, begin, end):
     """Nothing is seen in target rows ``begin`` to ``end``."""
     inverse_depth[begin:end] = -1.0
-    face[begin:end] = NOTHING
+    if face is not None:
+        width = inverse_depth.shape[1]
+        face[begin * width : end * width] = NOTHING
 
 
 @kernel()
 def rasterize_quads(
     codes, columns, vertices, pixels, block_rows, tables, exact_tables, inverse_depth, face, begin, end
 ):
-    """The whole quads of a mesh in target rows ``begin`` to ``end``; ``codes`` are its flags, row after row."""
+    """The whole quads of a mesh in target rows ``begin`` to ``end``; ``codes`` are its flags, row after row.
+
+    ``face`` is flat, or None: then only inverse depth is written.
+    """
     height, width = inverse_depth.shape
     row_length = vertices.shape[2]
     stride = vertices.shape[1] * row_length
     points, places = vertices.reshape(-1), pixels.reshape(-1)
-    out_rho, out_face = inverse_depth.reshape(-1), face.reshape(-1)
-    plan, box, faces = (
-        np.empty((PLAN_ROWS, BLOCK), np.float32),
-        np.empty((4, BLOCK), np.float32),
-        np.empty(BLOCK, np.int32),
-    )
+    out_rho = inverse_depth.reshape(-1)
+    plan, box = np.empty((PLAN_ROWS, BLOCK), np.float32), np.empty((4, BLOCK), np.float32)
+    faces = np.empty(BLOCK, np.int32)
     for row in range(block_rows.shape[0]):
         for block in range(block_rows.shape[1]):
             if block_rows[row, block, 1] < begin or block_rows[row, block, 0] >= end:
@@ -132,18 +134,21 @@ def rasterize_quads(
             plan_quads(points, stride, at, at + 1, below, below + 1, codes, None, first, count, plan)
             draw_quads(
                 points, stride, at, at + 1, below, below + 1, codes, None, first, count, plan, box, faces,
-                tables, exact_tables, out_rho, out_face, width, begin, end,
+                tables, exact_tables, out_rho, face, width, begin, end,
             )  # fmt: skip
 
 
 @kernel()
 def rasterize_patches(codes, faces, points, pixels, block_rows, tables, exact_tables, inverse_depth, face, begin, end):
-    """All patches in target rows ``begin`` to ``end``; ``codes`` and ``faces`` are their flags and numbers."""
+    """All patches in target rows ``begin`` to ``end``; ``codes`` and ``faces`` are their flags and numbers.
+
+    ``face`` is flat, or None: then only inverse depth is written.
+    """
     height, width = inverse_depth.shape
     length = points.shape[2]
     stride = 4 * length
     flat, places = points.reshape(-1), pixels.reshape(-1)
-    out_rho, out_face = inverse_depth.reshape(-1), face.reshape(-1)
+    out_rho = inverse_depth.reshape(-1)
     plan, box = np.empty((PLAN_ROWS, BLOCK), np.float32), np.empty((4, BLOCK), np.float32)
     for block in range(block_rows.shape[0]):
         if block_rows[block, 1] < begin or block_rows[block, 0] >= end:
@@ -155,5 +160,5 @@ def rasterize_patches(codes, faces, points, pixels, block_rows, tables, exact_ta
         plan_quads(flat, stride, at, at1, at2, at3, codes, None, at, count, plan)
         draw_quads(
             flat, stride, at, at1, at2, at3, codes, None, at, count, plan, box, faces[at:],
-            tables, exact_tables, out_rho, out_face, width, begin, end,
+            tables, exact_tables, out_rho, face, width, begin, end,
         )  # fmt: skip

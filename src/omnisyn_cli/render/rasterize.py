@@ -58,7 +58,7 @@ class Fragments:
 class Rasterizer:
     """Buffers and tables for one mesh size and one target size, reused from frame to frame.
 
-    The fragments that a call returns are overwritten by the next one. Not to be shared between threads.
+    What a call returns is overwritten by the next one. Not to be shared between threads.
     """
 
     def __init__(self, mesh_size: tuple[int, int], size: tuple[int, int], threads: int | None = None) -> None:
@@ -76,14 +76,23 @@ class Rasterizer:
 
     def __call__(self, mesh: Mesh, target_from_source: Pose) -> Fragments:
         """Rasterise ``mesh`` as seen from the target; see :func:`rasterize`."""
+        self._draw(mesh, target_from_source, self._fragments.face.reshape(-1))
+        return self._fragments
+
+    def inverse_depth(self, mesh: Mesh, target_from_source: Pose) -> Float32[np.ndarray, "height width"]:
+        """That of the fragments alone, negative where nothing is seen: faces cost time and memory."""
+        self._draw(mesh, target_from_source, None)
+        return self._fragments.inverse_depth
+
+    def _draw(self, mesh: Mesh, target_from_source: Pose, face: np.ndarray | None) -> None:
+        """Write inverse depth and, if there is memory for them, faces."""
         if mesh.size != self.mesh_size:
             raise ValueError(f"expected a mesh of {self.mesh_size} vertices, got {mesh.size}")
         if mesh is not self._mesh:
             self._prepare(mesh)
         self._transform(mesh, target_from_source)
         self._find_blocks()
-        run_bands(self._fill, self.size[0], self.threads)
-        return self._fragments
+        run_bands(lambda begin, end: self._fill(face, begin, end), self.size[0], self.threads)
 
     def _prepare(self, mesh: Mesh) -> None:
         """Flags with room for vectors that read beyond the end, and space for the points of patches."""
@@ -135,9 +144,9 @@ class Rasterizer:
         run_bands(quads, len(self._quad_blocks), self.threads)
         run_bands(patches, len(self._patch_blocks), self.threads)
 
-    def _fill(self, begin: int, end: int) -> None:
+    def _fill(self, face: np.ndarray | None, begin: int, end: int) -> None:
         """Some rows of the target."""
-        seen = (self._fragments.inverse_depth, self._fragments.face)
+        seen = (self._fragments.inverse_depth, face)
         tables = (self._tables, self._exact_tables)
         clear(*seen, begin, end)
         rasterize_quads(

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
 from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Seen, Shader, make_trust, trust_of_faces
-from omnisyn_cli.render.simplify import Tiles, simplify
+from omnisyn_cli.render.shade import Shader, make_trust
+from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.tiles import TileRasterizer
 from omnisyn_cli.render.two_pass import TwoPassRenderer
@@ -65,45 +65,29 @@ class MeshRenderer:
     ) -> None:
         mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
         self._texture, self._shader = make_texture(image, mask), Shader(size, threads)
+        self._trust = make_trust(mesh, self._texture)
         every = mesh.face_count()
-        self._see: Callable[[Pose], Seen]
+        self._see: Callable[[Pose], np.ndarray]
         if way is None:
             self.triangles = (every, every)
-            self._see, self._trust = _of_mesh(mesh, size, threads), trust_of_faces(mesh)
+            self._see = partial(Rasterizer(mesh.size, size, threads).inverse_depth, mesh)
         else:
             tiles = simplify(mesh, way, size[0], threads=threads)
             self.triangles = (tiles.triangles, every)
-            self._see, self._trust = _of_tiles(tiles, size, threads), make_trust(mesh, self._texture)
+            self._see = partial(TileRasterizer(size, threads), tiles)
 
     def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`Renderer`."""
         seen = self._see(target_from_source)
-        return seen[0], self._shader.surface(seen, self._trust, self._texture, target_from_source)
+        return seen, self._shader(seen, self._trust, self._texture, target_from_source)
 
     def by_rows(self, target_from_source: Pose) -> RowRendering:
         """The same, with colours made as they are asked for: from any number of threads, until the next call."""
         seen = self._see(target_from_source)
         what = (seen, self._trust, self._texture, target_from_source)
         return RowRendering(
-            seen[0], partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source
+            seen, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source
         )
-
-
-def _of_mesh(mesh: Mesh, size: tuple[int, int], threads: int | None) -> Callable[[Pose], Seen]:
-    """Draws every quad."""
-    rasterizer = Rasterizer(mesh.size, size, threads)
-
-    def see(pose: Pose) -> Seen:
-        fragments = rasterizer(mesh, pose)
-        return fragments.inverse_depth, fragments.face
-
-    return see
-
-
-def _of_tiles(tiles: Tiles, size: tuple[int, int], threads: int | None) -> Callable[[Pose], Seen]:
-    """Draws the larger quads of a simplified mesh."""
-    rasterizer = TileRasterizer(size, threads)
-    return lambda pose: (rasterizer(tiles, pose), None)
 
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {

@@ -1,4 +1,4 @@
-"""Colour for fragments: the photograph looked up where each visible point was seen from.
+"""Colour for a surface: the photograph looked up where each visible point was seen from.
 
 A target ray r that meets a surface at inverse depth ρ meets the point that the source sees in the direction
 ``Rᵀ(r − ρ·t)``. Nothing else is needed, so the texture has its own resolution, independent of mesh and target.
@@ -8,52 +8,39 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int32, Integer
+from jaxtyping import Float32, Integer
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import FACES_PER_QUARTER
-from omnisyn_cli.render.rasterize import Fragments
 from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.render.texture import CHANNELS, Texture
 from omnisyn_cli.threads import run_bands
 
-__all__ = ["Seen", "Shader", "TrustMap", "make_trust", "shade", "trust_of_faces"]
+__all__ = ["Shader", "TrustMap", "make_trust", "shade"]
 
-NO_LAYOUT = np.zeros(5, np.float32)
-"""Of trust that faces lead to."""
-
-
-Seen = tuple[Float32[np.ndarray, "height width"], Int32[np.ndarray, "height width"] | None]
-"""Inverse depth and, where there is one, face of every pixel."""
+InverseDepth = Float32[np.ndarray, "height width"]
 
 
 @dataclass(frozen=True)
 class TrustMap:
-    """Trust in the quarters of the quads of a mesh, to be looked up by face or by texture coordinates.
+    """Trust in the quarters of the quads of a mesh, to be looked up by the texture coordinates of its panorama.
 
     Attributes:
-        values: of the quarters, quad after quad, and of the caps. For texture coordinates an image of them, row after
-            row, with a row for each polar cap and one column more, before the first; empty where all of it is 1.
-        layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row. Zeros
-            where faces lead to the values.
+        values: an image of the quarters, row after row, with a row for each polar cap and one column more, before the
+            first; empty where all of it is 1.
+        layout: scale and offset from texel rows to rows of this image, the same for columns, numbers per row.
     """
 
     values: Float32[np.ndarray, " numbers"]
     layout: Float32[np.ndarray, 5]
 
 
-def trust_of_faces(mesh: Mesh) -> TrustMap:
-    """Trust in a mesh by face."""
-    return TrustMap(mesh.quarter_trust, NO_LAYOUT)
-
-
 def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
-    """Trust in a mesh by the texture coordinates of its panorama."""
+    """Trust in a mesh, for its panorama."""
     rows, cols, _ = mesh.trust.shape
     image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
     of_caps = mesh.quarter_trust[mesh.trust.size + np.arange(2 * cols) // FACES_PER_QUARTER]
@@ -68,6 +55,10 @@ def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
     return TrustMap(values.astype(np.float32), np.array([*layout, bordered.shape[1]], np.float32))
 
 
+WHOLE_TRUST = TrustMap(np.empty(0, np.float32), np.zeros(5, np.float32))
+"""In everything."""
+
+
 class Shader:
     """Tables for one target size, and the image it writes; reused from frame to frame."""
 
@@ -77,37 +68,32 @@ class Shader:
         self._image = np.empty((*size, CHANNELS), np.float32)
 
     def __call__(
-        self, fragments: Fragments, mesh: Mesh, texture: Texture, target_from_source: Pose
+        self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose
     ) -> Float32[np.ndarray, "height width 4"]:
-        """Colour and trust of every fragment; see :func:`shade`. The next call overwrites the result."""
-        seen = fragments.inverse_depth, fragments.face
-        return self.surface(seen, trust_of_faces(mesh), texture, target_from_source)
-
-    def surface(
-        self, seen: Seen, trust: TrustMap, texture: Texture, target_from_source: Pose
-    ) -> Float32[np.ndarray, "height width 4"]:
-        """Colour and trust of a surface. The next call overwrites the result.
+        """Colour and trust of a surface; see :func:`shade`. The next call overwrites the result.
 
         Args:
-            seen: 1/metre from the target's centre, negative where nothing is seen; and faces, if they are known.
-            trust: in the faces or, where they are not known, by the direction in which the source sees a point.
+            inverse_depth: 1/metre from the target's centre, negative where nothing is seen.
+            trust: in the surface.
             texture: the photograph.
             target_from_source: the transform.
         """
         shade_band = self._kernel(trust, texture, target_from_source)
         run_bands(
-            lambda begin, end: shade_band(seen, self._tables, self._image, begin, end), self.size[0], self.threads
+            lambda begin, end: shade_band(inverse_depth, self._tables, self._image, begin, end),
+            self.size[0],
+            self.threads,
         )
         return self._image
 
     def some_rows(
-        self, seen: Seen, trust: TrustMap, texture: Texture, target_from_source: Pose,
+        self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose,
         begin: int, end: int, out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
         """Rows ``begin`` to ``end`` of what a call gives, into memory of the caller's, in the caller's thread.
 
         Args:
-            seen: inverse depth and face of every pixel.
+            inverse_depth: of every pixel.
             trust: in it.
             texture: the photograph.
             target_from_source: the transform.
@@ -116,17 +102,16 @@ class Shader:
             out: written.
         """
         sin_p, cos_p, sin_a, cos_a = self._tables
-        some = tuple(part if part is None else part[begin:end] for part in seen)
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
-        self._kernel(trust, texture, target_from_source)(some, tables, out, 0, end - begin)
+        self._kernel(trust, texture, target_from_source)(inverse_depth[begin:end], tables, out, 0, end - begin)
 
     def crossings(
-        self, seen: Seen, trust: TrustMap, texture: Texture, target_from_source: Pose,
+        self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose,
         rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"],
     ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
         """What a call gives where some rows and columns cross; arguments as of :meth:`some_rows`."""
         sin_p, cos_p, sin_a, cos_a = self._tables
-        some = tuple(part if part is None else part[rows].take(cols, axis=1) for part in seen)
+        some = inverse_depth[rows].take(cols, axis=1)
         tables = (sin_p[rows], cos_p[rows], sin_a[cols], cos_a[cols])
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
         shade_band = self._kernel(trust, texture, target_from_source)
@@ -134,61 +119,53 @@ class Shader:
         return out
 
     def _kernel(self, trust: TrustMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
-        """Takes what is seen, direction tables, an image, first row and the row after the last."""
+        """Takes inverse depth, direction tables, an image, first row and the row after the last."""
         rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
         translation = np.ascontiguousarray(target_from_source.position, np.float32)
         ratio = np.float32(texture.size[0] / self.size[0])
         source = (trust.values, trust.layout, texture.texels, texture.layout)
 
-        def band(seen: tuple[Any, ...], tables: tuple[Any, ...], image: np.ndarray, begin: int, end: int) -> None:
-            shade_rows(*seen, *source, *tables, rotation, translation, ratio, image, begin, end)
+        def band(
+            inverse_depth: np.ndarray, tables: tuple[np.ndarray, ...], image: np.ndarray, begin: int, end: int
+        ) -> None:
+            shade_rows(inverse_depth, *source, *tables, rotation, translation, ratio, image, begin, end)
 
         return band
 
     def infinitely_far(self, texture: Texture, target_from_source: Pose) -> Float32[np.ndarray, "height width 4"]:
         """The texture as a sphere of infinite radius: only the rotation matters. The next call overwrites it."""
-        sky = Fragments(np.zeros(self.size, np.float32), np.zeros(self.size, np.int32))
-        return self(sky, _SKY, texture, target_from_source)
+        return self(np.zeros(self.size, np.float32), WHOLE_TRUST, texture, target_from_source)
 
     def far_rows(
         self, texture: Texture, target_from_source: Pose, begin: int, end: int
     ) -> Float32[np.ndarray, "rows width 4"]:
         """Rows ``begin`` to ``end`` of :meth:`infinitely_far`, in memory of their own, in the caller's thread."""
         sin_p, cos_p, sin_a, cos_a = self._tables
-        seen = tuple(np.zeros((end - begin, self.size[1]), dtype) for dtype in (np.float32, np.int32))
-        out = np.empty((*seen[0].shape, CHANNELS), np.float32)
+        sky = np.zeros((end - begin, self.size[1]), np.float32)
+        out = np.empty((*sky.shape, CHANNELS), np.float32)
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
-        self._kernel(trust_of_faces(_SKY), texture, target_from_source)(seen, tables, out, 0, end - begin)
+        self._kernel(WHOLE_TRUST, texture, target_from_source)(sky, tables, out, 0, end - begin)
         return out
 
 
-_SKY = Mesh(
-    inverse_depth=np.zeros((2, 2), np.float32),
-    quads=np.zeros((1, 2), np.uint8),
-    caps=np.zeros((2, 2, 3), np.float32),
-    trust=np.ones((1, 2, 4), np.float32),
-)
-"""A surface that is infinitely far away everywhere."""
-
-
 def shade(
-    fragments: Fragments,
+    inverse_depth: InverseDepth,
     mesh: Mesh,
     texture: Texture,
     target_from_source: Pose,
     threads: int | None = None,
 ) -> Float32[np.ndarray, "height width 4"]:
-    """Colour of every fragment and, as fourth channel, alpha times the trust in its face; all 0 where nothing is seen.
+    """Colour of a surface and, as fourth channel, alpha times the trust in it; all 0 where nothing is seen.
 
     Where the photograph is magnified it is read by Catmull-Rom interpolation; where it is shrunk, two mip levels,
     half a level finer than that, are read bilinearly and mixed.
 
     Args:
-        fragments: what the target sees of ``mesh``.
+        inverse_depth: what the target sees of ``mesh``, 1/metre, negative where that is nothing.
         mesh: the surface.
         texture: the photograph, in the frame of the mesh.
-        target_from_source: the transform that the fragments were made with.
+        target_from_source: the transform that it was seen with.
         threads: at most this many.
     """
-    height, width = fragments.face.shape
-    return Shader((height, width), threads)(fragments, mesh, texture, target_from_source)
+    height, width = inverse_depth.shape
+    return Shader((height, width), threads)(inverse_depth, make_trust(mesh, texture), texture, target_from_source)

@@ -8,14 +8,10 @@ import math
 import numpy as np
 
 from omnisyn_cli.jit import fast_kernel, inlined
-from omnisyn_cli.render.quads import FACES_PER_QUARTER
-from omnisyn_cli.render.simd import load_floats, pair, splat, store_half, swapped
+from omnisyn_cli.render.simd import fourth_times, load_floats, pair, splat, store_half, swapped
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
 __all__ = ["FINER", "SPECIAL", "shade_rows"]
-
-FACE_BITS = FACES_PER_QUARTER.bit_length() - 1
-"""A face number without these bits is that of its quarter, counted through all quads."""
 
 MAGNIFIED = 1.1
 """Texels per target pixel up to which the full resolution is read as it is."""
@@ -45,12 +41,12 @@ CUBIC = 5
 
 @fast_kernel()
 def shade_rows(
-    rho, face, trust, trust_layout, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, image, begin, end,
+    rho, trust, trust_layout, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, image, begin, end,
 ):  # fmt: skip
     """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector.
 
-    Trust is that of the quarter of a face or, without faces, of the quarter that a texture coordinate lies in:
-    ``trust_layout`` takes texel rows and columns to those of ``trust``. Without any ``trust`` it is 1.
+    Trust is that of the quarter of a quad that a texture coordinate lies in: ``trust_layout`` takes texel rows and
+    columns to those of ``trust``. Without any ``trust`` it is 1.
     """
     width = rho.shape[1]
     quarters = np.empty(RUN, np.int32)
@@ -65,7 +61,7 @@ def shade_rows(
                 rho[row, left:right], sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], rotation, t, ratio,
                 layout, places, index,
             )  # fmt: skip
-            if face is None and len(trust) > 0:
+            if len(trust) > 0:
                 _find_quarters(places[Y], places[X], trust_layout, quarters, right - left)
             _find_cubic_weights(places[DOWN], places[CUBIC:])
             _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
@@ -79,11 +75,10 @@ def shade_rows(
                     colour = _between_levels(texels, starts, strides, factors, places[Y, col], places[X, col], level)
                 else:
                     colour = _bicubic(texels, stride, 4 * np.int64(index[col]), places, col)
-                store_half(flat, at, colour * splat(unit))
+                colour = colour * splat(unit)
                 if len(trust) > 0:
-                    quarter = quarters[col] if face is None else face[row, left + col] >> FACE_BITS
-                    if trust[quarter] != 1.0:
-                        flat[at + 3] *= trust[quarter]
+                    colour = fourth_times(colour, trust[quarters[col]])
+                store_half(flat, at, colour)
 
 
 @fast_kernel()

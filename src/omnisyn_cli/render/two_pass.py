@@ -20,7 +20,7 @@ from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.mesh import Cut, Mesh, Triangles, build_mesh, mask_of_vertices
 from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments
-from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles
 from omnisyn_cli.threads import run_bands
@@ -78,12 +78,13 @@ class TwoPassRenderer:
         cut: Cut | None = None,
         threads: int | None = None,
     ) -> None:
-        self._mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
-        self._triangles = triangles_without_caps(self._mesh)
+        mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
+        self._triangles = triangles_without_caps(mesh)
         self._texture = make_texture(image, mask)
+        self._trust = make_trust(mesh, self._texture)
         self._shader = Shader(size, threads)
 
     def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
-        fragments = rasterize_two_pass(self._triangles, target_from_source, self._shader.size, self._shader.threads)
-        return fragments.inverse_depth, self._shader(fragments, self._mesh, self._texture, target_from_source)
+        seen = rasterize_two_pass(self._triangles, target_from_source, self._shader.size, self._shader.threads)
+        return seen.inverse_depth, self._shader(seen.inverse_depth, self._trust, self._texture, target_from_source)
