@@ -27,16 +27,16 @@ Ray-traced scenes with true depth at the size of the photographs gain 0.2 dB (SS
 """
 
 SPECIAL = (np.float32(1.0) - FINER) * np.float32(math.log2(MAGNIFIED))
-"""Mip level read above which a pixel is not simply read at full resolution: it is minified, or a hole."""
+"""Mip level above which a pixel is not simply read at full resolution."""
 
-HOLE = np.float32(1e9)
-"""Mip level of pixels that see nothing."""
+HOLE, FULL = np.int32(-2), np.int32(-1)
+"""A pixel that sees nothing, and one that is read at full resolution; others are known by the finer of two levels."""
 
-LEVEL, Y, X, DOWN, ACROSS = 0, 1, 2, 3, 4
-"""Numbers per pixel of a row: mip level, texel row and column at full resolution and, of these, the fractions."""
+ALMOST = np.float32(1e-3)
+"""The last mip level is always read together with the one before it, even where only so little of that is left."""
 
-CUBIC = 5
-"""From here on the Catmull-Rom weights of four texel rows, then of four columns."""
+LEVEL, Y, X = 0, 1, 2
+"""Numbers per pixel of a row: mip level, texel row and column at full resolution."""
 
 
 @fast_kernel()
@@ -49,32 +49,42 @@ def shade_rows(
     columns to those of ``trust``. Without any ``trust`` it is 1.
     """
     width = rho.shape[1]
-    quarters = np.empty(RUN, np.int32)
-    places, index = np.empty((CUBIC + 8, RUN), np.float32), np.empty(RUN, np.int32)
-    flat = image.reshape(-1)
+    places, kinds, quarters = np.zeros((3, RUN), np.float32), np.empty(RUN, np.int32), np.empty(RUN, np.int32)
+    cubic_index, cubic = np.empty(RUN, np.int32), np.empty((8, RUN), np.float32)
+    levels = layout.shape[0]
+    index, weights = np.empty((levels, RUN), np.int32), np.empty((levels, 3, RUN), np.float32)
+    has_level = np.empty(levels, np.bool_)
+    flat, unit = image.reshape(-1), np.float32(layout[0, 6])
     starts, strides, factors = layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64), _levels_from_full(layout)
-    stride, unit = strides[0], np.float32(layout[0, 6])
     for row in range(begin, end):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
             _find_places(
                 rho[row, left:right], sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], rotation, t, ratio,
-                layout, places, index,
+                layout, places, kinds,
             )  # fmt: skip
             if len(trust) > 0:
-                _find_quarters(places[Y], places[X], trust_layout, quarters, right - left)
-            _find_cubic_weights(places[DOWN], places[CUBIC:])
-            _find_cubic_weights(places[ACROSS], places[CUBIC + 4 :])
+                _find_quarters(places, trust_layout, quarters, right - left)
+            has_cubic, has_level[:], last = False, False, HOLE
             for col in range(right - left):
-                at, level = 4 * (row * width + left + col), places[LEVEL, col]
-                if level > SPECIAL:
-                    if level == HOLE:
-                        for k in range(4):
-                            flat[at + k] = 0.0
-                        continue
-                    colour = _between_levels(texels, starts, strides, factors, places[Y, col], places[X, col], level)
+                kind, at = kinds[col], 4 * (row * width + left + col)
+                if kind == FULL:
+                    if not has_cubic:
+                        _find_cubic(places, strides[0], cubic_index, cubic)
+                        has_cubic = True
+                    colour = _bicubic(texels, strides[0], 4 * np.int64(cubic_index[col]), cubic, col)
+                elif kind == HOLE:
+                    for k in range(4):
+                        flat[at + k] = 0.0
+                    continue
                 else:
-                    colour = _bicubic(texels, stride, 4 * np.int64(index[col]), places, col)
+                    if kind != last:
+                        _prepare_levels(places, kind, strides, factors, has_level, index, weights)
+                        last = kind
+                    finer = np.uint64(kind)  # without a sign no index is looked at twice
+                    colour = _level(texels, starts, strides, finer, index, weights, col)
+                    colour = colour + _level(texels, starts, strides, finer + np.uint64(1), index, weights, col)
+                    colour = colour + swapped(colour)
                 colour = colour * splat(unit)
                 if len(trust) > 0:
                     colour = fourth_times(colour, trust[quarters[col]])
@@ -82,57 +92,81 @@ def shade_rows(
 
 
 @fast_kernel()
-def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, index):
-    """Where the source sees what the pixels of a row show, at ``Rᵀ(r − ρ·t)``; ``index`` is of texels, not numbers."""
+def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, kinds):
+    """Where the source sees what the pixels of a row show, at ``Rᵀ(r − ρ·t)``, and how it is read."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     t0, t1, t2 = t[0], t[1], t[2]
     y_scale, y_zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
     x_scale, x_zero = np.float32(layout[0, 4]), np.float32(layout[0, 5])
-    highest, stride = np.float32(layout.shape[0] - 1), np.int32(layout[0, 1] / 4)
-    squared = ratio * ratio
+    highest, squared = np.float32(layout.shape[0] - 1) - ALMOST, ratio * ratio
     for col in range(len(rho)):
         w = max(rho[col], np.float32(0.0))
         x, y, z = sp * sin_a[col] - w * t0, cp - w * t1, -sp * cos_a[col] - w * t2
         dx, dy, dz = r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
         flat = dx * dx + dz * dz
-        texel_row = atan2_fast(math.sqrt(flat), dy) * y_scale + y_zero
-        texel_col = atan2_fast(dx, -dz) * x_scale + x_zero
-        footprint = squared / (flat + dy * dy + np.float32(1e-20))
-        level = np.float32(0.5) * log2_fast(footprint)
+        places[Y, col] = atan2_fast(math.sqrt(flat), dy) * y_scale + y_zero
+        places[X, col] = atan2_fast(dx, -dz) * x_scale + x_zero
+        level = np.float32(0.5) * log2_fast(squared / (flat + dy * dy + np.float32(1e-20)))
         level = min(max((np.float32(1.0) - FINER) * level, level - FINER), highest)
-        places[LEVEL, col] = level if rho[col] >= 0.0 else HOLE
-        i, j = np.int32(texel_row), np.int32(texel_col)
-        index[col] = np.int32(i * stride) + j
-        places[Y, col], places[X, col] = texel_row, texel_col
-        places[DOWN, col], places[ACROSS, col] = texel_row - np.float32(i), texel_col - np.float32(j)
+        places[LEVEL, col] = level
+        kind = np.int32(level) if level > SPECIAL else FULL
+        kinds[col] = kind if rho[col] >= 0.0 else HOLE
 
 
 @fast_kernel()
-def _find_quarters(y, x, trust_layout, quarters, count):
+def _find_quarters(places, trust_layout, quarters, count):
     """Index of the quarter at each texture coordinate in an image of quarters with a border."""
     row_scale, row_zero, col_scale, col_zero = trust_layout[0], trust_layout[1], trust_layout[2], trust_layout[3]
     stride = np.int32(trust_layout[4])
     for k in range(count):
-        row, col = np.int32(y[k] * row_scale + row_zero), np.int32(x[k] * col_scale + col_zero)
+        row, col = np.int32(places[Y, k] * row_scale + row_zero), np.int32(places[X, k] * col_scale + col_zero)
         quarters[k] = np.int32(row * stride) + col
 
 
 @fast_kernel()
-def _find_cubic_weights(fraction, weights):
-    """Catmull-Rom weights at offsets −1, 0, 1, 2 of fractions in [0, 1)."""
+def _find_cubic(places, stride, index, weights):
+    """For a whole run, the second texel of the second row that is read, and the weights of four rows and columns."""
+    texels_a_row = np.int32(stride // 4)
+    for col in range(RUN):
+        y, x = places[Y, col], places[X, col]
+        i, j = np.int32(y), np.int32(x)
+        index[col] = np.int32(i * texels_a_row) + j
+        down, across = y - np.float32(i), x - np.float32(j)
+        weights[0, col], weights[1, col], weights[2, col], weights[3, col] = _cubic_weights(down)
+        weights[4, col], weights[5, col], weights[6, col], weights[7, col] = _cubic_weights(across)
+
+
+@inlined(fastmath=True)
+def _cubic_weights(x):
+    """Catmull-Rom weights at offsets −1, 0, 1, 2 of a fraction in [0, 1)."""
     half, two, three, four, five = (
         np.float32(0.5), np.float32(2.0), np.float32(3.0), np.float32(4.0), np.float32(5.0)
     )  # fmt: skip
-    for col in range(len(fraction)):
-        x = fraction[col]
-        x2 = x * x
-        x3 = x2 * x
-        weights[0, col] = half * (two * x2 - x3 - x)
-        weights[1, col] = half * (three * x3 - five * x2 + two)
-        weights[2, col] = half * (four * x2 - three * x3 + x)
-        weights[3, col] = half * (x3 - x2)
+    x2 = x * x
+    x3 = x2 * x
+    return (
+        half * (two * x2 - x3 - x), half * (three * x3 - five * x2 + two),
+        half * (four * x2 - three * x3 + x), half * (x3 - x2),
+    )  # fmt: skip
+
+
+@inlined(fastmath=True)
+def _bicubic(texels, stride, at, weights, col):
+    """Four texels of each of four rows are two vectors; ``at`` is the second of the second."""
+    first, second = at - stride - 4, at - 4
+    third, fourth = at + stride - 4, at + 2 * stride - 4
+    u0, u1, u2, u3 = (
+        splat(weights[0, col]), splat(weights[1, col]), splat(weights[2, col]), splat(weights[3, col])
+    )  # fmt: skip
+    left = load_floats(texels, first) * u0 + load_floats(texels, second) * u1
+    left = left + load_floats(texels, third) * u2 + load_floats(texels, fourth) * u3
+    right = load_floats(texels, first + 8) * u0 + load_floats(texels, second + 8) * u1
+    right = right + load_floats(texels, third + 8) * u2 + load_floats(texels, fourth + 8) * u3
+    mixed = left * pair(weights[4, col], weights[5, col])
+    mixed = mixed + right * pair(weights[6, col], weights[7, col])
+    return mixed + swapped(mixed)
 
 
 @inlined(fastmath=True)
@@ -147,44 +181,36 @@ def _levels_from_full(layout):
     return factors
 
 
-@inlined(fastmath=True)
-def _between_levels(texels, starts, strides, factors, y, x, level):
-    """Two mip levels, mixed by the logarithm of the texels that fall on one pixel."""
-    finer = np.int64(level)
-    coarser = min(finer + 1, len(starts) - 1)
-    colour = _level(texels, starts[finer], strides[finer], factors[finer], y, x)
-    below = _level(texels, starts[coarser], strides[coarser], factors[coarser], y, x)
-    return colour + (below - colour) * splat(level - np.float32(finer))
+@fast_kernel()
+def _prepare_levels(places, finer, strides, factors, has_level, index, weights):
+    """What reading two levels takes, unless the run has it already."""
+    for level in range(finer, finer + 2):
+        if not has_level[level]:
+            _find_bilinear(places, level, strides[level], factors[level], index[level], weights[level])
+            has_level[level] = True
+
+
+@fast_kernel()
+def _find_bilinear(places, level, stride, factors, index, weights):
+    """For a whole run, the first texel in a mip level, the share of the lower row, and weights of both columns.
+
+    These are multiplied by the weight of the level: 1 where it is what is wanted, 0 at the next ones.
+    """
+    texels_a_row, one = np.int32(stride // 4), np.float32(1.0)
+    y_scale, y_zero, x_scale, x_zero = factors[0], factors[1], factors[2], factors[3]
+    for col in range(RUN):
+        y, x = places[Y, col] * y_scale + y_zero, places[X, col] * x_scale + x_zero
+        i, j = np.int32(y), np.int32(x)
+        index[col] = np.int32(i * texels_a_row) + j
+        share, across = one - abs(places[LEVEL, col] - np.float32(level)), x - np.float32(j)
+        weights[0, col] = y - np.float32(i)
+        weights[1, col], weights[2, col] = share * (one - across), share * across
 
 
 @inlined(fastmath=True)
-def _level(texels, start, stride, factors, y, x):
-    """A bilinear read at the place in a level that has the texel coordinates (y, x) at full resolution."""
-    y, x = y * factors[0] + factors[1], x * factors[2] + factors[3]
-    i, j = np.int64(y), np.int64(x)
-    at = start + i * stride + 4 * j
-    return _bilinear(texels, at, at + stride, y - np.float32(i), x - np.float32(j))
-
-
-@inlined(fastmath=True)
-def _bilinear(texels, first, second, down, across):
-    """Two texels side by side are one vector, those below them another."""
-    above, below = load_floats(texels, first), load_floats(texels, second)
-    left = above + (below - above) * splat(down)
-    return left + (swapped(left) - left) * splat(across)
-
-
-@inlined(fastmath=True)
-def _bicubic(texels, stride, at, places, col):
-    """Four texels of each of four rows are two vectors; ``at`` is the second of the second."""
-    first, second = at - stride - 4, at - 4
-    third, fourth = at + stride - 4, at + 2 * stride - 4
-    u0, u1 = splat(places[CUBIC, col]), splat(places[CUBIC + 1, col])
-    u2, u3 = splat(places[CUBIC + 2, col]), splat(places[CUBIC + 3, col])
-    left = load_floats(texels, first) * u0 + load_floats(texels, second) * u1
-    left = left + load_floats(texels, third) * u2 + load_floats(texels, fourth) * u3
-    right = load_floats(texels, first + 8) * u0 + load_floats(texels, second + 8) * u1
-    right = right + load_floats(texels, third + 8) * u2 + load_floats(texels, fourth + 8) * u3
-    mixed = left * pair(places[CUBIC + 4, col], places[CUBIC + 5, col])
-    mixed = mixed + right * pair(places[CUBIC + 6, col], places[CUBIC + 7, col])
-    return mixed + swapped(mixed)
+def _level(texels, starts, strides, level, index, weights, col):
+    """Two texels of a mip level side by side and those below them, as two summands with their weights."""
+    at = starts[level] + 4 * np.int64(index[level, col])
+    above, below = load_floats(texels, at), load_floats(texels, at + strides[level])
+    mixed = above + (below - above) * splat(weights[level, 0, col])
+    return mixed * pair(weights[level, 1, col], weights[level, 2, col])
