@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
 from omnisyn_cli.fusion.options import BlendOptions
+from omnisyn_cli.geometry.border import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import BELIEF, Rendering, RowRendering
@@ -148,10 +150,7 @@ class GhostRemover:
         least, seen = self.options.difference, count > 0.0
         differs = seen & (_greatest(np.abs(plain)) > least) & (_greatest(np.abs(first - second)) > least)
         differs &= np.maximum(_beyond(first, second, seen), _beyond(second, first, seen)) > self.options.beyond
-        wide = np.pad(differs.astype(np.uint8), ((0, 0), (4, 4)), mode="wrap")
-        core = cv2.erode(wide, np.ones((3, 3), np.uint8))
-        grown = cv2.dilate(core, np.ones((5, 5), np.uint8))
-        return np.asarray(grown[:, 4:-4] > 0)
+        return filter_across_seam(_grown_core, differs.astype(np.uint8), 4) > 0
 
     def _preference(
         self, offsets: tuple[np.ndarray, np.ndarray], t: float, strictness: float
@@ -178,14 +177,18 @@ def samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " 
     return np.flatnonzero(np.arange(count) % cell % step == 0)
 
 
+def _grown_core(wide: Integer[np.ndarray, "rows cols"]) -> Integer[np.ndarray, "rows cols"]:
+    """A mask opened, and grown by one more cell."""
+    return np.asarray(cv2.dilate(cv2.erode(wide, np.ones((3, 3), np.uint8)), np.ones((5, 5), np.uint8)))
+
+
 def _beyond(one: np.ndarray, other: np.ndarray, seen: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
     """How far the colours of one lie outside of the range that the other has around the same place."""
     window = np.ones((2 * NEARBY + 1, 2 * NEARBY + 1), np.uint8)
     ranges = []
     for extreme, nothing in ((cv2.dilate, -ENDLESS), (cv2.erode, ENDLESS)):
         known = np.where(seen[..., None], other, nothing).astype(np.float32)
-        wrapped = np.pad(known, ((0, 0), (NEARBY, NEARBY), (0, 0)), mode="wrap")
-        ranges.append(extreme(wrapped, window)[:, NEARBY:-NEARBY])
+        ranges.append(filter_across_seam(partial(extreme, kernel=window), known, NEARBY))
     return _greatest(np.maximum(one - ranges[0], ranges[1] - one))
 
 
@@ -197,9 +200,8 @@ def _greatest(values: Float32[np.ndarray, "rows cols 3"]) -> Float32[np.ndarray,
 def _box_mean(values: np.ndarray, weight: np.ndarray, reach: int) -> Float32[np.ndarray, "rows cols 3"]:
     """Weighted means over squares that wrap at the seam and end at the poles."""
     stacked = np.dstack([values * weight[..., None], weight])
-    wrapped = np.pad(stacked, ((0, 0), (reach, reach), (0, 0)), mode="wrap")
-    window = (2 * reach + 1, 2 * reach + 1)
-    sums = cv2.boxFilter(wrapped, -1, window, borderType=cv2.BORDER_REFLECT)[:, reach:-reach]
+    mean = partial(cv2.boxFilter, ddepth=-1, ksize=(2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REFLECT)
+    sums = filter_across_seam(mean, stacked, reach)
     return np.asarray(sums[..., :3] / np.maximum(sums[..., 3:], 1e-6))
 
 

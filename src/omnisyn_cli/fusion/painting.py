@@ -19,7 +19,7 @@ from omnisyn_cli.fusion.geometric import GeometricFuser, is_in_place
 from omnisyn_cli.fusion.network import working_size
 from omnisyn_cli.fusion.network_kernels import reduce_rows
 from omnisyn_cli.fusion.options import BlendOptions
-from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import UNSEEN, Rendering
@@ -117,7 +117,4 @@ def _maps(source: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, n
 def _enlarged(
     picture: Float32[np.ndarray, "rows cols 3"], row: np.ndarray, col: np.ndarray
 ) -> Float32[np.ndarray, "height width 3"]:
-    rows, cols = picture.shape[:2]
-    above, left = np.mgrid[-BORDER : rows + BORDER, -BORDER : cols + BORDER]
-    bordered = np.ascontiguousarray(picture[wrap_pixel(above, left, rows, cols)])
-    return np.asarray(cv2.remap(bordered, col, row, cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.remap(add_border(picture, BORDER), col, row, cv2.INTER_LINEAR), np.float32)
