@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,19 +16,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Never, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import (
-    Pose,
-    enu_from_geographic,
-    nearest_rotation,
-    quaternion_from_rotation,
-    rotation_from_heading,
-    rotation_from_quaternion,
-)
+from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.paths import check_output, read_text, replaced_when_complete
+from omnisyn_cli.io.pose_entries import origin_of, pose_of, rigid_rotation
 from omnisyn_cli.io.pose_models import (
     ALLOW_OUTSIDE,
     GEOGRAPHIC_KEYS,
@@ -56,11 +48,6 @@ VERSION = 1
 
 LARGEST_FILE = 64 << 20
 """Bytes; a hundred thousand panoramas need less."""
-
-UNIT_TOLERANCE = 1e-3
-"""How far from unit length a quaternion, and from orthonormal a matrix, may be written."""
-
-POSITION_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -138,7 +125,7 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     document = _validated(source, PoseDocument, _parsed(source), ())
     entries = {name: _entry(source, name, value, allow_outside) for name, value in document.panoramas.items()}
     _check_one_world(source, entries)
-    origin = next((_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
+    origin = next((origin_of(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {name: _posed(source, name, entry, origin) for name, entry in entries.items()}
     return PoseFile(source, MappingProxyType(panoramas))
 
@@ -252,18 +239,10 @@ def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEn
         )
 
 
-def _origin(entry: GeographicEntry) -> tuple[float, float, float]:
-    return entry.latitude, entry.longitude, entry.altitude
-
-
 def _posed(
     path: Path, name: str, entry: RigidEntry | GeographicEntry, origin: tuple[float, float, float] | None
 ) -> PosedPanorama:
-    where = f"{path}: panoramas.'{name}'"
-    if isinstance(entry, RigidEntry):
-        pose = _rigid_pose(where, entry)
-    else:
-        pose = _geographic_pose(entry, origin or _origin(entry))
+    pose = pose_of(entry, f"{path}: panoramas.'{name}'", origin)
     return PosedPanorama(pose, _beside(path, entry.depth), _beside(path, entry.mask))
 
 
@@ -271,73 +250,8 @@ def _beside(path: Path, name: str | None) -> Path | None:
     return None if name is None else path.parent / name
 
 
-def _geographic_pose(entry: GeographicEntry, origin: tuple[float, float, float]) -> Pose:
-    """Pose in the world with x east, y up, −z north at ``origin``.
-
-    Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
-    """
-    east, north, up = enu_from_geographic(entry.latitude, entry.longitude, entry.altitude, origin)
-    angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
-    return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
-
-
-def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
-    if (entry.rotation is None) == (entry.matrix is None):
-        found = "both" if entry.rotation else "neither"
-        raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
-    if entry.matrix is not None:
-        return _matrix_pose(where, np.array(entry.matrix), entry.position)
-    quaternion = np.array(entry.rotation)
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1) > UNIT_TOLERANCE:
-        raise PoseError(
-            f"{where}.rotation: expected a unit quaternion [w, x, y, z], got length {length:.6g}; "
-            "divide it by its length"
-        )
-    return Pose(rotation_from_quaternion(quaternion), _position(where, entry.position))
-
-
-def _position(where: str, position: list[float] | None) -> np.ndarray:
-    if position is None:
-        raise PoseError(f"{where}: expected the key 'position', got none; add it as [x, y, z] in metres")
-    return np.array(position, float)
-
-
-def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -> Pose:
-    """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
-    if len(matrix) == 4:
-        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; "
-                "write it row by row, not transposed"
-            )
-        translation = matrix[:3, 3]
-        if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}: expected position to agree with the 4×4 matrix, got {position} and "
-                f"{translation.tolist()}; remove position"
-            )
-        position = translation.tolist()
-    return Pose(_rotation(where, matrix[:3, :3]), _position(where, position))
-
-
-def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
-    deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
-    if not deviation <= UNIT_TOLERANCE:
-        raise PoseError(
-            f"{where}.matrix: expected a rigid rotation (RᵀR = 1 within {UNIT_TOLERANCE:g}), got a deviation of "
-            f"{deviation:.3g}; remove scale and shear"
-        )
-    if np.linalg.det(matrix) < 0:
-        raise PoseError(
-            f"{where}.matrix: expected a rotation (determinant +1), got a mirror image (−1); the axes are x right, "
-            "y up, −z forward: flip two axes, not one"
-        )
-    return np.asarray(nearest_rotation(matrix), float)
-
-
 def _written(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
-    rotation = _rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
+    rotation = rigid_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
     quaternion = quaternion_from_rotation(rotation)
     pose = {"position": panorama.pose.position.tolist(), "rotation": quaternion.tolist()}
     return {**pose, **_companions(path, name, panorama, allow_outside)}
