@@ -78,7 +78,7 @@ class BenchPlan:
     pairs: tuple[Pair, ...]
 
 
-def make_scenes(folder: Path, size: tuple[int, int], threads: int | None = None) -> None:
+def make_scenes(folder: Path, size: tuple[int, int]) -> None:
     """Write the scenes of :data:`GENERATED` into a folder; those that are there already stay.
 
     Raises:
@@ -89,7 +89,7 @@ def make_scenes(folder: Path, size: tuple[int, int], threads: int | None = None)
         for walk in suite_scenes((kind,), SEEDS[:1]):
             if walk.baseline == baseline and walk.path and not (folder / walk.name).exists():
                 with staged_folder(folder / walk.name) as staged:
-                    write_suite_scene(staged, walk, size, threads)
+                    write_suite_scene(staged, walk, size)
 
 
 def plan_bench(job: BenchJob) -> BenchPlan:

@@ -46,6 +46,9 @@ Model = TypeVar("Model", bound=BaseModel)
 
 VERSION = 1
 
+MOST_LISTED = 8
+"""Names of panoramas in an error."""
+
 LARGEST_FILE = 64 << 20
 """Bytes; a hundred thousand panoramas need less."""
 
@@ -173,9 +176,9 @@ def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _listed(names: Mapping[str, Any], most: int = 8) -> str:
-    shown = ", ".join(f"'{name}'" for name in list(names)[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+def _listed(names: Mapping[str, Any]) -> str:
+    shown = ", ".join(f"'{name}'" for name in list(names)[:MOST_LISTED])
+    return shown + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")
 
 
 def _parsed(path: Path) -> Any:

@@ -192,11 +192,11 @@ def bed(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
 
 
-def cabinet(build: SceneBuilder, base: Point, yaw: float, tall: float | None = None) -> None:
+def cabinet(build: SceneBuilder, base: Point, yaw: float) -> None:
     """Add a cupboard or chest with doors or drawers."""
     rng = build.rng
     at = Turned(build, base, yaw)
-    wide, height, deep = rng.uniform(0.35, 0.9), tall or rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
+    wide, height, deep = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     face = Material(
         Pattern.TILES,
