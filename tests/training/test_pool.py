@@ -84,5 +84,5 @@ def test_the_file_of_a_seed_is_its_scene(tmp_path):
     scene = load_scene(path)
     again, other = (load_scene(pool.render_to_pool(tmp_path / "again", seed, SMALL)) for seed in (4, 6))
     np.testing.assert_array_equal(again.images, scene.images)
-    np.testing.assert_array_equal(again.inverse_depths, scene.inverse_depths)
+    np.testing.assert_array_equal(again.inverse_depth, scene.inverse_depth)
     assert (other.images != scene.images).any()
