@@ -14,23 +14,21 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Never, TypeVar
-
-from pydantic import BaseModel, ValidationError
+from typing import Any
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.paths import check_output, read_text, replaced_when_complete
 from omnisyn_cli.io.pose_entries import origin_of, pose_of, rigid_rotation
 from omnisyn_cli.io.pose_models import (
-    ALLOW_OUTSIDE,
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
     GeographicEntry,
     PoseDocument,
     RigidEntry,
-    explain,
+    parsed_json,
     path_problem,
+    validated,
 )
 
 __all__ = [
@@ -41,8 +39,6 @@ __all__ = [
     "read_poses",
     "write_poses",
 ]
-
-Model = TypeVar("Model", bound=BaseModel)
 
 VERSION = 1
 
@@ -125,7 +121,7 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
         PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
-    document = _validated(source, PoseDocument, _parsed(source), ())
+    document = validated(source, PoseDocument, _parsed(source))
     entries = {name: _entry(source, name, value, allow_outside) for name, value in document.panoramas.items()}
     _check_one_world(source, entries)
     origin = next((origin_of(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
@@ -149,7 +145,7 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
     target = Path(path)
     check_output(target, overwrite=True)
     entries = {name: _written(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
-    document = _validated(target, PoseDocument, {"version": VERSION, "panoramas": entries}, ())
+    document = validated(target, PoseDocument, {"version": VERSION, "panoramas": entries})
     for name, value in document.panoramas.items():
         _posed(target, name, _entry(target, name, value, allow_outside), None)
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
@@ -192,23 +188,7 @@ def _parsed(path: Path) -> Any:
             seen[key] = value
         return seen
 
-    def refuse_constant(constant: str) -> Never:
-        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
-
-    text = read_text(path, "a pose file", LARGEST_FILE, PoseError)
-    try:
-        return json.loads(text, object_pairs_hook=without_duplicates, parse_constant=refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
-
-
-def _validated(
-    path: Path, model: type[Model], value: Any, where: tuple[str, ...], allow_outside: bool = False
-) -> Model:
-    try:
-        return model.model_validate(value, context={ALLOW_OUTSIDE: allow_outside})
-    except ValidationError as error:
-        raise PoseError(f"{path}: {explain(error, model, where)}") from error
+    return parsed_json(path, read_text(path, "a pose file", LARGEST_FILE, PoseError), without_duplicates)
 
 
 def _entry(path: Path, name: str, value: Any, allow_outside: bool = False) -> RigidEntry | GeographicEntry:
@@ -227,8 +207,8 @@ def _entry(path: Path, name: str, value: Any, allow_outside: bool = False) -> Ri
             f"mixed with {', '.join(geographic)}; keep one kind"
         )
     if geographic:
-        return _validated(path, GeographicEntry, value, where, allow_outside)
-    return _validated(path, RigidEntry, value, where, allow_outside)
+        return validated(path, GeographicEntry, value, where, allow_outside=allow_outside)
+    return validated(path, RigidEntry, value, where, allow_outside=allow_outside)
 
 
 def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEntry]) -> None:
