@@ -17,7 +17,7 @@ from omnisyn_cli.cli.progress import counted_bar
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.engine import EvaluationPlan
     from omnisyn_cli.evaluation.records import UnitRecord
-    from omnisyn_cli.evaluation.tables import Table
+    from omnisyn_cli.evaluation.table import Table
 
 __all__ = ["LAYOUTS", "eval_", "print_table"]
 
@@ -142,7 +142,7 @@ def print_table(shown: Table, title: str | None = None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from omnisyn_cli.evaluation.tables import format_value
+    from omnisyn_cli.evaluation.table import format_value
 
     table = Table(title=title, box=box.SIMPLE, title_justify="left")
     table.add_column(shown.corner, no_wrap=True)

@@ -77,6 +77,7 @@ class GhostRemover:
         self.size, self.threads = size, threads
         self.blend, self.options = blend or BlendOptions(), options or GhostOptions()
         self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
+        self._step = max(1, self.cell // SAMPLES_ALONG_CELL)
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._sums = np.zeros((*self._grid, 11), np.float32)
         self._directions = pixel_directions(*self._grid).astype(np.float32)
@@ -90,9 +91,8 @@ class GhostRemover:
             t: share of the way.
             strictness: how strictly the nearer surface hides the farther one in the blend, from 0 to 1.
         """
-        step = max(1, self.cell // SAMPLES_ALONG_CELL)
         seen = (first.colour, first.inverse_depth, second.colour, second.inverse_depth)
-        loser = self._losers(seen, self.cell, step, first, second, t, strictness)
+        loser = self._losers(seen, self.cell, self._step, first, second, t, strictness)
         if loser is not None:
             run_bands(
                 lambda begin, end: silence_rows(first.colour, second.colour, loser, self.cell, 0, begin, end),
@@ -109,13 +109,12 @@ class GhostRemover:
             What changes the worths of some rows of colours of both, given the first of them; None where nothing is to
             be changed.
         """
-        step = max(1, self.cell // SAMPLES_ALONG_CELL)
-        rows, cols = (samples_of_cells(count, self.cell, step) for count in self.size)
+        rows, cols = (samples_of_cells(count, self.cell, self._step) for count in self.size)
         seen = (
             first.colour_at(rows, cols), first.inverse_depth[rows].take(cols, axis=1),
             second.colour_at(rows, cols), second.inverse_depth[rows].take(cols, axis=1),
         )  # fmt: skip
-        loser = self._losers(seen, -(-self.cell // step), 1, first, second, t, strictness)
+        loser = self._losers(seen, -(-self.cell // self._step), 1, first, second, t, strictness)
         if loser is None:
             return None
         return lambda a, b, top: silence_rows(a, b, loser, self.cell, top, 0, len(a))
@@ -123,7 +122,7 @@ class GhostRemover:
     @property
     def sampled(self) -> float:
         """Share of the pixels that are looked at."""
-        return 1.0 / max(1, self.cell // SAMPLES_ALONG_CELL) ** 2
+        return 1.0 / self._step**2
 
     def _losers(
         self, seen: tuple[np.ndarray, ...], cell: int, step: int, first: Rendering | RowRendering,
