@@ -18,6 +18,19 @@ __all__ = ["furnish"]
 
 Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]
 
+AT_HOME: tuple[Thing, ...] = (
+    furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp,
+)  # fmt: skip
+"""What stands against the walls of a home."""
+
+AT_WORK: tuple[Thing, ...] = (
+    furniture.cabinet, furniture.shelf, furniture.shelf, furniture.screen, furniture.plant, furniture.table,
+)  # fmt: skip
+"""What stands against the walls of an office."""
+
+LOW: tuple[Thing, ...] = (furniture.table, furniture.plant, furniture.armchair)
+"""What stands before a window."""
+
 Taken = list[tuple[float, float, float]]
 """Places on the floor that are taken: x, z and radius, metres."""
 
@@ -83,25 +96,7 @@ def _against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Openings,
     if is_open > 1 or not _is_free(taken, x, z, radius):
         return
     base = (x, 0.0, z)
-    home: tuple[Thing, ...] = (
-        furniture.cabinet,
-        furniture.shelf,
-        furniture.sofa,
-        furniture.bed,
-        furniture.plant,
-        furniture.floor_lamp,
-    )
-    work: tuple[Thing, ...] = (
-        furniture.cabinet,
-        furniture.shelf,
-        furniture.shelf,
-        furniture.screen,
-        furniture.plant,
-        furniture.table,
-    )
-    choices = home if use == "home" else work
-    if is_open:  # nothing tall before a window
-        choices = (furniture.table, furniture.plant, furniture.armchair)
+    choices = LOW if is_open else AT_HOME if use == "home" else AT_WORK
     if rng.random() < 0.12:
         goods.carton_pile(build, base, yaw)
     else:
