@@ -56,10 +56,10 @@ def write_synsin_models(folder: Path) -> Path:
     from omnisyn_cli.networks.synsin import SynSinConfig
     from omnisyn_cli.training.checkpoint import save_checkpoint
     from omnisyn_cli.training.loop import TrainConfig, Trainer
-    from omnisyn_cli.training.publish import publish_all
+    from omnisyn_cli.training.publish import publish
 
     tiny = SynSinConfig("tiny", TINY_SIZE, features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4, points=8)
     torch.manual_seed(0)
     save_checkpoint(folder / "fresh.pt", Trainer(tiny, TrainConfig("", "", size=TINY_SIZE)).state())
-    publish_all(folder / "fresh.pt", folder, name=None, pool=None, training="", licence="none")
+    publish(folder / "fresh.pt", folder, name=None, pool=None, training="", licence="none")
     return folder

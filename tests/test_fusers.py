@@ -77,7 +77,7 @@ def test_from_files_to_frames(tmp_path, models, monkeypatch):
     images = tuple(write_hall(tmp_path, POSES))
     job = InterpolationJob(images, tmp_path / "poses.json", tmp_path / "plain", frames=3, threads=1)
     run_interpolation(plan_interpolation(job))
-    for module in ("fusers", "planning.plan"):
+    for module in ("fusers", "planning.choices"):
         monkeypatch.setattr(f"omnisyn_cli.{module}.FUSION_MODELS", {"network": models["fresh"]})
     plan = plan_interpolation(dataclasses.replace(job, output=tmp_path / "fused", fusion="network"))
     assert plan.describe()["fusion"] == "network"
@@ -90,7 +90,7 @@ def test_from_files_to_frames(tmp_path, models, monkeypatch):
 def test_what_is_missing_or_unknown_is_refused_before_the_work(tmp_path, monkeypatch):
     images = tuple(write_hall(tmp_path, POSES))
     job = InterpolationJob(images, tmp_path / "poses.json", tmp_path / "out", frames=3)
-    monkeypatch.setattr("omnisyn_cli.planning.plan.FUSION_MODELS", {"network": "no-such-network"})
+    monkeypatch.setattr("omnisyn_cli.planning.choices.FUSION_MODELS", {"network": "no-such-network"})
     with pytest.raises(InputError, match="no-such-network"):
         plan_interpolation(dataclasses.replace(job, fusion="network"))
     with pytest.raises(InputError, match="as fusion, got 'magic'"):

@@ -35,20 +35,17 @@ KEPT = 2
 """Panoramas whose points are held."""
 
 
-def open_synsin(
-    *, device: str = "auto", threads: int | None = None, models: tuple[str, str, str] = SYNSIN_MODELS
-) -> SynSinSessions:
+def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:
     """The networks that are installed.
 
     Args:
         device: where they run: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
-        models: names in the manifest or paths of ONNX files: depth, encoder, decoder.
 
     Raises:
         InputError: one is not there, is of another kind, or cannot be used on that device.
     """
-    return SynSinSessions(*(open_session(find_model(model), device=device, threads=threads) for model in models))
+    return SynSinSessions(*(open_session(find_model(model), device=device, threads=threads) for model in SYNSIN_MODELS))
 
 
 class SynSin:

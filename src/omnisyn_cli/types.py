@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
 
 __all__ = [
@@ -65,6 +66,12 @@ class View:
     known_depth: DepthEstimate | None = None
     is_cut_off: bool = False
     samples: UInt8[np.ndarray, "height width 3"] | None = None
+
+    def check_shape(self) -> None:
+        """Raise ImageError unless the image is 2:1."""
+        height, width = self.image.shape[:2]
+        if width != 2 * height:
+            raise ImageError(f"expected a panorama twice as wide as high, got {width}×{height}; crop or pad it to 2:1")
 
 
 class DepthEstimator(Protocol):

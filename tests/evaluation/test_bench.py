@@ -159,11 +159,11 @@ def test_calibration_does_real_work() -> None:
 
 
 def test_scenes_are_made_once(tmp_path: Path) -> None:
-    make_scenes(tmp_path / "scenes", (16, 32), 1)
+    make_scenes(tmp_path / "scenes", (16, 32))
     pairs = [pair for source in find_scenes(tmp_path / "scenes") for pair in choose_pairs(None)(source.read())]
     assert [pair.scene for pair in pairs] == ["room-9000001-1m", "street-9000001-2m"]
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}
-    make_scenes(tmp_path / "scenes", (16, 32), 1)
+    make_scenes(tmp_path / "scenes", (16, 32))
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")} == before
 
 

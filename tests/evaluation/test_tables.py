@@ -15,7 +15,8 @@ from omnisyn_cli.evaluation.grouping import (
     ranked_methods,
     time_band,
 )
-from omnisyn_cli.evaluation.tables import Table, format_value, mean_table, report_tables
+from omnisyn_cli.evaluation.table import Table, format_value
+from omnisyn_cli.evaluation.tables import mean_table, report_tables
 
 
 def table(title: str, records=None) -> Table:

@@ -5,6 +5,7 @@ import pytest
 import torch
 from test_network_fuser import copy, geometric, pair
 
+from omnisyn_cli.fusion import painting
 from omnisyn_cli.fusion.painting import MULTIPLE, PaintingFuser
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
 from omnisyn_cli.geometry.sampling import sample_bilinear
@@ -24,16 +25,17 @@ class Painter:
         return planes[:3].copy() if self.picture is None else self.picture
 
 
-def paint(views, painter, t=0.5, rows=1024, threads=1):
+def paint(views, painter, t=0.5, threads=1):
     size = views[0].inverse_depth.shape
-    return PaintingFuser(size, painter, None, threads, rows)(*map(copy, views), t).copy()
+    return PaintingFuser(size, painter, threads)(*map(copy, views), t).copy()
 
 
-@pytest.mark.parametrize(("size", "rows"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
-def test_the_network_sees_what_it_was_trained_with(size, rows):
+@pytest.mark.parametrize(("size", "most"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
+def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     """Against the planes that training takes from a pool, which another module makes."""
+    monkeypatch.setattr(painting, "MOST_ROWS", most)
     views, painter = pair(size), Painter()
-    paint(views, painter, rows=rows)
+    paint(views, painter)
     recorded = PlaneMaker((64, 128), 0.06, threads=1)(*map(copy, views), 0.5, 0.003).planes
     assert len(recorded) == PLANES
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
@@ -54,9 +56,10 @@ def test_it_paints_from_the_first_frame_to_the_last():
         assert (paint(views, Painter(picture), t) == 0.25).all()
 
 
-def test_larger_frames_are_enlarged_across_the_seam_and_the_poles():
+def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
+    monkeypatch.setattr(painting, "MOST_ROWS", 64)
     picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
-    found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)), rows=64)
+    found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)))
     expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))
     np.testing.assert_allclose(found, expected, atol=0.02)  # OpenCV knows 32 places between two pixels
     assert np.abs(found - expected).mean() < 0.005

@@ -58,13 +58,15 @@ def test_an_image_is_finite_and_in_range(street):
     assert image.std() > 0.05
 
 
-def test_shadows_darken_what_is_under_a_roof():
+def under_a_roof(*, casts_shadow: bool) -> np.ndarray:
+    """The ground as it looks there."""
     build = builder(ground=-1.0)
-    build.box((-30.0, 3.0, -30.0), (30.0, 3.2, 30.0), Material())
-    scene = build.build("test")
-    down = np.s_[35:, :]
-    dark = render_panorama(scene, Pose.identity(), SIZE)[0][down]
-    bright = render_panorama(scene, Pose.identity(), SIZE, shadows=False)[0][down]
+    build.box((-30.0, 3.0, -30.0), (30.0, 3.2, 30.0), Material(), casts_shadow=casts_shadow)
+    return render_panorama(build.build("test"), Pose.identity(), SIZE)[0][35:, :]
+
+
+def test_shadows_darken_what_is_under_a_roof():
+    dark, bright = (under_a_roof(casts_shadow=is_solid) for is_solid in (True, False))
     assert dark.mean() < bright.mean() - 0.05
 
 

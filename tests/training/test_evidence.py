@@ -101,7 +101,7 @@ def test_a_network_is_trained_and_published(tmp_path, pool):
     assert rows[-1]["loss"] < rows[0]["loss"]
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"], network.config) == ("refine", 40, TINY)
-    entry, difference = publish(
+    ((entry, difference),) = publish(
         tmp_path / "run" / "checkpoint.pt",
         tmp_path / "models",
         name=None,

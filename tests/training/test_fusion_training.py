@@ -180,7 +180,7 @@ def test_a_network_is_trained_and_published(tmp_path, pool, config):
         assert rows[-1]["gain"] > 0
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"], network.config) == ("fusion", 40, config)
-    entry, difference = publish(
+    ((entry, difference),) = publish(
         tmp_path / "run" / "checkpoint.pt",
         tmp_path / "models",
         name=None,

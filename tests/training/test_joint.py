@@ -27,7 +27,7 @@ from omnisyn_cli.training.fusion_losses import fused_by
 from omnisyn_cli.training.joint import JointAnswer, joint_answer, joint_loss, part_of, planes_between
 from omnisyn_cli.training.joint_planes import Seen, fusion_planes
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
-from omnisyn_cli.training.publish import publish, publish_all
+from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.triples import draw_triples
 from omnisyn_cli.types import Rendering
 
@@ -69,7 +69,7 @@ def test_planes_are_those_of_the_program(t):
     options = BlendOptions()
     hidden = options.hidden if t == 0.4 else options.hidden ** (0.7**2 * (3 - 2 * 0.7))
     expected = PlaneMaker(SIZE, options.disagreement, threads=1)(first, second, t, hidden).planes
-    found = fusion_planes(as_seen(first), as_seen(second), t, options).numpy()
+    found = fusion_planes(as_seen(first), as_seen(second), t).numpy()
     for name in (
         "FIRST",
         "SECOND",
@@ -196,7 +196,7 @@ def test_a_stopped_run_goes_on_bit_for_bit(tmp_path, config):
 def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp_path, config):
     path = tmp_path / "run" / "checkpoint.pt"
     trainer = train(JOINT, config, tmp_path / "run", steps=1)
-    published = publish_all(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")
+    published = publish(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")
     assert [(entry.name, entry.role, entry.size) for entry, _ in published] == [
         ("depth-tiny", "depth", SIZE),
         ("fusion-tiny", "fusion", SIZE),
@@ -204,10 +204,8 @@ def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp
     assert all(difference < 1e-4 for _, difference in published)
     assert read_manifest(tmp_path / "models").keys() == {"depth-tiny", "fusion-tiny"}
     assert sum(entry.parameters for entry, _ in published) == sum(p.numel() for p in trainer.network.parameters())
-    named = publish_all(path, tmp_path / "models", name="mine", pool=tmp_path / "pool", training="", licence="MIT")
+    named = publish(path, tmp_path / "models", name="mine", pool=tmp_path / "pool", training="", licence="MIT")
     assert [entry.name for entry, _ in named] == ["mine-depth", "mine-fusion"]
-    with pytest.raises(InputError, match="one network"):
-        publish(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")
     part = part_of(path, ("fusion",))
     assert equal(part.average, {k.removeprefix("fusion."): v for k, v in trainer.average.items() if k[0] == "f"})
     with pytest.raises(InputError, match=r"expected a refine network in .*got depth and fusion"):

@@ -4,8 +4,8 @@ from training_samples import TINY, make_pool
 from omnisyn_cli.errors import OmnisynError, OutputPathError
 from omnisyn_cli.presets import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
-from omnisyn_cli.training import publish
 from omnisyn_cli.training.loop import TrainConfig, train
+from omnisyn_cli.training.publish import publish, write_manifest
 from synsin_samples import TINY_SIZE, write_synsin_models
 
 
@@ -21,7 +21,7 @@ def options(**changes):
 
 
 def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
-    entry, difference = publish.publish(checkpoint, tmp_path / "models", **options(pool=tmp_path / "pool"))
+    ((entry, difference),) = publish(checkpoint, tmp_path / "models", **options(pool=tmp_path / "pool"))
     assert difference < 1e-4
     assert (entry.name, entry.role, entry.size, entry.training) == ("depth-tiny", "depth", (64, 128), "1 steps")
     assert read_manifest(tmp_path / "models") == {"depth-tiny": entry}
@@ -30,18 +30,18 @@ def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
 
 def test_a_model_is_replaced_only_on_request(tmp_path, checkpoint):
     folder = tmp_path / "models"
-    publish.publish_all(checkpoint, folder, **options(licence="MIT"))
+    publish(checkpoint, folder, **options(licence="MIT"))
     with pytest.raises(OutputPathError, match="overwrite"):
-        publish.publish_all(checkpoint, folder, **options())
+        publish(checkpoint, folder, **options())
     assert read_manifest(folder)["depth-tiny"].licence == "MIT"
-    publish.publish_all(checkpoint, folder, **options(overwrite=True))
+    publish(checkpoint, folder, **options(overwrite=True))
     assert read_manifest(folder)["depth-tiny"].licence == "Apache-2.0"
 
 
 def test_a_model_that_says_something_else_is_refused(tmp_path, checkpoint, monkeypatch):
-    monkeypatch.setattr(publish, "largest_difference", lambda *_: 0.01)
+    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", lambda *_: 0.01)
     with pytest.raises(OmnisynError, match="not exported"):
-        publish.publish(checkpoint, tmp_path / "models", **options())
+        publish(checkpoint, tmp_path / "models", **options())
     assert list((tmp_path / "models").iterdir()) == []
 
 
@@ -52,7 +52,7 @@ def test_a_manifest_survives_the_disk(tmp_path):
         )
         for name in ("a", "b")
     }
-    publish.write_manifest(tmp_path, entries)
+    write_manifest(tmp_path, entries)
     assert read_manifest(tmp_path) == entries
 
 
@@ -67,7 +67,7 @@ def test_synsin_becomes_three_models_that_belong_together(tmp_path):
 
 def test_if_one_of_three_says_something_else_none_is_left(tmp_path, monkeypatch):
     answers = iter([0.0, 0.0, 0.01])
-    monkeypatch.setattr(publish, "largest_difference", lambda *_: next(answers))
+    monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", lambda *_: next(answers))
     with pytest.raises(OmnisynError, match="not exported"):
         write_synsin_models(tmp_path / "models")
     assert [path.name for path in (tmp_path / "models").iterdir()] == ["fresh.pt"]
@@ -75,7 +75,7 @@ def test_if_one_of_three_says_something_else_none_is_left(tmp_path, monkeypatch)
 
 def test_synsin_is_compared_on_lessons_of_a_pool_too(tmp_path):
     write_synsin_models(tmp_path)
-    (_, _, (_, difference)) = publish.publish_all(
+    (_, _, (_, difference)) = publish(
         tmp_path / "fresh.pt", tmp_path / "models", **options(pool=make_pool(tmp_path / "pool"), name="mine")
     )
     assert difference < 1e-4

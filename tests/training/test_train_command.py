@@ -45,7 +45,7 @@ def test_the_papers_network_is_trained_published_and_found_by_its_name(tmp_path,
     state = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"]) == ("paper", 2)
     assert (state["training"]["size"], state["training"]["rate"]) == (size, 1e-4)
-    entry, difference = publish(
+    ((entry, difference),) = publish(
         tmp_path / "run" / "checkpoint.pt", tmp_path / "models", name=None, pool=tmp_path / "pool", training="",
         licence="MIT",
     )  # fmt: skip

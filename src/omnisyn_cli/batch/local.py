@@ -6,9 +6,7 @@ Each is started afresh (spawn), so that none inherits threads or locks, and ends
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
-import threading
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -16,7 +14,7 @@ from types import TracebackType
 from typing import Self
 
 from omnisyn_cli.batch.engine import Job, Report, Work
-from omnisyn_cli.batch.worker import Performer, limit_threads
+from omnisyn_cli.batch.worker import Performer, end_with_parent, limit_threads
 
 __all__ = ["LocalCrew"]
 
@@ -108,7 +106,7 @@ def _serve(connection: Connection, work: Work, threads: int) -> None:
     """Do what comes until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     limit_threads(threads)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     perform = Performer(work)
     while True:
         try:
@@ -116,10 +114,3 @@ def _serve(connection: Connection, work: Work, threads: int) -> None:
             connection.send(perform(job.payload))
         except (EOFError, OSError):
             return
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)  # in the middle of whatever is done: nobody wants it any more

@@ -35,9 +35,8 @@ class PanoramaMemory:
         decoded: how many were read from files so far.
     """
 
-    def __init__(self, most: int = MOST_PANORAMAS) -> None:
+    def __init__(self) -> None:
         self.decoded = 0
-        self._most = most
         self._known: OrderedDict[tuple[object, ...], KeptPanorama] = OrderedDict()
 
     def __call__(self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> Panorama:
@@ -49,7 +48,7 @@ class PanoramaMemory:
             self._known.move_to_end(key)
             kept = self._known[key]
             return Panorama(kept.image(), kept.mask, kept.original, path)
-        while len(self._known) >= self._most:  # before the next one takes its memory
+        while len(self._known) >= MOST_PANORAMAS:  # before the next one takes its memory
             self._known.popitem(last=False)
         self.decoded += 1
         panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import multiprocessing
 import os
 import platform
+import threading
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +14,7 @@ from typing import Any
 from omnisyn_cli.batch.engine import Answer, Work
 from omnisyn_cli.errors import OmnisynError
 
-__all__ = ["Performer", "limit_threads"]
+__all__ = ["Performer", "end_with_parent", "limit_threads"]
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -46,6 +48,18 @@ def limit_threads(threads: int) -> None:
     """Cap libraries that read their number of threads when they are loaded; call it before they are."""
     for name in THREAD_VARIABLES:
         os.environ.setdefault(name, str(threads))
+
+
+def end_with_parent() -> None:
+    """End this process with the one that started it, in the middle of whatever is done: nobody wants it any more."""
+    threading.Thread(target=_outlive_nobody, daemon=True).start()
+
+
+def _outlive_nobody() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _made(work: Work) -> Callable[[Any], Any]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +13,10 @@ import click
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.progress import counted_bar
 from omnisyn_cli.presets import PRESETS, SCALE
 
 if TYPE_CHECKING:
-    from omnisyn_cli.evaluation.bench import BenchPlan
     from omnisyn_cli.evaluation.pareto import Figures
 
 __all__ = ["bench"]
@@ -112,7 +112,11 @@ def bench(
             dataset = folder / f"scenes-{scene_size[1]}x{scene_size[0]}"
             make_scenes(dataset, scene_size)
         plan = plan_bench(BenchJob(dataset, folder, **options))
-        with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_setting:
+        progress = counted_bar(
+            "settings", len(plan.settings), lambda _, figures: figures.setting.name,
+            is_shown=not quiet and sys.stderr.isatty(),
+        )  # fmt: skip
+        with progress as on_setting:
             measured = run_bench(plan, on_setting)
         write_bench_report(folder, measured)
     if store is not None:
@@ -139,18 +143,3 @@ def _print_json(measured: Sequence[Figures]) -> None:
     }
     values["ratios"] = {figures.setting.name: {"clip_to_encoder": figures.to_encoder} for figures in measured}
     click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
-
-
-@contextmanager
-def _progress(plan: BenchPlan, *, is_shown: bool) -> Iterator[Callable[[int, Figures], None] | None]:
-    """A progress bar over the settings on stderr; nothing where stderr is no terminal."""
-    if not is_shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("settings", total=len(plan.settings))
-        yield lambda done, figures: progress.update(task, completed=done, description=figures.setting.name)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,12 @@ import click
 
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.progress import counted_bar
 
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.engine import EvaluationPlan
     from omnisyn_cli.evaluation.records import UnitRecord
-    from omnisyn_cli.evaluation.tables import Table
+    from omnisyn_cli.evaluation.table import Table
 
 __all__ = ["LAYOUTS", "eval_", "print_table"]
 
@@ -94,7 +95,11 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-eval-")))
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
         plan = plan_evaluation(job)
-        with _progress(plan, is_shown=not quiet and sys.stderr.isatty()) as on_unit:
+        progress = counted_bar(
+            "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}",
+            is_shown=not quiet and sys.stderr.isatty(),
+        )  # fmt: skip
+        with progress as on_unit:
             records = run_evaluation(plan, on_unit) if report is None else evaluate(plan, on_unit)
     if as_json:
         _print_json(plan, records, report)
@@ -137,7 +142,7 @@ def print_table(shown: Table, title: str | None = None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from omnisyn_cli.evaluation.tables import format_value
+    from omnisyn_cli.evaluation.table import format_value
 
     table = Table(title=title, box=box.SIMPLE, title_justify="left")
     table.add_column(shown.corner, no_wrap=True)
@@ -152,18 +157,3 @@ def print_table(shown: Table, title: str | None = None) -> None:
     for row in shown.rows:
         if not row.cells:
             click.echo(f"{row.name}: {row.reason}")
-
-
-@contextmanager
-def _progress(plan: EvaluationPlan, *, is_shown: bool) -> Iterator[Callable[[int, UnitRecord], None] | None]:
-    """A progress bar over the units with the time left on stderr; nothing where stderr is no terminal."""
-    if not is_shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("depth and frames", total=plan.units)
-        yield lambda done, record: progress.update(task, completed=done, description=f"{record.scene} {record.method}")

@@ -34,11 +34,9 @@ def export_onnx(
 
     Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
     """
-    from omnisyn_cli.training.publish import publish_all
+    from omnisyn_cli.training.publish import publish
 
-    made = publish_all(
-        checkpoint, output, name=name, pool=pool, training=training, licence=licence, overwrite=overwrite
-    )
+    made = publish(checkpoint, output, name=name, pool=pool, training=training, licence=licence, overwrite=overwrite)
     for entry, difference in made:
         click.echo(
             f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,6 +12,7 @@ from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.masks import masks_option, nadir_option
 from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
 from omnisyn_cli.cli.places import FilePath, FramePlace
+from omnisyn_cli.cli.progress import counted_bar
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
 
 if TYPE_CHECKING:
@@ -204,7 +203,10 @@ def interpolate(
         return
     from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
 
-    progress = _progress(plan, is_shown=not quiet and sys.stderr.isatty())
+    progress = counted_bar(
+        "depth", len(plan.path), lambda done: "frames" if done > 1 else None,
+        is_shown=not quiet and sys.stderr.isatty(),
+    )  # fmt: skip
     with say_when_compiling(is_quiet=quiet), progress as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:
@@ -254,18 +256,3 @@ def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: boo
     height, width = summary.plan.size
     frames, seconds = len(summary.plan.path), summary.seconds["total"]
     click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {seconds:.1f} s")
-
-
-@contextmanager
-def _progress(plan: InterpolationPlan, *, is_shown: bool) -> Iterator[Callable[[int], None] | None]:
-    """A progress bar with the time left on stderr; nothing where stderr is no terminal."""
-    if not is_shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("depth", total=len(plan.path))
-        yield lambda done: progress.update(task, completed=done, description="frames" if done > 1 else None)

@@ -9,10 +9,9 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.cli.places import FilePath
-from omnisyn_cli.cli.scenes import KINDS, TEXTURES
+from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
 
 __all__ = ["train"]
 
@@ -33,90 +32,8 @@ def train() -> None:
     """Train the networks on scenes that the program makes itself."""
 
 
-@train.command()
-@click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=1000, show_default=True, type=click.IntRange(1), help="How many scenes.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
-@click.option("--views", default=3, show_default=True, type=click.IntRange(2, 9), help="Views per scene, on a line.")
-@click.option(
-    "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
-)
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-@TEXTURES
-def pool(
-    folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int,
-    textures: Path | None,
-) -> None:  # fmt: skip
-    """Render procedural scenes into FOLDER; those that are there already stay."""
-    from functools import partial
-
-    from omnisyn_cli.training.pool import PoolConfig, fill_pool, render_to_pool
-
-    options: dict[str, Any] = {"kinds": kinds} if kinds else {}
-    options["textures"] = _textures(textures)
-    make = partial(render_to_pool, config=PoolConfig(size=(height, 2 * height), views=views, **options))
-    for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
-        click.echo(path)
-
-
-@train.command()
-@click.argument("dataset", type=FOLDER)
-@click.argument("folder", type=FOLDER)
-@click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
-@click.option(
-    "--pairs", metavar="0:4|every:N|FILE", default="every:1", show_default=True, help="Of frames, see omnisyn eval."
-)
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
-def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
-    """Add the pairs of DATASET, panoramas with poses and depth in files, to the pool FOLDER for `train depth`.
-
-    Those that are there already stay; pairs without depth are named and left out.
-    """
-    from omnisyn_cli.errors import InputError
-    from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
-    from omnisyn_cli.evaluation.views import load_pair
-    from omnisyn_cli.training.folders import add_pair, pair_path
-
-    choose = choose_pairs(pairs)
-    for pair in (pair for source in find_scenes(dataset, layout) for pair in choose(source.read())):
-        path = pair_path(folder, pair.scene, pair.first.name, pair.second.name)
-        if path.exists():
-            continue
-        try:
-            add_pair(path, *load_pair(pair).views, (height, 2 * height))
-        except InputError as error:
-            click.echo(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
-        else:
-            click.echo(path)
-
-
-@train.command()
-@click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=500, show_default=True, type=click.IntRange(1), help="How many scenes.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-@TEXTURES
-def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
-    """Render scenes into FOLDER and match them, for `train refine`; those that are there already stay."""
-    from functools import partial
-
-    from omnisyn_cli.training.evidence import EvidenceConfig, make_evidence
-    from omnisyn_cli.training.pool import fill_pool
-
-    make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height), textures=_textures(textures)))
-    for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
-        click.echo(path)
-
-
-def _textures(folder: Path | None) -> str | None:
-    """The folder by its full name, once it is known that there are photographs in it."""
-    from omnisyn_cli.io import list_photographs
-
-    if folder is not None:
-        list_photographs(folder)
-    return None if folder is None else str(folder.resolve())
+for command in (convert, evidence, fusion_pool, pool):
+    train.add_command(command)
 
 
 def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -186,26 +103,6 @@ def refine(variant: str, **options: Any) -> None:
 
     _check_variant(variant, REFINE_VARIANTS)
     _train(REFINE_VARIANTS[variant], **options)
-
-
-@train.command("fusion-pool")
-@click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=200, show_default=True, type=click.IntRange(1), help="How many scenes.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
-@click.option("--height", default=256, show_default=True, type=click.IntRange(32), help="Rows of every picture.")
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
-@TEXTURES
-def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
-    """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
-    from functools import partial
-
-    from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
-    from omnisyn_cli.training.pool import fill_pool
-
-    config = FusionPoolConfig(size=(height, 2 * height), rows=4 * height, textures=_textures(textures))
-    make = partial(make_fusion_scene, config=config)
-    for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
-        click.echo(path)
 
 
 @train.command()

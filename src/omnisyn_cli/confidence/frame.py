@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.confidence.kernels import confidence_rows
+from omnisyn_cli.geometry.border import add_columns
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import Rendering
 
@@ -50,7 +51,7 @@ def doubtful_regions(
     height, width = confidence.shape
     rows = min(ROWS_OF_REGIONS, height)
     coarse = cv2.resize(confidence, (2 * rows, rows), interpolation=cv2.INTER_AREA)
-    wrapped = np.pad(coarse, ((0, 0), (4, 4)), mode="wrap")
+    wrapped = add_columns(coarse, 4)
     mean = cv2.GaussianBlur(wrapped, (5, 5), 1.0)
     doubt = np.clip((TRUSTED - mean) / (TRUSTED - DOUBTED), 0.0, 1.0).astype(np.float32)
     margin = 4 * width // (2 * rows)

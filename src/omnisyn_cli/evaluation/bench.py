@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
 import platform
 import signal
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from omnisyn_cli.batch.worker import end_with_parent
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
@@ -78,7 +77,7 @@ class BenchPlan:
     pairs: tuple[Pair, ...]
 
 
-def make_scenes(folder: Path, size: tuple[int, int], threads: int | None = None) -> None:
+def make_scenes(folder: Path, size: tuple[int, int]) -> None:
     """Write the scenes of :data:`GENERATED` into a folder; those that are there already stay.
 
     Raises:
@@ -89,7 +88,7 @@ def make_scenes(folder: Path, size: tuple[int, int], threads: int | None = None)
         for walk in suite_scenes((kind,), SEEDS[:1]):
             if walk.baseline == baseline and walk.path and not (folder / walk.name).exists():
                 with staged_folder(folder / walk.name) as staged:
-                    write_suite_scene(staged, walk, size, threads)
+                    write_suite_scene(staged, walk, size)
 
 
 def plan_bench(job: BenchJob) -> BenchPlan:
@@ -201,15 +200,8 @@ def _in_child(trial: Trial) -> Figures:
 def _serve(connection: Connection, trial: Trial, folder: Path, launched: float) -> None:
     """Send figures, or the message of what went wrong."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     try:
         connection.send(run_trial(trial, folder, launched))
     except Exception as error:  # noqa: BLE001 - one broken setting must not end a comparison of many
         connection.send(" ".join(f"{type(error).__name__}: {error}".split()))
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)  # nobody wants the figures any more

@@ -24,7 +24,7 @@ from omnisyn_cli.evaluation.pareto import (
     standard_seconds,
 )
 from omnisyn_cli.evaluation.plots import COLOURS, DOTS_PER_INCH, HEIGHT, LEGEND_COLUMNS, MARKERS, WIDTH
-from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table
+from omnisyn_cli.evaluation.table import Cell, Column, Row, Table
 from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.io.staging import staged_folder
 

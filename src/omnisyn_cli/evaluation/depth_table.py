@@ -25,7 +25,8 @@ from omnisyn_cli.evaluation.grouping import gaps
 from omnisyn_cli.evaluation.markdown import render_markdown
 from omnisyn_cli.evaluation.measure import depth_records
 from omnisyn_cli.evaluation.records import UnitRecord, append_record, latest_records, read_records
-from omnisyn_cli.evaluation.tables import Row, Table, depth_table
+from omnisyn_cli.evaluation.table import Row, Table
+from omnisyn_cli.evaluation.tables import depth_table
 from omnisyn_cli.io.paths import make_folder, replaced_when_complete
 from omnisyn_cli.scenes import GENERATORS, Scene, generate_scene, render_views, sample_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View

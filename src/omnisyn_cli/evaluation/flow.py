@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.evaluation.synthesizers import Picture
+from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import wrap_pixel
 from omnisyn_cli.segments import Stopwatch
 from omnisyn_cli.synthesis import turned_panorama
 from omnisyn_cli.trajectory import Waypoint
@@ -113,7 +113,7 @@ def optical_flow(
     if height < LEAST_HEIGHT:
         return np.zeros((height, width, 2), np.float32)
     border = height // 4
-    grey = [_continued(cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY), border) for image in (first, second)]
+    grey = [add_border(cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY), border) for image in (first, second)]
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow = np.asarray(search.calc(grey[0], grey[1], np.zeros((*grey[0].shape, 2), np.float32)), np.float32)
     inside: np.ndarray = flow[border : border + height, border : border + width, ::-1]
@@ -124,20 +124,11 @@ def _bytes(image: np.ndarray) -> np.ndarray:
     return np.asarray(np.rint(np.clip(image, 0, 1) * 255), np.uint8)
 
 
-def _continued(image: np.ndarray, border: int) -> np.ndarray:
-    """The picture with ``border`` more rows and columns on every side, as the sphere goes on there."""
-    height, width = image.shape[:2]
-    row, col = np.meshgrid(np.arange(-border, height + border), np.arange(-border, width + border), indexing="ij")
-    row, col = wrap_pixel(row, col, height, width)
-    continued: np.ndarray = np.ascontiguousarray(image[row, col])
-    return continued
-
-
 def _moved(image: np.ndarray, flow: np.ndarray) -> Float32[np.ndarray, "height width 3"]:
     """The picture read (bicubic, to 1/32 of a pixel) at every pixel plus ``flow``, as far as it is continued."""
     height, width = image.shape[:2]
     border = height // 4
     rows = np.arange(border, border + height, dtype=np.float32)[:, None] + np.clip(flow[..., 0], -border, border)
     columns = np.arange(border, border + width, dtype=np.float32)[None, :] + np.clip(flow[..., 1], -border, border)
-    whole = _continued(image.astype(np.float32), border)
+    whole = add_border(image.astype(np.float32), border)
     return np.asarray(cv2.remap(whole, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)

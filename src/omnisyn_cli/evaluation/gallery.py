@@ -16,7 +16,7 @@ import numpy as np
 
 from omnisyn_cli.evaluation.grouping import finished, pair_names, pair_of, ranked_methods
 from omnisyn_cli.evaluation.records import DepthRecord, FrameRecord, UnitRecord
-from omnisyn_cli.evaluation.tables import format_value
+from omnisyn_cli.evaluation.table import format_value
 
 __all__ = ["Picture", "Section", "Strip", "depth_sections", "embedded_picture", "frame_sections"]
 

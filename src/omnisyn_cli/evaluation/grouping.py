@@ -70,13 +70,11 @@ def ranked_methods(records: Sequence[UnitRecord]) -> list[str]:
     return sorted(methods_of(records), key=standing, reverse=True)
 
 
-def frames_of(
-    records: Iterable[UnitRecord], method: str, score: str = MAIN_SCORE
-) -> Iterator[tuple[float, FrameRecord]]:
-    """A score of every frame of a method that has it, with the frame."""
+def frames_of(records: Iterable[UnitRecord], method: str) -> Iterator[tuple[float, FrameRecord]]:
+    """The :data:`MAIN_SCORE` of every frame of a method that has it, with the frame."""
     for record in finished(records):
         if record.method == method:
-            yield from ((frame.scores[score], frame) for frame in record.frames if score in frame.scores)
+            yield from ((frame.scores[MAIN_SCORE], frame) for frame in record.frames if MAIN_SCORE in frame.scores)
 
 
 def stages_of(records: Iterable[UnitRecord]) -> list[str]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from omnisyn_cli.evaluation.grouping import Gap
-from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, format_value
+from omnisyn_cli.evaluation.table import Cell, Column, Row, Table, format_value
 
 __all__ = ["render_markdown"]
 

@@ -11,7 +11,7 @@ from omnisyn_cli.evaluation.grouping import Gap, gaps
 from omnisyn_cli.evaluation.markup import Html, element, page
 from omnisyn_cli.evaluation.pictures import ERROR_SCALE
 from omnisyn_cli.evaluation.records import UnitRecord
-from omnisyn_cli.evaluation.tables import Column, Row, Table, format_value
+from omnisyn_cli.evaluation.table import Column, Row, Table, format_value
 
 __all__ = ["PLOT_TITLES", "STYLE", "render_page", "table_section"]
 

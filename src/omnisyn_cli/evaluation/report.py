@@ -21,7 +21,8 @@ from omnisyn_cli.evaluation.markdown import render_markdown
 from omnisyn_cli.evaluation.page import render_page
 from omnisyn_cli.evaluation.plots import report_plots
 from omnisyn_cli.evaluation.records import UnitRecord, latest_records
-from omnisyn_cli.evaluation.tables import Table, report_tables
+from omnisyn_cli.evaluation.table import Table
+from omnisyn_cli.evaluation.tables import report_tables
 from omnisyn_cli.io.paths import write_errors
 from omnisyn_cli.io.staging import staged_folder
 

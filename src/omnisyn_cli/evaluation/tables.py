@@ -1,4 +1,4 @@
-"""The tables of a report as values: rows, columns, means, and which of them are the best.
+"""The tables of a report: means by method, pair, share of the way and distance, with the best of them marked.
 
 A mean is over all frames (or panoramas, or pairs) that a method measured. A method that lacks one which another method
 measured is not called the best, since it may have been lucky with what it measured; tables show the numbers.
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from omnisyn_cli.evaluation.grouping import (
     Pair,
@@ -27,47 +26,9 @@ from omnisyn_cli.evaluation.grouping import (
     time_band,
 )
 from omnisyn_cli.evaluation.records import SCORES, FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.table import Cell, Column, Row, Table, marked_columns, marked_row
 
-__all__ = ["Cell", "Column", "Row", "Table", "format_value", "report_tables"]
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of figures; ``better`` is +1 where more is better, −1 where less is, 0 where neither."""
-
-    title: str
-    better: int = 0
-    digits: int = 2
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A mean over ``count`` values; NaN of none."""
-
-    value: float
-    count: int = 1
-    is_best: bool = False
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of a table: figures, or the reason why there are none."""
-
-    name: str
-    cells: tuple[Cell, ...] = ()
-    reason: str = ""
-    is_bound: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table: ``corner`` is the title of the column with the rows' names, ``note`` a sentence about it."""
-
-    title: str
-    note: str
-    corner: str
-    columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+__all__ = ["depth_table", "report_tables"]
 
 
 FRAME_COLUMNS = {
@@ -220,7 +181,7 @@ def _method_table(
         if listed
     ]
     shown = (*(columns[key] for key in present), Column(counted, 0, 0))
-    return Table(title, note, "Method", shown, _marked_columns(shown, rows, [*totals, len(rows)]))
+    return Table(title, note, "Method", shown, marked_columns(shown, rows, [*totals, len(rows)]))
 
 
 def _placed(records: Sequence[UnitRecord], method: str, figures: Callable[[UnitRecord], Values]) -> list[Placed]:
@@ -252,7 +213,7 @@ def _score_table(
                 shown.setdefault(where, set()).add((pair_of(record), frame.name))
     columns = tuple(Column(method, 1) for method in methods)
     rows = [
-        _marked_row(
+        marked_row(
             columns,
             Row(where[1], tuple(Cell(mean(group.get(method, ())), len(group.get(method, ()))) for method in methods)),
             len(shown[where]),
@@ -271,50 +232,8 @@ def _cell(listed: Sequence[Placed], key: str) -> Cell:
     return Cell(mean(values), len(values))
 
 
-def _marked_columns(columns: Sequence[Column], rows: Sequence[Row], every: Sequence[int]) -> tuple[Row, ...]:
-    """The rows with the best of each column marked; ``every`` is how many values there are for a column."""
-    bounds = [row.is_bound for row in rows]
-    by_column = [
-        _marked([row.cells[index] for row in rows], [column.better] * len(rows), bounds, number)
-        for index, (column, number) in enumerate(zip(columns, every, strict=True))
-    ]
-    return tuple(
-        Row(row.name, tuple(cells[index] for cells in by_column), row.reason, row.is_bound)
-        for index, row in enumerate(rows)
-    )
-
-
-def _marked_row(columns: Sequence[Column], row: Row, every: int) -> Row:
-    """The row with its best marked; ``every`` is how many values there are for it."""
-    bounds = [is_bound(column.title) for column in columns]
-    cells = _marked(row.cells, [column.better for column in columns], bounds, every)
-    return Row(row.name, tuple(cells), row.reason, row.is_bound)
-
-
-def _marked(cells: Sequence[Cell], better: Sequence[int], bounds: Sequence[bool], every: int) -> list[Cell]:
-    """The cells with the best of them marked, equal ones together; means over less than ``every`` take no part."""
-    takes_part = [
-        cell.count == every > 0 and sign != 0 and not bound and not math.isnan(cell.value)
-        for cell, sign, bound in zip(cells, better, bounds, strict=True)
-    ]
-    if sum(takes_part) < 2:
-        return list(cells)
-    best = max(sign * cell.value for cell, sign, part in zip(cells, better, takes_part, strict=True) if part)
-    return [
-        Cell(cell.value, cell.count, part and sign * cell.value == best)
-        for cell, sign, part in zip(cells, better, takes_part, strict=True)
-    ]
-
-
 def _reasons(records: Sequence[UnitRecord], method: str) -> str:
     """Why a method measured nothing: each reason once, the most frequent first."""
     of_method = [record for record in records if record.method == method]
     reasons = Counter(f"{record.status}: {record.reason}" for record in of_method if record.status != "done")
     return "; ".join(reason for reason, _ in reasons.most_common()) or "no frame between the panoramas"
-
-
-def format_value(value: float, digits: int) -> str:
-    """A figure as text: an en dash where nothing was measured, ∞ for equal pictures."""
-    if math.isnan(value):
-        return "–"
-    return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:.{digits}f}"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
 from omnisyn_cli.fusion.options import BlendOptions
+from omnisyn_cli.geometry.border import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import BELIEF, Rendering, RowRendering
@@ -75,6 +77,7 @@ class GhostRemover:
         self.size, self.threads = size, threads
         self.blend, self.options = blend or BlendOptions(), options or GhostOptions()
         self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
+        self._step = max(1, self.cell // SAMPLES_ALONG_CELL)
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._sums = np.zeros((*self._grid, 11), np.float32)
         self._directions = pixel_directions(*self._grid).astype(np.float32)
@@ -88,9 +91,8 @@ class GhostRemover:
             t: share of the way.
             strictness: how strictly the nearer surface hides the farther one in the blend, from 0 to 1.
         """
-        step = max(1, self.cell // SAMPLES_ALONG_CELL)
         seen = (first.colour, first.inverse_depth, second.colour, second.inverse_depth)
-        loser = self._losers(seen, self.cell, step, first, second, t, strictness)
+        loser = self._losers(seen, self.cell, self._step, first, second, t, strictness)
         if loser is not None:
             run_bands(
                 lambda begin, end: silence_rows(first.colour, second.colour, loser, self.cell, 0, begin, end),
@@ -107,13 +109,12 @@ class GhostRemover:
             What changes the worths of some rows of colours of both, given the first of them; None where nothing is to
             be changed.
         """
-        step = max(1, self.cell // SAMPLES_ALONG_CELL)
-        rows, cols = (samples_of_cells(count, self.cell, step) for count in self.size)
+        rows, cols = (samples_of_cells(count, self.cell, self._step) for count in self.size)
         seen = (
             first.colour_at(rows, cols), first.inverse_depth[rows].take(cols, axis=1),
             second.colour_at(rows, cols), second.inverse_depth[rows].take(cols, axis=1),
         )  # fmt: skip
-        loser = self._losers(seen, -(-self.cell // step), 1, first, second, t, strictness)
+        loser = self._losers(seen, -(-self.cell // self._step), 1, first, second, t, strictness)
         if loser is None:
             return None
         return lambda a, b, top: silence_rows(a, b, loser, self.cell, top, 0, len(a))
@@ -121,7 +122,7 @@ class GhostRemover:
     @property
     def sampled(self) -> float:
         """Share of the pixels that are looked at."""
-        return 1.0 / max(1, self.cell // SAMPLES_ALONG_CELL) ** 2
+        return 1.0 / self._step**2
 
     def _losers(
         self, seen: tuple[np.ndarray, ...], cell: int, step: int, first: Rendering | RowRendering,
@@ -148,10 +149,7 @@ class GhostRemover:
         least, seen = self.options.difference, count > 0.0
         differs = seen & (_greatest(np.abs(plain)) > least) & (_greatest(np.abs(first - second)) > least)
         differs &= np.maximum(_beyond(first, second, seen), _beyond(second, first, seen)) > self.options.beyond
-        wide = np.pad(differs.astype(np.uint8), ((0, 0), (4, 4)), mode="wrap")
-        core = cv2.erode(wide, np.ones((3, 3), np.uint8))
-        grown = cv2.dilate(core, np.ones((5, 5), np.uint8))
-        return np.asarray(grown[:, 4:-4] > 0)
+        return filter_across_seam(_grown_core, differs.astype(np.uint8), 4) > 0
 
     def _preference(
         self, offsets: tuple[np.ndarray, np.ndarray], t: float, strictness: float
@@ -178,14 +176,18 @@ def samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " 
     return np.flatnonzero(np.arange(count) % cell % step == 0)
 
 
+def _grown_core(wide: Integer[np.ndarray, "rows cols"]) -> Integer[np.ndarray, "rows cols"]:
+    """A mask opened, and grown by one more cell."""
+    return np.asarray(cv2.dilate(cv2.erode(wide, np.ones((3, 3), np.uint8)), np.ones((5, 5), np.uint8)))
+
+
 def _beyond(one: np.ndarray, other: np.ndarray, seen: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
     """How far the colours of one lie outside of the range that the other has around the same place."""
     window = np.ones((2 * NEARBY + 1, 2 * NEARBY + 1), np.uint8)
     ranges = []
     for extreme, nothing in ((cv2.dilate, -ENDLESS), (cv2.erode, ENDLESS)):
         known = np.where(seen[..., None], other, nothing).astype(np.float32)
-        wrapped = np.pad(known, ((0, 0), (NEARBY, NEARBY), (0, 0)), mode="wrap")
-        ranges.append(extreme(wrapped, window)[:, NEARBY:-NEARBY])
+        ranges.append(filter_across_seam(partial(extreme, kernel=window), known, NEARBY))
     return _greatest(np.maximum(one - ranges[0], ranges[1] - one))
 
 
@@ -197,9 +199,8 @@ def _greatest(values: Float32[np.ndarray, "rows cols 3"]) -> Float32[np.ndarray,
 def _box_mean(values: np.ndarray, weight: np.ndarray, reach: int) -> Float32[np.ndarray, "rows cols 3"]:
     """Weighted means over squares that wrap at the seam and end at the poles."""
     stacked = np.dstack([values * weight[..., None], weight])
-    wrapped = np.pad(stacked, ((0, 0), (reach, reach), (0, 0)), mode="wrap")
-    window = (2 * reach + 1, 2 * reach + 1)
-    sums = cv2.boxFilter(wrapped, -1, window, borderType=cv2.BORDER_REFLECT)[:, reach:-reach]
+    mean = partial(cv2.boxFilter, ddepth=-1, ksize=(2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REFLECT)
+    sums = filter_across_seam(mean, stacked, reach)
     return np.asarray(sums[..., :3] / np.maximum(sums[..., 3:], 1e-6))
 
 

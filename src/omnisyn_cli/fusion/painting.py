@@ -18,8 +18,7 @@ from jaxtyping import Float32
 from omnisyn_cli.fusion.geometric import GeometricFuser, is_in_place
 from omnisyn_cli.fusion.network import working_size
 from omnisyn_cli.fusion.network_kernels import reduce_rows
-from omnisyn_cli.fusion.options import BlendOptions
-from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import UNSEEN, Rendering
@@ -53,22 +52,13 @@ class PaintingFuser(GeometricFuser):
     Args:
         size: height and width of the frames; where they are lower than :data:`MULTIPLE` the fusion is geometric.
         painter: the network.
-        options: of the geometric fusion, which cross-fades views from one place.
         threads: at most this many; None is one per core.
-        rows: that the network looks at, at most.
     """
 
-    def __init__(
-        self,
-        size: tuple[int, int],
-        painter: Painter,
-        options: BlendOptions | None = None,
-        threads: int | None = None,
-        rows: int = MOST_ROWS,
-    ) -> None:
-        super().__init__(size, options, threads)
+    def __init__(self, size: tuple[int, int], painter: Painter, threads: int | None = None) -> None:
+        super().__init__(size, threads=threads)
         self._painter = painter
-        self._small = working_size(size, rows, MULTIPLE)
+        self._small = working_size(size, MOST_ROWS, MULTIPLE)
         self._maps = None if self._small is None or self._small == size else _maps(self._small, size)
 
     def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
@@ -117,7 +107,4 @@ def _maps(source: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, n
 def _enlarged(
     picture: Float32[np.ndarray, "rows cols 3"], row: np.ndarray, col: np.ndarray
 ) -> Float32[np.ndarray, "height width 3"]:
-    rows, cols = picture.shape[:2]
-    above, left = np.mgrid[-BORDER : rows + BORDER, -BORDER : cols + BORDER]
-    bordered = np.ascontiguousarray(picture[wrap_pixel(above, left, rows, cols)])
-    return np.asarray(cv2.remap(bordered, col, row, cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.remap(add_border(picture, BORDER), col, row, cv2.INTER_LINEAR), np.float32)

@@ -29,6 +29,7 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.geometric import kernel_views
 from omnisyn_cli.fusion.kernels import blend_rows
 from omnisyn_cli.fusion.network_kernels import compare_rows, reduce_rows
+from omnisyn_cli.geometry.border import filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.threads import run_bands
 from omnisyn_cli.types import UNSEEN, Rendering
@@ -162,8 +163,10 @@ def doubt_of(gap: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "h
     Args:
         gap: difference of inverse depth, in units of what counts as a disagreement.
     """
-    margin = REACH // 2 + SOFTNESS // 2
-    wide = np.pad(-np.expm1(-gap * gap), ((0, 0), (margin, margin)), mode="wrap")
-    around = cv2.dilate(wide, np.ones((REACH, REACH), np.uint8))
-    soft = cv2.blur(around, (SOFTNESS, SOFTNESS), borderType=cv2.BORDER_REPLICATE)
-    return np.ascontiguousarray(soft[:, margin:-margin], np.float32)
+
+    def spread(wide: np.ndarray) -> np.ndarray:
+        around = cv2.dilate(wide, np.ones((REACH, REACH), np.uint8))
+        return cv2.blur(around, (SOFTNESS, SOFTNESS), borderType=cv2.BORDER_REPLICATE)
+
+    soft = filter_across_seam(spread, -np.expm1(-gap * gap), REACH // 2 + SOFTNESS // 2)
+    return np.ascontiguousarray(soft, np.float32)

@@ -103,7 +103,7 @@ def blend_samples(
         second_rho: as ``first_rho``.
         second_offset: as ``first_offset``.
         t: share of the way.
-        disagreement: see :class:`omnisyn_cli.fusion.geometric.BlendOptions`.
+        disagreement: see :class:`omnisyn_cli.fusion.options.BlendOptions`.
         hidden: likewise.
         sin_p: direction tables.
         cos_p: likewise.

@@ -48,7 +48,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class BlendRule:
-    """What decides between two views, see :class:`omnisyn_cli.fusion.geometric.BlendOptions`.
+    """What decides between two views, see :class:`omnisyn_cli.fusion.options.BlendOptions`.
 
     Attributes:
         t: share of the way.

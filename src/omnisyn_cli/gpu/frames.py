@@ -49,15 +49,14 @@ class GpuFrames:
     Args:
         size: height and width of the frames.
         device: ``cuda``; ``cpu`` for tests and comparisons.
-        options: what decides between two views.
 
     Raises:
         InputError: CUDA is asked for and torch sees none.
     """
 
-    def __init__(self, size: tuple[int, int], device: str = "cuda", options: BlendOptions | None = None) -> None:
-        self.size, self.device, self.options = size, open_device(device), options or BlendOptions()
-        self.rasterizer, self.ghosts = GpuRasterizer(size, self.device), GpuGhosts(size, self.device, self.options)
+    def __init__(self, size: tuple[int, int], device: str = "cuda") -> None:
+        self.size, self.device, self.options = size, open_device(device), BlendOptions()
+        self.rasterizer, self.ghosts = GpuRasterizer(size, self.device), GpuGhosts(size, self.device)
         self._tables = [torch.from_numpy(table).to(self.device, torch.float32) for table in direction_tables(*size)]
 
     def surface(

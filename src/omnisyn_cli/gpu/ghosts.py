@@ -39,8 +39,8 @@ PREFERENCE_STEPS = 2.0**20
 class GpuGhosts:
     """Takes the worth of one of two renderings away where blending them would show a ghost."""
 
-    def __init__(self, size: tuple[int, int], device: torch.device, blend: BlendOptions | None = None) -> None:
-        self.size, self.blend, self.options = size, blend or BlendOptions(), GhostOptions()
+    def __init__(self, size: tuple[int, int], device: torch.device) -> None:
+        self.size, self.blend, self.options = size, BlendOptions(), GhostOptions()
         self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
         step = max(1, self.cell // SAMPLES_ALONG_CELL)
         self._along = -(-self.cell // step)

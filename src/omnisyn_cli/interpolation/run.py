@@ -40,7 +40,7 @@ def run_interpolation(
     """Make the video.
 
     Args:
-        plan: from :func:`plan_interpolation`.
+        plan: from :func:`omnisyn_cli.planning.plan_interpolation`.
         on_frame: called with the number of finished frames, after each.
         read: decodes a panorama; one that remembers what it has read serves several videos.
         estimator: finds depth for this program's own method; None makes the one that the plan asks for

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
-from collections.abc import Mapping
-from pathlib import PurePosixPath, PureWindowsPath
-from typing import Annotated, Any
+from collections.abc import Callable, Mapping
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Annotated, Any, Never, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
+
+from omnisyn_cli.errors import PoseError
 
 __all__ = [
     "ALLOW_OUTSIDE",
@@ -17,9 +20,12 @@ __all__ = [
     "GeographicEntry",
     "PoseDocument",
     "RigidEntry",
-    "explain",
+    "parsed_json",
     "path_problem",
+    "validated",
 ]
+
+Model = TypeVar("Model", bound=BaseModel)
 
 LONGEST_SHOWN = 60
 
@@ -115,13 +121,50 @@ RIGID_KEYS = frozenset(RigidEntry.model_fields) - FILE_KEYS
 GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - FILE_KEYS
 
 
-def explain(error: ValidationError, model: type[BaseModel], where: tuple[str, ...]) -> str:
+def _explained(error: ValidationError, model: type[BaseModel], where: tuple[str, ...]) -> str:
     """One line for the first thing that is wrong: place, expected, got, next step; and how many more there are."""
     problems = error.errors(include_url=False)
     first = problems[0]
     place = _place((*where, *(str(part) if isinstance(part, str) else part for part in first["loc"])))
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     return f"{place}: {_sentence(first, model)}{more}"
+
+
+def validated(
+    path: Path, model: type[Model], value: Any, where: tuple[str, ...] = (), *, allow_outside: bool = False
+) -> Model:
+    """``value`` as a ``model``.
+
+    Args:
+        path: of the file, for errors.
+        model: what it has to be.
+        value: what the file says.
+        where: the keys that lead to it.
+        allow_outside: see :data:`ALLOW_OUTSIDE`.
+
+    Raises:
+        PoseError: the first thing that is wrong, with its place in the file.
+    """
+    try:
+        return model.model_validate(value, context={ALLOW_OUTSIDE: allow_outside})
+    except ValidationError as error:
+        raise PoseError(f"{path}: {_explained(error, model, where)}") from error
+
+
+def parsed_json(path: Path, text: str, keys: Callable[[list[tuple[str, Any]]], Any] = dict) -> Any:
+    """The JSON in the text of a file; ``keys`` makes an object of names and values.
+
+    Raises:
+        PoseError: no JSON (with line and column), or NaN and infinity in it.
+    """
+
+    def refuse(constant: str) -> Never:
+        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
+
+    try:
+        return json.loads(text, object_pairs_hook=keys, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
 
 
 def _place(parts: tuple[str | int, ...]) -> str:

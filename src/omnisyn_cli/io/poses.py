@@ -9,36 +9,26 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Never, TypeVar
-
-import numpy as np
-from pydantic import BaseModel, ValidationError
+from typing import Any
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import (
-    Pose,
-    enu_from_geographic,
-    nearest_rotation,
-    quaternion_from_rotation,
-    rotation_from_heading,
-    rotation_from_quaternion,
-)
+from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.paths import check_output, read_text, replaced_when_complete
+from omnisyn_cli.io.pose_entries import origin_of, pose_of, rigid_rotation
 from omnisyn_cli.io.pose_models import (
-    ALLOW_OUTSIDE,
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
     GeographicEntry,
     PoseDocument,
     RigidEntry,
-    explain,
+    parsed_json,
     path_problem,
+    validated,
 )
 
 __all__ = [
@@ -50,17 +40,13 @@ __all__ = [
     "write_poses",
 ]
 
-Model = TypeVar("Model", bound=BaseModel)
-
 VERSION = 1
+
+MOST_LISTED = 8
+"""Names of panoramas in an error."""
 
 LARGEST_FILE = 64 << 20
 """Bytes; a hundred thousand panoramas need less."""
-
-UNIT_TOLERANCE = 1e-3
-"""How far from unit length a quaternion, and from orthonormal a matrix, may be written."""
-
-POSITION_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -135,10 +121,10 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
         PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
-    document = _validated(source, PoseDocument, _parsed(source), ())
+    document = validated(source, PoseDocument, _parsed(source))
     entries = {name: _entry(source, name, value, allow_outside) for name, value in document.panoramas.items()}
     _check_one_world(source, entries)
-    origin = next((_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
+    origin = next((origin_of(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {name: _posed(source, name, entry, origin) for name, entry in entries.items()}
     return PoseFile(source, MappingProxyType(panoramas))
 
@@ -159,7 +145,7 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
     target = Path(path)
     check_output(target, overwrite=True)
     entries = {name: _written(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
-    document = _validated(target, PoseDocument, {"version": VERSION, "panoramas": entries}, ())
+    document = validated(target, PoseDocument, {"version": VERSION, "panoramas": entries})
     for name, value in document.panoramas.items():
         _posed(target, name, _entry(target, name, value, allow_outside), None)
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
@@ -186,9 +172,9 @@ def _json(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def _listed(names: Mapping[str, Any], most: int = 8) -> str:
-    shown = ", ".join(f"'{name}'" for name in list(names)[:most])
-    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+def _listed(names: Mapping[str, Any]) -> str:
+    shown = ", ".join(f"'{name}'" for name in list(names)[:MOST_LISTED])
+    return shown + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")
 
 
 def _parsed(path: Path) -> Any:
@@ -202,23 +188,7 @@ def _parsed(path: Path) -> Any:
             seen[key] = value
         return seen
 
-    def refuse_constant(constant: str) -> Never:
-        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
-
-    text = read_text(path, "a pose file", LARGEST_FILE, PoseError)
-    try:
-        return json.loads(text, object_pairs_hook=without_duplicates, parse_constant=refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
-
-
-def _validated(
-    path: Path, model: type[Model], value: Any, where: tuple[str, ...], allow_outside: bool = False
-) -> Model:
-    try:
-        return model.model_validate(value, context={ALLOW_OUTSIDE: allow_outside})
-    except ValidationError as error:
-        raise PoseError(f"{path}: {explain(error, model, where)}") from error
+    return parsed_json(path, read_text(path, "a pose file", LARGEST_FILE, PoseError), without_duplicates)
 
 
 def _entry(path: Path, name: str, value: Any, allow_outside: bool = False) -> RigidEntry | GeographicEntry:
@@ -237,8 +207,8 @@ def _entry(path: Path, name: str, value: Any, allow_outside: bool = False) -> Ri
             f"mixed with {', '.join(geographic)}; keep one kind"
         )
     if geographic:
-        return _validated(path, GeographicEntry, value, where, allow_outside)
-    return _validated(path, RigidEntry, value, where, allow_outside)
+        return validated(path, GeographicEntry, value, where, allow_outside=allow_outside)
+    return validated(path, RigidEntry, value, where, allow_outside=allow_outside)
 
 
 def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEntry]) -> None:
@@ -252,18 +222,10 @@ def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEn
         )
 
 
-def _origin(entry: GeographicEntry) -> tuple[float, float, float]:
-    return entry.latitude, entry.longitude, entry.altitude
-
-
 def _posed(
     path: Path, name: str, entry: RigidEntry | GeographicEntry, origin: tuple[float, float, float] | None
 ) -> PosedPanorama:
-    where = f"{path}: panoramas.'{name}'"
-    if isinstance(entry, RigidEntry):
-        pose = _rigid_pose(where, entry)
-    else:
-        pose = _geographic_pose(entry, origin or _origin(entry))
+    pose = pose_of(entry, f"{path}: panoramas.'{name}'", origin)
     return PosedPanorama(pose, _beside(path, entry.depth), _beside(path, entry.mask))
 
 
@@ -271,73 +233,8 @@ def _beside(path: Path, name: str | None) -> Path | None:
     return None if name is None else path.parent / name
 
 
-def _geographic_pose(entry: GeographicEntry, origin: tuple[float, float, float]) -> Pose:
-    """Pose in the world with x east, y up, −z north at ``origin``.
-
-    Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
-    """
-    east, north, up = enu_from_geographic(entry.latitude, entry.longitude, entry.altitude, origin)
-    angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
-    return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
-
-
-def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
-    if (entry.rotation is None) == (entry.matrix is None):
-        found = "both" if entry.rotation else "neither"
-        raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
-    if entry.matrix is not None:
-        return _matrix_pose(where, np.array(entry.matrix), entry.position)
-    quaternion = np.array(entry.rotation)
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1) > UNIT_TOLERANCE:
-        raise PoseError(
-            f"{where}.rotation: expected a unit quaternion [w, x, y, z], got length {length:.6g}; "
-            "divide it by its length"
-        )
-    return Pose(rotation_from_quaternion(quaternion), _position(where, entry.position))
-
-
-def _position(where: str, position: list[float] | None) -> np.ndarray:
-    if position is None:
-        raise PoseError(f"{where}: expected the key 'position', got none; add it as [x, y, z] in metres")
-    return np.array(position, float)
-
-
-def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -> Pose:
-    """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
-    if len(matrix) == 4:
-        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; "
-                "write it row by row, not transposed"
-            )
-        translation = matrix[:3, 3]
-        if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}: expected position to agree with the 4×4 matrix, got {position} and "
-                f"{translation.tolist()}; remove position"
-            )
-        position = translation.tolist()
-    return Pose(_rotation(where, matrix[:3, :3]), _position(where, position))
-
-
-def _rotation(where: str, matrix: np.ndarray) -> np.ndarray:
-    deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
-    if not deviation <= UNIT_TOLERANCE:
-        raise PoseError(
-            f"{where}.matrix: expected a rigid rotation (RᵀR = 1 within {UNIT_TOLERANCE:g}), got a deviation of "
-            f"{deviation:.3g}; remove scale and shear"
-        )
-    if np.linalg.det(matrix) < 0:
-        raise PoseError(
-            f"{where}.matrix: expected a rotation (determinant +1), got a mirror image (−1); the axes are x right, "
-            "y up, −z forward: flip two axes, not one"
-        )
-    return np.asarray(nearest_rotation(matrix), float)
-
-
 def _written(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
-    rotation = _rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
+    rotation = rigid_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation)
     quaternion = quaternion_from_rotation(rotation)
     pose = {"position": panorama.pose.position.tolist(), "rotation": quaternion.tolist()}
     return {**pose, **_companions(path, name, panorama, allow_outside)}

@@ -15,7 +15,7 @@ from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.encoder_process import EncoderProcess, Packing
 from omnisyn_cli.io.encoders import CODECS, PLANAR, EncoderSettings, check_settings, encoder_command, raw_format
-from omnisyn_cli.io.paths import check_output, temporary_name, write_errors
+from omnisyn_cli.io.paths import check_output, temporary_name
 from omnisyn_cli.io.sequence import (
     ImageSequence,
     check_sequence,
@@ -113,7 +113,6 @@ def open_video(
     threads: int = 0,
     dtype: str = "uint8",
     overwrite: bool = False,
-    is_spherical: bool = True,
 ) -> Iterator[FrameSink]:
     """A place for frames; the target appears under its name when it is complete, and not at all after a failure.
 
@@ -129,7 +128,6 @@ def open_video(
         threads: for the encoder; 0 takes all.
         dtype: of the frames, ``uint8`` or ``uint16`` (10 bits; not for H.264). Image sequences take any.
         overwrite: replace an existing target.
-        is_spherical: tag the video as an equirectangular panorama.
 
     Raises:
         OutputPathError, InputError: see :func:`check_video`.
@@ -144,26 +142,20 @@ def open_video(
             yield frames
         return
     settings = EncoderSettings(size, fps, _codec_of(target, codec), crf, preset, threads, dtype)
-    with _encoded(target, settings, overwrite=overwrite, is_spherical=is_spherical) as encoder:
+    with _encoded(target, settings, overwrite=overwrite) as encoder:
         yield encoder
 
 
 @contextmanager
-def _encoded(
-    target: Path, settings: EncoderSettings, *, overwrite: bool, is_spherical: bool
-) -> Iterator[EncoderProcess]:
-    """An encoder to a hidden file, which becomes ``target`` when everything has gone well."""
+def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Iterator[EncoderProcess]:
+    """An encoder to a hidden file, which becomes ``target``, tagged as spherical, when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
     command, shape = encoder_command(encoded, settings), (*settings.size, 3)
     try:
         with EncoderProcess(command, target, shape, settings.dtype, _packing(settings)) as encoder:
             yield encoder
         check_output(target, overwrite)  # somebody else may have made one in the meantime
-        if is_spherical:
-            inject_spherical(encoded, target)
-        else:
-            with write_errors(target):
-                encoded.replace(target)
+        inject_spherical(encoded, target)
     finally:
         encoded.unlink(missing_ok=True)
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 
 __all__ = ["check_same_size", "lrce", "psnr", "row_weights", "ssim", "ws_psnr", "ws_ssim"]
@@ -80,7 +80,7 @@ def ws_ssim(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray,
         ValueError: the pictures differ in size, or are smaller than the window of 11×11.
     """
     _check_window(image, truth)
-    return _mean_over_sphere(_similarity(_continued(image), _continued(truth)))
+    return _mean_over_sphere(_similarity(add_border(image, WINDOW // 2), add_border(truth, WINDOW // 2)))
 
 
 def lrce(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
@@ -141,10 +141,3 @@ def _blurred(values: np.ndarray) -> np.ndarray:
     """Means under the Gaussian window wherever it fits."""
     reach = WINDOW // 2
     return np.asarray(cv2.GaussianBlur(values, (WINDOW, WINDOW), SIGMA))[reach:-reach, reach:-reach]
-
-
-def _continued(image: np.ndarray) -> np.ndarray:
-    """The panorama with half a window more on every side."""
-    (height, width), reach = image.shape[:2], WINDOW // 2
-    rows, cols = np.arange(-reach, height + reach)[:, None], np.arange(-reach, width + reach)[None, :]
-    return np.asarray(image[wrap_pixel(rows, cols, height, width)])

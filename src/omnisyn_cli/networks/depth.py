@@ -259,9 +259,7 @@ def classical_products(first: Tensor, second: Tensor, coarse_stride: int) -> Ten
     for scale in range(CLASSICAL_SCALES):
         shrink = coarse_stride // 4 << scale
         stride = coarse_stride // shrink
-        small_first, small_second = (
-            functional.avg_pool2d(image, shrink) if shrink > 1 else image for image in (first, second)
-        )
+        small_first, small_second = (shrunk(image, shrink) for image in (first, second))
         patches = normalised_patches(small_first, CLASSICAL_PATCH, (stride, stride)).unsqueeze(1)
         others = normalised_patches(small_second, CLASSICAL_PATCH, (stride // 2, stride)).unsqueeze(1)
         products.append(meridian_products(patches, others))

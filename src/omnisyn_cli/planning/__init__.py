@@ -4,6 +4,7 @@ Whatever can be refused is refused here, so that nothing fails after minutes of 
 """
 
 from omnisyn_cli.planning.checks import check_choices
+from omnisyn_cli.planning.choices import networks_of
 from omnisyn_cli.planning.job import (
     DEPTH_METHODS,
     FALLBACKS,
@@ -20,7 +21,6 @@ from omnisyn_cli.planning.plan import (
     SECONDS_PER_PAIR,
     InterpolationPlan,
     frame_count,
-    networks_of,
     plan_interpolation,
     with_preset,
 )

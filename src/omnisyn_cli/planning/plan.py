@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.io import PosedPanorama, PoseFile, read_header, read_poses
 from omnisyn_cli.io.depth import depth_size
@@ -26,19 +26,17 @@ from omnisyn_cli.planning.checks import (
     check_outputs,
     source_size,
 )
+from omnisyn_cli.planning.choices import depth_method, made_with, networks_of
 from omnisyn_cli.planning.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.planning.memory import estimated_memory
 from omnisyn_cli.planning.on_gpu import are_frames_on_gpu, notes_about_gpu
-from omnisyn_cli.presets import FUSION_MODELS, OMNISYN, PRESETS, SYNSIN_MODELS
+from omnisyn_cli.presets import OMNISYN, PRESETS, SYNSIN_MODELS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.trajectory import Waypoint, path_length, plan_path
 
-__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "networks_of", "plan_interpolation", "with_preset"]
-
-MODELLED = ("refined", "network", "monocular")
-"""Sources of depth that a network has a part in."""
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpolation", "with_preset"]
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
@@ -134,8 +132,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(source_size(job, image) for image in job.images)
-    depth = _depth_method(job, entries)
-    model, fusion, renderer, cut = _made_with(job, depth)
+    depth = depth_method(job, entries)
+    model, fusion, renderer, cut = made_with(job, depth)
     for network in networks_of(job, entries):
         find_model(network)
     check_companions(job, entries, source_sizes, depth)
@@ -158,29 +156,16 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
         InputError: the preset's network is not installed.
     """
     job = replace(plan.job, preset=preset)
-    depth = _depth_method(job, plan.entries)
+    depth = depth_method(job, plan.entries)
     for network in networks_of(job, plan.entries):
         find_model(network)
-    model, fusion, renderer, cut = _made_with(job, depth)
+    model, fusion, renderer, cut = made_with(job, depth)
     memory = _memory(job, plan.size, plan.source_sizes, plan.entries, depth)
     former = notes_about_gpu(plan.job, plan.renderer, plan.fusion)
     notes = (*(note for note in plan.notes if note not in former), *notes_about_gpu(job, renderer, fusion))
     return replace(
         plan, job=job, depth=depth, model=model, fusion=fusion, renderer=renderer, cut=cut, memory=memory, notes=notes
     )  # fmt: skip
-
-
-def networks_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
-    """Networks that have a part in a job's frames, by name in the manifest or as paths: of depth, then of fusion.
-
-    Raises:
-        InputError, PoseError: depth cannot be had as the job asks for it.
-    """
-    if job.method != OMNISYN:
-        return SYNSIN_MODELS
-    depth = _depth_method(job, entries)
-    fusing = FUSION_MODELS.get(_fusion(job, depth))
-    return tuple(network for network in (_model(job, depth), fusing) if network is not None)
 
 
 def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
@@ -235,58 +220,12 @@ def frame_count(job: InterpolationJob) -> int:
     return round(count)
 
 
-def _depth_method(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> str:
-    if job.method != OMNISYN:
-        return "monocular"
-    without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
-    if job.depth == "auto":
-        return PRESETS[job.preset].depth if without or job.model is not None else "file"
-    if job.depth == "file" and without:
-        raise PoseError(
-            f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
-            "name one or choose another depth method"
-        )
-    return job.depth
-
-
-def _model(job: InterpolationJob, depth: str) -> str | None:
-    """The network that finds or refines depth, if one does."""
-    preset = PRESETS[job.preset]
-    usual = {preset.depth: preset.model, "monocular": SYNSIN_MODELS[0]}
-    model = job.model or usual.get(depth)
-    if depth not in MODELLED:
-        if job.model is not None:
-            raise InputError(
-                f"expected a model only for depth {' or '.join(MODELLED)}, got depth {depth!r} and model "
-                f"{job.model!r}; leave one of them out"
-            )
-        return None
-    if model is None:
-        raise InputError(f"expected a model for depth {depth!r}, got none; name one (--model)")
-    return model
-
-
-def _fusion(job: InterpolationJob, depth: str) -> str:
-    """How renderings are fused; the network never saw those of known depth and makes them worse."""
-    if job.fusion != "auto":
-        return job.fusion
-    return "geometric" if depth == "file" else PRESETS[job.preset].fusion
-
-
-def _made_with(job: InterpolationJob, depth: str) -> tuple[str | None, str, str, Cut]:
-    """Network of the depth, fusion, renderer and cut: what the job says, else its preset."""
-    preset = PRESETS[job.preset]
-    renderer = preset.renderer if job.renderer == "auto" else job.renderer
-    cut = Cut() if preset.cut_metres is None else Cut(relative=None, metres=preset.cut_metres)
-    return _model(job, depth), _fusion(job, depth), renderer, cut if job.cut is None else job.cut
-
-
 def _memory(
     job: InterpolationJob, size: tuple[int, int], sources: Sequence[tuple[int, int]],
     entries: Sequence[PosedPanorama], depth: str,
 ) -> int:  # fmt: skip
     """Bytes, estimated; a network alone is taken to answer in the size of matching."""
-    _, fusion, renderer, _ = _made_with(job, depth)
+    _, fusion, renderer, _ = made_with(job, depth)
     rows = PRESETS[job.preset].depth_rows
     if depth == "file":
         surfaces = [depth_size(read_header(entry.depth)) for entry in entries if entry.depth is not None]

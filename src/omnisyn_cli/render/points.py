@@ -41,10 +41,9 @@ def render_points(
     size: tuple[int, int],
     *,
     mask: Bool[np.ndarray, "height width"] | None = None,
-    radius: float = RADIUS,
     threads: int | None = None,
 ) -> tuple[Fragments, Float32[np.ndarray, "rows cols 4"]]:
-    """What a target of ``size = (rows, cols)`` sees of the points of a panorama.
+    """What a target of ``size = (rows, cols)`` sees of the points of a panorama, discs of :data:`RADIUS`.
 
     Args:
         image: colour and trust of every point.
@@ -52,13 +51,12 @@ def render_points(
         target_from_source: rigid transform from the panorama's camera frame to the target's.
         size: of the target, any.
         mask: False where a pixel is no point.
-        radius: of the discs in source pixels; at least 0.71 target pixels are used.
         threads: at most this many; the result does not depend on it.
 
     Returns:
         Fragments whose ``face`` is the flat index of the source pixel, and its colour and trust, 0 where nothing is.
     """
-    angle = math.pi * max(radius / inverse_depth.shape[0], LEAST_RADIUS / size[0])
+    angle = math.pi * max(RADIUS / inverse_depth.shape[0], LEAST_RADIUS / size[0])
     points = projected_points(inverse_depth, mask, target_from_source, size, threads)
     fragments = _splat(points, angle, size, threads)
     colour = image.reshape(-1, image.shape[-1])[np.maximum(fragments.face, 0)].astype(np.float32, copy=False)

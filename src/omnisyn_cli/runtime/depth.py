@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import ImageError, InputError
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -63,7 +63,7 @@ class LearnedDepthEstimator:
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         for view in (first, second):
-            check_shape(view)
+            view.check_shape()
         if np.array_equal(first.pose.position, second.pose.position):
             return self._nothing(), self._nothing()
         frame, _, baseline = self._frame.hold(first.pose, second.pose)
@@ -130,10 +130,3 @@ def sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarr
     """Bilinear on surfaces, the nearest pixel at edges: nothing is invented between a thing and what is behind it."""
     smooth, nearest = sample_bilinear(values, directions), sample_nearest(values, directions)
     return np.asarray(np.where(np.abs(smooth - nearest) > EDGE * nearest, nearest, smooth))
-
-
-def check_shape(view: View) -> None:
-    """Raise ImageError for a panorama that is not 2:1."""
-    height, width = view.image.shape[:2]
-    if width != 2 * height:
-        raise ImageError(f"expected a panorama twice as wide as high, got {width}×{height}; crop or pad it to 2:1")

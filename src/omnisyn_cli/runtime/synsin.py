@@ -11,7 +11,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.turning import turned_directions, turned_image
-from omnisyn_cli.runtime.depth import check_shape, sample_between_edges
+from omnisyn_cli.runtime.depth import sample_between_edges
 from omnisyn_cli.runtime.session import run_network
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -23,7 +23,7 @@ UPRIGHT = np.eye(3)
 
 def upright_image(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
     """A panorama as the networks are shown it; ImageError for one that is not 2:1."""
-    check_shape(view)
+    view.check_shape()
     return np.asarray(turned_image(view.image, view.pose.rotation, UPRIGHT, size), np.float32)
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from omnisyn_cli.scenes.palette import mixed
 from omnisyn_cli.scenes.scene import Lighting
 
 __all__ = ["daylight", "sun_at"]
@@ -28,11 +29,11 @@ def daylight(rng: np.random.Generator) -> Lighting:
     sun = _scaled((1.0, 0.93 - 0.18 * warmth, 0.82 - 0.38 * warmth), direct * rng.uniform(1.9, 2.6))
     grey = min(1.0, cover)
     fill = 0.75 + 0.55 * grey
-    sky = _scaled(_blend((0.50, 0.62, 0.82), (0.80, 0.82, 0.85), grey), fill)
-    bounce = _scaled(_blend((0.42, 0.38, 0.33), (0.45, 0.45, 0.45), grey), 0.55 * fill)
+    sky = _scaled(mixed((0.50, 0.62, 0.82), (0.80, 0.82, 0.85), grey), fill)
+    bounce = _scaled(mixed((0.42, 0.38, 0.33), (0.45, 0.45, 0.45), grey), 0.55 * fill)
     blue = rng.uniform(0.85, 1.2)
-    zenith = _blend((0.13 * blue, 0.30 * blue, 0.62), (0.42, 0.48, 0.56), 0.5 * grey)
-    horizon = _blend(_blend((0.62, 0.74, 0.86), (0.95, 0.76, 0.56), 0.6 * warmth), (0.78, 0.80, 0.83), grey)
+    zenith = mixed((0.13 * blue, 0.30 * blue, 0.62), (0.42, 0.48, 0.56), 0.5 * grey)
+    horizon = mixed(mixed((0.62, 0.74, 0.86), (0.95, 0.76, 0.56), 0.6 * warmth), (0.78, 0.80, 0.83), grey)
     return Lighting(
         sun_direction=sun_at(rng.uniform(0, 2 * math.pi), elevation),
         sun=sun,
@@ -41,7 +42,7 @@ def daylight(rng: np.random.Generator) -> Lighting:
         softness=0.006 + 0.05 * max(0.0, cover - 0.5),
         zenith=_scaled(zenith, 1.25),
         horizon=_scaled(horizon, 1.35),
-        cloud=_scaled(_blend((1.0, 0.98, 0.95), (0.8, 0.82, 0.85), grey), rng.uniform(1.3, 1.9)),
+        cloud=_scaled(mixed((1.0, 0.98, 0.95), (0.8, 0.82, 0.85), grey), rng.uniform(1.3, 1.9)),
         cloud_cover=cover,
         cloud_scale=float(rng.uniform(0.35, 1.1)),
         haze=float(rng.choice([0.0004, 0.001, 0.003], p=[0.5, 0.35, 0.15])),
@@ -52,8 +53,3 @@ def daylight(rng: np.random.Generator) -> Lighting:
 
 def _scaled(colour: Colour, factor: float) -> Colour:
     return colour[0] * factor, colour[1] * factor, colour[2] * factor
-
-
-def _blend(first: Colour, second: Colour, share: float) -> Colour:
-    a, b = 1.0 - share, share
-    return a * first[0] + b * second[0], a * first[1] + b * second[1], a * first[2] + b * second[2]

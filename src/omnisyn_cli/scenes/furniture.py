@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette
+from omnisyn_cli.scenes.goods import CARTON
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder
@@ -16,13 +17,11 @@ __all__ = [
     "armchair",
     "bed",
     "cabinet",
-    "carton_pile",
     "chair",
     "clutter",
     "floor_lamp",
     "office_chair",
     "plant",
-    "rack",
     "screen",
     "shelf",
     "sofa",
@@ -33,9 +32,6 @@ __all__ = [
 
 Point = tuple[float, float, float]
 
-CARTON = Material(
-    Pattern.CARTON, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), (0.88, 0.87, 0.84), grain=0.08, grain_size=0.4, seed=3
-)
 BLACK = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
 
@@ -192,11 +188,11 @@ def bed(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
 
 
-def cabinet(build: SceneBuilder, base: Point, yaw: float, tall: float | None = None) -> None:
+def cabinet(build: SceneBuilder, base: Point, yaw: float) -> None:
     """Add a cupboard or chest with doors or drawers."""
     rng = build.rng
     at = Turned(build, base, yaw)
-    wide, height, deep = rng.uniform(0.35, 0.9), tall or rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
+    wide, height, deep = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     face = Material(
         Pattern.TILES,
@@ -303,99 +299,6 @@ def screen(build: SceneBuilder, base: Point, yaw: float) -> None:
     for x in (-wide, wide):
         at.rod((x, 0.0, 0.0), (x, tall, 0.0), 0.02, CHROME)
         at.rod((x, 0.03, -0.25), (x, 0.03, 0.25), 0.018, CHROME)
-
-
-def carton_pile(build: SceneBuilder, base: Point, yaw: float, on_pallet: bool) -> None:
-    """Add cartons on the floor, or stacked in layers on a pallet."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
-    if not on_pallet:
-        height = 0.0
-        for _ in range(int(rng.integers(1, 4))):
-            half = (rng.uniform(0.15, 0.32), rng.uniform(0.1, 0.24), rng.uniform(0.15, 0.28))
-            at.box(
-                (rng.uniform(-0.04, 0.04), height + half[1], 0.0),
-                half,
-                CARTON,
-                tint=rng.uniform(0.8, 1.15),
-                turn=rng.uniform(-0.2, 0.2),
-            )
-            height += 2.0 * half[1]
-        return
-    pallet = Material(
-        Pattern.PLANKS, (0.66, 0.54, 0.38), (0.55, 0.44, 0.3), (0.2, 0.15, 0.1), cell=(2.0, 0.14), line=0.04
-    )
-    at.box((0.0, 0.13, 0.0), (0.6, 0.015, 0.5), pallet)
-    for x in (-0.52, 0.0, 0.52):
-        at.box((x, 0.06, 0.0), (0.06, 0.06, 0.5), pallet)
-    half = (0.58 / int(rng.integers(1, 4)), rng.uniform(0.12, 0.25), 0.48 / int(rng.integers(1, 3)))
-    columns, rows = round(0.58 / half[0]), round(0.48 / half[2])
-    layers = int(rng.integers(1, 5 if columns * rows < 4 else 4))
-    for layer in range(layers):
-        for i in range(columns):
-            for j in range(rows):
-                if layer < layers - 1 or rng.random() < 0.7:
-                    centre = (
-                        (2 * i + 1 - columns) * half[0],
-                        0.145 + (2 * layer + 1) * half[1],
-                        (2 * j + 1 - rows) * half[2],
-                    )
-                    size = (half[0] - 0.006, half[1] - 0.003, half[2] - 0.006)
-                    at.box(centre, size, CARTON, tint=rng.uniform(0.85, 1.1))
-
-
-def rack(build: SceneBuilder, base: Point, yaw: float, bays: int, tall: float) -> None:
-    """Add a pallet rack: frames, beams, loads; it stretches along the local x axis, its middle at the base."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
-    upright = Material(
-        Pattern.PLAIN, pick(rng, ((0.12, 0.2, 0.42), (0.2, 0.2, 0.2), (0.2, 0.3, 0.25))), grain=0.06, gloss=0.1
-    )
-    beam = Material(
-        Pattern.PLAIN, pick(rng, ((0.8, 0.63, 0.1), (0.78, 0.35, 0.1), (0.6, 0.6, 0.6))), grain=0.06, gloss=0.1
-    )
-    bay, deep = rng.uniform(1.8, 2.7), rng.uniform(0.35, 0.55)
-    levels = max(1, int(tall / rng.uniform(1.3, 2.0)))
-    for k in range(bays + 1):
-        x = (k - 0.5 * bays) * bay
-        for z in (-deep, deep):
-            at.box((x, 0.5 * tall, z), (0.045, 0.5 * tall, 0.04), upright)
-        for y in np.arange(0.4, tall - 0.7, 1.1):
-            at.rod((x, y, -deep), (x, y + 0.7, deep), 0.018, upright)
-    for level in range(levels + 1):
-        y = 0.12 + level * (tall - 0.3) / max(1, levels) if level else 0.0
-        if level:
-            for z in (-deep, deep):
-                at.box((0.0, y, z), (0.5 * bays * bay, 0.06, 0.025), beam)
-            at.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
-        for k in range(bays):
-            if rng.random() < 0.8:
-                _load(
-                    at,
-                    ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0),
-                    0.42 * bay,
-                    deep,
-                    tall / (levels + 1),
-                )
-
-
-def _load(at: Turned, base: Point, wide: float, deep: float, room: float) -> None:
-    rng = at.build.rng
-    pieces = int(rng.integers(1, 4))
-    for k in range(pieces):
-        half = (
-            wide / pieces * rng.uniform(0.75, 0.97),
-            min(0.8, 0.5 * room) * rng.uniform(0.35, 0.85),
-            deep * rng.uniform(0.7, 0.95),
-        )
-        x = base[0] + (2 * k + 1 - pieces) * wide / pieces
-        if rng.random() < 0.75:
-            goods = CARTON
-        else:
-            goods = Material(
-                Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.INTERIOR), grain=0.12, gloss=0.2
-            )
-        at.box((x, base[1] + half[1], base[2]), half, goods, tint=rng.uniform(0.8, 1.15))
 
 
 def stairs(build: SceneBuilder, base: Point, yaw: float, steps: int) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.scenes import furniture, palette
+from omnisyn_cli.scenes import furniture, goods, palette
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
@@ -29,19 +29,19 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
             bays = max(1, min(6, int((x1 - x0) * rng.uniform(0.25, 0.85) / 2.7)))
             span = 0.5 * bays * 2.7
             x = rng.uniform(x0 + span + 0.2, max(x0 + span + 0.21, x1 - span - 0.2))
-            furniture.rack(build, (x, 0.0, z), 0.0, bays, rack_tall)
+            goods.rack(build, (x, 0.0, z), 0.0, bays, rack_tall)
         elif roll < 0.9:
             for x in np.arange(x0 + 1.5, x1 - 1.5, rng.uniform(1.8, 4.5)):
                 if rng.random() < 0.6:
-                    furniture.carton_pile(
-                        build, (float(x), 0.0, z + rng.uniform(-0.2, 0.4)), rng.normal(0, 0.1), on_pallet=True
-                    )
+                    goods.loaded_pallet(build, (float(x), 0.0, z + rng.uniform(-0.2, 0.4)), rng.normal(0, 0.1))
         _marking(build, cell, z + 0.9)
         z += aisle * rng.uniform(0.8, 1.2)
     for _ in range(int(rng.integers(2, 7))):
         x, z = rng.uniform(x0 + 1, x1 - 1), rng.uniform(z0 + 1, z1 - 1)
         if rng.random() < 0.5:
-            furniture.carton_pile(build, (x, 0.0, z), rng.uniform(0, math.pi), on_pallet=bool(rng.random() < 0.6))
+            yaw = rng.uniform(0, math.pi)
+            thing = goods.loaded_pallet if rng.random() < 0.6 else goods.carton_pile
+            thing(build, (x, 0.0, z), yaw)
         else:
             furniture.table(build, (x, 0.0, z), rng.uniform(0, math.pi), (0.9, 0.4))
     if rng.random() < 0.5:

@@ -28,7 +28,6 @@ def render_panorama(
     size: tuple[int, int],
     *,
     supersample: int = 2,
-    shadows: bool = True,
     threads: int | None = None,
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
     """Render one panorama.
@@ -38,7 +37,6 @@ def render_panorama(
         pose: world from camera.
         size: ``(height, width)`` in pixels.
         supersample: colour samples per pixel along each axis.
-        shadows: whether the sun casts shadows.
         threads: how many to use; None = one per core. The result does not depend on it.
 
     Returns:
@@ -46,7 +44,7 @@ def render_panorama(
         only sky.
     """
     images, depths = render_views(
-        scene, pose.rotation, pose.position[None], size, supersample=supersample, shadows=shadows, threads=threads
+        scene, pose.rotation, pose.position[None], size, supersample=supersample, threads=threads
     )
     return images[0], depths[0]
 
@@ -58,7 +56,6 @@ def render_views(
     size: tuple[int, int],
     *,
     supersample: int = 2,
-    shadows: bool = True,
     threads: int | None = None,
 ) -> tuple[Float[np.ndarray, "views height width 3"], Float[np.ndarray, "views height width"]]:
     """Render panoramas from several positions in one rotated frame, e.g. the one whose poles are the epipoles.
@@ -69,7 +66,6 @@ def render_views(
         positions: optical centres in the world, metres.
         size: ``(height, width)`` in pixels.
         supersample: colour samples per pixel along each axis.
-        shadows: whether the sun casts shadows.
         threads: how many to use; None = one per core.
 
     Returns:
@@ -88,16 +84,16 @@ def render_views(
         world, bounds = seen_from(packed, scene, position)
         fixed = (world, papers_of(scene), bounds, tables, supersample, _TILES)
         if workers == 1:
-            render_tiles(*fixed, (0, bands), shadows, image, depth)
+            render_tiles(*fixed, (0, bands), image, depth)
             continue
-        render_band = partial(_render_band, fixed, shadows, image, depth)
+        render_band = partial(_render_band, fixed, image, depth)
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(render_band, range(bands)))
     return images, depths
 
 
-def _render_band(fixed: tuple[Any, ...], shadows: bool, image: np.ndarray, depth: np.ndarray, band: int) -> None:
-    render_tiles(*fixed, (band, band + 1), shadows, image, depth)
+def _render_band(fixed: tuple[Any, ...], image: np.ndarray, depth: np.ndarray, band: int) -> None:
+    render_tiles(*fixed, (band, band + 1), image, depth)
 
 
 def distances(

@@ -19,7 +19,7 @@ EXPOSURE = int(Scalar.EXPOSURE)
 
 
 @kernel
-def _render_tile(world, papers, tables, samples, rows, columns, listed, count, shadows, image, depth):  # type: ignore[no-untyped-def]
+def _render_tile(world, papers, tables, samples, rows, columns, listed, count, image, depth):  # type: ignore[no-untyped-def]
     """Render the pixels of rows[0] to rows[1] - 1 and columns[0] to columns[1] - 1; only the listed shapes can show."""
     sin_centre, cos_centre, horizon_centre, sin_sample, cos_sample, horizon, up = tables
     pixel = math.pi / (depth.shape[0] * samples)
@@ -51,7 +51,7 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, s
                 if is_uniform and (sample // samples + sample % samples) % 2 == 1:
                     continue
                 x, y, z = rays[sample, 0], rays[sample, 1], rays[sample, 2]
-                r, g, b = shade(world, papers, hits[sample], distances[sample], x, y, z, pixel, sample, shadows)
+                r, g, b = shade(world, papers, hits[sample], distances[sample], x, y, z, pixel, sample)
                 red += tone(r, exposure)
                 green += tone(g, exposure)
                 blue += tone(b, exposure)
@@ -62,7 +62,7 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, s
 
 
 @kernel
-def render_tiles(world, papers, bounds, tables, samples, tiles, bands, shadows, image, depth):  # type: ignore[no-untyped-def]
+def render_tiles(world, papers, bounds, tables, samples, tiles, bands, image, depth):  # type: ignore[no-untyped-def]
     """Render some bands of tiles.
 
     Args:
@@ -74,7 +74,6 @@ def render_tiles(world, papers, bounds, tables, samples, tiles, bands, shadows, 
         tiles: pixels along the side of a large and of a small tile; shapes are chosen for the former, then for the
             latter.
         bands: first band of large tiles and one past the last.
-        shadows: whether to cast shadow rays.
         image: (H, W, 3) float32 output in [0, 1].
         depth: (H, W) float32 output, metres, inf for the sky.
     """
@@ -99,4 +98,4 @@ def render_tiles(world, papers, bounds, tables, samples, tiles, bands, shadows, 
                     tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
                     count = list_tile(bounds, coarse, listed, planes, fine)
                     rows, columns = (row, last_row), (column, last_column)
-                    _render_tile(world, papers, tables, samples, rows, columns, fine, count, shadows, image, depth)
+                    _render_tile(world, papers, tables, samples, rows, columns, fine, count, image, depth)

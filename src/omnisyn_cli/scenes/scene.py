@@ -200,18 +200,10 @@ class SceneBuilder:
         half = (0.5 * abs(high[0] - low[0]), 0.5 * abs(high[1] - low[1]), 0.5 * abs(high[2] - low[2]))
         self.add(Shape.BOX, centre, half, material, cap=cap, tint=tint, casts_shadow=casts_shadow)
 
-    def pole(
-        self,
-        bottom: tuple[float, float, float],
-        height: float,
-        radius: float,
-        material: Material,
-        *,
-        tint: Colour | float = 1.0,
-    ) -> None:
+    def pole(self, bottom: tuple[float, float, float], height: float, radius: float, material: Material) -> None:
         """Add a vertical cylinder that stands on ``bottom``."""
         centre = (bottom[0], bottom[1] + 0.5 * height, bottom[2])
-        self.add(Shape.CYLINDER, centre, (radius, 0.5 * height, radius), material, tint=tint)
+        self.add(Shape.CYLINDER, centre, (radius, 0.5 * height, radius), material)
 
     def rod(
         self,
@@ -219,22 +211,18 @@ class SceneBuilder:
         end: tuple[float, float, float],
         radius: float,
         material: Material,
-        *,
-        tint: Colour | float = 1.0,
     ) -> None:
         """Add a cylinder between two points."""
         length = math.dist(start, end)
         axis = ((end[0] - start[0]) / length, (end[1] - start[1]) / length, (end[2] - start[2]) / length)
         centre = (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), 0.5 * (start[2] + end[2]))
         half = (radius, 0.5 * length, radius)
-        row, colour = self._row(material), (tint, tint, tint) if isinstance(tint, (int, float)) else tint
-        self._shapes.append(_Added(int(Shape.CYLINDER), centre, axis, half, (row, row), colour, True))
+        row = self._row(material)
+        self._shapes.append(_Added(int(Shape.CYLINDER), centre, axis, half, (row, row), (1.0, 1.0, 1.0), True))
 
-    def ball(
-        self, centre: tuple[float, float, float], radius: float, material: Material, *, tint: Colour | float = 1.0
-    ) -> None:
+    def ball(self, centre: tuple[float, float, float], radius: float, material: Material) -> None:
         """Add a sphere."""
-        self.add(Shape.ELLIPSOID, centre, (radius, radius, radius), material, tint=tint)
+        self.add(Shape.ELLIPSOID, centre, (radius, radius, radius), material)
 
     def build(self, kind: str) -> Scene:
         """Freeze what was collected."""

@@ -58,7 +58,7 @@ def _sky(s, table, x, y, z, pixel):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-untyped-def]
+def _incident(world, px, py, pz, nx, ny, nz, sun):  # type: ignore[no-untyped-def]
     """Light that falls on a point, and how much of the sun, whose direction is at ``sun`` in the scalars, it sees."""
     s = world.scalars
     above = 0.5 + 0.5 * ny
@@ -70,7 +70,7 @@ def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-u
     sunlit = 0.0
     if facing > 0.0 and s[SUN] > 0.0:
         off = OFF_SURFACE
-        if not shadows or not is_shadowed(world, px + off * nx, py + off * ny, pz + off * nz, x, y, z):
+        if not is_shadowed(world, px + off * nx, py + off * ny, pz + off * nz, x, y, z):
             sunlit = 1.0
             r += s[SUN] * facing
             g += s[SUN + 1] * facing
@@ -88,7 +88,7 @@ def _incident(world, px, py, pz, nx, ny, nz, sun, shadows):  # type: ignore[no-u
 
 
 @kernel
-def shade(world, papers, hit, t, x, y, z, pixel, sample, shadows):  # type: ignore[no-untyped-def]
+def shade(world, papers, hit, t, x, y, z, pixel, sample):  # type: ignore[no-untyped-def]
     """Linear colour of what the ray (x, y, z) hits.
 
     ``hit`` is the number of the shape (or GROUND, SKY) and t its distance; ``pixel`` is the angle between neighbouring
@@ -146,7 +146,7 @@ def shade(world, papers, hit, t, x, y, z, pixel, sample, shadows):  # type: igno
     ar = (cr * first + material[SECOND] * second + material[THIRD] * third) * tr
     ag = (cg * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
     ab = (cb * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb
-    r, g, b, sunlit = _incident(world, px, py, pz, nx, ny, nz, sun, shadows)
+    r, g, b, sunlit = _incident(world, px, py, pz, nx, ny, nz, sun)
     glow *= material[GLOW]
     r, g, b = ar * (r * crease + glow), ag * (g * crease + glow), ab * (b * crease + glow)
     gloss *= material[GLOSS]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,51 +13,21 @@ from omnisyn_cli.scenes.buildings import house, office, town_house
 from omnisyn_cli.scenes.daylight import daylight
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
+from omnisyn_cli.scenes.roadway import lay_pavement, lay_roadway
 from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.street_plan import StreetPlan, draw_plan
 
 __all__ = ["street"]
-
-END = 85.0
-"""Half the length of the street, metres."""
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """What a street is like, before anything stands in it; lengths in metres.
-
-    Attributes:
-        style: "town", "suburb", "office" or "square".
-        road: half width of the roadway.
-        pavement: width of each pavement.
-        kerb: height of the pavement above the road.
-        slope: rise per metre along z.
-        crossings: z and half width of each crossing road.
-    """
-
-    style: str
-    road: float
-    pavement: float
-    kerb: float
-    slope: float
-    crossings: tuple[tuple[float, float], ...]
-
-    def ground(self, z: float, raised: bool = True) -> float:
-        """Height of the road, or of the pavement, at z."""
-        return self.slope * z + (self.kerb if raised else 0.0)
-
-    def is_crossing(self, z: float, margin: float = 0.0) -> bool:
-        """Whether z lies on a crossing road."""
-        return any(abs(z - middle) < half + margin for middle, half in self.crossings)
 
 
 def street(seed: int) -> Scene:
     """Generate a street; equal seeds give equal streets."""
     rng = np.random.default_rng([7, seed])
-    plan = _draw_plan(rng)
+    plan = draw_plan(rng)
     build = SceneBuilder(rng, lighting=daylight(rng))
-    _roadway(build, plan)
+    lay_roadway(build, plan)
     for side in (-1.0, 1.0):
-        _pavement(build, plan, side)
+        lay_pavement(build, plan, side)
         _fronts(build, plan, side)
         _skyline(build, plan, side)
         _roadside(build, plan, side)
@@ -70,145 +39,7 @@ def street(seed: int) -> Scene:
     return build.build("street")
 
 
-def _draw_plan(rng: np.random.Generator) -> _Plan:
-    style = str(rng.choice(["town", "suburb", "office", "square"], p=[0.4, 0.2, 0.22, 0.18]))
-    slope = 0.0 if rng.random() < 0.6 else rng.uniform(-0.06, 0.06)
-    middles = (rng.uniform(-45, -9), rng.uniform(6, 50))
-    crossings = [(middle, rng.uniform(3.0, 6.0)) for middle in middles if rng.random() < 0.6]
-    return _Plan(
-        style=style,
-        road=float(rng.choice([rng.uniform(2.6, 4.2), rng.uniform(4.2, 8.0)])),
-        pavement=rng.uniform(1.4, 4.5),
-        kerb=rng.uniform(0.08, 0.17),
-        slope=slope,
-        crossings=tuple(crossings),
-    )
-
-
-def _tilted(
-    build: SceneBuilder,
-    plan: _Plan,
-    x: tuple[float, float],
-    z: tuple[float, float],
-    top: float,
-    deep: float,
-    material: Material,
-    side_material: Material | None = None,
-) -> None:
-    """Add a slab that follows the slope, from x[0] to x[1] and z[0] to z[1], ``top`` metres above the road."""
-    middle = 0.5 * (z[0] + z[1])
-    angle = -math.atan(plan.slope)
-    rotation = rotation_from_rotation_vector(np.array([angle, 0.0, 0.0]))
-    length = 0.5 * (z[1] - z[0]) * math.hypot(1.0, plan.slope)
-    centre = (0.5 * (x[0] + x[1]), plan.slope * middle + top - 0.5 * deep, middle)
-    half = (0.5 * abs(x[1] - x[0]), 0.5 * deep, length)
-    build.add(
-        Shape.BOX,
-        centre,
-        half,
-        material if side_material is None else side_material,
-        cap=material,
-        rotation=rotation,
-        casts_shadow=False,
-    )
-
-
-def _roadway(build: SceneBuilder, plan: _Plan) -> None:
-    rng = build.rng
-    normal = np.array([0.0, 1.0, -plan.slope]) / math.hypot(1.0, plan.slope)
-    build.ground = (float(normal[0]), float(normal[1]), float(normal[2]), 0.0)
-    grey = pick(rng, palette.ASPHALT)
-    paint = (0.86, 0.86, 0.83)
-    seed = int(rng.integers(1, 1000))
-    build.ground_material = Material(
-        Pattern.ROAD,
-        grey,
-        paint,
-        (0.82, 0.62, 0.16),
-        cell=(plan.road, rng.uniform(4, 9)),
-        line=rng.uniform(0.1, 0.18),
-        detail=rng.uniform(0, 1),
-        seed=seed,
-    )
-    if plan.style == "square":
-        build.ground_material = _paving(rng)
-    bare = Material(Pattern.ROAD, grey, grey, grey, cell=(500.0, 9.0), detail=0.0, line=0.0, seed=seed)
-    zebra = Material(
-        Pattern.STRIPES, paint, palette.darker(grey, 1.05), cell=(1.0, 1.0), detail=0.5, grain=0.3, grain_size=0.4
-    )
-    for middle, half in plan.crossings:
-        _tilted(build, plan, (-90.0, 90.0), (middle - half, middle + half), 0.004, 0.02, bare)
-        if rng.random() < 0.7:
-            for edge in (middle - half - 3.2, middle + half + 0.4):
-                _tilted(build, plan, (-plan.road + 0.2, plan.road - 0.2), (edge, edge + 2.8), 0.006, 0.02, zebra)
-    for _ in range(int(rng.integers(1, 5))):  # manholes and mended patches
-        x, z = rng.uniform(-0.8, 0.8) * plan.road, rng.uniform(-14, 14)
-        if rng.random() < 0.5:
-            iron = Material(
-                Pattern.CHECKER, (0.25, 0.24, 0.23), (0.33, 0.32, 0.3), cell=(0.05, 0.05), line=0.004, grain=0.2
-            )
-            build.add(Shape.CYLINDER, (x, plan.ground(z, False), z), (0.33, 0.006 + 0.33 * abs(plan.slope), 0.33), iron)
-        else:
-            patch = Material(
-                Pattern.ROAD, palette.darker(grey, rng.uniform(0.75, 1.15)), grey, grey, (500.0, 9.0), 0.0, detail=0.0
-            )
-            size = rng.uniform(0.4, 1.6, 2)
-            _tilted(build, plan, (x - size[0], x + size[0]), (z - size[1], z + size[1]), 0.007, 0.02, patch)
-
-
-def _paving(rng: np.random.Generator) -> Material:
-    stone, other = pick(rng, palette.PAVING), pick(rng, palette.PAVING)
-    wide = rng.uniform(0.2, 0.9)
-    return Material(
-        Pattern(rng.choice([Pattern.BRICK, Pattern.TILES, Pattern.TILES])),
-        stone,
-        palette.mixed(stone, other, 0.55),
-        palette.darker(stone, 0.65),
-        cell=(wide, wide * rng.uniform(0.4, 1.0)),
-        line=rng.uniform(0.008, 0.02),
-        grain=rng.uniform(0.1, 0.3),
-        grain_size=rng.uniform(0.5, 2.5),
-        detail=rng.uniform(0.1, 0.6),
-        seed=int(rng.integers(1, 1000)),
-    )
-
-
-def _grass(rng: np.random.Generator) -> Material:
-    green = pick(rng, palette.FOLIAGE)
-    return Material(
-        Pattern.GRASS,
-        palette.darker(green, 0.85),
-        palette.darker(green, 1.25),
-        (0.55, 0.50, 0.30),
-        detail=rng.uniform(0, 0.8),
-    )
-
-
-def _blocks(plan: _Plan) -> list[tuple[float, float]]:
-    """The stretches of z between the crossings."""
-    edges = [-END]
-    for middle, half in sorted(plan.crossings):
-        edges += [middle - half, middle + half]
-    edges.append(END)
-    return [(edges[i], edges[i + 1]) for i in range(0, len(edges), 2) if edges[i + 1] > edges[i] + 1.0]
-
-
-def _pavement(build: SceneBuilder, plan: _Plan, side: float) -> None:
-    rng = build.rng
-    stone = _paving(rng)
-    kerb = Material(
-        Pattern.BRICK, (0.58, 0.57, 0.55), (0.52, 0.51, 0.5), (0.35, 0.34, 0.33), cell=(1.0, 1.0), line=0.012
-    )
-    green = plan.style in ("suburb", "square") or rng.random() < 0.25
-    yard = _grass(rng) if green else stone
-    inner = plan.road + plan.pavement
-    for low, high in _blocks(plan):
-        _tilted(build, plan, (side * plan.road, side * (plan.road + 0.16)), (low, high), plan.kerb + 0.004, 0.3, kerb)
-        _tilted(build, plan, (side * (plan.road + 0.16), side * inner), (low, high), plan.kerb, 0.3, stone, kerb)
-        _tilted(build, plan, (side * inner, side * 95.0), (low, high), plan.kerb - 0.002, 0.3, yard, kerb)
-
-
-def _fronts(build: SceneBuilder, plan: _Plan, side: float) -> None:
+def _fronts(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     """Line one side with buildings; squares have an open side, suburbs gardens."""
     rng = build.rng
     inner = plan.road + plan.pavement
@@ -219,7 +50,7 @@ def _fronts(build: SceneBuilder, plan: _Plan, side: float) -> None:
         setback = rng.uniform(14, 30)
     gap = {"town": 0.12, "office": 0.35, "suburb": 0.95, "square": 0.2}[plan.style]
     floors = int(rng.integers(2, 6))
-    for low, high in _blocks(plan):
+    for low, high in plan.blocks():
         z = low + rng.uniform(0.2, 3.0)
         while z < high - 4.0:
             wide = {"town": rng.uniform(6, 16), "office": rng.uniform(14, 34), "suburb": rng.uniform(7, 13)}.get(
@@ -241,7 +72,7 @@ def _fronts(build: SceneBuilder, plan: _Plan, side: float) -> None:
                 z += rng.uniform(2.0, 9.0)
 
 
-def _skyline(build: SceneBuilder, plan: _Plan, side: float) -> None:
+def _skyline(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     """Add towers and tree tops behind the first row, and what closes the street far away."""
     rng = build.rng
     for _ in range(int(rng.integers(3, 8))):
@@ -257,7 +88,7 @@ def _skyline(build: SceneBuilder, plan: _Plan, side: float) -> None:
         town_house(build, (x, plan.ground(z), z), 18.0, side, int(rng.integers(3, 7)), detailed=False, facing_z=True)
 
 
-def _roadside(build: SceneBuilder, plan: _Plan, side: float) -> None:
+def _roadside(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     """Stand trees, lamps, signs, bins, benches, people, fences and parked cars along one pavement."""
     rng = build.rng
     kerb_x = side * (plan.road + 0.45)
@@ -290,7 +121,7 @@ def _roadside(build: SceneBuilder, plan: _Plan, side: float) -> None:
         _fence(build, plan, side)
 
 
-def _small_thing(build: SceneBuilder, plan: _Plan, side: float) -> None:
+def _small_thing(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     rng = build.rng
     z = rng.uniform(-26, 26)
     if plan.is_crossing(z, 0.8):
@@ -315,7 +146,7 @@ def _small_thing(build: SceneBuilder, plan: _Plan, side: float) -> None:
                 props.bollard(build, (near_kerb, plan.ground(z + 1.5 * k), z + 1.5 * k))
 
 
-def _fence(build: SceneBuilder, plan: _Plan, side: float) -> None:
+def _fence(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     rng = build.rng
     iron = Material(
         Pattern(rng.choice([Pattern.BARS, Pattern.BARS, Pattern.MESH])),
@@ -328,7 +159,7 @@ def _fence(build: SceneBuilder, plan: _Plan, side: float) -> None:
     x = side * (plan.road + plan.pavement - 0.12) if rng.random() < 0.6 else side * (plan.road + 0.25)
     height = rng.uniform(0.8, 1.5)
     rotation = rotation_from_rotation_vector(np.array([-math.atan(plan.slope), 0.0, 0.0]))
-    for low, high in _blocks(plan):
+    for low, high in plan.blocks():
         low, high = max(low, -30.0), min(high, 30.0)
         if high - low < 3.0 or rng.random() < 0.25:
             continue
@@ -337,7 +168,7 @@ def _fence(build: SceneBuilder, plan: _Plan, side: float) -> None:
         build.add(Shape.BOX, centre, (0.012, 0.5 * height, 0.5 * (high - low)), iron, rotation=rotation)
 
 
-def _wires(build: SceneBuilder, plan: _Plan) -> None:
+def _wires(build: SceneBuilder, plan: StreetPlan) -> None:
     rng = build.rng
     if rng.random() < 0.55:
         return
@@ -358,7 +189,7 @@ def _wires(build: SceneBuilder, plan: _Plan) -> None:
             build.rod(sag, (x + across, plan.ground(b) + height - 0.4, b), 0.018, black)
 
 
-def _traffic(build: SceneBuilder, plan: _Plan) -> None:
+def _traffic(build: SceneBuilder, plan: StreetPlan) -> None:
     """Put a few moving cars on the road, away from the middle where cameras are."""
     rng = build.rng
     if plan.style == "square":

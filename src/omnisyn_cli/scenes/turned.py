@@ -43,9 +43,9 @@ class Turned:
         """Add a cylinder between two points."""
         self.build.rod(self.place(*start), self.place(*end), radius, material)
 
-    def ellipsoid(self, centre: Point, half: Point, material: Material, *, tint: float = 1.0) -> None:
+    def ellipsoid(self, centre: Point, half: Point, material: Material) -> None:
         """Add an ellipsoid."""
-        self.build.add(Shape.ELLIPSOID, self.place(*centre), half, material, yaw=self.yaw, tint=tint)
+        self.build.add(Shape.ELLIPSOID, self.place(*centre), half, material, yaw=self.yaw)
 
     def cone(self, centre: Point, half: Point, material: Material) -> None:
         """Add an upright cone."""

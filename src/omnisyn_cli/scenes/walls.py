@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from omnisyn_cli.scenes import palette
+from omnisyn_cli.scenes.finishes import floor_finish, wall_finish
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 from omnisyn_cli.scenes.turned import Turned
 
-__all__ = ["Cell", "Opening", "enclose"]
+__all__ = ["Cell", "Opening", "Openings", "enclose"]
 
 THICKNESS = 0.06
 """Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""
@@ -39,23 +40,25 @@ class Opening:
     top: float
 
 
-def enclose(
-    build: SceneBuilder, cell: Cell, openings: dict[str, list[Opening]], use: str, *, casts_shadow: bool
-) -> None:
+Openings = dict[str, list[Opening]]
+"""By wall: west and east (low and high x), south and north (low and high z)."""
+
+
+def enclose(build: SceneBuilder, cell: Cell, openings: Openings, use: str, *, casts_shadow: bool) -> None:
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
     Args:
         build: what to add to.
         cell: the room.
-        openings: of the walls west and east (low and high x), south and north (low and high z).
+        openings: windows and doors.
         use: "home", "office" or "hall".
         casts_shadow: whether the ceiling stops the light from above.
     """
     rng = build.rng
-    paint = _wall_paint(rng, use)
-    accent = _wall_paint(rng, use) if rng.random() < 0.35 else paint
+    paint = wall_finish(rng, use)
+    accent = wall_finish(rng, use) if rng.random() < 0.35 else paint
     (x0, z0), (x1, z1) = cell.low, cell.high
-    build.box((x0, -0.3, z0), (x1, 0.0, z1), _floor(rng, use), casts_shadow=False)
+    build.box((x0, -0.3, z0), (x1, 0.0, z1), floor_finish(rng, use), casts_shadow=False)
     _ceiling(build, cell, use, casts_shadow)
     for name, material in (("west", paint), ("east", accent), ("south", paint), ("north", paint)):
         _wall(build, cell, name, openings[name], material)
@@ -66,124 +69,6 @@ def enclose(
                 _doorway(build, cell, name, opening)
         if not openings[name] and use != "hall" and rng.random() < 0.4:
             _closed_door(build, cell, name)
-
-
-def _wall_paint(rng: np.random.Generator, use: str) -> Material:
-    tone = pick(rng, palette.INTERIOR if use != "hall" else palette.CONCRETE)
-    seed = int(rng.integers(1, 1000))
-    kind = rng.random()
-    if use == "home" and kind < 0.3:
-        return Material(
-            Pattern.WALLPAPER,
-            tone,
-            palette.darker(tone, rng.uniform(0.75, 1.12)),
-            palette.mixed(tone, pick(rng, palette.CLOTH), 0.4),
-            cell=(rng.uniform(0.12, 0.5), rng.uniform(0.15, 0.5)),
-            grain=0.03,
-            seed=seed,
-        )
-    if kind < (0.4 if use != "hall" else 0.3):
-        brick = pick(rng, palette.BRICK) if rng.random() < 0.5 else tone
-        return Material(
-            Pattern.BRICK,
-            brick,
-            palette.darker(brick, 0.8),
-            palette.darker(brick, 1.25),
-            cell=(0.25, 0.08),
-            line=0.011,
-            grain=0.12,
-            seed=seed,
-        )
-    if use == "hall" and kind < 0.6:
-        return Material(
-            Pattern.RIBS,
-            tone,
-            palette.darker(tone, 0.85),
-            palette.darker(tone, 0.6),
-            cell=(0.3, 2.5),
-            line=0.03,
-            grain=0.06,
-            seed=seed,
-        )
-    if kind < 0.5:
-        return Material(
-            Pattern.PLANKS,
-            pick(rng, palette.WOOD),
-            pick(rng, palette.WOOD),
-            (0.15, 0.1, 0.07),
-            cell=(3.0, 0.14),
-            line=0.006,
-            grain=0.05,
-            seed=seed,
-        )
-    return Material(
-        Pattern.PLAIN,
-        tone,
-        palette.darker(tone, rng.uniform(0.78, 0.97)),
-        grain=rng.uniform(0.02, 0.1),
-        grain_size=rng.uniform(0.5, 3.0),
-        detail=rng.uniform(0.2, 0.6),
-        seed=seed,
-    )
-
-
-def _floor(rng: np.random.Generator, use: str) -> Material:
-    seed = int(rng.integers(1, 1000))
-    kind = rng.random()
-    if use == "hall":
-        tone = pick(rng, palette.CONCRETE)
-        return Material(
-            Pattern.TILES,
-            tone,
-            palette.darker(tone, 0.96),
-            palette.darker(tone, 0.75),
-            cell=(5.0, 5.0),
-            line=0.012,
-            grain=0.16,
-            grain_size=1.2,
-            gloss=0.25,
-            seed=seed,
-        )
-    if kind < 0.45:
-        tone = pick(rng, palette.WOOD)
-        return Material(
-            Pattern.PLANKS,
-            tone,
-            palette.darker(tone, 0.75),
-            palette.darker(tone, 0.4),
-            cell=(rng.uniform(0.6, 2.2), rng.uniform(0.07, 0.2)),
-            line=0.005,
-            grain=0.06,
-            gloss=0.35,
-            seed=seed,
-        )
-    if kind < 0.7:
-        tone = pick(rng, palette.PAVING if rng.random() < 0.5 else palette.INTERIOR)
-        other = palette.darker(tone, rng.uniform(0.4, 0.95))
-        pattern = Pattern.CHECKER if rng.random() < 0.3 else Pattern.TILES
-        side = rng.uniform(0.2, 0.6)
-        return Material(
-            pattern,
-            tone,
-            other,
-            palette.darker(tone, 0.6),
-            cell=(side, side),
-            line=0.008,
-            grain=0.07,
-            gloss=0.45,
-            detail=0.3,
-            seed=seed,
-        )
-    tone = pick(rng, palette.CLOTH)
-    return Material(
-        Pattern.PLAIN,
-        tone,
-        palette.darker(tone, 0.8),
-        grain=0.2,
-        grain_size=rng.choice([0.05, 0.3]),
-        detail=0.4,
-        seed=seed,
-    )
 
 
 def _ceiling(build: SceneBuilder, cell: Cell, use: str, casts_shadow: bool) -> None:

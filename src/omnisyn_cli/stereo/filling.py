@@ -10,13 +10,14 @@ Source: filter: Gastal and Oliveira, Domain transform for edge-aware image and v
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import cv2
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.border import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.jit import parallel_kernel
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
@@ -90,9 +91,8 @@ def _surroundings(values: np.ndarray, known: np.ndarray, directions: np.ndarray)
 
 def _edges(guide: np.ndarray, usable: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Colour differences to the pixel on the left and to the one above, of what is no mere texture."""
-    margin = min(8, guide.shape[1])
-    wide = np.concatenate([guide[:, -margin:], guide, guide[:, :margin]], axis=1).astype(np.float32)
-    flat = cv2.bilateralFilter(wide, 7, 0.15, 3.0)[:, margin:-margin]
+    smooth = partial(cv2.bilateralFilter, d=7, sigmaColor=0.15, sigmaSpace=3.0)
+    flat = filter_across_seam(smooth, guide.astype(np.float32), min(8, guide.shape[1]))
     left, above = np.roll(flat, 1, axis=1), np.concatenate([flat[:1], flat[:-1]])
     across, down = np.abs(flat - left).sum(axis=-1), np.abs(flat - above).sum(axis=-1)
     if usable is not None:
@@ -189,16 +189,17 @@ def remove_speckles(
     """
     logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + step)
     levels = np.where(known, np.clip(logarithm * 16.0 + 16000.0, 0, 32000), -1000).astype(np.int16)
-    margin = min(levels.shape[1], 64)
-    wide = np.ascontiguousarray(np.concatenate([levels[:, -margin:], levels, levels[:, :margin]], axis=1))
-    cv2.filterSpeckles(wide, -1000, pixels, 16)
-    return np.asarray(known & (wide[:, margin:-margin] != -1000))
+
+    def without_specks(wide: np.ndarray) -> np.ndarray:
+        return np.asarray(cv2.filterSpeckles(wide, -1000, pixels, 16)[0])
+
+    kept = filter_across_seam(without_specks, levels, min(64, levels.shape[1]))
+    return np.asarray(known & (kept != -1000))
 
 
 def median_around(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
     """Of the square around each pixel, over the seam; at the poles of what there is, the last rows repeated."""
-    wrapped = np.pad(values, ((0, 0), (WINDOW // 2, WINDOW // 2)), mode="wrap")
-    return cv2.medianBlur(wrapped, WINDOW)[:, WINDOW // 2 : -(WINDOW // 2)]
+    return filter_across_seam(partial(cv2.medianBlur, ksize=WINDOW), values, WINDOW // 2)
 
 
 def upsample(
@@ -214,13 +215,10 @@ def upsample(
     Source: Kopf et al., Joint bilateral upsampling, 2007, with a median for the mean.
     """
     ring = 3
-    height, width = inverse_depth.shape
-    rows, cols = np.arange(-ring, height + ring)[:, None], np.arange(-ring, width + ring)[None, :]
-    row, col = wrap_pixel(rows + 0 * cols, cols + 0 * rows, height, width)
     return np.asarray(
         _upsample(
-            inverse_depth[row, col].astype(np.float32),
-            low_guide[row, col].astype(np.float32),
+            add_border(inverse_depth, ring).astype(np.float32),
+            add_border(low_guide, ring).astype(np.float32),
             guide.astype(np.float32),
             ring,
         )

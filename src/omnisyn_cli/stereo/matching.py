@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool
 
-from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
@@ -54,7 +53,7 @@ class MatchingDepthEstimator:
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         for view in (first, second):
-            _check(view)
+            view.check_shape()
         if np.array_equal(first.pose.position, second.pose.position):
             return self._nothing(), self._nothing()
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
@@ -158,9 +157,3 @@ def _is_sideways(grid: Meridians) -> Bool[np.ndarray, "height width"]:
     """Farther than 20° from both epipoles: having no parallax here means being far."""
     sideways = np.sin(grid.polar_angle) > math.sin(math.radians(20.0))
     return np.asarray(np.broadcast_to(sideways, grid.directions.shape[:2]))
-
-
-def _check(view: View) -> None:
-    height, width = view.image.shape[:2]
-    if width != 2 * height:
-        raise ImageError(f"expected a panorama twice as wide as high, got {width}×{height}; crop or pad it to 2:1")

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.geometry.border import filter_across_seam
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.turning import turned_directions
 from omnisyn_cli.stereo.band import Bands, aggregate_bands, band_cost, choose_in_bands
@@ -100,11 +101,12 @@ def _bands(known: Float32[np.ndarray, "height width"]) -> Bands:
 
 def _range_around(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The least and the greatest value within the neighbourhood of every pixel, over the seam."""
-    reach = NEIGHBOURHOOD
-    wide = np.pad(np.pad(values, ((0, 0), (reach, reach)), mode="wrap"), ((reach, reach), (0, 0)), mode="edge")
-    window = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    inside = slice(reach, -reach)
-    return cv2.erode(wide, window)[inside, inside], cv2.dilate(wide, window)[inside, inside]
+    window = np.ones((2 * NEIGHBOURHOOD + 1, 2 * NEIGHBOURHOOD + 1), np.uint8)
+    least, greatest = (
+        filter_across_seam(partial(extreme, kernel=window), values, NEIGHBOURHOOD)
+        for extreme in (cv2.erode, cv2.dilate)
+    )
+    return least, greatest
 
 
 def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, matches: Matches) -> Answer:

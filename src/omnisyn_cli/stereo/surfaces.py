@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.geometry.border import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_angles
 from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
 from omnisyn_cli.stereo.planes import find_planes
@@ -213,9 +215,8 @@ def _planes(grid: Meridians, free: Matches, options: MatchingOptions) -> tuple[n
 def _nearness(mask: np.ndarray) -> np.ndarray:
     """1 among pixels of a mask, falling to 0 some 10° away."""
     height, width = mask.shape
-    margin = max(1, width // 8)
-    wide = np.concatenate([mask[:, -margin:], mask, mask[:, :margin]], axis=1).astype(np.float32)
-    density = cv2.GaussianBlur(wide, (0, 0), height / 24.0)[:, margin:-margin]
+    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=height / 24.0)
+    density = filter_across_seam(blur, mask.astype(np.float32), max(1, width // 8))
     return np.asarray(np.minimum(density / 0.05, 1.0))
 
 

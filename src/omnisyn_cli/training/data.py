@@ -27,7 +27,7 @@ from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.io.paths import write_errors
 
 __all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "load_scene", "save_arrays", "save_scene"]
@@ -241,10 +241,7 @@ def vary_colours(
 
 def _blurred(image: Float32[np.ndarray, "height width 3"], sigma: float) -> np.ndarray:
     reach = 4
-    height, width = image.shape[:2]
-    row, col = np.mgrid[-reach : height + reach, -reach : width + reach]
-    padded = image[wrap_pixel(row, col, height, width)]
-    return np.asarray(cv2.GaussianBlur(padded, (0, 0), sigma))[reach:-reach, reach:-reach]
+    return np.asarray(cv2.GaussianBlur(add_border(image, reach), (0, 0), sigma))[reach:-reach, reach:-reach]
 
 
 def _through_jpeg(image: Float32[np.ndarray, "height width 3"], quality: int) -> np.ndarray:

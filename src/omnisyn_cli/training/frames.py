@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from omnisyn_cli.geometry.sampling import wrap_pixel
+from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.training.data import Batch
 
@@ -58,11 +58,8 @@ def turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) 
 def _remapped(
     image: Float32[np.ndarray, "rows cols *channels"], size: tuple[int, int], interpolation: int
 ) -> np.ndarray:
-    rows, cols = image.shape[:2]
-    row, col = np.mgrid[-BORDER : rows + BORDER, -BORDER : cols + BORDER]
-    padded = np.ascontiguousarray(image[wrap_pixel(row, col, rows, cols)])
-    row_map, col_map = _maps((rows, cols), size)
-    return np.asarray(cv2.remap(padded, col_map, row_map, interpolation))
+    row_map, col_map = _maps((image.shape[0], image.shape[1]), size)
+    return np.asarray(cv2.remap(add_border(image, BORDER), col_map, row_map, interpolation))
 
 
 @lru_cache(maxsize=4)

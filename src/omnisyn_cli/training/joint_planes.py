@@ -51,11 +51,9 @@ class Seen:
     position: Float[np.ndarray, " 3"]
 
 
-def fusion_planes(
-    first: Seen, second: Seen, t: float, options: BlendOptions | None = None
-) -> Float[Tensor, "planes height width"]:
+def fusion_planes(first: Seen, second: Seen, t: float) -> Float[Tensor, "planes height width"]:
     """All planes of :mod:`omnisyn_cli.fusion.planes` at a share ``t`` of a way that is one baseline long."""
-    options = options or BlendOptions()
+    options = BlendOptions()
     seen = [view.worth > LEAST_WORTH for view in (first, second)]
     both, hole = seen[0] & seen[1], ~(seen[0] | seen[1])
     near = [view.inverse_depth.clamp(min=0.0) for view in (first, second)]

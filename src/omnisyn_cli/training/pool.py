@@ -26,7 +26,7 @@ from omnisyn_cli.io.paths import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
-__all__ = ["STOPS", "PoolConfig", "fill_pool", "photos_in", "render_pool_scene", "render_to_pool", "scene_path"]
+__all__ = ["STOPS", "PoolConfig", "fill_pool", "photos_in", "render_to_pool", "scene_path"]
 
 STOPS = 9
 """Positions along a path that views are chosen from; the ends are always taken."""
@@ -53,16 +53,6 @@ class PoolConfig:
     turned_by: float = 0.0015
     supersample: int = 2
     textures: str | None = None
-
-
-def render_pool_scene(seed: int, config: PoolConfig) -> PoolScene:
-    """The scene of a seed, seen from a few positions along a line; equal seeds give equal scenes.
-
-    Raises:
-        ValueError: the scene has no room for a path, or there is no such kind.
-    """
-    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
-    return _render_along(scene, sample_path(scene, seed, STOPS), seed, config)
 
 
 @lru_cache(maxsize=1)
@@ -140,7 +130,10 @@ def _give_way() -> None:
 
 
 def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
-    """Render the scene of a seed into a pool; None if the scene has no room for a path."""
+    """Render the scene of a seed, seen from a few positions along a line, into a pool; None if it has no room for one.
+
+    Equal seeds make equal files.
+    """
     scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
     try:
         path = sample_path(scene, seed, STOPS)

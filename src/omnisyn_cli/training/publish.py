@@ -38,13 +38,10 @@ from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.synsin import blend_points
 from omnisyn_cli.training.tasks import TASKS
 
-__all__ = ["publish", "publish_all", "write_manifest"]
+__all__ = ["publish", "write_manifest"]
 
 ROLES: Mapping[str, str] = MappingProxyType({"paper": "depth"})
 """What a model is for, by the kind of its network, where that is not the kind itself."""
-
-SEVERAL = ("joint", "synsin")
-"""Kinds of checkpoints that hold more than one network."""
 
 COLOURS = 3
 """Channels of a panorama."""
@@ -67,20 +64,6 @@ class _Part:
 
 
 def publish(
-    checkpoint: Path, folder: Path, *, name: str | None, pool: Path | None, training: str, licence: str
-) -> tuple[ModelEntry, float]:
-    """The only one of what :func:`publish_all` writes.
-
-    Raises:
-        InputError: there is more than one network in the checkpoint.
-    """
-    kind = load_network(checkpoint)[1]["kind"]
-    if kind in SEVERAL:
-        raise InputError(f"expected a checkpoint of one network, got {kind} in {checkpoint}; publish all of it")
-    return publish_all(checkpoint, folder, name=name, pool=pool, training=training, licence=licence)[0]
-
-
-def publish_all(
     checkpoint: Path,
     folder: Path,
     *,

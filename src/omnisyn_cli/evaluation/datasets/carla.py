@@ -30,7 +30,8 @@ from omnisyn_cli.evaluation.datasets.scene import Scene, SceneFrame, SceneSource
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth
-from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json, validated
+from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json
+from omnisyn_cli.io.pose_models import validated
 
 __all__ = ["find_scenes", "read_face_depth"]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.evaluation.datasets.scene import NoScaleError, Scene, SceneFrame, SceneSource
 from omnisyn_cli.io.pose_formats.files import natural_key
-from omnisyn_cli.io.pose_formats.text import validated
 from omnisyn_cli.io.pose_formats.zind import POSES, Panorama, pose_on_floor, read_tour
+from omnisyn_cli.io.pose_models import validated
 
 __all__ = ["find_scenes"]
 
@@ -35,7 +35,7 @@ def _rooms(name: str, folder: Path) -> list[SceneSource]:
         tour = read_tour(path)
         rooms = {
             (floor, room): {
-                key: validated(path, Panorama, value, "merger", floor, room, part, key)
+                key: validated(path, Panorama, value, ("merger", floor, room, part, key))
                 for part, panoramas in parts.items()
                 for key, value in panoramas.items()
             }

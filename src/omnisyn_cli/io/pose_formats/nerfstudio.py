@@ -24,7 +24,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.pose_formats.axes import checked_rotation, foreign_from_pose, pose_from_foreign
 from omnisyn_cli.io.pose_formats.files import find_image, listed
 from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions
-from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json, validated
+from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json
+from omnisyn_cli.io.pose_models import validated
 
 __all__ = ["nerfstudio_text", "read_nerfstudio"]
 

@@ -21,7 +21,8 @@ from omnisyn_cli.io.pose_formats.axes import pose_from_foreign
 from omnisyn_cli.io.pose_formats.files import find_image, listed
 from omnisyn_cli.io.pose_formats.geographic import local_world, origin_note
 from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
-from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json, validated
+from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json
+from omnisyn_cli.io.pose_models import validated
 
 __all__ = ["read_opensfm"]
 
@@ -71,7 +72,7 @@ def read_opensfm(source: Path, options: ImportOptions) -> ImportedPoses:
     parts = document if isinstance(document, list) else [document]
     if not parts:
         raise PoseError(f"{path}: expected a reconstruction, got an empty list; run the reconstruction again")
-    every = [validated(path, Reconstruction, part, f"[{index}]") for index, part in enumerate(parts)]
+    every = [validated(path, Reconstruction, part, (f"[{index}]",)) for index, part in enumerate(parts)]
     largest = max(every, key=lambda part: len(part.shots))
     chosen = {name: shot for name, shot in largest.shots.items() if _is_panorama(path, name, shot, largest)}
     if not chosen:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, Never, TypeVar
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.paths import read_text as read
-from omnisyn_cli.io.pose_models import explain
+from omnisyn_cli.io.pose_models import parsed_json
 
-__all__ = ["ForeignModel", "data_lines", "numbers", "read_array", "read_json", "read_text", "validated"]
+__all__ = ["ForeignModel", "data_lines", "numbers", "read_array", "read_json", "read_text"]
 
 LARGEST_FILE = 1 << 30
 """Bytes; reconstructions carry their point clouds along."""
@@ -28,8 +27,6 @@ UNREADABLE_ARRAY = (
     OverflowError,
 )  # fmt: skip
 """What NumPy raises for broken headers, sizes beyond all memory and archives."""
-
-Model = TypeVar("Model", bound=BaseModel)
 
 
 class ForeignModel(BaseModel):
@@ -77,27 +74,7 @@ def read_json(path: Path) -> Any:
     Raises:
         PoseError: as :func:`read_text`, or no JSON (with line and column), or NaN and infinity in it.
     """
-
-    def refuse(constant: str) -> Never:
-        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
-
-    text = read_text(path)
-    try:
-        return json.loads(text, parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
-
-
-def validated(path: Path, model: type[Model], value: Any, *where: str) -> Model:
-    """``value`` as a ``model``.
-
-    Raises:
-        PoseError: the first thing that is wrong, with its place in the file.
-    """
-    try:
-        return model.model_validate(value)
-    except ValidationError as error:
-        raise PoseError(f"{path}: {explain(error, model, where)}") from error
+    return parsed_json(path, read_text(path))
 
 
 def read_array(path: Path) -> Float[np.ndarray, "*shape"]:

@@ -22,7 +22,8 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.io.pose_formats.files import find_image, listed
 from omnisyn_cli.io.pose_formats.model import ImportedPoses, ImportedView, ImportOptions
-from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json, validated
+from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json
+from omnisyn_cli.io.pose_models import validated
 
 __all__ = ["POSES", "Panorama", "Tour", "pose_on_floor", "read_tour", "read_zind"]
 
@@ -88,7 +89,7 @@ def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
     floor = _floor(path, tour, options)
     metres = tour.scale_meters_per_coordinate.get(floor)
     panoramas = [
-        validated(path, Panorama, value, "merger", floor, complete, partial, name)
+        validated(path, Panorama, value, ("merger", floor, complete, partial, name))
         for complete, partials in tour.merger[floor].items()
         for partial, entries in partials.items()
         for name, value in entries.items()

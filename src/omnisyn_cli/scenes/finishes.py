@@ -1,0 +1,136 @@
+"""What the walls and floors of rooms are made of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from omnisyn_cli.scenes import palette
+from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.palette import pick
+
+__all__ = ["floor_finish", "wall_finish"]
+
+
+def wall_finish(rng: np.random.Generator, use: str) -> Material:
+    """Draw paint, wallpaper, brick, boards or sheets for a wall.
+
+    Args:
+        rng: random numbers.
+        use: "home", "office" or "hall".
+    """
+    tone = pick(rng, palette.INTERIOR if use != "hall" else palette.CONCRETE)
+    seed = int(rng.integers(1, 1000))
+    kind = rng.random()
+    if use == "home" and kind < 0.3:
+        return Material(
+            Pattern.WALLPAPER,
+            tone,
+            palette.darker(tone, rng.uniform(0.75, 1.12)),
+            palette.mixed(tone, pick(rng, palette.CLOTH), 0.4),
+            cell=(rng.uniform(0.12, 0.5), rng.uniform(0.15, 0.5)),
+            grain=0.03,
+            seed=seed,
+        )
+    if kind < (0.4 if use != "hall" else 0.3):
+        brick = pick(rng, palette.BRICK) if rng.random() < 0.5 else tone
+        return Material(
+            Pattern.BRICK,
+            brick,
+            palette.darker(brick, 0.8),
+            palette.darker(brick, 1.25),
+            cell=(0.25, 0.08),
+            line=0.011,
+            grain=0.12,
+            seed=seed,
+        )
+    if use == "hall" and kind < 0.6:
+        return Material(
+            Pattern.RIBS,
+            tone,
+            palette.darker(tone, 0.85),
+            palette.darker(tone, 0.6),
+            cell=(0.3, 2.5),
+            line=0.03,
+            grain=0.06,
+            seed=seed,
+        )
+    if kind < 0.5:
+        return Material(
+            Pattern.PLANKS,
+            pick(rng, palette.WOOD),
+            pick(rng, palette.WOOD),
+            (0.15, 0.1, 0.07),
+            cell=(3.0, 0.14),
+            line=0.006,
+            grain=0.05,
+            seed=seed,
+        )
+    return Material(
+        Pattern.PLAIN,
+        tone,
+        palette.darker(tone, rng.uniform(0.78, 0.97)),
+        grain=rng.uniform(0.02, 0.1),
+        grain_size=rng.uniform(0.5, 3.0),
+        detail=rng.uniform(0.2, 0.6),
+        seed=seed,
+    )
+
+
+def floor_finish(rng: np.random.Generator, use: str) -> Material:
+    """Draw concrete, boards, tiles or carpet for a floor; arguments as of :func:`wall_finish`."""
+    seed = int(rng.integers(1, 1000))
+    kind = rng.random()
+    if use == "hall":
+        tone = pick(rng, palette.CONCRETE)
+        return Material(
+            Pattern.TILES,
+            tone,
+            palette.darker(tone, 0.96),
+            palette.darker(tone, 0.75),
+            cell=(5.0, 5.0),
+            line=0.012,
+            grain=0.16,
+            grain_size=1.2,
+            gloss=0.25,
+            seed=seed,
+        )
+    if kind < 0.45:
+        tone = pick(rng, palette.WOOD)
+        return Material(
+            Pattern.PLANKS,
+            tone,
+            palette.darker(tone, 0.75),
+            palette.darker(tone, 0.4),
+            cell=(rng.uniform(0.6, 2.2), rng.uniform(0.07, 0.2)),
+            line=0.005,
+            grain=0.06,
+            gloss=0.35,
+            seed=seed,
+        )
+    if kind < 0.7:
+        tone = pick(rng, palette.PAVING if rng.random() < 0.5 else palette.INTERIOR)
+        other = palette.darker(tone, rng.uniform(0.4, 0.95))
+        pattern = Pattern.CHECKER if rng.random() < 0.3 else Pattern.TILES
+        side = rng.uniform(0.2, 0.6)
+        return Material(
+            pattern,
+            tone,
+            other,
+            palette.darker(tone, 0.6),
+            cell=(side, side),
+            line=0.008,
+            grain=0.07,
+            gloss=0.45,
+            detail=0.3,
+            seed=seed,
+        )
+    tone = pick(rng, palette.CLOTH)
+    return Material(
+        Pattern.PLAIN,
+        tone,
+        palette.darker(tone, 0.8),
+        grain=0.2,
+        grain_size=rng.choice([0.05, 0.3]),
+        detail=0.4,
+        seed=seed,
+    )

@@ -1,0 +1,213 @@
+"""How a room is furnished: what stands against its walls and on its floor, and what hangs there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from omnisyn_cli.scenes import furniture, goods, palette, props
+from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.palette import pick
+from omnisyn_cli.scenes.scene import SceneBuilder, Shape
+from omnisyn_cli.scenes.turned import Turned
+from omnisyn_cli.scenes.walls import Cell, Openings
+
+__all__ = ["furnish"]
+
+Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]
+
+AT_HOME: tuple[Thing, ...] = (
+    furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp,
+)  # fmt: skip
+"""What stands against the walls of a home."""
+
+AT_WORK: tuple[Thing, ...] = (
+    furniture.cabinet, furniture.shelf, furniture.shelf, furniture.screen, furniture.plant, furniture.table,
+)  # fmt: skip
+"""What stands against the walls of an office."""
+
+LOW: tuple[Thing, ...] = (furniture.table, furniture.plant, furniture.armchair)
+"""What stands before a window."""
+
+Taken = list[tuple[float, float, float]]
+"""Places on the floor that are taken: x, z and radius, metres."""
+
+
+def furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> None:
+    """Line the walls and fill the floor; things that would overlap are left out.
+
+    Args:
+        build: what to add to.
+        cell: the room.
+        use: "home" or "office".
+        openings: windows and doors, to keep clear.
+    """
+    rng = build.rng
+    taken: Taken = []
+    size = (cell.high[0] - cell.low[0], cell.high[1] - cell.low[1])
+    if rng.random() < (0.5 if use == "home" else 0.15):
+        _rug(build, cell)
+    for _ in range(int(rng.integers(6, 12) + size[0] * size[1] / 5.0)):
+        _against_wall(build, cell, use, openings, taken)
+    for _ in range(int(rng.uniform(0.1, 0.45) * (size[0] + size[1]))):
+        _picture(build, cell, openings)
+    middle = (0.5 * (cell.low[0] + cell.high[0]), 0.0, 0.5 * (cell.low[1] + cell.high[1]))
+    furniture.clutter(Turned(build, middle, 0.0), (0.5 * size[0], 0.5 * size[1]), 0.0, int(rng.integers(0, 9)))
+    if use == "office" and min(size) > 4.0 and rng.random() < 0.6:
+        _rows_of_desks(build, cell, taken)
+    for _ in range(int(rng.integers(1, 4) + size[0] * size[1] / 9.0)):
+        _in_the_middle(build, cell, use, taken)
+
+
+def _is_free(taken: Taken, x: float, z: float, radius: float) -> bool:
+    if any(math.hypot(x - a, z - b) < radius + r for a, b, r in taken):
+        return False
+    taken.append((x, z, radius))
+    return True
+
+
+def _rug(build: SceneBuilder, cell: Cell) -> None:
+    rng = build.rng
+    half = (rng.uniform(0.7, 1.4), 0.006, rng.uniform(0.6, 1.1))
+    x = rng.uniform(cell.low[0] + 1.5, max(cell.low[0] + 1.51, cell.high[0] - 1.5))
+    z = rng.uniform(cell.low[1] + 1.2, max(cell.low[1] + 1.21, cell.high[1] - 1.2))
+    weave = Material(
+        Pattern.RUG,
+        pick(rng, palette.CLOTH),
+        pick(rng, palette.CLOTH),
+        pick(rng, palette.CLOTH),
+        cell=(0.3, 0.3),
+        grain=0.12,
+        grain_size=0.08,
+        seed=int(rng.integers(1, 1000)),
+    )
+    build.add(
+        Shape.BOX, (x, 0.006, z), half, weave, yaw=float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])), casts_shadow=False
+    )
+
+
+def _against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Openings, taken: Taken) -> None:
+    """Stand something against a wall, facing the room, and perhaps hang a picture over it."""
+    rng = build.rng
+    x, z, yaw, is_open = _wall_place(rng, cell, openings, 0.42)
+    radius = 0.62
+    if is_open > 1 or not _is_free(taken, x, z, radius):
+        return
+    base = (x, 0.0, z)
+    choices = LOW if is_open else AT_HOME if use == "home" else AT_WORK
+    if rng.random() < 0.12:
+        goods.carton_pile(build, base, yaw)
+    else:
+        thing = choices[rng.integers(len(choices))]
+        if thing is furniture.bed:
+            inward = (x + 0.7 * math.sin(yaw), 0.0, z + 0.7 * math.cos(yaw))
+            furniture.bed(build, inward, yaw)
+            taken.append((inward[0], inward[2], 0.9))
+        else:
+            thing(build, base, yaw)
+    if rng.random() < 0.7:
+        _picture(build, cell, openings)
+
+
+def _wall_place(
+    rng: np.random.Generator, cell: Cell, openings: Openings, gap: float
+) -> tuple[float, float, float, int]:
+    """A point ``gap`` in front of a wall, the yaw that looks away from it, and 0 (wall), 1 (window) or 2 (door)."""
+    name = str(rng.choice(["south", "north", "west", "east"]))
+    x, z = rng.uniform(cell.low[0] + 0.8, cell.high[0] - 0.8), rng.uniform(cell.low[1] + 0.8, cell.high[1] - 0.8)
+    along = x if name in ("south", "north") else z
+    before = [o for o in openings[name] if o.start - 0.6 < along < o.end + 0.6]
+    is_open = 0 if not before else (2 if before[0].bottom <= 0.0 else 1)
+    if name == "south":
+        return x, cell.low[1] + gap, 0.0, is_open
+    if name == "north":
+        return x, cell.high[1] - gap, math.pi, is_open
+    if name == "west":
+        return cell.low[0] + gap, z, 0.5 * math.pi, is_open
+    return cell.high[0] - gap, z, -0.5 * math.pi, is_open
+
+
+def _picture(build: SceneBuilder, cell: Cell, openings: Openings) -> None:
+    rng = build.rng
+    x, z, yaw, is_open = _wall_place(rng, cell, openings, 0.075)
+    if is_open:
+        return
+    half = (rng.uniform(0.15, 0.55), rng.uniform(0.15, 0.45), 0.015)
+    paint = Material(
+        Pattern.PICTURE,
+        pick(rng, palette.GLASS, 0.15),
+        pick(rng, palette.FOLIAGE, 0.15),
+        pick(rng, palette.WOOD),
+        cell=(0.25, 0.2),
+        line=rng.uniform(0.01, 0.04),
+        grain=0.04,
+        gloss=0.2,
+        seed=int(rng.integers(1, 1000)),
+    )
+    if rng.random() < 0.35:
+        paint = Material(
+            Pattern.COLLAGE,
+            pick(rng, palette.SIGN, 0.1),
+            pick(rng, palette.INTERIOR),
+            pick(rng, palette.SIGN, 0.1),
+            cell=(0.4, 0.3),
+            grain=0.04,
+            detail=0.8,
+            seed=int(rng.integers(1, 1000)),
+        )
+    build.add(Shape.BOX, (x, rng.uniform(1.3, 1.75), z), half, paint, yaw=yaw)
+
+
+def _rows_of_desks(build: SceneBuilder, cell: Cell, taken: Taken) -> None:
+    rng = build.rng
+    step = (rng.uniform(1.9, 2.6), rng.uniform(1.6, 2.4))
+    seat = furniture.office_chair if rng.random() < 0.5 else furniture.chair
+    for x in np.arange(cell.low[0] + 1.6, cell.high[0] - 1.4, step[0]):
+        for z in np.arange(cell.low[1] + 1.5, cell.high[1] - 1.2, step[1]):
+            if rng.random() < 0.8 and _is_free(taken, float(x), float(z), 0.7):
+                furniture.table(build, (float(x), 0.0, float(z)), 0.0, (0.6, 0.35))
+                seat(
+                    build,
+                    (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7)),
+                    math.pi + rng.uniform(-0.5, 0.5),
+                )
+
+
+def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> None:
+    """Stand a table with chairs, an armchair, a column or a person somewhere on the floor."""
+    rng = build.rng
+    low, high = cell.low, cell.high
+    x, z = rng.uniform(low[0] + 0.9, high[0] - 0.9), rng.uniform(low[1] + 0.9, high[1] - 0.9)
+    choice, yaw = rng.random(), rng.uniform(-math.pi, math.pi)
+    base = (x, 0.0, z)
+    if choice < 0.45 and _is_free(taken, x, z, 1.15):
+        yaw = float(rng.choice([0.0, 0.5 * math.pi])) + rng.normal(0, 0.06)
+        half = (rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.5))
+        furniture.table(build, base, yaw, half)
+        seat = furniture.office_chair if use == "office" and rng.random() < 0.5 else furniture.chair
+        for side in (-1.0, 1.0):
+            for place in (-0.5, 0.5):
+                if rng.random() < 0.7:
+                    a, b = place * half[0], side * (half[1] + rng.uniform(0.05, 0.3))
+                    c, s = math.cos(yaw), math.sin(yaw)
+                    turn = yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)
+                    seat(build, (x + c * a + s * b, 0.0, z - s * a + c * b), turn)
+    elif choice < 0.6 and _is_free(taken, x, z, 0.55):
+        furniture.armchair(build, base, yaw)
+    elif choice < 0.7 and _is_free(taken, x, z, 0.4):
+        furniture.chair(build, base, yaw)
+    elif choice < 0.78 and _is_free(taken, x, z, 0.4):
+        props.person(build, base)
+    elif choice < 0.86 and _is_free(taken, x, z, 0.35):
+        goods.carton_pile(build, base, yaw)
+    elif choice < 0.93 and _is_free(taken, x, z, 0.4):
+        plaster = Material(Pattern.PLAIN, pick(rng, palette.INTERIOR), grain=0.08)
+        if rng.random() < 0.5:
+            build.pole(base, cell.tall, rng.uniform(0.1, 0.25), plaster)
+        else:
+            half_wide = rng.uniform(0.1, 0.25)
+            build.add(Shape.BOX, (x, 0.5 * cell.tall, z), (half_wide, 0.5 * cell.tall, half_wide), plaster)
+    elif cell.tall > 2.6 and rng.random() < 0.6 and _is_free(taken, x, z, 1.4):
+        furniture.stairs(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi, int(rng.integers(4, 12)))
