@@ -19,9 +19,20 @@ __all__ = [
     "RigidEntry",
     "explain",
     "path_problem",
+    "place_of",
+    "sentence",
 ]
 
 LONGEST_SHOWN = 60
+
+MOST_LISTED = 20
+"""Keys of a model that a message names when another came."""
+
+PYDANTICS_OWN = (
+    r"^(Input|List|Dictionary|String) should (be|have) | after validation, .*|, unable to .*"
+    r"|, got a number with a fractional part"
+)
+"""What its messages have besides what was expected."""
 
 ALLOW_OUTSIDE = "allow_outside"
 """Key of the validation context; true where depth and masks may lie anywhere."""
@@ -119,12 +130,12 @@ def explain(error: ValidationError, model: type[BaseModel], where: tuple[str, ..
     """One line for the first thing that is wrong: place, expected, got, next step; and how many more there are."""
     problems = error.errors(include_url=False)
     first = problems[0]
-    place = _place((*where, *(str(part) if isinstance(part, str) else part for part in first["loc"])))
+    place = place_of((*where, *(str(part) if isinstance(part, str) else part for part in first["loc"])))
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return f"{place}: {_sentence(first, model)}{more}"
+    return f"{place}: {sentence(first, model)}{more}"
 
 
-def _place(parts: tuple[str | int, ...]) -> str:
+def place_of(parts: tuple[str | int, ...]) -> str:
     """A JSON path such as ``panoramas.'a.jpg'.position[1]``."""
     text = ""
     for part in parts:
@@ -136,20 +147,28 @@ def _place(parts: tuple[str | int, ...]) -> str:
     return text or "top level"
 
 
-def _sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+def sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """What was expected, what came and what to do about one of pydantic's problems."""
     key = problem["loc"][-1] if problem["loc"] else ""
     match problem["type"]:
         case "extra_forbidden":
             near = difflib.get_close_matches(str(key), model.model_fields, n=1)
             hint = f"did you mean '{near[0]}'?" if near else "remove it"
-            return f"expected one of the keys {', '.join(model.model_fields)}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
+            known = (
+                f"one of the keys {', '.join(model.model_fields)}"
+                if len(model.model_fields) <= MOST_LISTED
+                else "a known key"
+            )
+            return f"expected {known}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
         case "missing":
             return f"expected the key '{key}', got none; add it"
         case "value_error":
             return f"expected {problem['ctx']['error']}, got {_shown(problem['input'])}; correct it"
         case "dict_type" | "model_type":
             return f"expected an object in braces, got {_shown(problem['input'])}; correct it"
-    wanted = re.sub(r"^(Input|List|Dictionary) should (be|have) | after validation, .*", "", problem["msg"])
+        case "bool_parsing":
+            return f"expected true or false, got {_shown(problem['input'])}; correct it"
+    wanted = re.sub(r"^(?=greater|less)", "a number ", re.sub(PYDANTICS_OWN, "", problem["msg"]))
     return f"expected {wanted}, got {_shown(problem['input'])}; correct it"
 
 

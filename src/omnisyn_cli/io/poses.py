@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Never, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -40,6 +40,7 @@ from omnisyn_cli.io.pose_models import (
     explain,
     path_problem,
 )
+from omnisyn_cli.io.strict_json import parse_json
 
 __all__ = [
     "PoseFile",
@@ -193,23 +194,11 @@ def _listed(names: Mapping[str, Any], most: int = 8) -> str:
 
 def _parsed(path: Path) -> Any:
     """The JSON of a file, with everything refused that JSON readers disagree on."""
-
-    def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        seen: dict[str, Any] = {}
-        for key, value in pairs:
-            if key in seen:
-                raise PoseError(f"{path}: expected every key once, got '{key}' twice in one object; remove one of them")
-            seen[key] = value
-        return seen
-
-    def refuse_constant(constant: str) -> Never:
-        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
-
     text = read_text(path, "a pose file", LARGEST_FILE, PoseError)
     try:
-        return json.loads(text, object_pairs_hook=without_duplicates, parse_constant=refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
+        return parse_json(text)
+    except ValueError as error:
+        raise PoseError(f"{path}: {error}") from error
 
 
 def _validated(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any, Never, TypeVar
+from typing import Any, TypeVar
 from zipfile import BadZipFile
 
 import numpy as np
@@ -17,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.paths import read_text as read
 from omnisyn_cli.io.pose_models import explain
+from omnisyn_cli.io.strict_json import parse_json
 
 __all__ = ["ForeignModel", "data_lines", "numbers", "read_array", "read_json", "read_text", "validated"]
 
@@ -75,17 +75,13 @@ def read_json(path: Path) -> Any:
     """The JSON of a file.
 
     Raises:
-        PoseError: as :func:`read_text`, or no JSON (with line and column), or NaN and infinity in it.
+        PoseError: as :func:`read_text`, or no JSON (with line and column), or what :func:`parse_json` refuses.
     """
-
-    def refuse(constant: str) -> Never:
-        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
-
     text = read_text(path)
     try:
-        return json.loads(text, parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
+        return parse_json(text)
+    except ValueError as error:
+        raise PoseError(f"{path}: {error}") from error
 
 
 def validated(path: Path, model: type[Model], value: Any, *where: str) -> Model:
