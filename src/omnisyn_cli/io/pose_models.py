@@ -44,8 +44,6 @@ Metres = Annotated[float, Field(ge=-EARTH, le=EARTH)]
 
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
-Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
-
 
 def path_problem(name: str, *, allow_outside: bool = False) -> str | None:
     """What keeps a name from being a file inside the pose file's folder (or anywhere, if allowed), or None."""
@@ -74,6 +72,12 @@ def _square(matrix: list[list[float]]) -> list[list[float]]:
     return matrix
 
 
+def _quaternion(numbers: list[float]) -> list[float]:
+    if len(numbers) != 4:
+        raise ValueError("a unit quaternion [w, x, y, z]")
+    return numbers
+
+
 def _first_version(version: Any) -> int:
     if type(version) is not int or version != 1:
         raise ValueError("1, the only version there is")
@@ -83,6 +87,8 @@ def _first_version(version: Any) -> int:
 File = Annotated[str, AfterValidator(_inside_folder)]
 
 Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
+
+Quaternion = Annotated[list[float], AfterValidator(_quaternion)]
 
 
 class _Model(BaseModel):
