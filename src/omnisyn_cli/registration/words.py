@@ -87,7 +87,7 @@ def _off(given: Fit, diagnosis: Diagnosis) -> str:
 
 def _has_no_direction(given: Fit) -> bool:
     """Whether poses have both cameras in one place where the pictures have not, see :class:`Fit`."""
-    return given.direction == math.pi
+    return given.direction == math.radians(180.0)
 
 
 def _advice(diagnosis: Diagnosis) -> list[str]:
