@@ -92,7 +92,7 @@ def test_all_problems_are_listed_with_their_lines(tmp_path: Path) -> None:
      ({"output": "%05d.png"}, "folder"), ({"frames": 1}, "frames"), ({"frames": 3, "duration": 2}, "either"),
      ({"size": "64x64"}, "twice"), ({"size": "64"}, "size"), ({"cut": 0.1, "cut_metres": 1}, "either"),
      ({"cut": 0}, "cut"), ({"depth": "guess"}, "depth"), ({"preset": "best"}, "preset"), ({"renderer": "x"}, "rend"),
-     ({"inputs": ["p0.png"]}, "inputs"), ({"inputs": ["p0.png", "p2.exr"]}, "p2.exr"), ({"fps": 1e999}, "fps"),
+     ({"inputs": ["p0.png"]}, "inputs"), ({"inputs": ["p0.png", "p2.exr"]}, "p2.exr"), ({"fps": 1e999}, "finite"),
      ({"nadir": 90}, "nadir"), ({"masks": ["p0.png"]}, "one mask"), ({"masks": ["p0.png", "m.png"]}, "m.png"),
      ({"baseline": 2}, "baseline"), ({"poses": "auto", "baseline": 0}, "baseline"),
      ({"codec": "mpeg"}, "codec"), ({"output": "a.mp4", "codec": "prores"}, ".mov"), ({"crf": 99}, "quality"),
@@ -107,6 +107,36 @@ def test_what_no_job_may_say_is_refused(tmp_path: Path, changes: dict[str, Any],
     found = problems(tmp_path, line(0, 1) | changes)
     assert len(found) == 1
     assert word in found[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [({"frames": "x"}, "frames: expected a valid integer, got 'x'; correct it"),
+     ({"nadir": 90}, "nadir: expected a number less than 90, got 90; correct it"),
+     ({"size": "64"}, "size: expected WIDTHxHEIGHT such as 2048x1024, got '64'; correct it"),
+     ({"allow_aspect": "perhaps"}, "allow_aspect: expected true or false, got 'perhaps'; correct it"),
+     ({"framse": 3}, "framse: expected a known key, got 'framse'; did you mean 'frames'?"),
+     ({"inputs": ["p0.png"]}, "inputs: expected at least 2 items, got ['p0.png']; correct it"),
+     ({"poses": None}, "expected inputs with poses, or a scene, got neither; name one of them")],
+)  # fmt: skip
+def test_problems_say_expected_got_and_what_to_do(tmp_path: Path, changes: dict[str, Any], sentence: str) -> None:
+    write_row(tmp_path, 2)
+    assert problems(tmp_path, line(0, 1) | changes) == [f"line 1: {sentence}"]
+
+
+def test_what_is_said_twice_or_is_no_number_is_refused(tmp_path: Path) -> None:
+    write_row(tmp_path, 2)
+    text = json.dumps(line(0, 1))
+    twice, endless = (f"{text[:-1]}, {more}}}" for more in ('"frames": 4', '"crf": NaN'))
+    assert problems(tmp_path, twice, endless) == [
+        "line 1: expected every key once, got 'frames' twice in one object; remove one of them",
+        "line 2: expected finite numbers, got NaN; write a number",
+    ]
+    table = tmp_path / "jobs.csv"
+    table.write_text("id,inputs,poses,frames,frames\na,p0.png;p1.png,poses.json,3,4\n")
+    assert read_manifest(table).problems == (
+        "line 1: expected every column once, got 'frames' twice; remove one of them",
+    )
 
 
 @pytest.mark.parametrize(

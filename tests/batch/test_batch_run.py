@@ -71,7 +71,7 @@ def test_a_record_says_what_a_result_was_made_of(tmp_path: Path) -> None:
     (record,) = records(tmp_path / "out")
     assert (record["id"], record["status"], record["attempts"], record["panoramas_decoded"]) == ("0-1", "done", 1, 2)
     made = [file.stat().st_size for file in (tmp_path / "out" / "0-1").iterdir()]
-    assert record["outputs"] == {"0-1": {"files": 3, "bytes": sum(made)}}
+    assert record["outputs"] == {"0-1": {"files": 3, "bytes": sum(made), "names": ["#"]}}
     assert record["sources"]["options"] == {"frames": 3}
     assert {Path(name).name for name in record["sources"]["files"]} == {"p0.png", "p1.png", "depth0.exr", "depth1.exr"}
     assert {"decode", "mesh", "render", "fuse", "total"} <= set(record["summary"]["stages"])
@@ -267,6 +267,22 @@ def test_fewer_frames_leave_none_of_the_former_ones(tmp_path: Path) -> None:
     batch(tmp_path, line(0, 1, frames=5))
     batch(tmp_path, line(0, 1, frames=3))
     assert len(contents(tmp_path / "out")) == 3
+
+
+def test_files_of_others_in_a_jobs_folder_stay_and_redo_nothing(tmp_path: Path) -> None:
+    """Frames of another format and the ones that are too many go, whatever has other names stays."""
+    write_row(tmp_path, 2)
+    batch(tmp_path, line(0, 1, frames=5, codec="jpg"))
+    mine = tmp_path / "out" / "0-1" / "notes.txt"
+    mine.write_text("mine")
+    assert len(batch(tmp_path, line(0, 1, frames=5, codec="jpg")).kept) == 1
+    assert len(batch(tmp_path, line(0, 1, frames=3, codec="png")).done) == 1
+    assert {name.removeprefix("0-1/") for name in contents(tmp_path / "out")} == {
+        "000000.png", "000001.png", "000002.png", "notes.txt",
+    }  # fmt: skip
+    assert mine.read_text() == "mine"
+    (tmp_path / "out" / "0-1" / "000001.png").unlink()
+    assert len(batch(tmp_path, line(0, 1, frames=3, codec="png")).done) == 1
 
 
 def test_poses_are_found_in_the_pictures_as_well_as_given(tmp_path: Path) -> None:

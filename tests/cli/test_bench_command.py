@@ -170,3 +170,9 @@ def test_what_a_budget_does_not_go_with(
     result = run_cli(capsys, *budget_of(60, images, "--dry-run", *more))
     assert (result.code, result.out) == (code, "")
     assert message in result.err
+
+
+def test_a_list_of_numbers_names_what_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+    result = run_cli(capsys, "bench", "--depth-rows", "64,abc")
+    assert result.code == 2
+    assert "'--depth-rows': 'abc' is not a valid integer." in result.err

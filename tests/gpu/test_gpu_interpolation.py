@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 from gpu_samples import pair_along, share_within_a_level
@@ -112,14 +113,16 @@ def test_other_methods_have_nothing_to_do_with_it(tmp_path: Path) -> None:
         assert not plan_interpolation(job_of(tmp_path, images, device="cuda", method=method)).is_on_gpu
 
 
+@pytest.mark.parametrize("more", [[], ["--dry-run"], ["--dry-run", "--renderer", "points", "--depth", "refined"]])
 def test_cuda_that_is_not_there_is_code_3_and_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, more: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
     images = write_hall(tmp_path, CHAIN[:2], (16, 32))
     arguments = [*map(str, images), "--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "out")]
     with pytest.raises(SystemExit) as ended:
-        main(["interpolate", *arguments, "--device", "cuda", "--frames", "3"])
+        main(["interpolate", *arguments, "--device", "cuda", "--frames", "3", *more])
     assert ended.value.code == 3
     assert capsys.readouterr().err.count("\n") == 1
     assert not (tmp_path / "out").exists()

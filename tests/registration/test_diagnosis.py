@@ -105,6 +105,11 @@ def test_equal_positions_in_the_file_are_a_contradiction_if_the_pictures_differ(
     matches = matches_of(rng, first, second, noise=0.2 * PIXEL)
     diagnosis = diagnose(first, Pose(second.rotation, first.position), matches)
     assert diagnosis.verdict == "contradiction"
+    sentences = " ".join(diagnosis_sentences(diagnosis))
+    assert "the poses put both cameras in one place, the pictures do not" in sentences
+    assert "give each panorama its own position" in sentences
+    assert "direction of the second camera by" not in sentences
+    assert "median residual" not in sentences
 
 
 def test_one_place_is_said_and_its_rotations_are_judged() -> None:

@@ -111,12 +111,15 @@ def write_walk(folder, *, with_depth=True):
 def test_a_folder_of_scenes_becomes_a_pool_once(tmp_path):
     write_walk(tmp_path / "data" / "walk")
     write_walk(tmp_path / "data" / "blind", with_depth=False)
+    (tmp_path / "data" / "broken").mkdir()
+    (tmp_path / "data" / "broken" / "poses.json").write_text("{")
     arguments = ["convert", str(tmp_path / "data"), str(tmp_path / "pool"), "--height", "64"]
     result = CliRunner().invoke(train_command, arguments)
     assert result.exit_code == 0, result.output
     names = [path.name for path in list_pool(tmp_path / "pool")]
     assert names == ["walk-0.png-1.png.npz", "walk-1.png-2.png.npz"]
     assert result.output.count("expected true depth of both panoramas") == 2
+    assert "broken: " in result.output
     scene = load_scene(tmp_path / "pool" / names[0])
     assert scene.images.shape == (2, 64, 128, 3)
     assert scene.along[1] == pytest.approx(0.4 * np.sqrt(1.04), rel=1e-4)

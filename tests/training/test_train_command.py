@@ -42,6 +42,7 @@ def test_the_papers_network_is_trained_published_and_found_by_its_name(tmp_path,
     pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]
     result = run("depth", tmp_path / "run", *pools, "--variant", variant, "--height", 64, "--steps", 2, "--batch", 1)
     assert result.exit_code == 0, result.output
+    assert result.output == f"{tmp_path / 'run'}: from step 0 on cpu, with a line every 250 steps\n"
     state = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"]) == ("paper", 2)
     assert (state["training"]["size"], state["training"]["rate"]) == (size, 1e-4)

@@ -148,6 +148,8 @@ class _Reader:
             self.jobs.append(job)
 
     def _job(self, line: Any) -> BatchJob:
+        if line.scene is None and (line.inputs is None or line.poses is None):
+            raise InputError("expected inputs with poses, or a scene, got neither; name one of them")
         base = self._folder if line.scene is None else self._folder / line.scene
         poses = self._pose_path(line, base)
         pose_file = None if poses == POSES_FROM_PICTURES else self._poses(poses, line.allow_outside)
@@ -214,7 +216,7 @@ def _is_file(path: Path) -> bool:
 
 def _refusing(value: dict[str, Any] | str) -> Any:
     if isinstance(value, str):
-        raise InputError(f"{value}; correct it there")
+        raise InputError(value)
     return Line.model_validate(value)
 
 

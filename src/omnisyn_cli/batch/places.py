@@ -5,20 +5,24 @@ A worker that cannot see the folder (on another machine) works in a temporary on
 
 from __future__ import annotations
 
+import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from omnisyn_cli.batch.manifest import RECORDS, WORKSHOP
 from omnisyn_cli.batch.records import recorded_places
 from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.paths import check_folder, check_kept, temporary_name, write_errors
 
 __all__ = [
     "attempt_folder",
+    "is_as_measured",
     "measure",
     "open_workshop",
     "pack",
@@ -93,24 +97,40 @@ def attempt_folder(folder: Path | None) -> Iterator[Path]:
         shutil.rmtree(attempt, ignore_errors=True)
 
 
-def measure(folder: Path, places: Iterable[str]) -> dict[str, dict[str, int]]:
-    """Number of files and bytes of every place below a folder; 0 files where there is nothing."""
-    return {place: _measured(folder / place) for place in places}
+def measure(folder: Path, places: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Number of files, bytes, and kinds of names of every place below a folder; 0 files where there is nothing."""
+    return {place: _measured(_files(folder / place)) for place in places}
+
+
+def is_as_measured(folder: Path, places: Iterable[str], measured: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether there is what :func:`measure` found, whatever else there is with names of other kinds."""
+    if set(places) != set(measured):
+        return False
+    for place, figures in measured.items():
+        found = _measured(_of_kinds(_files(folder / place), figures.get("names")))
+        if any(found.get(name) != figure for name, figure in figures.items()):
+            return False
+    return True
 
 
 def publish(attempt: Path, folder: Path, places: Iterable[str]) -> None:
-    """Move what an attempt has made to its final name; a file is replaced at once, a folder is removed before.
+    """Move what an attempt has made to its final name, in folders in place of files with names of the same kinds.
 
     Raises:
         WriteError: the disk is full, or the folder went away.
     """
     for place in places:
-        target = folder / place
+        made, target = attempt / place, folder / place
         with write_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
-            if target.is_dir():
-                shutil.rmtree(target)
-            (attempt / place).replace(target)
+            if not target.is_dir():
+                made.replace(target)
+                continue
+            files = sorted(made.iterdir())
+            for former in _of_kinds(list(target.iterdir()), {_kind(file) for file in files}):
+                former.unlink()
+            for file in files:
+                file.replace(target / file.name)
 
 
 def pack(attempt: Path, places: Iterable[str]) -> dict[str, bytes]:
@@ -131,9 +151,20 @@ def unpack(files: Files, folder: Path, places: Iterable[str]) -> None:
         publish(attempt, folder, places)
 
 
-def _measured(place: Path) -> dict[str, int]:
-    sizes = [file.stat().st_size for file in _files(place)]
-    return {"files": len(sizes), "bytes": sum(sizes)}
+def _measured(files: Sequence[Path]) -> dict[str, Any]:
+    sizes = [file.stat().st_size for file in files]
+    return {"files": len(sizes), "bytes": sum(sizes), "names": sorted({_kind(file) for file in files})}
+
+
+def _of_kinds(files: Iterable[Path], kinds: Collection[str] | None) -> list[Path]:
+    """Those with a name of one of the kinds; all where kinds are None, as in records of former versions."""
+    return [file for file in files if kinds is None or (_kind(file) in kinds and not file.is_dir())]
+
+
+def _kind(file: Path) -> str:
+    """A name without its numbers and, of an image, without its ending: that of all frames of a job, in any format."""
+    suffix = file.suffix.lower()
+    return re.sub(r"[0-9]+", "#", file.stem) + ("" if suffix in IMAGE_SUFFIXES else suffix)
 
 
 def _files(place: Path) -> list[Path]:

@@ -18,7 +18,7 @@ from omnisyn_cli.batch.engine import Crew, Job, Outcome, Work, run_jobs
 from omnisyn_cli.batch.interpolations import Settings
 from omnisyn_cli.batch.local import LocalCrew
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
-from omnisyn_cli.batch.places import measure, open_workshop, prepare_folder, unpack
+from omnisyn_cli.batch.places import is_as_measured, open_workshop, prepare_folder, unpack
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, sources
 from omnisyn_cli.batch.records import Records
 from omnisyn_cli.errors import InputError, OmnisynError
@@ -170,7 +170,7 @@ def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport,
         if not retry_failed:
             report.failed.append(_short(record))
         return retry_failed
-    if measure(folder, job.places) != record.get("outputs"):
+    if not is_as_measured(folder, job.places, record.get("outputs", {})):
         return True
     report.kept.append(_short(record))
     return False

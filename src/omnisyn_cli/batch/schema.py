@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
-from typing import Annotated, Any, Literal, Self, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import MAX_PIXELS
+from omnisyn_cli.io.pose_models import place_of, sentence
 from omnisyn_cli.planning import DEPTH_METHODS, RENDERER_CHOICES, InterpolationJob
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS
 from omnisyn_cli.runtime.session import DEVICES
@@ -27,12 +29,24 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Name = Annotated[str, StringConstraints(min_length=1)]
 
 
+def _id(text: str) -> str:
+    if not re.fullmatch(r"\w[\w.-]{0,119}", text):
+        raise ValueError("at most 120 letters, digits, _, - and ., the first one a letter, digit or _")
+    return text
+
+
+def _size(text: str) -> str:
+    if not re.fullmatch(r"[1-9][0-9]{0,5}x[1-9][0-9]{0,5}", text):
+        raise ValueError("WIDTHxHEIGHT such as 2048x1024")
+    return text
+
+
 class _Places(BaseModel):
     """The part of a line that is about files."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    id: Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$", max_length=120)]
+    id: Annotated[str, AfterValidator(_id)]
     inputs: Annotated[list[Name], Field(min_length=2)] | None = None
     scene: Name | None = None
     poses: Name | None = None
@@ -42,18 +56,12 @@ class _Places(BaseModel):
     save_frames: Name | None = None
     save_confidence: Name | None = None
 
-    @model_validator(mode="after")
-    def _has_panoramas(self) -> Self:
-        if self.scene is None and (self.inputs is None or self.poses is None):
-            raise ValueError("expected inputs with poses, or a scene; name one of them")
-        return self
-
 
 CONSTRAINED: dict[str, Any] = {
     "frames": (Annotated[int, Field(ge=2)] | None, None),
     "duration": (Positive | None, None),
     "fps": (Annotated[float, Field(gt=0, le=1000)], 30.0),
-    "size": (Annotated[str, StringConstraints(pattern=r"^[1-9]\d{0,5}x[1-9]\d{0,5}$")] | None, None),
+    "size": (Annotated[str, AfterValidator(_size)] | None, None),
     "method": (Literal[METHODS], OMNISYN),
     "preset": (Literal[tuple(PRESETS)], DEFAULT_PRESET),
     "depth": (Literal[DEPTH_METHODS], "auto"),
@@ -106,8 +114,6 @@ def check_options(options: Mapping[str, Any]) -> None:
 
 
 def explained(error: ValidationError) -> Iterator[str]:
-    """Every problem of a line: where, what is wrong, and what was given."""
-    for detail in error.errors(include_url=False):
-        where = ".".join(str(part) for part in detail["loc"])
-        given = "" if detail["type"] in ("missing", "value_error") else f", got {detail['input']!r:.80}"
-        yield f"{where + ': ' if where else ''}{detail['msg'].removeprefix('Value error, ')}{given}"
+    """Every problem of a line: where, what was expected, what came and what to do."""
+    for problem in error.errors(include_url=False):
+        yield f"{place_of(problem['loc'])}: {sentence(problem, Line)}"

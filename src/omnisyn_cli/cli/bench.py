@@ -12,6 +12,7 @@ import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.numbers import WholeRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.progress import counted_bar
 from omnisyn_cli.presets import PRESETS, SCALE
@@ -51,7 +52,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     help="Which ones.",
 )  # fmt: skip
 @click.option(
-    "--depth-rows", metavar="ROWS,...", type=ListOf(click.IntRange(32, 4096)), default=(),
+    "--depth-rows", metavar="ROWS,...", type=ListOf(WholeRange(32, 4096)), default=(),
     help="Rows that depth is looked for at, which is the density of the mesh too.  [default: as each preset says]",
 )  # fmt: skip
 @click.option(
@@ -61,7 +62,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 @click.option(
     "--threads",
     metavar="N,...",
-    type=ListOf(click.IntRange(1)),
+    type=ListOf(WholeRange(1)),
     default=(),
     help="At most this many.  [default: one per core]",
 )

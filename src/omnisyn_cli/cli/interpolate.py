@@ -180,7 +180,7 @@ def interpolate(
 
     Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.planning import InterpolationJob, plan_interpolation
+    from omnisyn_cli.planning import InterpolationJob, check_device, networks_of, plan_interpolation
     from omnisyn_cli.render.mesh import Cut
 
     if cut is not None and cut_metres is not None:
@@ -195,6 +195,7 @@ def interpolate(
         from omnisyn_cli.evaluation.budget import apply_budget
 
         plan = apply_budget(plan, budget)
+    check_device(plan.job, plan.renderer, plan.fusion, networks_of(plan.job, plan.entries))
     if not quiet:
         for note in plan.notes:
             click.echo(f"note: {note}", err=True)

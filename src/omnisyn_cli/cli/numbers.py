@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-__all__ = ["FiniteRange", "FrameRate"]
+__all__ = ["FiniteRange", "FrameRate", "WholeRange"]
 
 
 class FiniteRange(click.FloatRange):
@@ -19,6 +19,12 @@ class FiniteRange(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"expected a finite number, got {value}", param, ctx)
         return number
+
+
+class WholeRange(click.IntRange):
+    """A range of integers; click calls each of them an integer range where it refuses one."""
+
+    name = "integer"
 
 
 class FrameRate(FiniteRange):

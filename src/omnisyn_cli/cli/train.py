@@ -215,8 +215,18 @@ def _train(
         board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
         run(
             network, config, folder, minutes=math.inf if minutes is None else minutes, steps=steps, report=_show,
-            precision=precision, board=board, weights=weights,
+            precision=precision, board=board, weights=weights, on_start=_say_where(folder),
         )  # fmt: skip
+
+
+def _say_where(folder: Path) -> Callable[[Any], None]:
+    """Says where a run begins, and when there will be news: the first hundreds of steps take minutes."""
+
+    def say(trainer: Any) -> None:
+        every, device = trainer.config.validate_every, trainer.precision.device
+        click.echo(f"{folder}: from step {trainer.step} on {device}, with a line every {every} steps", err=True)
+
+    return say
 
 
 @train.command("compact")

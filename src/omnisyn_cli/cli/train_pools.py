@@ -60,7 +60,7 @@ def pool(
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth in files, to the pool FOLDER for `train depth`.
 
-    Those that are there already stay; pairs without depth are named and left out.
+    Those that are there already stay; damaged scenes and pairs without depth are named and left out.
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
@@ -68,16 +68,22 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
     from omnisyn_cli.training.folders import add_pair, pair_path
 
     choose = choose_pairs(pairs)
-    for pair in (pair for source in find_scenes(dataset, layout) for pair in choose(source.read())):
-        path = pair_path(folder, pair.scene, pair.first.name, pair.second.name)
-        if path.exists():
-            continue
+    for source in find_scenes(dataset, layout):
         try:
-            add_pair(path, *load_pair(pair).views, (height, 2 * height))
+            chosen = choose(source.read())
         except InputError as error:
-            click.echo(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
-        else:
-            click.echo(path)
+            click.echo(f"{source.name}: {error}", err=True)
+            continue
+        for pair in chosen:
+            path = pair_path(folder, pair.scene, pair.first.name, pair.second.name)
+            if path.exists():
+                continue
+            try:
+                add_pair(path, *load_pair(pair).views, (height, 2 * height))
+            except InputError as error:
+                click.echo(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
+            else:
+                click.echo(path)
 
 
 @click.command()

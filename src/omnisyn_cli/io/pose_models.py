@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import difflib
-import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, Never, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo
 
 from omnisyn_cli.errors import PoseError
+from omnisyn_cli.io.strict_json import parse_json
 
 __all__ = [
     "ALLOW_OUTSIDE",
@@ -22,12 +22,23 @@ __all__ = [
     "RigidEntry",
     "parsed_json",
     "path_problem",
+    "place_of",
+    "sentence",
     "validated",
 ]
 
 Model = TypeVar("Model", bound=BaseModel)
 
 LONGEST_SHOWN = 60
+
+MOST_LISTED = 20
+"""Keys of a model that a message names when another came."""
+
+PYDANTICS_OWN = (
+    r"^(Input|List|Dictionary|String) should (be|have) | after validation, .*|, unable to .*"
+    r"|, got a number with a fractional part"
+)
+"""What its messages have besides what was expected."""
 
 ALLOW_OUTSIDE = "allow_outside"
 """Key of the validation context; true where depth and masks may lie anywhere."""
@@ -38,8 +49,6 @@ EARTH = 1e8
 Metres = Annotated[float, Field(ge=-EARTH, le=EARTH)]
 
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
-
-Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
 def path_problem(name: str, *, allow_outside: bool = False) -> str | None:
@@ -69,6 +78,12 @@ def _square(matrix: list[list[float]]) -> list[list[float]]:
     return matrix
 
 
+def _quaternion(numbers: list[float]) -> list[float]:
+    if len(numbers) != 4:
+        raise ValueError("a unit quaternion [w, x, y, z]")
+    return numbers
+
+
 def _first_version(version: Any) -> int:
     if type(version) is not int or version != 1:
         raise ValueError("1, the only version there is")
@@ -78,6 +93,8 @@ def _first_version(version: Any) -> int:
 File = Annotated[str, AfterValidator(_inside_folder)]
 
 Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
+
+Quaternion = Annotated[list[float], AfterValidator(_quaternion)]
 
 
 class _Model(BaseModel):
@@ -125,9 +142,9 @@ def _explained(error: ValidationError, model: type[BaseModel], where: tuple[str,
     """One line for the first thing that is wrong: place, expected, got, next step; and how many more there are."""
     problems = error.errors(include_url=False)
     first = problems[0]
-    place = _place((*where, *(str(part) if isinstance(part, str) else part for part in first["loc"])))
+    place = place_of((*where, *(str(part) if isinstance(part, str) else part for part in first["loc"])))
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return f"{place}: {_sentence(first, model)}{more}"
+    return f"{place}: {sentence(first, model)}{more}"
 
 
 def validated(
@@ -151,23 +168,19 @@ def validated(
         raise PoseError(f"{path}: {_explained(error, model, where)}") from error
 
 
-def parsed_json(path: Path, text: str, keys: Callable[[list[tuple[str, Any]]], Any] = dict) -> Any:
-    """The JSON in the text of a file; ``keys`` makes an object of names and values.
+def parsed_json(path: Path, text: str) -> Any:
+    """The JSON in the text of a file.
 
     Raises:
-        PoseError: no JSON (with line and column), or NaN and infinity in it.
+        PoseError: what :func:`omnisyn_cli.io.strict_json.parse_json` refuses.
     """
-
-    def refuse(constant: str) -> Never:
-        raise PoseError(f"{path}: expected finite numbers, got {constant}; write a number")
-
     try:
-        return json.loads(text, object_pairs_hook=keys, parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise PoseError(f"{path}: expected JSON, got '{error}'; correct it there") from error
+        return parse_json(text)
+    except ValueError as error:
+        raise PoseError(f"{path}: {error}") from error
 
 
-def _place(parts: tuple[str | int, ...]) -> str:
+def place_of(parts: tuple[str | int, ...]) -> str:
     """A JSON path such as ``panoramas.'a.jpg'.position[1]``."""
     text = ""
     for part in parts:
@@ -179,20 +192,28 @@ def _place(parts: tuple[str | int, ...]) -> str:
     return text or "top level"
 
 
-def _sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+def sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """What was expected, what came and what to do about one of pydantic's problems."""
     key = problem["loc"][-1] if problem["loc"] else ""
     match problem["type"]:
         case "extra_forbidden":
             near = difflib.get_close_matches(str(key), model.model_fields, n=1)
             hint = f"did you mean '{near[0]}'?" if near else "remove it"
-            return f"expected one of the keys {', '.join(model.model_fields)}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
+            known = (
+                f"one of the keys {', '.join(model.model_fields)}"
+                if len(model.model_fields) <= MOST_LISTED
+                else "a known key"
+            )
+            return f"expected {known}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
         case "missing":
             return f"expected the key '{key}', got none; add it"
         case "value_error":
             return f"expected {problem['ctx']['error']}, got {_shown(problem['input'])}; correct it"
         case "dict_type" | "model_type":
             return f"expected an object in braces, got {_shown(problem['input'])}; correct it"
-    wanted = re.sub(r"^(Input|List|Dictionary) should (be|have) | after validation, .*", "", problem["msg"])
+        case "bool_parsing":
+            return f"expected true or false, got {_shown(problem['input'])}; correct it"
+    wanted = re.sub(r"^(?=greater|less)", "a number ", re.sub(PYDANTICS_OWN, "", problem["msg"]))
     return f"expected {wanted}, got {_shown(problem['input'])}; correct it"
 
 

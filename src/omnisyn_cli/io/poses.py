@@ -179,16 +179,7 @@ def _listed(names: Mapping[str, Any]) -> str:
 
 def _parsed(path: Path) -> Any:
     """The JSON of a file, with everything refused that JSON readers disagree on."""
-
-    def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        seen: dict[str, Any] = {}
-        for key, value in pairs:
-            if key in seen:
-                raise PoseError(f"{path}: expected every key once, got '{key}' twice in one object; remove one of them")
-            seen[key] = value
-        return seen
-
-    return parsed_json(path, read_text(path, "a pose file", LARGEST_FILE, PoseError), without_duplicates)
+    return parsed_json(path, read_text(path, "a pose file", LARGEST_FILE, PoseError))
 
 
 def _entry(path: Path, name: str, value: Any, allow_outside: bool = False) -> RigidEntry | GeographicEntry:

@@ -17,6 +17,7 @@ from omnisyn_cli.planning.job import (
     sample_types,
     targets,
 )
+from omnisyn_cli.planning.on_gpu import check_device
 from omnisyn_cli.planning.plan import (
     SECONDS_PER_PAIR,
     InterpolationPlan,
@@ -35,6 +36,7 @@ __all__ = [
     "InterpolationJob",
     "InterpolationPlan",
     "check_choices",
+    "check_device",
     "depth_name",
     "frame_count",
     "is_rounded",

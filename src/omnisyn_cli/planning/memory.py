@@ -14,17 +14,32 @@ from omnisyn_cli.rows import are_frames_by_rows
 
 __all__ = ["estimated_memory"]
 
-PROGRAM = 530e6
-"""Bytes of the interpreter, its libraries, compiled kernels and matching."""
+PROGRAM = {"file": 275e6, "matching": 345e6, "refined": 345e6, "network": 345e6, "monocular": 370e6}
+"""Bytes of the interpreter, its libraries and kernels, by where depth is from; for monocular SynSin's networks too."""
 
-PAINTING, PAINTED_ROWS = 150, 1024
+BYTES_PER_PIXEL_OF_NETWORK = {"refined": 1100, "network": 3200}
+"""What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
+
+FINDING = 80e6
+"""Bytes that are given back when depth has been found."""
+
+PAINTING, PAINTED_ROWS = 230, 1024
 """Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
 
 CORRECTING = 90e6
 """Bytes that a network which corrects the blend takes, which looks at one size, whatever that of the frames."""
 
-BYTES_PER_VERTEX = {"mesh": 57, "points": 400, "two-pass": 950}
-"""Measured at their peaks and rounded up: mesh with buffers; splats; explicit triangles."""
+BYTES_PER_VERTEX = {"mesh": 57, "points": 24, "two-pass": 660}
+"""While surfaces are made: mesh with buffers; splats; explicit triangles."""
+
+BYTES_PER_KEPT_VERTEX = {**BYTES_PER_VERTEX, "two-pass": 150}
+"""While frames are made."""
+
+SPLATTING = 36
+"""Bytes of each pixel of a frame in which points are collected."""
+
+PASSING, PASSING_BY_ROWS = 18, 10
+"""Bytes of each pixel of a frame that are held for a moment on the way from one form to another."""
 
 BYTES_PER_SHARPENED_PIXEL = 400
 """Of an estimate while it is sharpened: the costs of some thirty disparities twice, and maps of both panoramas."""
@@ -38,6 +53,7 @@ def estimated_memory(
     size: tuple[int, int],
     sources: Sequence[tuple[int, int]],
     depths: Sequence[tuple[int, int]],
+    depth: str,
     renderer: str,
     fusion: str,
     *,
@@ -49,7 +65,8 @@ def estimated_memory(
         job: what is asked for.
         size: height and width of the frames.
         sources: those of the panoramas.
-        depths: those of the surfaces.
+        depths: those of the surfaces, the first one that of a network's answers.
+        depth: where they come from.
         renderer: how they are drawn.
         fusion: how renderings are fused.
         is_sharpened: whether estimates come to their size by :mod:`omnisyn_cli.stereo.sharpening`.
@@ -62,11 +79,16 @@ def estimated_memory(
     is_kept_as_samples = has_samples and renderer == "mesh"
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
-    surfaces = 2 * BYTES_PER_VERTEX[renderer] * vertices
-    sharpening = 2 * numbers * largest + BYTES_PER_SHARPENED_PIXEL * vertices if is_sharpened else 0
-    texturing_surfaces = surfaces + 2 * (numbers + texturing) * largest
-    frames = surfaces + _bytes_of_frames(job, size, renderer, fusion) + numbers * largest
-    return int(PROGRAM + 2 * kept * largest + max(sharpening, texturing_surfaces, frames))
+    program = PROGRAM[depth] + BYTES_PER_PIXEL_OF_NETWORK.get(depth, 0) * depths[0][0] * depths[0][1]
+    frames = _bytes_of_frames(job, size, renderer, fusion) + numbers * largest
+    if job.method != OMNISYN:
+        return int(program + 2 * kept * largest + frames)
+    finding = 0 if depth == "file" else FINDING
+    if is_sharpened:
+        finding += 2 * numbers * largest + BYTES_PER_SHARPENED_PIXEL * vertices
+    texturing_surfaces = 2 * BYTES_PER_VERTEX[renderer] * vertices + 2 * (numbers + texturing) * largest
+    frames += 2 * BYTES_PER_KEPT_VERTEX[renderer] * vertices
+    return int(program + 2 * kept * largest + max(finding, texturing_surfaces, frames))
 
 
 def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str, fusion: str) -> float:
@@ -82,7 +104,9 @@ def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5
     if is_by_rows:
-        return pixels * (2 * 8 + 1 + pyramid + 3 * waiting + planes)
+        return pixels * (2 * 8 + 1 + PASSING_BY_ROWS + pyramid + 3 * waiting + planes)
     painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if fusion == "painting" else 0
     corrected = CORRECTING if fusion == "network" else 0
-    return painted + corrected + pixels * (2 * (8 + 16) + 16 + pyramid + 3 * largest_sample * waiting + planes)
+    collected = SPLATTING if renderer == "points" else 0
+    whole = 2 * (8 + 16) + 16 + PASSING + collected
+    return painted + corrected + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from omnisyn_cli.planning.job import InterpolationJob
 from omnisyn_cli.presets import OMNISYN
+from omnisyn_cli.runtime.session import check_device_of_networks
 
-__all__ = ["are_frames_on_gpu", "notes_about_gpu"]
+__all__ = ["are_frames_on_gpu", "check_device", "notes_about_gpu"]
 
 
 def are_frames_on_gpu(job: InterpolationJob, renderer: str, fusion: str) -> bool:
@@ -17,6 +20,28 @@ def are_frames_on_gpu(job: InterpolationJob, renderer: str, fusion: str) -> bool
         fusion: how two renderings become one picture, likewise.
     """
     return job.device == "cuda" and job.method == OMNISYN and not _against(job, renderer, fusion)
+
+
+def check_device(job: InterpolationJob, renderer: str, fusion: str, networks: Sequence[str]) -> None:
+    """Refuse a device that this machine does not have; a plan alone may be for another one.
+
+    Args:
+        job: what is asked for.
+        renderer: as of :func:`are_frames_on_gpu`.
+        fusion: likewise.
+        networks: that have a part in the frames.
+
+    Raises:
+        InputError: there is no such device here.
+    """
+    if job.device != "cuda":
+        return
+    if are_frames_on_gpu(job, renderer, fusion):
+        from omnisyn_cli.gpu.device import open_device  # torch takes seconds to import
+
+        open_device(job.device)
+    if networks:
+        check_device_of_networks(job.device)
 
 
 def notes_about_gpu(job: InterpolationJob, renderer: str, fusion: str) -> tuple[str, ...]:

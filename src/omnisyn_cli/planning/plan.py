@@ -234,7 +234,7 @@ def _memory(
     else:
         surfaces = [(coarse_rows(rows), 2 * coarse_rows(rows))]
     is_sharpened = depth == "refined" and len(surfaces) > 1
-    return estimated_memory(job, size, sources, surfaces, renderer, fusion, is_sharpened=is_sharpened)
+    return estimated_memory(job, size, sources, surfaces, depth, renderer, fusion, is_sharpened=is_sharpened)
 
 
 def _encoder(job: InterpolationJob) -> str:

@@ -25,7 +25,7 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
     found = int(estimate.inliers.sum())
     sentences = [_verdict(diagnosis), _off(given, diagnosis)]
     measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.supporting} with the poses given"
-    if not estimate.is_in_place:
+    if not (estimate.is_in_place or _has_no_direction(given)):
         measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
     sentences.append(measured)
@@ -73,6 +73,11 @@ def _off(given: Fit, diagnosis: Diagnosis) -> str:
     if estimate is None or estimate.is_in_place:
         return f"the rotation is off by {_degrees(given.rotation)}"
     spread = estimate.uncertainty
+    if _has_no_direction(given):
+        return (
+            f"the rotation is off by {_degrees(given.rotation)} (± {_degrees(spread.rotation)}); the poses put both "
+            "cameras in one place, the pictures do not"
+        )
     return (
         f"the rotation is off by {_degrees(given.rotation)} (± {_degrees(spread.rotation)}), "
         f"the direction of the second camera by {_degrees(given.direction)} (± {_degrees(spread.direction)}); "
@@ -80,7 +85,14 @@ def _off(given: Fit, diagnosis: Diagnosis) -> str:
     )
 
 
+def _has_no_direction(given: Fit) -> bool:
+    """Whether poses have both cameras in one place where the pictures have not, see :class:`Fit`."""
+    return given.direction == math.radians(180.0)
+
+
 def _advice(diagnosis: Diagnosis) -> list[str]:
+    if diagnosis.given is not None and _has_no_direction(diagnosis.given):
+        return ["give each panorama its own position, or start without poses: `omnisyn poses estimate`"]
     if diagnosis.verdict == "contradiction":
         return ["look for swapped or wrong images, or start without poses: `omnisyn poses estimate`"]
     if diagnosis.is_refinable:

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["DEVICES", "open_session", "run_depth_network", "run_network"]
+__all__ = ["DEVICES", "check_device_of_networks", "open_session", "run_depth_network", "run_network"]
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -47,6 +47,17 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
         raise InputError(
             f"expected an ONNX model in {path}, ONNX Runtime says: {_short(error)}; name another file"
         ) from error
+
+
+def check_device_of_networks(device: str) -> None:
+    """Refuse a device that no session could be opened on.
+
+    Raises:
+        InputError: unknown or absent.
+    """
+    import onnxruntime
+
+    _providers(device, onnxruntime.get_available_providers())
 
 
 def run_depth_network(

@@ -176,6 +176,7 @@ def train(
     precision: Precision = PROCESSOR,
     board: Board | None = None,
     weights: Mapping[str, torch.Tensor] | None = None,
+    on_start: Callable[[Trainer], None] = lambda trainer: None,
 ) -> Trainer:
     """Train until the time or the steps are over or a cool-down has ended; goes on where ``folder`` was left.
 
@@ -192,12 +193,14 @@ def train(
         precision: where and how to compute; a checkpoint can go on with another one.
         board: gets each row and the pictures as well.
         weights: that a fresh run begins with, by name; the others are random.
+        on_start: called once, before the first step, when everything has been found right.
     """
     path = folder / "checkpoint.pt"
     trainer = open_trainer(network, config, path, precision, weights)
     started, losses = time.monotonic(), list[float]()
     pool = list_pool(Path(config.pool), trainer.task.pool)
     list_pool(Path(config.validation_pool), trainer.task.pool)  # found wrong now, not after hundreds of steps
+    on_start(trainer)
     while not trainer.is_finished() and (steps is None or trainer.step < steps):
         losses.append(trainer.advance(pool))
         out_of_time = time.monotonic() - started > 60.0 * minutes

@@ -1,8 +1,9 @@
 """What the depth network is told about its answers, and the figures it is judged by.
 
-Targets are roots (the square root of inverse depth × baseline, see :mod:`omnisyn_cli.networks.depth`); every mean over
-pixels is weighted by the sine of the polar angle, that is, by solid angle. Targets may be NaN where the truth is not
-known (:func:`depth_loss`, :func:`paper_loss`, :func:`depth_scores`): nothing is taught or judged there.
+Targets are roots (the square root of inverse depth × baseline, see :mod:`omnisyn_cli.networks.depth`). In losses every
+mean over pixels is weighted by the sine of the polar angle, that is, by solid angle; figures count pixels. Targets may
+be NaN where the truth is not known (:func:`depth_loss`, :func:`paper_loss`, :func:`depth_scores`): nothing is taught or
+judged there.
 """
 
 from __future__ import annotations
@@ -151,12 +152,13 @@ def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 hei
     expected = (shares.exp() * errors).sum(dim=1, keepdim=True)
     answer = _beyond_zero(prediction.root(), target)
     right = _is_right(prediction.inverse_depth(), target.square())
-    confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right)
-    difficulty = errors[:, :1].mean(dim=(1, 2, 3), keepdim=True)
-    weight = polar_weights(target) * EASY / (EASY + difficulty)
+    area = polar_weights(target)
+    doubt = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
+    difficulty = (errors[:, :1] * area).mean(dim=(1, 2, 3), keepdim=True)
+    weight = area * EASY / (EASY + difficulty)
     own = FREE_WEIGHT * (1.0 - prediction.sure) * errors[:, -1:]
     weighted = (expected + answer + CHOICE_WEIGHT * surprise + own) * weight
-    return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * confidence
+    return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * (doubt * area).mean()
 
 
 def _beyond_zero(root: Tensor, target: Tensor) -> Tensor:
