@@ -88,9 +88,8 @@ def test_is_found_by_place_as_by_face():
     mesh, size = build_mesh(rough(12, 24)), (96, 192)
     texture = make_texture(np.ones((*size, 3), np.float32))
     fragments = rasterize(mesh, Pose.identity(), size)
-    north, south = mesh.trust[0, :, :2], mesh.trust[-1, :, 2:]
-    caps = [beside[col : col + 2].min() for beside in (north, south) for col in range(0, 24, 2)]
-    by_face = np.append(mesh.trust.ravel(), np.float32(caps))[fragments.face // FACES_PER_QUARTER]
+    caps = [mesh.trust[0, :, :2].min(axis=-1), mesh.trust[-1, :, 2:].min(axis=-1)]
+    by_face = np.concatenate([mesh.trust.ravel().repeat(FACES_PER_QUARTER), *caps])[fragments.face]
     assert len(np.unique(by_face)) > 2
     shown = shade(fragments.inverse_depth, mesh, texture, Pose.identity())
     np.testing.assert_allclose(shown[..., 3], by_face, rtol=1e-5)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, Integer, UInt8
+from jaxtyping import Bool, Float, Int32, Integer, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.quads import (
@@ -28,7 +28,6 @@ from omnisyn_cli.render.quads import (
     DIAGONAL,
     DIRECTION_WEIGHTS,
     FACES_PER_QUAD,
-    FACES_PER_QUARTER,
     INVERSE_DEPTH_WEIGHTS,
     LEFT,
     REMOVED,
@@ -99,13 +98,6 @@ class Mesh:
     def cut_quads(self) -> Integer[np.ndarray, " cuts"]:
         """Flat indices of the drawn quads with at least one cut edge, ascending."""
         return np.flatnonzero(((self.quads & CUT_EDGES) != 0) & ((self.quads & REMOVED) == 0))
-
-    @cached_property
-    def quarter_trust(self) -> Float32[np.ndarray, " quarters"]:
-        """Trust by ``face // FACES_PER_QUARTER``: of all quads, then of the caps, that of the quads beside them."""
-        caps = np.stack([self.trust[0, :, :2], self.trust[-1, :, 2:]]).min(axis=-1)
-        pairs = caps.reshape(-1, FACES_PER_QUARTER).min(axis=-1)
-        return np.concatenate([self.trust.ravel(), pairs]).astype(np.float32, copy=False)
 
     def faces(self) -> Integer[np.ndarray, " faces"]:
         """The numbers of all faces that are drawn, ascending."""

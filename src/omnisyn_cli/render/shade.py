@@ -15,7 +15,6 @@ from jaxtyping import Float32, Integer
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.render.texture import CHANNELS, Texture
 from omnisyn_cli.threads import run_bands
@@ -40,11 +39,10 @@ class TrustMap:
 
 
 def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
-    """Trust in a mesh, for its panorama."""
+    """Trust in a mesh, for its panorama; in the caps that of the quads beside them."""
     rows, cols, _ = mesh.trust.shape
     image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
-    of_caps = mesh.quarter_trust[mesh.trust.size + np.arange(2 * cols) // FACES_PER_QUARTER]
-    caps = of_caps.reshape(2, cols).repeat(2, axis=1)
+    caps = np.stack([mesh.trust[0, :, :2], mesh.trust[-1, :, 2:]]).min(axis=-1).repeat(2, axis=1)
     bordered = np.pad(np.concatenate([caps[:1], image, caps[1:]]), ((0, 0), (1, 0)), mode="wrap")
     layout: list[float] = []
     for axis, offset in ((0, 2), (2, 4)):
@@ -52,7 +50,7 @@ def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
         mesh_scale, mesh_zero = (2.0 * number for number in pixel_scale(mesh.size)[axis : axis + 2])
         layout += [mesh_scale / scale, mesh_zero + 1.0 - zero * mesh_scale / scale]
     values = bordered.ravel() if (mesh.trust != 1.0).any() else bordered[:0].ravel()
-    return TrustMap(values.astype(np.float32), np.array([*layout, bordered.shape[1]], np.float32))
+    return TrustMap(values.astype(np.float32, copy=False), np.array([*layout, bordered.shape[1]], np.float32))
 
 
 WHOLE_TRUST = TrustMap(np.empty(0, np.float32), np.zeros(5, np.float32))
