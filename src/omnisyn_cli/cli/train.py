@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
+from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
@@ -24,11 +25,14 @@ DEVICES = ("auto", "cpu", "cuda")
 RATE, PAPER_RATE = 6e-4, 1e-4
 """Learning rates of the depth networks; the second is the authors'."""
 
+POOL_MULTIPLE = 64
+"""Of the height of evidence and of renderings: twice what the networks need that learn from parts of them."""
+
 SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
 """Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""
 
 
-@click.group()
+@click.group(cls=PlainGroup)
 def train() -> None:
     """Train the networks on scenes that the program makes itself."""
 
@@ -105,6 +109,7 @@ def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, te
     from omnisyn_cli.training.evidence import EvidenceConfig, make_evidence
     from omnisyn_cli.training.pool import fill_pool
 
+    _check_pool_height(height)
     make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height), textures=_textures(textures)))
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
         click.echo(path)
@@ -192,7 +197,7 @@ def refine(variant: str, **options: Any) -> None:
 @click.argument("folder", type=FOLDER)
 @click.option("--scenes", default=200, show_default=True, type=click.IntRange(1), help="How many scenes.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
-@click.option("--height", default=256, show_default=True, type=click.IntRange(32), help="Rows of every picture.")
+@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every picture.")
 @click.option("--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority.")
 @TEXTURES
 def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
@@ -202,6 +207,7 @@ def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int,
     from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
     from omnisyn_cli.training.pool import fill_pool
 
+    _check_pool_height(height)
     config = FusionPoolConfig(size=(height, 2 * height), rows=4 * height, textures=_textures(textures))
     make = partial(make_fusion_scene, config=config)
     for path in fill_pool(folder, range(seed, seed + scenes), make, workers=workers):
@@ -289,6 +295,12 @@ def _check_height(height: int, multiple: int, variant: str) -> None:
         raise click.BadParameter(
             f"expected a multiple of {multiple} for the {variant} network, got {height}", param_hint="--height"
         )
+
+
+def _check_pool_height(height: int) -> None:
+    """Of scenes that are learned from at the size they have."""
+    if height % POOL_MULTIPLE:
+        raise click.BadParameter(f"expected a multiple of {POOL_MULTIPLE}, got {height}", param_hint="--height")
 
 
 def _check_variant(variant: str, known: Mapping[str, Any]) -> None:
