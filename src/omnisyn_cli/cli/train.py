@@ -216,7 +216,9 @@ def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int,
 
 @train.command()
 @_stage_options("fusion-pool", batch=4, rate=1e-3)
-@click.option("--variant", default="residual", show_default=True, help="Network of a fresh run.")
+@click.option(
+    "--variant", default="residual", show_default=True, help="Network of a fresh run: residual, paper, paper-narrow."
+)
 def fusion(variant: str, **options: Any) -> None:
     """Train the network that joins two renderings in FOLDER; a run that is there goes on."""
     from omnisyn_cli.networks.fusion import FUSION_VARIANTS
