@@ -1,4 +1,7 @@
-"""How kernels are compiled: no GIL, no exceptions for division by zero, kept on disk after the first run."""
+"""How kernels are compiled: no GIL, no exceptions for division by zero, kept on disk after the first run.
+
+Where no folder can be written (a read-only installation without a home), they are compiled by every process.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,9 @@ from numba.core import event
 
 __all__ = [
     "Decorator",
+    "announce_compiling",
+    "are_kernels_kept",
+    "compiled_kernel",
     "fast_kernel",
     "inlined",
     "inlined_contracting",
@@ -25,18 +31,52 @@ __all__ = [
 Decorator = Callable[..., Any]
 """Numba's decorators say nothing about the types of what they make."""
 
-kernel: Decorator = partial(njit, nogil=True, cache=True, error_model="numpy")
+
+class _Kept:
+    """Whether machine code has a place on disk."""
+
+    everywhere = True
+
+
+def are_kernels_kept() -> bool:
+    """Whether there was a place on disk for the machine code of all kernels of the modules loaded by now."""
+    return _Kept.everywhere
+
+
+def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool = True, **options: Any) -> Any:
+    """:func:`numba.njit`, but that a place for machine code is a wish: without one, numba would refuse the function.
+
+    Args:
+        function: to be compiled; None makes a decorator.
+        cache: keep the machine code on disk where that is possible.
+        options: of :func:`numba.njit`.
+    """
+    if function is None:
+        return partial(compiled_kernel, cache=cache, **options)
+    compiled = njit(function, **options)
+    if cache:
+        try:
+            compiled.enable_caching()
+        except RuntimeError:  # no folder that numba knows can be written
+            _Kept.everywhere = False
+    return compiled
+
+
+kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy")
 """Strict floating point: a·b − c·d is the exact negative of c·d − a·b."""
 
-inlined: Decorator = partial(njit, nogil=True, cache=True, error_model="numpy", forceinline=True)
+inlined: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", forceinline=True)
 """The same, always inlined, so that loops around it can be vectorised."""
 
 inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
 """Inlined; a·b + c may be one instruction."""
 
-fast_kernel: Decorator = partial(njit, nogil=True, cache=True, error_model="numpy", fastmath=True)
+fast_kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", fastmath=True)
 """Reassociation allowed: for colours and boxes, never for tests of visibility."""
 
+
+COMPILATION = "numba:compile"
+"""What numba calls it."""
 
 _PARALLEL = threading.Lock()
 
@@ -47,7 +87,7 @@ def parallel_kernel(**options: Any) -> Decorator:
     Args:
         options: of :func:`numba.njit`.
     """
-    compile_it = njit(nogil=True, cache=True, parallel=True, **options)
+    compile_it = compiled_kernel(nogil=True, parallel=True, **options)
     return lambda function: one_at_a_time(compile_it(function))
 
 
@@ -83,5 +123,11 @@ class _FirstCompilation(event.Listener):  # type: ignore[misc]
 @contextmanager
 def when_compiling(say: Callable[[], None]) -> Iterator[None]:
     """Call ``say`` when the first kernel is compiled in between; those that are found on disk are not compiled."""
-    with event.install_listener("numba:compile", _FirstCompilation(say)):
+    with event.install_listener(COMPILATION, _FirstCompilation(say)):
         yield
+
+
+def announce_compiling() -> None:
+    """Let those who wait in :func:`when_compiling` know that another process, started by this one, compiles."""
+    event.start_event(COMPILATION)
+    event.end_event(COMPILATION)

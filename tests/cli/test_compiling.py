@@ -1,9 +1,14 @@
 """What is said where kernels are compiled."""
 
-import pytest
+from pathlib import Path
 
-from omnisyn_cli.cli.compiling import COMPILING, say_when_compiling
-from omnisyn_cli.jit import kernel
+import pytest
+from cli_samples import run_cli, write_pair
+
+from omnisyn_cli import jit
+from omnisyn_cli.cli.compiling import COMPILING, COMPILING_AGAIN, say_when_compiling
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.jit import announce_compiling, kernel
 
 
 @pytest.mark.parametrize("is_quiet", [False, True])
@@ -17,3 +22,40 @@ def test_compiling_is_said_once_on_standard_error_unless_all_is_quiet(
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == ("" if is_quiet else f"{COMPILING}\n")
+
+
+def test_where_nothing_can_be_kept_it_is_said_what_to_do(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jit._Kept, "everywhere", False)
+    with say_when_compiling(is_quiet=False):
+        announce_compiling()
+    assert capsys.readouterr().err == f"{COMPILING_AGAIN}\n"
+    assert "NUMBA_CACHE_DIR" in COMPILING_AGAIN
+
+
+@pytest.mark.parametrize(
+    ("work", "arguments"),
+    [
+        ("omnisyn_cli.evaluation.engine.plan_evaluation", ("eval", "scenes")),
+        ("omnisyn_cli.evaluation.bench.make_scenes", ("bench",)),
+        ("omnisyn_cli.evaluation.bench.plan_bench", ("bench", "scenes")),
+        ("omnisyn_cli.evaluation.depth_table.run_depth_table", ("depth-table",)),
+        ("omnisyn_cli.evaluation.budget.apply_budget", ("interpolate", "--budget", 1)),
+    ],
+)
+def test_commands_that_compile_say_so(
+    work: str, arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    def compile_and_fail(*_: object) -> None:
+        announce_compiling()
+        raise InputError("enough")
+
+    monkeypatch.setattr(work, compile_and_fail)
+    if arguments[0] == "interpolate":
+        images = write_pair(tmp_path)
+        arguments = (*arguments, *images, "--poses", tmp_path / "poses.json", "-o", tmp_path / "out.mp4")
+    name, *more = arguments
+    for quiet, said in (((), f"{COMPILING}\n"), (("-q",), "")):
+        assert run_cli(capsys, name, *quiet, *more).raw_err == f"{said}omnisyn: enough\n"

@@ -45,6 +45,11 @@ def test_every_command_is_listed_and_loads(capsys: pytest.CaptureFixture[str]) -
         assert command.name == name
 
 
+@pytest.mark.parametrize("group", ["train", "poses", "scenes"])
+def test_what_commands_do_is_listed_in_whole_sentences(capsys: pytest.CaptureFixture[str], group: str) -> None:
+    assert "..." not in run_cli(capsys, group, "--help").out.partition("Commands:")[2]
+
+
 def test_the_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
     assert omnisyn_cli.__version__ in run_cli(capsys, "--version").out
 

@@ -19,6 +19,7 @@ from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.evaluation.trial import Trial, run_trial
 from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation
+from omnisyn_cli.jit import kernel, when_compiling
 from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.types import KnownDepth
 
@@ -116,6 +117,32 @@ def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path: Path)
     assert "first.png" in failed.reason
     died = bench._in_child(Trial(setting, (Deadly(),), 1))  # type: ignore[arg-type]
     assert (died.status, died.reason) == ("failed", "the process ended with exit code 3")
+
+
+class Compiling:
+    """A pair whose first panorama cannot be read before a kernel is compiled."""
+
+    @property
+    def first(self) -> None:
+        kernel(cache=False)(lambda x: x)(1)
+        raise InputError("no panorama")
+
+
+def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
+    said: list[str] = []
+    with when_compiling(lambda: said.append("compiling")):
+        failed = bench._in_child(Trial(Setting("fast", ROWS, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
+    assert (failed.status, failed.reason) == ("failed", "InputError: no panorama")
+    assert said == ["compiling"]
+
+
+@pytest.mark.parametrize("has_compiled", [False, True])
+def test_a_setting_that_had_to_compile_is_measured_again(has_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling takes a minute once, which is not what a clip takes."""
+    answers = [(figures_of(Setting("fast", rows, (64, 128), 1)), has_compiled) for rows in (64, 128)]
+    monkeypatch.setattr(bench, "_measured_once", lambda trial: answers.pop(0))
+    figures = bench._in_child(Trial(Setting("fast", ROWS, (64, 128), 1), (), 1))
+    assert figures.setting.depth_rows == (128 if has_compiled else 64)
 
 
 class Deadly:

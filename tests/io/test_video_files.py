@@ -208,6 +208,23 @@ def test_a_full_disk_is_a_write_error(tmp_path: Path, monkeypatch: pytest.Monkey
         write_many(tmp_path, monkeypatch, script)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals")
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("SIGKILL", EncodingError, "ended by SIGKILL; where memory is short"),
+        ("SIGXFSZ", WriteError, "a limit on files"),
+    ],
+)
+def test_an_encoder_that_is_killed_has_no_last_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: type[Exception], words: str
+) -> None:
+    script = f"import os, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nos.kill(os.getpid(), signal.{name})"
+    with pytest.raises(kind, match=words):
+        write_many(tmp_path, monkeypatch, script)
+    assert not list((tmp_path / "out").iterdir())
+
+
 def test_ffmpegs_real_words_reach_the_user(tmp_path: Path) -> None:
     settings = EncoderSettings((32, 64), 10)
     command = ["nosuch" if word == "libx264" else word for word in encoder_command(tmp_path / "a.mp4", settings)]

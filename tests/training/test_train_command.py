@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from training_samples import make_pool
@@ -9,6 +10,7 @@ from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.checkpoint import load_checkpoint
+from omnisyn_cli.training.data import save_arrays
 from omnisyn_cli.training.publish import publish
 
 SMALL = {"widths": (4, 6, 8, 8, 8, 8), "volume_widths": (4, 6, 8, 8), "levels": 16}
@@ -32,6 +34,38 @@ def test_a_height_that_the_network_cannot_halve_often_enough_is_refused(tmp_path
     assert result.exit_code == 2
     assert f"multiple of {(VARIANTS | PAPER_VARIANTS)[variant].size_multiple} for" in result.output
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["evidence", "fusion-pool"])
+def test_a_pool_that_no_network_could_learn_from_is_not_made(tmp_path, command):
+    result = run(command, tmp_path / "pool", "--height", 96)
+    assert result.exit_code == 2
+    assert "expected a multiple of 64, got 96" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "variant", "pool_height", "judged_height", "multiple"),
+    [
+        ("refine", "balanced", 96, 64, 64),
+        ("refine", "balanced", 64, 48, 32),
+        ("fusion", "residual", 96, 64, 64),
+        ("fusion", "paper-narrow", 64, 64, 128),
+        ("fusion", "paper-narrow", 128, 96, 64),
+    ],
+)
+def test_a_pool_of_a_size_that_the_network_cannot_halve_is_refused(
+    tmp_path, command, variant, pool_height, judged_height, multiple
+):
+    truth = {"refine": "root_0", "fusion": "truth_0"}[command]
+    for name, height in (("pool", pool_height), ("judged", judged_height)):
+        picture = np.zeros((1, height, 2 * height), np.float16)
+        save_arrays(tmp_path / name / "0.npz", {"planes_0": picture, truth: picture})
+    pools = ("--pool", tmp_path / "pool", "--validation-pool", tmp_path / "judged")
+    result = run(command, tmp_path / "run", *pools, "--variant", variant, "--steps", 1)
+    assert isinstance(result.exception, InputError)
+    assert f"expected scenes whose height is a multiple of {multiple} in {tmp_path}" in str(result.exception)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.numbers import WholeRange
@@ -108,6 +109,7 @@ def bench(
     if store is not None:
         check_output(store, overwrite=True)
     with ExitStack() as stack:
+        stack.enter_context(say_when_compiling(is_quiet=quiet))
         folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-bench-")))
         if dataset is None:
             dataset = folder / f"scenes-{scene_size[1]}x{scene_size[0]}"

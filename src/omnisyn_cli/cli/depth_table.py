@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.evaluate import print_table
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.places import FilePath
@@ -65,6 +66,7 @@ def depth_table(report: Path | None, as_json: bool, quiet: bool, **options: Any)
     )
 
     with ExitStack() as stack:
+        stack.enter_context(say_when_compiling(is_quiet=quiet))
         folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-depth-table-")))
         with _progress(is_shown=not quiet and sys.stderr.isatty()) as on_unit:
             records = run_depth_table(DepthTableJob(folder, **options), on_unit)

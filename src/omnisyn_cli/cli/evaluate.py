@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.interpolate import Size
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.progress import counted_bar
@@ -92,6 +93,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 
     with ExitStack() as stack:
+        stack.enter_context(say_when_compiling(is_quiet=quiet))
         folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-eval-")))
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
         plan = plan_evaluation(job)

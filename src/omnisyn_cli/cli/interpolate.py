@@ -165,9 +165,10 @@ class Size(SizeType):
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@click.pass_context
 def interpolate(
-    as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float | None, cut_metres: float | None,
-    budget: float | None, nadir: float, **options: Any,
+    context: click.Context, /, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float | None,
+    cut_metres: float | None, budget: float | None, nadir: float, **options: Any,
 ) -> None:  # fmt: skip
     """Make the 360° video between panoramas A and B, and on through C and further ones.
 
@@ -194,6 +195,7 @@ def interpolate(
     if budget is not None:
         from omnisyn_cli.evaluation.budget import apply_budget
 
+        context.with_resource(say_when_compiling(is_quiet=quiet))
         plan = apply_budget(plan, budget)
     check_device(plan.job, plan.renderer, plan.fusion, networks_of(plan.job, plan.entries))
     if not quiet:
@@ -204,11 +206,13 @@ def interpolate(
         return
     from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
 
+    if budget is None:  # else it is said already
+        context.with_resource(say_when_compiling(is_quiet=quiet))
     progress = counted_bar(
         "depth", len(plan.path), lambda done: "frames" if done > 1 else None,
         is_shown=not quiet and sys.stderr.isatty(),
     )  # fmt: skip
-    with say_when_compiling(is_quiet=quiet), progress as on_frame:
+    with progress as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:
         for warning in summary.warnings():

@@ -1,4 +1,4 @@
-"""Groups of commands that are imported when they are called, so that ``--help`` is instant."""
+"""Groups of commands: imported when they are called, so that ``--help`` is instant, and listed in whole sentences."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-__all__ = ["LazyGroup"]
+__all__ = ["LazyGroup", "PlainGroup"]
 
 
 class LazyGroup(click.Group):
@@ -42,3 +42,13 @@ class LazyGroup(click.Group):
         """The list of commands, without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in self.lazy.items()])
+
+
+class PlainGroup(click.Group):
+    """A group that lists what its commands do in whole sentences, where click cuts off what is longer than a line."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Names with the first paragraph of each command's help."""
+        with formatter.section("Commands"):
+            commands = ((name, self.commands[name].help or "") for name in self.list_commands(ctx))
+            formatter.write_dl([(name, " ".join(text.partition("\n\n")[0].split())) for name, text in commands])

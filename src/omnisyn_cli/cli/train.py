@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.numbers import FiniteRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
@@ -27,7 +28,7 @@ SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
 """Decay of its average of weights, and steps until its rate is whole: a baseline that nobody trains for long."""
 
 
-@click.group()
+@click.group(cls=PlainGroup)
 def train() -> None:
     """Train the networks on scenes that the program makes itself."""
 
@@ -107,7 +108,9 @@ def refine(variant: str, **options: Any) -> None:
 
 @train.command()
 @_stage_options("fusion-pool", batch=4, rate=1e-3)
-@click.option("--variant", default="residual", show_default=True, help="Network of a fresh run.")
+@click.option(
+    "--variant", default="residual", show_default=True, help="Network of a fresh run: residual, paper, paper-narrow."
+)
 def fusion(variant: str, **options: Any) -> None:
     """Train the network that joins two renderings in FOLDER; a run that is there goes on."""
     from omnisyn_cli.networks.fusion import FUSION_VARIANTS

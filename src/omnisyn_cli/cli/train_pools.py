@@ -16,6 +16,9 @@ __all__ = ["convert", "evidence", "fusion_pool", "pool"]
 
 FOLDER = FilePath(file_okay=False)
 
+POOL_MULTIPLE = 64
+"""Of the height of evidence and of renderings: twice what the networks need that learn from parts of them."""
+
 SEED = click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
 
 WORKERS = click.option(
@@ -99,6 +102,7 @@ def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, te
 
     from omnisyn_cli.training.evidence import EvidenceConfig, make_evidence
 
+    _check_pool_height(height)
     make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height), textures=_textures(textures)))
     _fill(folder, range(seed, seed + scenes), make, workers)
 
@@ -107,7 +111,7 @@ def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, te
 @click.argument("folder", type=FOLDER)
 @click.option("--scenes", default=200, show_default=True, type=click.IntRange(1), help="How many scenes.")
 @SEED
-@click.option("--height", default=256, show_default=True, type=click.IntRange(32), help="Rows of every picture.")
+@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every picture.")
 @WORKERS
 @TEXTURES
 def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
@@ -116,9 +120,16 @@ def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int,
 
     from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
 
+    _check_pool_height(height)
     config = FusionPoolConfig(size=(height, 2 * height), rows=4 * height, textures=_textures(textures))
     make = partial(make_fusion_scene, config=config)
     _fill(folder, range(seed, seed + scenes), make, workers)
+
+
+def _check_pool_height(height: int) -> None:
+    """Of scenes that are learned from at the size they have."""
+    if height % POOL_MULTIPLE:
+        raise click.BadParameter(f"expected a multiple of {POOL_MULTIPLE}, got {height}", param_hint="--height")
 
 
 def _fill(folder: Path, seeds: range, make: Callable[[Path, int], Path | None], workers: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -28,6 +29,9 @@ PIPE_BYTES = 1 << 20
 """Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes."""
 
 FULL_DISK = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
+
+TOO_LARGE = "SIGXFSZ"
+"""Ends a process that writes a larger file than its user may."""
 
 CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
 
@@ -154,11 +158,24 @@ class EncoderProcess:
             code = "no exit"
         self._listener.join(SECONDS_TO_DIE)
         words = " | ".join(self._words) or "no word"
+        if isinstance(code, int) and code < 0:
+            return self._ended_by(signal.Signals(-code).name)
         if any(sign in words for sign in FULL_DISK):
             return WriteError(f"{self._target}: expected room for the video, got '{words}'; free some space")
         return EncodingError(
             f"{self._target}: expected ffmpeg to encode {self.frame_count} frames, got exit code {code}: '{words}'; "
             "change the setting it names or choose another codec"
+        )
+
+    def _ended_by(self, name: str) -> EncodingError | WriteError:
+        """What to say of an encoder that had no last words."""
+        if name == TOO_LARGE:
+            return WriteError(
+                f"{self._target}: expected room for the video, got a limit on files; raise it (ulimit -f)"
+            )
+        return EncodingError(
+            f"{self._target}: expected ffmpeg to encode {self.frame_count} frames, got it ended by {name}; where "
+            "memory is short a smaller --size helps, else choose another codec"
         )
 
     def _kill(self) -> None:

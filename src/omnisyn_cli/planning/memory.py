@@ -104,9 +104,10 @@ def _bytes_of_frames(job: InterpolationJob, size: tuple[int, int], renderer: str
     )  # fmt: skip
     pyramid, planes = 16 / 3, 1.5
     if is_by_rows:
-        return pixels * (2 * 8 + 1 + PASSING_BY_ROWS + pyramid + 3 * waiting + planes)
+        return pixels * (2 * 4 + 1 + PASSING_BY_ROWS + pyramid + 3 * waiting + planes)
     painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if fusion == "painting" else 0
     corrected = CORRECTING if fusion == "network" else 0
     collected = SPLATTING if renderer == "points" else 0
-    whole = 2 * (8 + 16) + 16 + PASSING + collected
+    seen = 4 if renderer == "mesh" else 8  # the others know which point or face it is, too
+    whole = 2 * (seen + 16) + 16 + PASSING + collected
     return painted + corrected + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, UInt64
 
-from omnisyn_cli.jit import one_at_a_time, parallel_kernel
+from omnisyn_cli.jit import compiled_kernel, one_at_a_time, parallel_kernel
 
 __all__ = ["FORBIDDEN", "aggregate", "census", "choose", "sweep_cost", "warp_cost"]
 
@@ -36,7 +36,7 @@ RUN_UP = 64
 FAR = np.float32(1e9)
 
 
-@numba.njit(cache=True, parallel=True, nogil=True)
+@compiled_kernel(parallel=True, nogil=True)
 def census_kernel(luminance):  # type: ignore[no-untyped-def]
     """Which of the 48 neighbours in 7×7 are brighter than each pixel ``(height, width)``, as bits of uint64.
 

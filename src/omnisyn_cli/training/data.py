@@ -30,7 +30,17 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.border import add_border
 from omnisyn_cli.io.paths import write_errors
 
-__all__ = ["Augmentation", "Batch", "PoolScene", "draw_batch", "list_pool", "load_scene", "save_arrays", "save_scene"]
+__all__ = [
+    "Augmentation",
+    "Batch",
+    "PoolScene",
+    "check_height",
+    "draw_batch",
+    "list_pool",
+    "load_scene",
+    "save_arrays",
+    "save_scene",
+]
 
 TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0"}
 """By the command that makes pools of a kind, an array that only these have."""
@@ -148,6 +158,25 @@ def list_pool(folder: Path, maker: str = "pool") -> list[Path]:
             f"expected scenes made by {command} in {folder}, got scenes for another network; name its pool"
         )
     return paths
+
+
+def check_height(pool: list[Path], multiple: int) -> None:
+    """Refuse a pool of evidence or of renderings, which are learned from at the size they have.
+
+    Args:
+        pool: from :func:`list_pool`; all scenes of a pool have one size.
+        multiple: that the height has to be of.
+
+    Raises:
+        InputError: it is not.
+    """
+    with np.load(pool[0]) as file:
+        height = file["planes_0"].shape[-2]
+    if height % multiple:
+        raise InputError(
+            f"expected scenes whose height is a multiple of {multiple} in {pool[0].parent}, got {height}; make others "
+            "(--height)"
+        )
 
 
 def draw_batch(

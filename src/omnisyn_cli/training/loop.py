@@ -25,10 +25,10 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.paths import make_folder, write_errors
 from omnisyn_cli.training.adversarial import Opponent
 from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
-from omnisyn_cli.training.data import list_pool
+from omnisyn_cli.training.data import check_height, list_pool
 from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
-from omnisyn_cli.training.tasks import TASKS, NetworkConfig, TrainConfig, task_named, task_of
+from omnisyn_cli.training.tasks import TASKS, NetworkConfig, Task, TrainConfig, task_named, task_of
 from omnisyn_cli.training.tensorboard import Board
 
 __all__ = ["TrainConfig", "Trainer", "load_network", "train"]
@@ -198,8 +198,7 @@ def train(
     path = folder / "checkpoint.pt"
     trainer = open_trainer(network, config, path, precision, weights)
     started, losses = time.monotonic(), list[float]()
-    pool = list_pool(Path(config.pool), trainer.task.pool)
-    list_pool(Path(config.validation_pool), trainer.task.pool)  # found wrong now, not after hundreds of steps
+    pool = _checked_pools(trainer, config)
     on_start(trainer)
     while not trainer.is_finished() and (steps is None or trainer.step < steps):
         losses.append(trainer.advance(pool))
@@ -218,6 +217,16 @@ def train(
             break
     save_checkpoint(path, trainer.state())
     return trainer
+
+
+def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
+    """The scenes to learn from; those to be judged by are found wrong now, not after hundreds of steps."""
+    pool, judged = (list_pool(Path(folder), trainer.task.pool) for folder in (config.pool, config.validation_pool))
+    if trainer.task.pool != Task.pool:
+        multiple = trainer.network.config.size_multiple
+        check_height(pool, 2 * multiple)  # evidence is halved at times, of renderings a window half as wide is seen
+        check_height(judged, multiple)
+    return pool
 
 
 def open_trainer(
