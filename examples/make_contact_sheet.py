@@ -67,4 +67,6 @@ def make_sheet(sheet: Path, pairs: list[str]) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit(__doc__)
     make_sheet(Path(sys.argv[1]), sys.argv[2:])

@@ -33,4 +33,6 @@ def make_strip(folder: Path, width: int) -> Path:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     sys.stdout.write(f"{make_strip(Path(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1024)}\n")

@@ -3,8 +3,8 @@
 Clips of 1024×512 to 8192×4096 from two panoramas (by default those of ``examples/street``), each made twice, with a few
 and with some more frames: the difference is what a frame takes, start and depth left out. Computing time of program and
 encoder together, so that other work on the machine counts little; peak memory of the program, and what ``--dry-run``
-says about it. Then the time that rendering a view takes on one and on two threads, in turn, on the clock: only a quiet
-machine tells the truth about that.
+says about it. Then the time that a frame takes on one and on two threads, both views rendered and fused as the program
+does it, in turn, on the clock: only a quiet machine tells the truth about that.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer
@@ -93,23 +94,30 @@ def scale_of(inputs: Sequence[Path], width: int) -> Scale:
     return Scale(width, seconds, (few[1], more[1]), plan["memory_mib"] * 2**20, FEW + longer)
 
 
-def rendering(threads: int, width: int = 4096) -> Callable[[], object]:
-    """Draws one view of a room with a bump."""
-    directions = pixel_directions(256, 512)
+def frames(threads: int, width: int = 4096) -> Callable[[], object]:
+    """Makes the frame in the middle of a room with a bump."""
+    directions, size = pixel_directions(256, 512), (width // 2, width)
     inverse_depth = np.asarray(0.3 + 0.2 * (directions[..., 1] < 0) + 0.3 * (directions[..., 0] > 0.8), np.float32)
-    image = np.random.default_rng(0).integers(0, 256, (width // 2, width, 3), np.uint8)
-    renderer = MeshRenderer(image, None, inverse_depth, None, (width // 2, width), None, threads)
-    return lambda: renderer(Pose(np.eye(3), np.array([0.1, 0.0, 0.4])))
+    image = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+    views = [MeshRenderer(image, None, inverse_depth, None, size, None, threads) for _ in range(2)]
+    poses = [Pose(np.eye(3), np.array([side * 0.1, 0.0, side * 0.4])) for side in (1.0, -1.0)]
+    fuser, out = GeometricFuser(size, threads=threads), np.empty((*size, 3), np.uint8)
+
+    def make() -> None:
+        first, second = (view.by_rows(pose) for view, pose in zip(views, poses, strict=True))
+        fuser.samples(first, second, 0.5, out)
+
+    return make
 
 
 def speed_up(rounds: int = 7) -> float:
     """Wall time on one thread divided by that on two, in turn, the best of each."""
-    draws = [rendering(1), rendering(2)]
+    makers = [frames(1), frames(2)]
     best = [float("inf"), float("inf")]
     for number in range(rounds + 1):
-        for index, draw in enumerate(draws):
+        for index, make in enumerate(makers):
             begin = time.perf_counter()
-            draw()
+            make()
             if number:
                 best[index] = min(best[index], time.perf_counter() - begin)
     return best[0] / best[1]
@@ -161,7 +169,7 @@ def main() -> None:
         print(f"{scale.more:8}{more:10.2f}{planned:9.2f}", flush=True)
     if options.plot is not None:
         plot(scales, options.plot)
-    print(f"a view of 4096x2048 on two threads: {speed_up():.2f} times as fast as on one")
+    print(f"a frame of 4096x2048 on two threads: {speed_up():.2f} times as fast as on one")
 
 
 if __name__ == "__main__":

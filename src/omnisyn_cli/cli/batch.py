@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.numbers import FiniteRange, WholeRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.errors import InputError
 
@@ -49,9 +49,9 @@ class _BatchCommand(click.Command):
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
     help="Processes of this machine, or actors of a Ray cluster.",
 )  # fmt: skip
-@click.option("--workers", type=click.IntRange(1), help="How many.  [default: one per core; all that Ray has room for]")
+@click.option("--workers", type=WholeRange(1), help="How many.  [default: one per core; all that Ray has room for]")
 @click.option(
-    "--threads", type=click.IntRange(1), help="Of each worker.  [default: the cores divided by the workers; 1 with Ray]"
+    "--threads", type=WholeRange(1), help="Of each worker.  [default: the cores divided by the workers; 1 with Ray]"
 )
 @click.option("--ray-address", metavar="ADDRESS", help="Of the cluster, such as auto.  [default: what Ray finds]")
 @click.option(
@@ -95,12 +95,12 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
     help="Metres; panoramas farther apart are no neighbours.",
 )  # fmt: skip
 @click.option(
-    "--neighbours", type=click.IntRange(1), default=2, show_default=True,
+    "--neighbours", type=WholeRange(1), default=2, show_default=True,
     help="Each panorama is paired with so many of the nearest.",
 )  # fmt: skip
 @click.option("--one-way", is_flag=True, help="No job for the way back.")
 @click.option(
-    "--share", type=click.IntRange(1), default=8, show_default=True,
+    "--share", type=WholeRange(1), default=8, show_default=True,
     help="Pairs that one worker does one after another, so that panoramas are decoded once for all of them.",
 )  # fmt: skip
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="An option for every job; repeatable.")

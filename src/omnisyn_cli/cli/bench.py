@@ -67,7 +67,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     default=(),
     help="At most this many.  [default: one per core]",
 )
-@click.option("--frames", type=click.IntRange(1), default=24, show_default=True, help="That are timed of every clip.")
+@click.option("--frames", type=WholeRange(1), default=24, show_default=True, help="That are timed of every clip.")
 @click.option(
     "--scene-size", metavar="WxH", type=Size(), default="1024x512", show_default=True,
     help="Of the scenes that are made where no data set is given.",

@@ -13,6 +13,7 @@ import click
 from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.evaluate import print_table
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.numbers import WholeRange
 from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
@@ -28,11 +29,9 @@ __all__ = ["depth_table"]
     "--report", metavar="DIR", type=FilePath(),
     help="Keep results and table here; a run that was interrupted goes on from them.",
 )  # fmt: skip
+@click.option("--scenes", type=WholeRange(2), default=200, show_default=True, help="How many, half of them streets.")
 @click.option(
-    "--scenes", type=click.IntRange(2), default=200, show_default=True, help="How many, half of them streets."
-)
-@click.option(
-    "--seed", type=click.IntRange(0), default=20_000_000, show_default=True,
+    "--seed", type=WholeRange(0), default=20_000_000, show_default=True,
     help="Of the first scene; 10,000,000 at least, smaller ones are for training.",
 )  # fmt: skip
 @click.option(
@@ -43,7 +42,7 @@ __all__ = ["depth_table"]
 @click.option(
     "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True, help="For networks."
 )
-@click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
+@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--json", "as_json", is_flag=True, help="Print all results as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def depth_table(report: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:

@@ -12,6 +12,7 @@ import click
 
 from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.interpolate import Size
+from omnisyn_cli.cli.numbers import WholeRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.progress import counted_bar
 
@@ -74,7 +75,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
     "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
     help="Where networks run; everything else runs on the processor.",
 )  # fmt: skip
-@click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
+@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--json", "as_json", is_flag=True, help="Print all results as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **options: Any) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.numbers import WholeRange
 from omnisyn_cli.cli.places import FilePath
 
 __all__ = ["info"]
@@ -15,7 +16,7 @@ __all__ = ["info"]
 
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath())
-@click.option("--max-pixels", type=click.IntRange(1), help="Decode no image with more.  [default: 268435456]")
+@click.option("--max-pixels", type=WholeRange(1), help="Decode no image with more.  [default: 268435456]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of a pose file's folder.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of text.")
 @click.pass_context

@@ -10,7 +10,7 @@ import click
 
 from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.masks import masks_option, nadir_option
-from omnisyn_cli.cli.numbers import FiniteRange, FrameRate
+from omnisyn_cli.cli.numbers import FiniteRange, FrameRate, WholeRange
 from omnisyn_cli.cli.places import FilePath, FramePlace
 from omnisyn_cli.cli.progress import counted_bar
 from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
@@ -56,7 +56,7 @@ class Size(SizeType):
     "-o", "--output", required=True, type=FramePlace(),
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
 )  # fmt: skip
-@click.option("--frames", type=click.IntRange(2), help="Number of frames.  [default: from --duration and --fps]")
+@click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
 @click.option(
     "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
@@ -150,10 +150,10 @@ class Size(SizeType):
     help="Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer "
     "mesh, fusion geometric). Poses and matching are found on the processor.",
 )  # fmt: skip
-@click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
+@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
 @click.option(
-    "--max-pixels", type=click.IntRange(1), default=2 * 16384 * 8192, show_default=True,
+    "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
     help="Refuse panoramas, masks and depth files with more, before they are decoded.",
 )  # fmt: skip
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder.")

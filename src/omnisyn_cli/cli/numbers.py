@@ -13,6 +13,8 @@ __all__ = ["FiniteRange", "FrameRate", "WholeRange"]
 class FiniteRange(click.FloatRange):
     """A range without NaN, which compares with nothing and so lies in all of click's, and without infinity."""
 
+    name = "number"
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """A finite number in the range."""
         number: float = super().convert(value, param, ctx)
@@ -22,7 +24,7 @@ class FiniteRange(click.FloatRange):
 
 
 class WholeRange(click.IntRange):
-    """A range of integers; click calls each of them an integer range where it refuses one."""
+    """A range of integers, called by what is in it: click says of a word that it is no valid integer range."""
 
     name = "integer"
 

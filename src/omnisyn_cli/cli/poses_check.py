@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.masks import masks_option, nadir_option
-from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.numbers import FiniteRange, WholeRange
 from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ poses_option = click.option(
 )
 output_option = click.option("-o", "--output", required=True, type=FilePath(), help="Pose file to write.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
-threads_option = click.option("--threads", type=click.IntRange(1), help="At most this many.  [default: one per core]")
+threads_option = click.option("--threads", type=WholeRange(1), help="At most this many.  [default: one per core]")
 aspect_option = click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1.")
 outside_option = click.option(
     "--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder."

@@ -11,7 +11,7 @@ import click
 
 from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.interpolate import Size
-from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.numbers import FiniteRange, WholeRange
 from omnisyn_cli.cli.places import FilePath
 
 if TYPE_CHECKING:
@@ -50,12 +50,12 @@ OF_ONE_SCENE = (
 )  # fmt: skip
 @click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="What to build.")
 @click.option(
-    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the first scene; the next ones count on."
+    "--seed", type=WholeRange(0), default=0, show_default=True, help="Of the first scene; the next ones count on."
 )
 @click.option(
-    "--count", type=click.IntRange(1), default=1, show_default=True, help="Scenes; above 1 each gets a folder in OUT."
+    "--count", type=WholeRange(1), default=1, show_default=True, help="Scenes; above 1 each gets a folder in OUT."
 )
-@click.option("--frames", type=click.IntRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
+@click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
 @click.option("--size", type=Size(), default="1024x512", show_default=True, help="Of the panoramas.")
 @click.option(
     "--baseline",
@@ -71,14 +71,14 @@ OF_ONE_SCENE = (
 )
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
 @click.option(
-    "--supersample", type=click.IntRange(1, 8), default=3, show_default=True, help="Samples per pixel along each axis."
+    "--supersample", type=WholeRange(1, 8), default=3, show_default=True, help="Samples per pixel along each axis."
 )
 @click.option(
     "--name", "names", multiple=True, help="Image file of a frame, once per frame.  [default: 0000.png, 0001.png, ...]"
 )
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
 @TEXTURES
-@click.option("--threads", type=click.IntRange(1), help="At most this many threads.  [default: one per core]")
+@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 @click.pass_context

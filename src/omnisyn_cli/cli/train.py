@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.lazy import PlainGroup
-from omnisyn_cli.cli.numbers import FiniteRange
+from omnisyn_cli.cli.numbers import FiniteRange, WholeRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
 
@@ -41,7 +41,7 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
     """What every training command takes."""
     by_variant = "" if rate is not None else "  [default: 6e-4, for paper 1e-4]"
     learn, judge = f"Scenes to learn from, made by `omnisyn train {pool}`.", "Scenes to be judged by: other seeds."
-    at_least_0, at_least_1 = click.IntRange(0), click.IntRange(1)
+    at_least_0, at_least_1 = WholeRange(0), WholeRange(1)
     shown: dict[str, Any] = {"show_default": True}
     options = [
         click.argument("folder", type=FOLDER),
@@ -80,7 +80,7 @@ def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[[Calla
     show_default=True,
     help="Network of a fresh run: fast, accurate, paper, paper-square, paper-narrow.",
 )
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
+@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of the training images.")
 def depth(variant: str, height: int, rate: float | None, **options: Any) -> None:
     """Train a depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
     from omnisyn_cli.networks.depth_config import VARIANTS
@@ -125,7 +125,7 @@ def fusion(variant: str, **options: Any) -> None:
     "--depth", default="fast", show_default=True, help="Of a fresh run: a variant, or a checkpoint to begin with."
 )
 @click.option("--fusion", default="residual", show_default=True, help="The same for the fusion network.")
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of the training images.")
+@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of the training images.")
 def joint(depth: str, fusion: str, height: int, **options: Any) -> None:
     """Train depth and fusion together in FOLDER, through the rendering between them; a run that is there goes on.
 
@@ -167,7 +167,7 @@ def _beginning(chosen: str, known: Mapping[str, Any], kinds: tuple[str, ...], na
 @_stage_options("pool", batch=2, rate=6e-4)
 @click.option("--variant", default="small", show_default=True, help="Networks of a fresh run.")
 @click.option(
-    "--height", default=128, show_default=True, type=click.IntRange(32),
+    "--height", default=128, show_default=True, type=WholeRange(32),
     help="Rows of the training images; with half of them first it learns faster.",
 )  # fmt: skip
 def synsin(variant: str, height: int, **options: Any) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
+from omnisyn_cli.cli.numbers import WholeRange
 from omnisyn_cli.cli.places import FilePath
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
@@ -19,19 +20,19 @@ FOLDER = FilePath(file_okay=False)
 POOL_MULTIPLE = 64
 """Of the height of evidence and of renderings: twice what the networks need that learn from parts of them."""
 
-SEED = click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the first scene.")
+SEED = click.option("--seed", default=0, show_default=True, type=WholeRange(0), help="Seed of the first scene.")
 
 WORKERS = click.option(
-    "--workers", default=1, show_default=True, type=click.IntRange(1), help="Processes, at low priority."
+    "--workers", default=1, show_default=True, type=WholeRange(1), help="Processes, at low priority."
 )
 
 
 @click.command()
 @click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=1000, show_default=True, type=click.IntRange(1), help="How many scenes.")
+@click.option("--scenes", default=1000, show_default=True, type=WholeRange(1), help="How many scenes.")
 @SEED
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
-@click.option("--views", default=3, show_default=True, type=click.IntRange(2, 9), help="Views per scene, on a line.")
+@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every view.")
+@click.option("--views", default=3, show_default=True, type=WholeRange(2, 9), help="Views per scene, on a line.")
 @click.option(
     "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
 )
@@ -59,7 +60,7 @@ def pool(
 @click.option(
     "--pairs", metavar="0:4|every:N|FILE", default="every:1", show_default=True, help="Of frames, see omnisyn eval."
 )
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
+@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every view.")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth in files, to the pool FOLDER for `train depth`.
 
@@ -91,9 +92,9 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 
 @click.command()
 @click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=500, show_default=True, type=click.IntRange(1), help="How many scenes.")
+@click.option("--scenes", default=500, show_default=True, type=WholeRange(1), help="How many scenes.")
 @SEED
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every view.")
+@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every view.")
 @WORKERS
 @TEXTURES
 def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
@@ -109,9 +110,9 @@ def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, te
 
 @click.command("fusion-pool")
 @click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=200, show_default=True, type=click.IntRange(1), help="How many scenes.")
+@click.option("--scenes", default=200, show_default=True, type=WholeRange(1), help="How many scenes.")
 @SEED
-@click.option("--height", default=256, show_default=True, type=click.IntRange(64), help="Rows of every picture.")
+@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every picture.")
 @WORKERS
 @TEXTURES
 def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
