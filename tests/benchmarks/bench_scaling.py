@@ -4,19 +4,21 @@ Clips of 1024×512 to 8192×4096 from two panoramas (by default those of ``examp
 and with some more frames: the difference is what a frame takes, start and depth left out. Computing time of program and
 encoder together, so that other work on the machine counts little; peak memory of the program, and what ``--dry-run``
 says about it. Then the time that a frame takes on one and on two threads, both views rendered and fused as the program
-does it, in turn, on the clock: only a quiet machine tells the truth about that.
+does it, and that of arithmetic without memory, in turn, on the clock: no program scales better than the second.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,9 @@ import numpy as np
 from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.jit import kernel
 from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.threads import run_bands
 
 WIDTHS = (1024, 2048, 4096, 8192)
 FEW = 4
@@ -32,6 +36,12 @@ FEW = 4
 
 MORE_PIXELS = 2**27
 """By so many pixels the second clip of a size is longer: frames of the smallest size are few milliseconds each."""
+
+LEAST_MORE = 12
+"""Frames by which it is longer at least."""
+
+ROOTS = 100_000
+"""Numbers summed for each of the thousand rows of arithmetic."""
 
 STREET = Path(__file__).resolve().parents[2] / "examples" / "street"
 
@@ -87,7 +97,7 @@ def clip(inputs: Sequence[Path], width: int, frames: int, *options: str) -> tupl
 
 def scale_of(inputs: Sequence[Path], width: int) -> Scale:
     """Measure one size."""
-    longer = MORE_PIXELS // (width * width // 2)
+    longer = max(LEAST_MORE, MORE_PIXELS // (width * width // 2))
     few, more = (clip(inputs, width, frames) for frames in (FEW, FEW + longer))
     plan = json.loads(clip(inputs, width, FEW, "--dry-run")[2])
     seconds = (more[0] - few[0]) / longer
@@ -110,17 +120,26 @@ def frames(threads: int, width: int = 4096) -> Callable[[], object]:
     return make
 
 
-def speed_up(rounds: int = 7) -> float:
-    """Wall time on one thread divided by that on two, in turn, the best of each."""
-    makers = [frames(1), frames(2)]
-    best = [float("inf"), float("inf")]
+@kernel()  # type: ignore[untyped-decorator]
+def sum_of_roots(begin: int, end: int) -> float:
+    """Takes a while, and no memory."""
+    total = 0.0
+    for number in range(ROOTS * begin, ROOTS * end):
+        total += math.sqrt(number)
+    return total
+
+
+def speed_up(rounds: int = 7) -> tuple[float, float]:
+    """Wall time on one thread divided by that on two: of a frame, and of arithmetic; in turn, the best of each."""
+    works = [frames(1), frames(2), *(partial(run_bands, sum_of_roots, 1000, threads) for threads in (1, 2))]
+    best = [float("inf")] * len(works)
     for number in range(rounds + 1):
-        for index, make in enumerate(makers):
+        for index, work in enumerate(works):
             begin = time.perf_counter()
-            make()
+            work()
             if number:
                 best[index] = min(best[index], time.perf_counter() - begin)
-    return best[0] / best[1]
+    return best[0] / best[1], best[2] / best[3]
 
 
 def plot(scales: Sequence[Scale], path: Path) -> None:
@@ -169,7 +188,10 @@ def main() -> None:
         print(f"{scale.more:8}{more:10.2f}{planned:9.2f}", flush=True)
     if options.plot is not None:
         plot(scales, options.plot)
-    print(f"a frame of 4096x2048 on two threads: {speed_up():.2f} times as fast as on one")
+    frame, arithmetic = speed_up()
+    print(
+        f"a frame of 4096x2048 on two threads: {frame:.2f} times as fast as on one; arithmetic: {arithmetic:.2f} times"
+    )
 
 
 if __name__ == "__main__":
