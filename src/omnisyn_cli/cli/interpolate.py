@@ -192,10 +192,11 @@ def interpolate(
     if cut_metres is not None:
         rule = Cut(relative=None, metres=cut_metres)
     plan = plan_interpolation(InterpolationJob(cut=rule, nadir=math.radians(nadir), **options))
+    if budget is not None or not dry_run:
+        context.with_resource(say_when_compiling(is_quiet=quiet))
     if budget is not None:
         from omnisyn_cli.evaluation.budget import apply_budget
 
-        context.with_resource(say_when_compiling(is_quiet=quiet))
         plan = apply_budget(plan, budget)
     check_device(plan.job, plan.renderer, plan.fusion, networks_of(plan.job, plan.entries))
     if not quiet:
@@ -206,8 +207,6 @@ def interpolate(
         return
     from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
 
-    if budget is None:  # else it is said already
-        context.with_resource(say_when_compiling(is_quiet=quiet))
     progress = counted_bar(
         "depth", len(plan.path), lambda done: "frames" if done > 1 else None,
         is_shown=not quiet and sys.stderr.isatty(),

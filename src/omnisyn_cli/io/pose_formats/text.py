@@ -72,7 +72,7 @@ def read_json(path: Path) -> Any:
     """The JSON of a file.
 
     Raises:
-        PoseError: as :func:`read_text`, or no JSON (with line and column), or what :func:`parsed_json` refuses.
+        PoseError: as :func:`read_text` and :func:`omnisyn_cli.io.pose_models.parsed_json`.
     """
     return parsed_json(path, read_text(path))
 
