@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
 
 FRAMES = 5

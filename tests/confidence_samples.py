@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-from omnisyn_cli.segments import Segment, SynthesisOptions
-from omnisyn_cli.synthesis import Frame, synthesize
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 
@@ -46,9 +46,8 @@ def judged(
     first, middle, last = views[0], views[len(views) // 2], views[-1]
     last = disturbed(last, degrees, metres) if degrees or metres else last
     options = SynthesisOptions(first.image.shape[:2], threads=2)
-    made = list(synthesize([first, last], [Waypoint(0, 0.5, middle.pose)], estimator, options))
-    (confidence,) = [item.check.confidence for item in made if isinstance(item, Segment)]
-    (frame,) = [item for item in made if isinstance(item, Frame)]
+    pair = SurfaceMethod(estimator, options).prepare(0, first, last)
+    confidence, frame = pair.segment.check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
     true = ws_psnr(np.clip(frame.image, 0, 1), middle.image)
     return Judged(name, confidence.score, confidence.expected, true)
 

@@ -1,5 +1,28 @@
 """While tests run, the shapes in the signatures of ``omnisyn_cli.geometry`` are checked at every call."""
 
+import os
+import sys
+from pathlib import Path
+
+import pytest
 from jaxtyping import install_import_hook
 
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # who waits for a core lets others have theirs
 install_import_hook("omnisyn_cli.geometry", "typechecker.check").__enter__()
+
+MOST_WORKERS = 4
+"""Each of them holds up to 3 GiB."""
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """As many as there are cores for the suite or a folder; a file is done before workers have begun."""
+    from omnisyn_cli.runtime.threads import available_threads
+
+    is_of_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
+    return 0 if is_of_files else min(available_threads(), MOST_WORKERS)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Small tensors: a second thread of torch costs more than it brings, the more so on a busy machine."""
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from omnisyn_cli.planning import InterpolationJob
+from omnisyn_cli.interpolation.job import InterpolationJob
 from synthesis_samples import posed
 
 CHAIN = [posed((0, 0, 0.6)), posed((0.1, 0.1, 0), 0.4), posed((0.6, 0, -0.1), 0.8, 0.1)]

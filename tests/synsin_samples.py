@@ -15,7 +15,7 @@ TINY_SIZE = (32, 64)
 
 @dataclass
 class HallNetworks:
-    """Stands in for :class:`omnisyn_cli.runtime.synsin.SynSinSessions`: true depth, colours as features, no painting.
+    """Stands in for :class:`omnisyn_cli.runtime.synsin_sessions.SynSinSessions`: true depth, plain colours.
 
     The hall's pattern says where a panorama was taken no better than a photograph does, so positions are told, in the
     order in which panoramas are looked at.
@@ -61,5 +61,5 @@ def write_synsin_models(folder: Path) -> Path:
     tiny = SynSinConfig("tiny", TINY_SIZE, features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4, points=8)
     torch.manual_seed(0)
     save_checkpoint(folder / "fresh.pt", Trainer(tiny, TrainConfig("", "", size=TINY_SIZE)).state())
-    publish(folder / "fresh.pt", folder, name=None, pool=None, training="", licence="none")
+    publish(folder / "fresh.pt", folder)
     return folder

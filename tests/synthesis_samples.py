@@ -7,7 +7,8 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.types import DepthEstimate, View
 
 RADIUS = 4.0

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from omnisyn_cli.io import read_header, read_panorama, read_poses
+from omnisyn_cli.io import read_header, read_panorama
+from omnisyn_cli.poses.file import read_poses
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 FOLDERS = sorted(path for path in EXAMPLES.iterdir() if path.is_dir())

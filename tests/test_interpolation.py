@@ -13,8 +13,11 @@ import pytest
 
 from interpolation_samples import CHAIN, job_of, listing
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError
-from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
-from omnisyn_cli.io import Panorama, PosedPanorama, read_depth, read_panorama, write_depth, write_image, write_poses
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.io import Panorama, read_depth, read_panorama, write_depth, write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr

@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
-from omnisyn_cli.io import read_panorama, read_poses
-from omnisyn_cli.metrics import ws_psnr
+from omnisyn_cli.evaluation.metrics import ws_psnr
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.io import read_panorama
+from omnisyn_cli.poses.file import read_poses
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 WAREHOUSES = [DATA / f"warehouse_{k}" for k in range(3)]

@@ -9,23 +9,24 @@ import numpy as np
 import pytest
 
 from interpolation_samples import CHAIN, job_of, listing
-from omnisyn_cli import planning
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
-from omnisyn_cli.io import PosedPanorama, write_image, write_poses
-from omnisyn_cli.planning import plan_interpolation, with_preset
-from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
+from omnisyn_cli.io import write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render import renderer
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.synthesis.recipe import RENDERERS
 from synthesis_samples import as_bytes, hall_image, write_hall
 
 
 def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
-    assert plan_interpolation(job_of(tmp_path, images)).depth == "file"
-    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
+    assert plan_interpolation(job_of(tmp_path, images)).recipe.depth.kind == "file"
+    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).recipe.depth.kind == "matching"
     entries = {path.name: PosedPanorama(pose) for path, pose in zip(images, CHAIN, strict=False)}
     write_poses(tmp_path / "poses.json", entries)
     plan = plan_interpolation(job_of(tmp_path, images))
-    assert (plan.depth, plan.model) == (PRESETS[DEFAULT_PRESET].depth, PRESETS[DEFAULT_PRESET].model)
+    assert plan.recipe == PRESETS[DEFAULT_PRESET].recipe
     with pytest.raises(PoseError, match=r"'depth' file for every panorama, got none for p0\.png, p1\.png"):
         plan_interpolation(job_of(tmp_path, images, depth="file"))
 
@@ -45,9 +46,9 @@ def test_the_preset_says_how_renderings_of_estimated_depth_are_fused(
 ) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
     plan = plan_interpolation(job_of(tmp_path, images, **asked))
-    assert plan.fusion == plan.describe()["fusion"] == fusion
+    assert plan.recipe.fusion == plan.describe()["fusion"] == fusion
     other = with_preset(plan, "fast")
-    assert other.fusion == asked.get("fusion", "geometric")
+    assert other.recipe.fusion == asked.get("fusion", "geometric")
 
 
 def test_a_missing_depth_or_mask_file_is_found_before_any_work(tmp_path: Path) -> None:
@@ -55,7 +56,7 @@ def test_a_missing_depth_or_mask_file_is_found_before_any_work(tmp_path: Path) -
     (tmp_path / "p1_depth.exr").unlink()
     with pytest.raises(ImageError, match=r"p1_depth\.exr"):
         plan_interpolation(job_of(tmp_path, images))
-    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).depth == "matching"
+    assert plan_interpolation(job_of(tmp_path, images, depth="matching")).recipe.depth.kind == "matching"
 
 
 def test_the_size_is_that_of_the_largest_panorama_unless_asked_for(tmp_path: Path) -> None:
@@ -144,7 +145,7 @@ def test_a_model_without_a_network_and_unknown_choices_are_refused(tmp_path: Pat
 
 
 def test_the_names_of_the_renderers_are_those_that_there_are() -> None:
-    assert set(planning.RENDERERS) == set(renderer.RENDERERS)
+    assert set(RENDERERS) == set(renderer.RENDERERS)
 
 
 def test_a_plan_is_made_without_kernels(tmp_path: Path) -> None:

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.metrics import ws_psnr
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-from omnisyn_cli.segments import SynthesisOptions
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
-from omnisyn_cli.synthesis import Frame, synthesize
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 
 SIZE = (256, 512)
@@ -34,8 +35,8 @@ def test_the_middle_frame_is_as_good_as_it_was(kind: str, baseline: float, match
     methods: dict[str, DepthEstimator] = {"matching": MatchingDepthEstimator(), "truth": KnownDepth()}
     scores = {}
     for name, estimator in methods.items():
-        made = synthesize([first, second], [Waypoint(0, 0.5, poses[1])], estimator, SynthesisOptions(SIZE))
-        (frame,) = [item for item in made if isinstance(item, Frame)]
+        method = SurfaceMethod(estimator, SynthesisOptions(SIZE))
+        (frame,) = synthesize([first, second], [Waypoint(0, 0.5, poses[1])], method)
         scores[name] = ws_psnr(np.clip(frame.image, 0, 1), middle.image)
     fade = ws_psnr((first.image + second.image) / 2, middle.image)
     assert scores["matching"] > max(matching, fade + 3.0), scores

@@ -1,3 +1,61 @@
-"""OmniSyn: the 360° video between two panoramas (Li et al., IEEE VR 2022), as a library and the command ``omnisyn``."""
+"""OmniSyn: the 360° video between two panoramas (Li et al., IEEE VR 2022), as a library and the command ``omnisyn``.
+
+The names below are those of :mod:`omnisyn_cli.interpolation.api` and :mod:`omnisyn_cli.evaluation.api`, imported when
+they are used, so that importing the package takes no time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from omnisyn_cli.evaluation.api import evaluate, score
+    from omnisyn_cli.interpolation.api import (
+        PRESETS,
+        DepthEstimate,
+        DepthEstimator,
+        DepthSource,
+        Fuser,
+        Pose,
+        Recipe,
+        Rendering,
+        View,
+        estimate_depth,
+        interpolate,
+        make_frames,
+        read_views,
+        write_video,
+    )
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "PRESETS",
+    "DepthEstimate",
+    "DepthEstimator",
+    "DepthSource",
+    "Fuser",
+    "Pose",
+    "Recipe",
+    "Rendering",
+    "View",
+    "estimate_depth",
+    "evaluate",
+    "interpolate",
+    "make_frames",
+    "read_views",
+    "score",
+    "write_video",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    room = "evaluation" if name in ("evaluate", "score") else "interpolation"
+    return getattr(import_module(f"omnisyn_cli.{room}.api"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
@@ -15,22 +16,22 @@ from omnisyn_cli.geometry.pose import Pose
 __all__ = [
     "BELIEF",
     "UNSEEN",
+    "ColourStep",
     "DepthEstimate",
     "DepthEstimator",
     "Fuser",
     "KnownDepth",
     "Rendering",
-    "RowFuser",
-    "RowRenderer",
-    "RowRendering",
     "View",
 ]
 
+Array = Any  # numpy.ndarray or torch.Tensor
+
 UNSEEN = np.float32(1e-4)
-"""A colour worth less than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
+"""A colour of less weight than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
 
 BELIEF = 4.0
-"""So many times its worth is a colour's depth believed, at most wholly: a quarter is enough, which cut edges have."""
+"""So many times its weight is a colour's depth believed, at most wholly: a quarter is enough, which cut edges have."""
 
 
 @dataclass(frozen=True)
@@ -84,44 +85,49 @@ class DepthEstimator(Protocol):
 
 @dataclass(frozen=True)
 class Rendering:
-    """One view's surface as a target sees it.
+    """One view's surface as a target sees it; its colours are made when and where they are asked for.
+
+    Arrays are numpy's, or torch's where it was made on a device.
 
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre from the target; negative where nothing is seen.
-        colour: ``(height, width, 4)`` RGB and, last, how much it is worth in a blend: 0 where nothing is seen, else up
-            to 1, or a little more beside a mask, where interpolation overshoots.
+        colour_rows: called with a first row, the row after the last, and memory ``(rows, width, 4)`` that it writes:
+            RGB and, last, the weight in a blend: 0 where nothing is seen, else up to 1, or a little more beside a mask,
+            where interpolation overshoots. From any number of threads, until its renderer is called again.
+        colour_at: such colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
         target_from_source: the transform it was rendered with.
+        held: all colours ``(height, width, 4)``, where they are there already.
     """
 
-    inverse_depth: Float32[np.ndarray, "height width"]
-    colour: Float32[np.ndarray, "height width 4"]
+    inverse_depth: Float32[Array, "height width"]
+    colour_rows: Callable[[int, int, Array], None]
+    colour_at: Callable[[np.ndarray, np.ndarray], Array]
     target_from_source: Pose
+    held: Float32[Array, "height width 4"] | None = None
+
+    @staticmethod
+    def of(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Rendering:
+        """One whose colours are there already."""
+
+        def colour_rows(begin: int, end: int, out: Array) -> None:
+            out[:] = colour[begin:end]
+
+        return Rendering(
+            inverse_depth, colour_rows, lambda rows, cols: colour[rows].take(cols, axis=1), target_from_source, colour
+        )
+
+    @cached_property
+    def colour(self) -> Float32[Array, "height width 4"]:
+        """All colours."""
+        if self.held is not None:
+            return self.held
+        colour = np.empty((*self.inverse_depth.shape, 4), np.float32)
+        self.colour_rows(0, len(colour), colour)
+        return colour
 
 
-@dataclass(frozen=True)
-class RowRendering:
-    """A :class:`Rendering` whose colours are made when and where they are asked for, and then forgotten.
-
-    Attributes:
-        inverse_depth: as of a rendering.
-        colour_rows: called with a first row, the row after the last, and memory ``(rows, width, 4)`` that it writes.
-        colour_at: colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
-        target_from_source: as of a rendering.
-    """
-
-    inverse_depth: Float32[np.ndarray, "height width"]
-    colour_rows: Callable[[int, int, np.ndarray], None]
-    colour_at: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    target_from_source: Pose
-
-
-@runtime_checkable
-class RowRenderer(Protocol):
-    """A panorama with its depth that gives its colours row by row."""
-
-    def by_rows(self, target_from_source: Pose) -> RowRendering:
-        """What the target sees; colours can be asked for from any number of threads, until the next call."""
-        ...
+ColourStep = Callable[[Array, Array, int], None]
+"""Changes some rows of colours of a first and of a second view in place; its last argument is the first row."""
 
 
 class KnownDepth:
@@ -141,21 +147,24 @@ class KnownDepth:
 class Fuser(Protocol):
     """Anything that makes one picture of the renderings of two views."""
 
-    def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
-        """The picture at a share ``t`` of the way from the first to the second; the next call may overwrite it."""
-        ...
+    def __call__(
+        self,
+        first: Rendering,
+        second: Rendering,
+        t: float,
+        out: Shaped[np.ndarray, "height width 3"] | None = None,
+        confidence: Float32[np.ndarray, "height width"] | None = None,
+    ) -> Shaped[np.ndarray, "height width 3"]:
+        """The picture at a share ``t`` of the way from the first to the second.
 
+        Args:
+            first: of the first view.
+            second: of the second view.
+            t: share of the way.
+            out: written and returned: numbers >= 0, or samples of 8 bits; by default numbers in memory that the next
+                call may overwrite.
+            confidence: written where it is given: how far every pixel can be relied on, in [0, 1].
 
-@runtime_checkable
-class RowFuser(Protocol):
-    """Something that may make pictures of renderings that are coloured row by row."""
-
-    def takes_rows(self) -> bool:
-        """Whether it does, for frames of its size."""
-        ...
-
-    def samples(
-        self, first: RowRendering, second: RowRendering, t: float, out: UInt8[np.ndarray, "height width 3"]
-    ) -> None:
-        """Write the picture at a share ``t`` of the way, rounded to 8 bits; not called unless it takes rows."""
+        What is not asked for is not passed, so three arguments do for one that makes numbers without confidence.
+        """
         ...

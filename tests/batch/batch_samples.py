@@ -13,24 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.batch.engine import Job, Report, Work
-from omnisyn_cli.batch.worker import Performer
+from omnisyn_cli.batch.executor import Job, Report, Work, Worker
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 
 SIZE = (16, 32)
 
 
-class InlineCrew:
-    """A crew of one that works in this process."""
+class InlineExecutor:
+    """One worker, that works in this process."""
 
     def __init__(self, work: Work) -> None:
-        self._perform = Performer(work)
+        self._worker = Worker(work)
         self._reports: list[Report] = []
 
-    def __enter__(self) -> InlineCrew:
+    def __enter__(self) -> InlineExecutor:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -40,7 +40,7 @@ class InlineCrew:
         return [0]
 
     def give(self, worker: int, job: Job) -> None:
-        self._reports.append(Report(worker, self._perform(job.payload)))
+        self._reports.append(Report(worker, self._worker.perform(job.payload)))
 
     def wait(self) -> list[Report]:
         reports, self._reports = self._reports, []

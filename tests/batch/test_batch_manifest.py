@@ -13,7 +13,6 @@ from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.batch.schema import Line
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.render.mesh import Cut
 
 
 def problems(folder: Path, *lines: Any) -> list[str]:
@@ -28,7 +27,8 @@ def test_a_line_becomes_the_interpolation_it_describes(tmp_path: Path) -> None:
     job = manifest.jobs[0].interpolation(tmp_path / "out", threads=3)
     assert job.images == (tmp_path / "p0.png", tmp_path / "p1.png")
     assert (job.poses, job.output) == (tmp_path / "poses.json", tmp_path / "out" / "d" / "a.mp4")
-    assert (job.frames, job.size, job.cut, job.encoder_preset) == (9, (32, 64), Cut(relative=None, metres=2.0), "slow")
+    assert (job.frames, job.size, job.encoder_preset) == (9, (32, 64), "slow")
+    assert (job.cut, job.cut_metres) == (None, 2.0)
     assert (job.save_depth, job.threads, job.crf, job.fps) == (tmp_path / "out" / "depth", 3, 20, 30)
 
 

@@ -15,8 +15,8 @@ import pytest
 from batch_samples import contents, line, records, write_lines, write_row
 
 import omnisyn_cli
-from omnisyn_cli.batch.engine import Work
-from omnisyn_cli.batch.ray_crew import RayCrew
+from omnisyn_cli.batch.executor import Work
+from omnisyn_cli.batch.ray_executor import RayExecutor
 from omnisyn_cli.errors import InputError
 
 pytest.importorskip("ray", reason="Ray is not installed (omnisyn-cli[ray])")
@@ -87,7 +87,7 @@ def test_a_cluster_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.
         raise RuntimeError(f"nobody at {arguments['address']}\nmore of it")
 
     monkeypatch.setattr("ray.init", init)
-    with pytest.raises(InputError) as raised, RayCrew(Work("nothing:at_all"), 1, 1, address="127.0.0.1:1"):
+    with pytest.raises(InputError) as raised, RayExecutor(Work("nothing:at_all"), 1, 1, address="127.0.0.1:1"):
         pass
     message = "expected a Ray cluster at 127.0.0.1:1, got 'nobody at 127.0.0.1:1'; check --ray-address"
     assert str(raised.value) == message

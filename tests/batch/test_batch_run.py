@@ -12,21 +12,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batch_samples import SIZE, InlineCrew, contents, line, records, write_lines, write_row
+from batch_samples import SIZE, InlineExecutor, contents, line, records, write_lines, write_row
 
-from omnisyn_cli import posing
-from omnisyn_cli.batch import interpolations, provenance, run
-from omnisyn_cli.batch.engine import Work
+from omnisyn_cli.batch import batch as batch_module
+from omnisyn_cli.batch import interpolations, provenance
+from omnisyn_cli.batch.batch import BatchOptions, BatchReport, Progress, run_batch
+from omnisyn_cli.batch.executor import Work
+from omnisyn_cli.batch.folder import WORKSHOP, open_workshop, unpack
 from omnisyn_cli.batch.interpolations import Settings, make_interpolator
 from omnisyn_cli.batch.manifest import read_manifest
-from omnisyn_cli.batch.places import WORKSHOP, open_workshop, unpack
-from omnisyn_cli.batch.run import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.interpolation import plan_interpolation, run_interpolation
-from omnisyn_cli.io import PosedPanorama, read_panorama, read_poses, write_image, write_poses
-from omnisyn_cli.posing import FoundPoses
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.io import read_panorama, write_image
+from omnisyn_cli.poses import estimation as posing
+from omnisyn_cli.poses.estimation import FoundPoses
+from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from omnisyn_cli.runtime import models
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.types import DepthEstimate, View
@@ -37,10 +40,10 @@ from synthesis_samples import as_bytes, ws_psnr
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """No processes: what they add is tested with the engine and with the command."""
 
-    def crew(work: Work, settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineCrew:
-        return InlineCrew(Work(work.factory, settings(1)))
+    def inline(factory: str, settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineExecutor:
+        return InlineExecutor(Work(factory, settings(1)))
 
-    monkeypatch.setattr(run, "make_crew", crew)
+    monkeypatch.setattr(batch_module, "make_executor", inline)
 
 
 def batch(folder: Path, *lines: Any, **options: Any) -> BatchReport:
@@ -85,7 +88,7 @@ def test_shared_panoramas_are_decoded_and_their_depth_found_once(
 
     The estimator gives the first of a pair another depth than the second, so that asking the other way round shows.
     """
-    monkeypatch.setattr(interpolations, "make_estimator", lambda plan: lopsided)
+    monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     write_row(tmp_path, 4)
     both = [pair for k in range(3) for pair in ((k, k + 1), (k + 1, k))]
     lines = [line(a, b, group="walk", depth="matching", frames=3) for a, b in both]
@@ -172,9 +175,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     install(folder)
     for module in (models, provenance):
         monkeypatch.setattr(module, "models_folder", lambda: folder)
-    monkeypatch.setattr(interpolations, "make_estimator", lambda plan: lopsided)
+    monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     monkeypatch.setattr(
-        "omnisyn_cli.interpolation.run.make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1)
+        "omnisyn_cli.synthesis.making.make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1)
     )
     return folder
 
@@ -223,7 +226,7 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(
     tmp_path: Path, installed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loaded = []
-    monkeypatch.setattr(interpolations, "make_estimator", lambda plan: loaded.append(plan.model) or lopsided)
+    monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: loaded.append(source.model) or lopsided)
     write_row(tmp_path, 3)
     (tmp_path / "mine.onnx").write_text("mine")
     lines = [line(0, 1, depth="refined"), line(1, 2, depth="refined", ease="smooth", nadir=9),

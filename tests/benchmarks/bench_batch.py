@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.io import PosedPanorama, write_image, write_poses
+from omnisyn_cli.io import write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 STOPS = 5

@@ -22,7 +22,7 @@ from typing import TypeVar
 import numpy as np
 
 from omnisyn_cli.io import open_video
-from omnisyn_cli.io.frames import read_frames
+from omnisyn_cli.io.ffmpeg_process import read_frames
 
 T = TypeVar("T")
 

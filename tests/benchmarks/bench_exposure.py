@@ -16,15 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.estimators import make_estimator
-from omnisyn_cli.io import read_panorama, read_poses
-from omnisyn_cli.metrics import ws_psnr
-from omnisyn_cli.photometry.transfer import linear_from_stored, stored_from_linear
-from omnisyn_cli.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.evaluation.metrics import ws_psnr
+from omnisyn_cli.fusion.photometry.curve import linear_from_stored, stored_from_linear
+from omnisyn_cli.io import read_panorama
+from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.segments import Segment, SynthesisOptions
-from omnisyn_cli.synthesis import synthesize
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, View
 
 
@@ -42,8 +44,8 @@ def read_views(folder: Path) -> list[View]:
 def inner_frames(first: View, last: View, waypoints: Sequence[Waypoint], estimator: DepthEstimator) -> list[np.ndarray]:
     """The frames between two panoramas."""
     options = SynthesisOptions(first.image.shape[:2], "mesh", Cut())
-    made = synthesize([first, last], waypoints, estimator, options)
-    return [part.image.copy() for part in made if not isinstance(part, Segment) and part.panorama is None]
+    made = synthesize([first, last], waypoints, SurfaceMethod(estimator, options))
+    return [frame.image.copy() for frame in made if frame.panorama is None]
 
 
 def quality(frames: Sequence[np.ndarray], truth: Sequence[np.ndarray], stops: Sequence[float]) -> float:
@@ -57,8 +59,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--preset", choices=list(PRESETS), default=DEFAULT_PRESET)
     given = parser.parse_args()
-    preset = PRESETS[given.preset]
-    estimator = make_estimator(preset.depth, rows=preset.depth_rows, model=preset.model, device="cpu", threads=None)
+    estimator = make_estimator(PRESETS[given.preset].recipe.depth, device="cpu")
     print(f"{'':24}{'equal':>8}{'changed':>9}{'best':>8}{'lost':>7}")
     for folder in given.folders:
         views = read_views(folder)

@@ -16,14 +16,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from omnisyn_cli.estimators import make_estimator
 from omnisyn_cli.fusion.kernels import quantize_rows
-from omnisyn_cli.gpu.frames import GpuFrames
-from omnisyn_cli.io import read_panorama, read_poses
-from omnisyn_cli.segments import SynthesisOptions
-from omnisyn_cli.synthesis import Frame, synthesize
-from omnisyn_cli.threads import run_bands
-from omnisyn_cli.trajectory import plan_path
+from omnisyn_cli.io import read_panorama
+from omnisyn_cli.poses.file import read_poses
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.synthesis.device.pair import GpuFrames
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.recipe import DepthSource
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth, View
 
 STREET = Path(__file__).resolve().parents[2] / "examples" / "street"
@@ -41,7 +43,7 @@ def with_depth(first: Path, second: Path, poses: Path) -> tuple[View, View]:
         panorama = read_panorama(path)
         samples = panorama.original if panorama.original is not None and panorama.original.dtype == np.uint8 else None
         views.append(View(panorama.image, entries.of(path).pose, samples=samples))
-    depths = make_estimator("matching", rows=512, device="cpu")(*views)
+    depths = make_estimator(DepthSource("matching"), device="cpu")(*views)
     known = [View(v.image, v.pose, None, d, samples=v.samples) for v, d in zip(views, depths, strict=True)]
     return known[0], known[1]
 
@@ -52,13 +54,12 @@ def frames(
     """Seconds that each frame between the panoramas took, and its samples."""
     memory = np.empty((*size, 3), np.uint8)
     path = plan_path([view.pose for view in views], count + 2)[1:-1]
-    made = synthesize(views, path, KnownDepth(), SynthesisOptions(size), samples=lambda: memory, device=device)
-    begin = time.perf_counter()
-    for item in made:
-        if isinstance(item, Frame):
-            samples = item.image if item.image.dtype == np.uint8 else rounded(item.image)
-            yield time.perf_counter() - begin, samples
+    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(size), device=device).prepare(0, *views)
+    for waypoint in path:
         begin = time.perf_counter()
+        image = pair.frame(waypoint, lambda: memory).image
+        samples = image if image.dtype == np.uint8 else rounded(image)
+        yield time.perf_counter() - begin, samples
 
 
 def rounded(image: np.ndarray) -> np.ndarray:

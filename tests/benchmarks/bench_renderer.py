@@ -20,13 +20,12 @@ from embreex.rtcore_scene import EmbreeScene
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.io.depth import read_inverse_depth
+from omnisyn_cli.io.depth_files import read_inverse_depth
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Rasterizer
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.tiles import TileRasterizer
 
 MESH, TARGETS = (512, 1024), ((1024, 2048), (2048, 4096))
 POSE = Pose(np.eye(3), np.array([0.0, 0.0, 1.5]))
@@ -77,20 +76,20 @@ def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """Rasterises and shades one view."""
     texture = make_texture(photograph(size))
     rasterizer, shader, trust = (
-        Rasterizer(mesh.size, size, threads=1),
+        Rasterizer(size, threads=1),
         Shader(size, threads=1),
         make_trust(mesh, texture),
     )
-    return lambda: shader(rasterizer.inverse_depth(mesh, POSE), trust, texture, POSE)
+    return lambda: shader(rasterizer(mesh.blocks, POSE), trust, texture, POSE)
 
 
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
     texture = make_texture(photograph(size))
-    tiles, trust = simplify(mesh, -POSE.position, size[0], threads=1), make_trust(mesh, texture)
-    print(f"{size[1]}×{size[0]}  {tiles.triangles} of {len(mesh.faces())} triangles kept")
-    rasterizer, shader = TileRasterizer(size, threads=1), Shader(size, threads=1)
-    return lambda: shader(rasterizer(tiles, POSE), trust, texture, POSE)
+    (quads, kept), trust = simplify(mesh, -POSE.position, size[0], threads=1), make_trust(mesh, texture)
+    print(f"{size[1]}×{size[0]}  {kept} of {mesh.face_count()} triangles kept")
+    rasterizer, shader = Rasterizer(size, threads=1), Shader(size, threads=1)
+    return lambda: shader(rasterizer(quads, POSE), trust, texture, POSE)
 
 
 def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:

@@ -23,12 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.jit import kernel
 from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.runtime.jit import kernel
+from omnisyn_cli.runtime.threads import run_bands
 
 WIDTHS = (1024, 2048, 4096, 8192)
 FEW = 4
@@ -114,8 +114,8 @@ def frames(threads: int, width: int = 4096) -> Callable[[], object]:
     fuser, out = GeometricFuser(size, threads=threads), np.empty((*size, 3), np.uint8)
 
     def make() -> None:
-        first, second = (view.by_rows(pose) for view, pose in zip(views, poses, strict=True))
-        fuser.samples(first, second, 0.5, out)
+        first, second = (view(pose) for view, pose in zip(views, poses, strict=True))
+        fuser(first, second, 0.5, out)
 
     return make
 

@@ -12,10 +12,11 @@ import pytest
 
 import omnisyn_cli
 from omnisyn_cli.cli import main
-from omnisyn_cli.cli.compiling import COMPILING
+from omnisyn_cli.cli.progress import COMPILING
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 
 SIZE = (16, 32)
 

@@ -10,10 +10,10 @@ from cli_samples import listing, run_cli, write_pair
 from omnisyn_cli.cli.bench import LAYOUTS
 from omnisyn_cli.evaluation import bench
 from omnisyn_cli.evaluation.bench import BenchJob
+from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.datasets import FORMATS
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, STANDARD_FRAMES, Figures, read_table, standard_seconds
-from omnisyn_cli.evaluation.trial import Trial
-from omnisyn_cli.presets import PRESETS, SCALE
+from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
@@ -30,15 +30,15 @@ def scenes(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def trials(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
-    """Every trial that is asked for; none is made."""
-    asked: list[Trial] = []
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[BenchRun]:
+    """Every run that is asked for; none is made."""
+    asked: list[BenchRun] = []
 
-    def pretend(trial: Trial) -> Figures:
-        asked.append(trial)
-        preset = trial.setting.preset
+    def pretend(run: BenchRun) -> Figures:
+        asked.append(run)
+        preset = run.setting.preset
         seconds = dict.fromkeys(("start", "decode", "depth", "mesh", *FRAME_STAGES), 1.0 + list(SCORES).index(preset))
-        return Figures(trial.setting, "done", "", trial.key, (32, 64), seconds, 1.0, 10**8, SCORES[preset], 1)
+        return Figures(run.setting, "done", "", run.key, (32, 64), seconds, 1.0, 10**8, SCORES[preset], 1)
 
     monkeypatch.setattr(bench, "_in_child", pretend)
     return asked
@@ -62,30 +62,30 @@ def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], sc
     assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
 
 
-def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Path, trials: list[Trial]) -> None:
+def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Path, runs: list[BenchRun]) -> None:
     result = run_cli(capsys, "bench", scenes, "--sizes", "64x32,128x64", "--threads", "1,2")
     assert result.code == 0
-    assert len(trials) == len(SCALE) * 2 * 2
+    assert len(runs) == len(SCALE) * 2 * 2
     assert result.out.count("Which setting for which budget") == 2
-    assert f"balanced, {PRESETS['balanced'].depth_rows} rows, 64x32, 2 threads" in result.out
+    assert f"balanced, {PRESETS['balanced'].recipe.depth.rows} rows, 64x32, 2 threads" in result.out
     assert "28.00" in result.out
 
 
 def test_scenes_are_made_where_none_are_given(
-    capsys: pytest.CaptureFixture[str], trials: list[Trial], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], runs: list[BenchRun], tmp_path: Path
 ) -> None:
     options = ("--scene-size", "32x16", "--presets", "fast", "--report", tmp_path / "report", "-q")
     assert run_cli(capsys, "bench", *options).out == ""
-    assert {pair.scene for trial in trials for pair in trial.pairs} == {"street-9000001-2m", "room-9000001-1m"}
+    assert {pair.scene for run in runs for pair in run.pairs} == {"street-9000001-2m", "room-9000001-1m"}
 
 
 def test_a_failure_is_named_and_the_exit_code_is_1(
     capsys: pytest.CaptureFixture[str], scenes: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench, "_in_child", lambda trial: Figures(trial.setting, "failed", "no memory", trial.key))
+    monkeypatch.setattr(bench, "_in_child", lambda run: Figures(run.setting, "failed", "no memory", run.key))
     result = run_cli(capsys, "bench", scenes, "--presets", "fast", "--sizes", "64x32", "--threads", 1)
     assert result.code == 1
-    assert f"fast, {PRESETS['fast'].depth_rows} rows, 64x32, 1 thread: no memory" in result.out
+    assert f"fast, {PRESETS['fast'].recipe.depth.rows} rows, 64x32, 1 thread: no memory" in result.out
 
 
 @pytest.mark.parametrize(

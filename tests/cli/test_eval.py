@@ -8,8 +8,8 @@ import pytest
 from cli_samples import listing, run_cli
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import methods
-from omnisyn_cli.evaluation.records import read_records
+from omnisyn_cli.evaluation.results import read_records
+from omnisyn_cli.synthesis import making
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
@@ -32,7 +32,7 @@ def no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(*_: object, **__: object) -> None:
         raise InputError("expected the network, got none")
 
-    monkeypatch.setattr(methods, "make_estimator", missing)
+    monkeypatch.setattr(making, "_session", missing)
 
 
 def arguments(scenes: Path, *more: object) -> list[object]:

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from cli_samples import SIZE, folder_arguments, listing, pair_arguments, run_cli, start_cli, write_pair
 
-from omnisyn_cli.io import PosedPanorama, open_video, read_poses, read_spherical, write_image, write_poses
+from omnisyn_cli.io import open_video, read_spherical, write_image
 from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 
 Capture = pytest.CaptureFixture[str]
 

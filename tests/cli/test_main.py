@@ -30,7 +30,7 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
 
 def test_the_library_imports_without_torch_and_onnxruntime() -> None:
     """Interpolating needs neither; only networks do."""
-    program = "import sys, omnisyn_cli.interpolation; print(*sys.modules)"
+    program = "import sys, omnisyn_cli.interpolation.run; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert not {"torch", "onnxruntime", "click"} & set(done.stdout.split())
 
@@ -157,7 +157,7 @@ def test_what_the_system_refuses_is_named(capsys: pytest.CaptureFixture[str], mo
     def refused(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied", "some/folder")
 
-    monkeypatch.setattr("omnisyn_cli.io.describe.describe_file", refused)
+    monkeypatch.setattr("omnisyn_cli.interpolation.describe.describe_file", refused)
     result = run_cli(capsys, "info", "a.jpg")
     assert (result.code, result.out) == (1, "")
     expected = "some/folder: expected a place that can be used, got 'Permission denied'; check its name and permissions"

@@ -5,8 +5,9 @@ from click.testing import CliRunner
 
 from omnisyn_cli.cli.models import models
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.presets import FUSION_MODELS, PRESETS
 from omnisyn_cli.runtime.models import ModelEntry, models_folder, sha256_of
+from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.synthesis.recipe import FUSION_MODELS
 from omnisyn_cli.training.publish import write_manifest
 
 
@@ -14,7 +15,7 @@ def test_what_the_presets_need_is_shipped_whole():
     result = CliRunner().invoke(models, ["--json"])
     assert result.exit_code == 0, result.output
     entries = {entry["name"]: entry for entry in json.loads(result.stdout)}
-    assert {preset.model for preset in PRESETS.values()} - {None} <= entries.keys()
+    assert {preset.recipe.depth.model for preset in PRESETS.values()} <= entries.keys()
     assert set(FUSION_MODELS.values()) <= entries.keys()
     for entry in entries.values():
         assert (models_folder() / entry["file"]).stat().st_size < 16 * 2**20

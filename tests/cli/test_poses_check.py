@@ -10,8 +10,9 @@ import pytest
 from cli_samples import listing, run_cli
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.io import PosedPanorama, read_poses, write_image, write_poses
-from omnisyn_cli.registration.epipolar import direction_error, relative_pose, rotation_error
+from omnisyn_cli.io import write_image
+from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
+from omnisyn_cli.poses.registration.epipolar import direction_error, relative_pose, rotation_error
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 Capture = pytest.CaptureFixture[str]
@@ -191,7 +192,9 @@ def test_masks_that_the_new_file_could_not_name_are_refused_before_any_picture_i
     write_image(tmp_path / "mask.png", np.full((192, 384), 255, np.uint8))
     arguments = ("poses", "refine", *images(tour), "--poses", tmp_path / "poses.json", "-o")
     with monkeypatch.context() as patched:
-        patched.setattr("omnisyn_cli.posing.read_panorama", lambda *_, **__: pytest.fail("a picture was read"))
+        patched.setattr(
+            "omnisyn_cli.poses.estimation.read_panorama", lambda *_, **__: pytest.fail("a picture was read")
+        )
         result = run_cli(capsys, *arguments, tmp_path / "elsewhere" / "out.json")
     assert result.code == 3
     assert "'a.png'.mask: expected a file in the folder of the pose file" in result.err

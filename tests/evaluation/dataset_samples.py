@@ -13,7 +13,8 @@ import numpy as np
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 SIZE = (64, 128)

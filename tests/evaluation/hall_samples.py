@@ -7,7 +7,7 @@ import numpy as np
 
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.engine import EvaluationJob, plan_evaluation, run_evaluation
-from omnisyn_cli.evaluation.records import UnitRecord
+from omnisyn_cli.evaluation.results import UnitRecord
 from omnisyn_cli.evaluation.views import LoadedPair, load_pair
 from omnisyn_cli.io import write_image
 from synthesis_samples import as_bytes, hall_image, posed, write_hall

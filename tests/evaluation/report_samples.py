@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.evaluation.pictures import error_map, turbo
-from omnisyn_cli.evaluation.records import DepthRecord, FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.visualization import error_map, turbo
 from omnisyn_cli.io import write_image
 
 SIZE = (32, 64)

@@ -11,16 +11,17 @@ import pytest
 from hall_samples import damage, hall_pair, run, write_halls
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import bench, trial
+from omnisyn_cli.evaluation import bench, bench_run
 from omnisyn_cli.evaluation.bench import BenchJob, make_scenes, plan_bench, run_bench
 from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
+from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.calibration import calibrate
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
-from omnisyn_cli.evaluation.trial import Trial, run_trial
-from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation
-from omnisyn_cli.jit import kernel, when_compiling
-from omnisyn_cli.presets import PRESETS
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.runtime.jit import kernel, when_compiling
+from omnisyn_cli.synthesis.presets import PRESETS
 from omnisyn_cli.types import KnownDepth
 
 ROWS = 64
@@ -40,8 +41,8 @@ def test_accuracy_is_what_the_evaluation_measures(tmp_path: Path) -> None:
     """Two ways through the program: files to a video with its depth remembered, and a method on loaded views."""
     pair = hall_pair(tmp_path / "data")
     (tmp_path / "clips").mkdir()
-    setting = Setting("fast", PRESETS["fast"].depth_rows, (64, 128), 1)
-    figures = run_trial(Trial(setting, (pair,), 1), tmp_path / "clips", launched=0.0)
+    setting = Setting("fast", PRESETS["fast"].recipe.depth.rows, (64, 128), 1)
+    figures = measure_setting(BenchRun(setting, (pair,), 1), tmp_path / "clips", launched=0.0)
     (record,) = run(tmp_path / "data", "omnisyn-fast")
     assert figures.ws_psnr == pytest.approx(record.mean("ws_psnr"), abs=0.01)
     assert (figures.source, figures.pairs, figures.status) == ((64, 128), 1, "done")
@@ -54,11 +55,11 @@ def test_accuracy_is_what_the_evaluation_measures(tmp_path: Path) -> None:
 def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path: Path) -> None:
     """A quarter of the pixels costs accuracy, and the true frame itself scores the best at its own size."""
     pair = hall_pair(tmp_path)
-    depths = KnownDepth()(*trial.load_pair(pair).views)
+    depths = KnownDepth()(*bench_run.load_pair(pair).views)
     folder, ends = tmp_path / "hall", (pair.first.image, pair.second.image)
     clip = InterpolationJob(ends, folder / "poses.json", tmp_path / "frames", frames=3, threads=1)
     small, same, large = (
-        np.mean(trial._scores(pair, depths, plan_interpolation(replace(clip, size=(rows, 2 * rows)))))
+        np.mean(bench_run._scores(pair, depths, plan_interpolation(replace(clip, size=(rows, 2 * rows)))))
         for rows in (32, 64, 128)
     )
     assert small < same - 1.0
@@ -69,20 +70,20 @@ def test_every_combination_is_a_setting_in_a_process_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_halls(tmp_path / "data", "hall", "yard")
-    trials: list[Trial] = []
+    runs: list[BenchRun] = []
 
-    def pretend(asked: Trial) -> Figures:
-        trials.append(asked)
+    def pretend(asked: BenchRun) -> Figures:
+        runs.append(asked)
         return figures_of(asked.setting)
 
     monkeypatch.setattr(bench, "_in_child", pretend)
     sizes = ((32, 64), (64, 128))
     wanted = job(tmp_path, presets=("fast", "balanced"), depth_rows=(64, 128), sizes=sizes, threads=(1, 2))
     run_bench(plan_bench(wanted))
-    assert len({each.setting for each in trials}) == len(trials) == 2 * 2 * 2 * 2
-    assert all([pair.scene for pair in each.pairs] == ["hall", "yard"] for each in trials)
+    assert len({each.setting for each in runs}) == len(runs) == 2 * 2 * 2 * 2
+    assert all([pair.scene for pair in each.pairs] == ["hall", "yard"] for each in runs)
     own_rows = plan_bench(job(tmp_path, presets=tuple(PRESETS), depth_rows=())).settings
-    assert [each.depth_rows for each in own_rows] == [preset.depth_rows for preset in PRESETS.values()]
+    assert [each.depth_rows for each in own_rows] == [preset.recipe.depth.rows for preset in PRESETS.values()]
 
 
 def test_what_is_measured_is_not_measured_again_and_failures_are(
@@ -91,7 +92,7 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(
     write_halls(tmp_path / "data", "hall")
     asked: list[Setting] = []
 
-    def pretend(each: Trial) -> Figures:
+    def pretend(each: BenchRun) -> Figures:
         asked.append(each.setting)
         done = Figures(**{**vars(figures_of(each.setting)), "key": each.key})
         return done if each.setting.preset == "fast" else Figures(each.setting, "failed", "no memory", each.key)
@@ -112,10 +113,10 @@ def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path: Path)
     pair = hall_pair(tmp_path / "data")
     damage(tmp_path / "data" / "hall" / "p0.png")
     setting = Setting("fast", ROWS, (64, 128), 1)
-    failed = bench._in_child(Trial(setting, (pair,), 1, key="key"))
+    failed = bench._in_child(BenchRun(setting, (pair,), 1, key="key"))
     assert (failed.status, failed.key) == ("failed", "key")
     assert "first.png" in failed.reason
-    died = bench._in_child(Trial(setting, (Deadly(),), 1))  # type: ignore[arg-type]
+    died = bench._in_child(BenchRun(setting, (Deadly(),), 1))  # type: ignore[arg-type]
     assert (died.status, died.reason) == ("failed", "the process ended with exit code 3")
 
 
@@ -131,7 +132,7 @@ class Compiling:
 def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
     said: list[str] = []
     with when_compiling(lambda: said.append("compiling")):
-        failed = bench._in_child(Trial(Setting("fast", ROWS, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
+        failed = bench._in_child(BenchRun(Setting("fast", ROWS, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
     assert (failed.status, failed.reason) == ("failed", "InputError: no panorama")
     assert said == ["compiling"]
 
@@ -140,8 +141,8 @@ def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
 def test_a_setting_that_had_to_compile_is_measured_again(has_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes a minute once, which is not what a clip takes."""
     answers = [(figures_of(Setting("fast", rows, (64, 128), 1)), has_compiled) for rows in (64, 128)]
-    monkeypatch.setattr(bench, "_measured_once", lambda trial: answers.pop(0))
-    figures = bench._in_child(Trial(Setting("fast", ROWS, (64, 128), 1), (), 1))
+    monkeypatch.setattr(bench, "_measured_once", lambda run: answers.pop(0))
+    figures = bench._in_child(BenchRun(Setting("fast", ROWS, (64, 128), 1), (), 1))
     assert figures.setting.depth_rows == (128 if has_compiled else 64)
 
 
@@ -154,7 +155,7 @@ class Deadly:
 
 def test_time_and_memory_are_those_of_the_process() -> None:
     held = np.ones(32 << 20, np.uint8)
-    peak = trial._peak_memory()
+    peak = bench_run._peak_memory()
     assert peak is None or peak > held.nbytes
 
 
@@ -164,12 +165,12 @@ def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(
     pair = hall_pair(tmp_path / "data")
 
     seconds = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0, "render": 6.0, "fuse": 2.0, "total": 20.0}
-    monkeypatch.setattr(trial, "run_interpolation", lambda plan, estimator: SimpleNamespace(seconds=seconds))
+    monkeypatch.setattr(bench_run, "run_interpolation", lambda plan, estimator: SimpleNamespace(seconds=seconds))
     ends = (pair.first.image, pair.second.image)
     plan = plan_interpolation(InterpolationJob(ends, ends[0].parent / "poses.json", tmp_path / "clip.mp4"))
     of_pair = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0}
     of_frame = {"render": 1.5, "fuse": 0.5, "encode": 0.0, "convert": 1.0}
-    assert trial._per_pair_and_frame(trial._clip(plan, KnownDepth()), 4) == of_pair | of_frame
+    assert bench_run._per_pair_and_frame(bench_run._clip(plan, KnownDepth()), 4) == of_pair | of_frame
 
 
 def test_calibration_is_the_median_of_three_steps_or_more(monkeypatch: pytest.MonkeyPatch) -> None:

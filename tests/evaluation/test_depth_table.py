@@ -1,7 +1,6 @@
 """The paper's depth table: means over scenes that training never sees, resumed, with reasons for what is missing."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,39 +8,29 @@ from click.testing import CliRunner
 
 from omnisyn_cli.cli.depth_table import depth_table as command
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import depth_methods, depth_table
-from omnisyn_cli.evaluation.depth_methods import DepthMethod, find_depth_methods
+from omnisyn_cli.evaluation import depth_table
 from omnisyn_cli.evaluation.depth_table import (
     FIRST_SEED,
     LEAST_SEED,
     DepthTableJob,
+    depth_sources,
     depth_tables,
     make_pair,
     run_depth_table,
     write_depth_tables,
 )
-from omnisyn_cli.presets import PRESETS
 from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.scenes.suite import SEEDS
+from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.synthesis.recipe import DepthSource
 from omnisyn_cli.types import DepthEstimate
 
 SIZE = (16, 32)
 
 
-@dataclass(frozen=True)
-class Guessing(DepthMethod):
+class Guess:
     """Says that near the horizon everything is so many metres away, and infinitely far elsewhere."""
 
-    metres: float = 5.0
-
-    def make(self, device, threads):
-        return Guess(self.metres)
-
-    def ingredients(self):
-        return [str(self.metres)]
-
-
-class Guess:
     def __init__(self, metres):
         self.inverse_depth = np.zeros(SIZE)
         self.inverse_depth[4:14] = 1.0 / metres
@@ -55,10 +44,15 @@ class Guess:
 
 @pytest.fixture
 def guesses(monkeypatch):
-    methods = {f"guess-{metres}": Guessing(f"guess-{metres}", "guess", metres=metres) for metres in (3.0, 8.0)}
-    monkeypatch.setattr(depth_methods, "METHODS", methods | dict(depth_methods.METHODS))
-    monkeypatch.setattr(depth_table, "METHODS", depth_methods.METHODS)
-    return methods
+    guesses = {f"guess-{metres:.1f}": DepthSource("guess", metres) for metres in (3, 8)}
+    make = depth_table.make_estimator
+    monkeypatch.setattr(depth_table, "SOURCES", guesses | depth_table.SOURCES)
+    monkeypatch.setattr(
+        depth_table, "make_estimator", lambda source, **more: (
+            Guess(source.rows) if source.kind == "guess" else make(source, **more)
+        ),
+    )  # fmt: skip
+    return guesses
 
 
 def job(folder, **changes):
@@ -166,12 +160,12 @@ def test_seeds_of_training_are_refused_and_the_standard_scenes_are_others(tmp_pa
 
 
 def test_every_row_of_the_papers_table_and_every_preset_is_there():
-    names = [method.name for method in find_depth_methods("all")]
+    names = depth_sources("all")
     assert set(names) == {"synsin", "matching", *(f"omnisyn-{preset}" for preset in PRESETS)}
     with pytest.raises(InputError, match="one of synsin"):
-        find_depth_methods("guesswork")
+        depth_sources("guesswork")
     with pytest.raises(InputError, match="one of synsin"):
-        find_depth_methods(" , ")
+        depth_sources(" , ")
 
 
 def test_panoramas_are_a_metre_apart_and_show_one_scene():

@@ -8,16 +8,18 @@ import pytest
 from hall_samples import PATH, SIZE, damage, repaint, run, scores_of, write_halls
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import engine, fingerprint, methods
+from omnisyn_cli.evaluation import engine, fingerprint
 from omnisyn_cli.evaluation.datasets import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.measure import measure
-from omnisyn_cli.evaluation.methods import Method
-from omnisyn_cli.evaluation.records import RESULTS_NAME, UnitRecord, read_records
-from omnisyn_cli.evaluation.synthesizers import Picture
+from omnisyn_cli.evaluation.methods import ComparedMethod
+from omnisyn_cli.evaluation.results import RESULTS_NAME, UnitRecord, read_records
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.synthesis import making
+from omnisyn_cli.synthesis.frames import Frame
+from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.types import View
 from synthesis_samples import ws_psnr
 
@@ -56,14 +58,19 @@ def test_what_is_brighter_than_white_is_shown_as_white() -> None:
     class Overshooting:
         depths = None
 
-        def pictures(self, path, size, clock):
-            dark = np.zeros((*size, 3))
-            return [Picture(dark + 1.2, dark[..., 0] + 0.1) for _ in path]
+        def __init__(self, size, clock):
+            self.size = size
+
+        def frame(self, waypoint, out=None):
+            return Frame(np.full((*self.size, 3), 1.2), waypoint, None)
+
+        def inverse_depth(self, waypoint):
+            return np.full(self.size, 0.1)
 
     poses = [Pose(np.eye(3), np.array([x, 0.0, 0.0])) for x in (0.0, 1.0)]
     white = np.ones((16, 32, 3), np.float32)
     pair = LoadedPair((View(white, poses[0]), View(white, poses[1])), (), (16, 32))
-    measured = measure(Overshooting(), pair, ("a", "b"))
+    measured = measure(Overshooting, pair, ("a", "b"))
     expected = dict.fromkeys(("end_first", "end_second", "warping_error", "flicker"), 0.0)
     assert measured.temporal == pytest.approx(expected, abs=1e-12)
 
@@ -156,7 +163,7 @@ def test_errors_that_nobody_expected_are_reported_too(halls: Path, monkeypatch: 
     original = getattr(engine, place)
 
     def break_one(scene: Pair | Scene, *rest: object) -> object:
-        if Path(scene.files[0] if isinstance(scene, Pair) else scene.frames[0].image).parent.name == "a":
+        if Path(scene.first.image if isinstance(scene, Pair) else scene.frames[0].image).parent.name == "a":
             raise MemoryError("too large")
         return original(scene, *rest) if place == "load_pair" else original(None)(scene)
 
@@ -221,7 +228,9 @@ def test_a_method_that_breaks_does_not_end_the_others(halls: Path, monkeypatch: 
         raise ZeroDivisionError("by\nzero")
 
     original = engine.find_methods
-    monkeypatch.setattr(engine, "find_methods", lambda text: [Method("bad", "", explode), *original(text)])
+    bad = ComparedMethod("bad", "", Recipe(DepthSource("network")))
+    monkeypatch.setattr(making, "_session", explode)
+    monkeypatch.setattr(engine, "find_methods", lambda text: [bad, *original(text)])
     records = run(halls, "crossfade")
     assert [(r.method, r.status) for r in records] == [("bad", "failed"), ("crossfade", "done")] * 2
     assert records[0].reason == "ZeroDivisionError: by zero"
@@ -245,7 +254,7 @@ def test_what_cannot_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     def missing(*_: object, **__: object) -> None:
         raise InputError("expected the network, got none")
 
-    monkeypatch.setattr(methods, "make_estimator", missing)
+    monkeypatch.setattr(making, "_session", missing)
     data = write_halls(tmp_path / "data", "hall", with_depth=False)
     records = run(data, "oracle-depth,omnisyn-paper")
     assert [record.status for record in records] == ["unavailable"] * 2

@@ -7,14 +7,14 @@ import pytest
 from hall_samples import loaded_hall
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.methods import MethodOptions, find_method
-from omnisyn_cli.evaluation.synthesizers import GeometricSynthesizer, MethodUnavailableError, Recipe, first_view_only
+from omnisyn_cli.evaluation.methods import MethodAtWork, MethodUnavailableError, find_method
 from omnisyn_cli.evaluation.views import LoadedPair
-from omnisyn_cli.fusers import make_fuser
-from omnisyn_cli.presets import FUSION_MODELS
 from omnisyn_cli.render.renderer import RENDERERS
 from omnisyn_cli.runtime import models
-from omnisyn_cli.segments import Stopwatch
+from omnisyn_cli.synthesis.making import make_fuser
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.recipe import FUSION_MODELS
+from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
 
@@ -25,27 +25,29 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> LoadedPair:
 
 
 def images(name: str, pair: LoadedPair, views: tuple[View, View] | None = None) -> np.ndarray:
-    made = find_method(name).make(views or pair.views, MethodOptions(threads=1))
-    path = [truth.waypoint for truth in pair.truths]
-    return np.stack([picture.image for picture in made.pictures(path, pair.size, Stopwatch())])
+    made = MethodAtWork(find_method(name), views or pair.views, threads=1)(pair.size, Stopwatch())
+    return np.stack([made.frame(truth.waypoint).image.copy() for truth in pair.truths])
+
+
+def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geometric", **options: str) -> np.ndarray:
+    """What the product makes of true depth."""
+    fuser = make_fuser(fusion, pair.size, threads=1)
+    method = SurfaceMethod(KnownDepth(), SynthesisOptions(pair.size, threads=1, **options), fuser)
+    made = method.prepare(0, *views)
+    return np.stack([made.frame(truth.waypoint).image.copy() for truth in pair.truths])
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_a_renderer_can_be_chosen_for_any_method(hall: LoadedPair, renderer: str) -> None:
-    recipe = Recipe("truth", KnownDepth(), sees_truth=True, renderer=renderer)
-    path = [truth.waypoint for truth in hall.truths]
-    expected = [p.image for p in GeometricSynthesizer(recipe, hall.views, 1).pictures(path, hall.size, Stopwatch())]
+    expected = of_product(hall, hall.views, renderer=renderer)
     np.testing.assert_array_equal(images(f"oracle-depth:renderer={renderer}", hall), expected)
 
 
 def test_with_one_view_the_picture_of_the_second_is_never_seen(hall: LoadedPair) -> None:
     first, second = hall.views
     inverted = View(1 - second.image, second.pose, second.mask, second.known_depth)
-    recipe = Recipe("truth", KnownDepth(), sees_truth=True, fuser=first_view_only)
-    path = [truth.waypoint for truth in hall.truths]
-    expected = [p.image for p in GeometricSynthesizer(recipe, hall.views, 1).pictures(path, hall.size, Stopwatch())]
     one = images("oracle-depth:views=1", hall)
-    np.testing.assert_array_equal(one, expected)
+    np.testing.assert_allclose(one, images("oracle-depth:views=1", hall, (first, inverted)), atol=1e-6)
     two, other = images("oracle-depth", hall), images("oracle-depth", hall, (first, inverted))
     assert ws_psnr(two[0], hall.truths[0].image) > ws_psnr(one[0], hall.truths[0].image)
     assert np.abs(two - other).max() > 0.1
@@ -56,11 +58,7 @@ def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
     first, second = hall.views
     wrong = View(first.image, first.pose, first.mask, replace(
         first.known_depth, inverse_depth=1.5 * first.known_depth.inverse_depth))  # fmt: skip
-    recipe = Recipe("lies", KnownDepth(), sees_truth=True, fuser=lambda size, threads: make_fuser(
-        "network", size, threads=threads))  # fmt: skip
-    path = [truth.waypoint for truth in hall.truths]
-    synthesizer = GeometricSynthesizer(recipe, (wrong, second), 1)
-    expected = [picture.image for picture in synthesizer.pictures(path, hall.size, Stopwatch())]
+    expected = of_product(hall, (wrong, second), "network")
     corrected = images("oracle-depth:fusion=network", hall, (wrong, second))
     np.testing.assert_array_equal(corrected, expected)
     assert np.abs(corrected - images("oracle-depth", hall, (wrong, second))).max() > 0.01
@@ -68,11 +66,23 @@ def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
 
 def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
     digest = models.read_manifest()[FUSION_MODELS["network"]].sha256
-    assert find_method("matching:fusion=network").ingredients() == (digest,)
+    assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
     assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
     assert digest in find_method("omnisyn-accurate").ingredients()
     for name in ("matching", "omnisyn-balanced", "oracle-depth:views=1"):
         assert digest not in find_method(name).ingredients()
+
+
+def test_with_nothing_learned_in_it_the_product_needs_no_network(
+    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
+    plain = images("omnisyn-fast:model=none:fusion=geometric", hall)
+    assert np.isfinite(plain).all()
+    assert plain.std() > 0.05
+    assert find_method("omnisyn-fast:model=none:fusion=geometric").recipe.networks == ()
+    with pytest.raises(MethodUnavailableError, match="refine-balanced"):
+        images("omnisyn-fast", hall)
 
 
 def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(
@@ -89,10 +99,12 @@ def test_one_view_is_not_fused() -> None:
 
 
 @pytest.mark.parametrize(
-    "parameter", ["fusion=geometric", "fusion=", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
+    "parameter", ["fusion=mean", "fusion=", "model=none", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
 )
 def test_what_is_no_parameter_is_refused(parameter: str) -> None:
-    with pytest.raises(InputError, match="renderer=points, fusion=network, fusion=painting or views=1"):
+    with pytest.raises(
+        InputError, match="renderer=points, fusion=geometric, fusion=network, fusion=painting, model=none"
+    ):
         find_method(f"oracle-depth:{parameter}")
 
 

@@ -8,25 +8,27 @@ import pytest
 from hall_samples import SIZE, loaded_hall
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.flow import optical_flow
-from omnisyn_cli.evaluation.methods import METHODS, MethodOptions, find_method, find_methods
-from omnisyn_cli.evaluation.synthesizers import (
-    DepthMemory,
-    GeometricSynthesizer,
+from omnisyn_cli.evaluation import methods
+from omnisyn_cli.evaluation.methods import (
+    METHODS,
+    ComparedMethod,
+    MethodAtWork,
     MethodUnavailableError,
-    Picture,
-    Recipe,
-    first_view_only,
+    PairDepths,
+    find_method,
+    find_methods,
 )
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.runtime import models
-from omnisyn_cli.segments import Stopwatch
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.synthesis.fades import optical_flow
+from omnisyn_cli.synthesis.frames import Frame
+from omnisyn_cli.synthesis.methods import Pair
+from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
+from omnisyn_cli.synthesis.segments import Stopwatch
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr
-
-OPTIONS = MethodOptions(threads=1)
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +36,14 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> LoadedPair:
     return loaded_hall(tmp_path_factory.mktemp("data"))
 
 
-def pictures(name: str, pair: LoadedPair, path: list[Waypoint] | None = None) -> list[Picture]:
-    path = path or [truth.waypoint for truth in pair.truths]
-    return list(find_method(name).make(pair.views, OPTIONS).pictures(path, pair.size, Stopwatch()))
+def at_work(name: str, pair: LoadedPair) -> Pair:
+    return MethodAtWork(find_method(name), pair.views, threads=1)(pair.size, Stopwatch())
+
+
+def pictures(name: str, pair: LoadedPair, path: list[Waypoint] | None = None) -> list[Frame]:
+    made = at_work(name, pair)
+    shown = (made.frame(waypoint) for waypoint in path or [truth.waypoint for truth in pair.truths])
+    return [replace(frame, image=frame.image.copy()) for frame in shown]
 
 
 def score(name: str, pair: LoadedPair) -> float:
@@ -58,7 +65,7 @@ def test_a_cross_fade_is_the_average_of_turned_pictures() -> None:
     (picture,) = pictures("crossfade", pair, [Waypoint(0, 0.25, quarter)])
     expected = np.roll(0.75 * first.image + 0.25 * (1 - second.image), -64, axis=1)
     np.testing.assert_allclose(picture.image, expected, atol=1e-3)
-    assert picture.inverse_depth is None
+    assert at_work("crossfade", pair).inverse_depth(picture.waypoint) is None
 
 
 @pytest.mark.parametrize("columns", [6, -6])
@@ -89,19 +96,15 @@ def test_the_first_view_alone_does_not_depend_on_the_second(hall: LoadedPair) ->
     first, second = hall.views
     nearer = replace(second.known_depth, inverse_depth=2 * second.known_depth.inverse_depth)
     other = replace(hall, views=(first, replace(second, image=1 - second.image, known_depth=nearer)))
-    recipe = Recipe("truth", KnownDepth(), sees_truth=True, fuser=first_view_only)
-    path = [truth.waypoint for truth in hall.truths]
-    made = [
-        list(GeometricSynthesizer(recipe, pair.views, 1).pictures(path, pair.size, Stopwatch()))
-        for pair in (hall, other)
-    ]
-    for mine, others, truth in zip(*made, hall.truths, strict=True):
-        np.testing.assert_allclose(mine.image, others.image, atol=1e-5)
-        np.testing.assert_array_equal(mine.inverse_depth, others.inverse_depth)
-        assert ws_psnr(mine.image, truth.image) > 40
+    made, others = (at_work("oracle-depth:views=1", pair) for pair in (hall, other))
+    for truth in hall.truths:
+        image = made.frame(truth.waypoint).image
+        np.testing.assert_allclose(image, others.frame(truth.waypoint).image, atol=1e-5)
+        np.testing.assert_array_equal(made.inverse_depth(truth.waypoint), others.inverse_depth(truth.waypoint))
+        assert ws_psnr(image, truth.image) > 40
 
 
-def test_only_the_oracle_sees_the_true_depth(hall: LoadedPair) -> None:
+def test_only_the_oracle_sees_the_true_depth(hall: LoadedPair, monkeypatch: pytest.MonkeyPatch) -> None:
     """Estimators get views without it, and what is made of lies about it is a worse picture."""
     lies = tuple(
         replace(v, known_depth=replace(v.known_depth, inverse_depth=3 * v.known_depth.inverse_depth))
@@ -114,23 +117,22 @@ def test_only_the_oracle_sees_the_true_depth(hall: LoadedPair) -> None:
         seen.extend([first.known_depth, second.known_depth])
         raise KeyError
 
+    monkeypatch.setattr(methods, "make_estimator", lambda *_, **__: estimator)
     with pytest.raises(KeyError):
-        next(GeometricSynthesizer(Recipe("lies", estimator), hall.views).pictures(
-            [hall.truths[0].waypoint], SIZE, Stopwatch()))  # fmt: skip
+        at_work("matching", hall)
     assert seen == [None, None]
 
 
 def test_pictures_know_how_far_the_hall_is(hall: LoadedPair) -> None:
     """Their geometry is that of the wall from where they are."""
-    for picture, truth in zip(pictures("oracle-depth", hall), hall.truths, strict=True):
+    made = at_work("oracle-depth", hall)
+    for truth in hall.truths:
         expected = 1 / distance_to_wall(truth.waypoint.pose, SIZE)
-        assert picture.inverse_depth is not None
-        np.testing.assert_allclose(picture.inverse_depth, expected, rtol=0.02)
+        np.testing.assert_allclose(made.inverse_depth(truth.waypoint), expected, rtol=0.02)
 
 
 def test_parameters_change_what_they_name(hall: LoadedPair) -> None:
-    oracle = find_method("oracle-depth:depth=32x16").make(hall.views, OPTIONS)
-    list(oracle.pictures([hall.truths[0].waypoint], SIZE, Stopwatch()))
+    oracle = at_work("oracle-depth:depth=32x16", hall)
     assert oracle.depths is not None
     assert oracle.depths[0].inverse_depth.shape == (16, 32)
     scores = {rest: score(f"oracle-depth{rest}", hall) for rest in ("", ":depth=8x4", ":cut=0.0001", ":metres=0.0001")}
@@ -150,15 +152,6 @@ def test_names_that_mean_nothing_are_refused(name: str) -> None:
         find_method(name)
 
 
-def test_frames_that_are_shown_again_have_their_geometry(hall: LoadedPair) -> None:
-    """From so near that nothing moves by a quarter of a pixel."""
-    path = [Waypoint(0, 0.5, posed((1e-5 * step, 0.1, 0))) for step in range(3)]
-    for name in ("oracle-depth", "oracle-depth:views=1"):
-        shown = pictures(name, hall, path)
-        assert all(picture.inverse_depth is not None for picture in shown)
-        assert shown[0].image is not shown[1].image
-
-
 def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
     assert [method.name for method in find_methods("all")] == list(METHODS)
     assert len(METHODS) == len(set(METHODS))
@@ -173,23 +166,29 @@ def test_a_preset_without_its_network_is_unavailable_and_says_which(
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
     for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "omnisyn-paper", "first-view-only"):
         with pytest.raises(MethodUnavailableError, match="none installed"):
-            find_method(name).make(hall.views, OPTIONS)
+            at_work(name, hall)
 
 
-def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(hall: LoadedPair) -> None:
+def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(
+    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls = []
 
     def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         calls.append((first, second))
         time.sleep(0.2)
-        return KnownDepth()(first, second)
+        return KnownDepth()(*hall.views)
 
-    memory, path = DepthMemory(), [truth.waypoint for truth in hall.truths]
-    recipe = Recipe("slow", estimator, sees_truth=True)
-    for changed in (recipe, replace(recipe, renderer="points"), replace(recipe, depth_size=(16, 32))):
+    monkeypatch.setattr(methods, "make_estimator", lambda *_, **__: estimator)
+    known = PairDepths()
+    recipe = Recipe(DepthSource("matching"))
+    method = ComparedMethod("slow", "", recipe)
+    points = replace(method, recipe=replace(recipe, renderer="points"))
+    for changed in (method, points, replace(method, depth_size=(16, 32))):
         clock = Stopwatch()
-        list(GeometricSynthesizer(changed, hall.views, 1, memory).pictures(path, hall.size, clock))
+        MethodAtWork(changed, hall.views, threads=1, known=known)(hall.size, clock)
         assert clock.seconds["depth"] == pytest.approx(0.2, abs=0.15)
     assert len(calls) == 1
-    list(GeometricSynthesizer(replace(recipe, source="other"), hall.views, 1, memory).pictures(path, SIZE, clock))
+    other = replace(method, recipe=Recipe(DepthSource("matching", 256)))
+    MethodAtWork(other, hall.views, threads=1, known=known)(hall.size, clock)
     assert len(calls) == 2

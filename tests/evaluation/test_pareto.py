@@ -22,7 +22,7 @@ from omnisyn_cli.evaluation.pareto import (
     standard_seconds,
     write_table,
 )
-from omnisyn_cli.presets import PRESETS, SCALE
+from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 
 SECONDS = {
     "start": 3.0, "decode": 0.2, "depth": 5.0, "check": 0.5, "mesh": 0.3,
@@ -38,7 +38,7 @@ WORK = Workload(2, 90, (512, 1024), (512, 1024), 0.02)
 
 def figures(seconds: float, ws_psnr: float | None, preset: str = "fast") -> Figures:
     """Figures of a setting whose clips take so long and are so good."""
-    setting = replace(MEASURED.setting, preset=preset, depth_rows=PRESETS[preset].depth_rows)
+    setting = replace(MEASURED.setting, preset=preset, depth_rows=PRESETS[preset].recipe.depth.rows)
     stages = dict.fromkeys(SECONDS, 0.0) | {"depth": seconds}
     return replace(MEASURED, setting=setting, seconds=stages, ws_psnr=ws_psnr)
 

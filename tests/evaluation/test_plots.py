@@ -8,12 +8,11 @@ import pytest
 from report_samples import absent, some_records, unit
 
 from omnisyn_cli.evaluation import plots
-from omnisyn_cli.evaluation.page import PLOT_TITLES
 
 
 def test_every_diagram_is_a_picture_with_something_in_it() -> None:
     drawn = plots.report_plots(some_records())
-    assert set(drawn) == set(PLOT_TITLES)
+    assert set(drawn) == set(plots.PLOT_TITLES)
     for data in drawn.values():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         assert image.shape[1] == plots.WIDTH * plots.DOTS_PER_INCH

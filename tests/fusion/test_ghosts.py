@@ -1,11 +1,12 @@
 """What moved is shown by one view alone, wholly; what stayed is blended as if nobody looked for ghosts."""
 
+import cv2
 import numpy as np
 import pytest
 
-from omnisyn_cli.fusion import GeometricFuser
-from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover
-from omnisyn_cli.fusion.options import BlendOptions
+from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Rendering
@@ -24,7 +25,7 @@ def wall(shift: float = 0.0) -> np.ndarray:
 
 def rendering(image: np.ndarray, rho: float | np.ndarray = 0.3, z: float = 0.0) -> Rendering:
     colour = np.dstack([image, np.ones(SIZE, np.float32)]).astype(np.float32)
-    return Rendering(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array([0.0, 0.0, z])))
+    return Rendering.of(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array([0.0, 0.0, z])))
 
 
 def ball(azimuth_col: int, radius: float = 0.16) -> np.ndarray:
@@ -42,6 +43,18 @@ def border(where: np.ndarray, reach: int) -> np.ndarray:
     near = [np.roll(where, (i, j), (0, 1)) for i in range(-reach, reach + 1) for j in (-reach, 0, reach)]
     near += [np.roll(where, (i, j), (0, 1)) for i in (-reach, 0, reach) for j in range(-reach, reach + 1)]
     return np.any(near, axis=0) & ~np.all(near, axis=0)
+
+
+def suppress(
+    first: Rendering, second: Rendering, t: float, blend: BlendOptions | None = None, ghosts: GhostOptions | None = None
+) -> None:
+    """Suppress ghosts in the colours of both, in two bands."""
+    height = len(first.inverse_depth)
+    remover = GhostRemover(first.inverse_depth.shape, ghosts, threads=1)
+    step = remover(first, second, BlendRule.at(t, blend or BlendOptions()))
+    for rows in (slice(0, height // 3), slice(height // 3, height)):
+        if step is not None:
+            step(first.colour[rows], second.colour[rows], rows.start)
 
 
 def fuse(first: Rendering, second: Rendering, t: float, threads: int | None = 1) -> np.ndarray:
@@ -74,18 +87,18 @@ def test_the_view_that_wins_is_the_one_that_the_blend_prefers(disagreement: floa
     where, background = ball(200), wall()
     near = rendering(with_ball(background, where), np.where(where, 0.6, 0.3), z=-1e-3)
     far = rendering(background, z=1e-3)
-    GhostRemover(SIZE, BlendOptions(disagreement=disagreement), threads=1)(near, far, 0.8)
+    suppress(near, far, 0.8, BlendOptions(disagreement=disagreement))
     inner = where & ~border(where, 8)
     assert ((near, far)[winner].colour[inner, 3] == 1.0).all()
     assert ((near, far)[1 - winner].colour[inner, 3] < 0.03).all()
 
 
-@pytest.mark.parametrize(("worth", "winner"), [(0.3, 0), (0.01, 1)])
-def test_a_nearer_surface_that_is_hardly_trusted_wins_no_region(worth: float, winner: int) -> None:
+@pytest.mark.parametrize(("weight", "winner"), [(0.3, 0), (0.01, 1)])
+def test_a_nearer_surface_that_is_hardly_trusted_wins_no_region(weight: float, winner: int) -> None:
     """Wrong depth in front of what the other view knows well: the blend shows the other view, and so does a region."""
     where, background = ball(200), wall()
     near = rendering(with_ball(background, where), np.where(where, 0.6, 0.3), z=-1e-3)
-    near.colour[where, 3] = worth
+    near.colour[where, 3] = weight
     found = fuse(near, rendering(background, z=1e-3), 0.5)
     inner = where & ~border(where, 8)
     np.testing.assert_allclose(found[inner], (with_ball(background, where), background)[winner][inner], atol=0.03)
@@ -103,7 +116,7 @@ def test_outside_of_what_moved_nothing_changes() -> None:
 @pytest.mark.parametrize("shift", [0.0, 0.5, 1.0])
 def test_texture_that_is_a_little_displaced_is_no_ghost(shift: float) -> None:
     first, second = rendering(wall()), rendering(wall(shift))
-    GhostRemover(SIZE, threads=1)(first, second, 0.5)
+    suppress(first, second, 0.5)
     assert (first.colour[..., 3] == 1).all()
     assert (second.colour[..., 3] == 1).all()
 
@@ -112,7 +125,7 @@ def test_light_that_differs_widely_is_no_ghost() -> None:
     """A quarter of the range from one side of the panorama to the other: vignetting, another sky."""
     slope = 0.125 * np.cos(np.arange(SIZE[1]) * (2 * np.pi / SIZE[1]))[None, :, None]
     first, second = rendering(wall() + slope), rendering(wall() - slope)
-    GhostRemover(SIZE, threads=1)(first, second, 0.5)
+    suppress(first, second, 0.5)
     assert (first.colour[..., 3] == 1).all()
     assert (second.colour[..., 3] == 1).all()
 
@@ -120,15 +133,15 @@ def test_light_that_differs_widely_is_no_ghost() -> None:
 def test_a_thin_line_is_an_edge_and_no_thing() -> None:
     line = np.abs(np.arange(SIZE[1]) - 150)[None, :] * np.ones(SIZE) < 2
     first, second = rendering(with_ball(wall(), line)), rendering(wall())
-    GhostRemover(SIZE, threads=1)(first, second, 0.5)
+    suppress(first, second, 0.5)
     assert (first.colour[..., 3] == 1).all()
 
 
 def test_exchanging_the_views_exchanges_who_loses() -> None:
     a, b = with_ball(wall(), ball(130)), with_ball(wall(), ball(300))
     there, back = (rendering(a, z=-0.4), rendering(b, z=0.6)), (rendering(b, z=0.6), rendering(a, z=-0.4))
-    GhostRemover(SIZE, threads=1)(*there, 0.3)
-    GhostRemover(SIZE, threads=1)(*back, 0.7)
+    suppress(*there, 0.3)
+    suppress(*back, 0.7)
     np.testing.assert_allclose(there[0].colour, back[1].colour, atol=1e-6)
     np.testing.assert_allclose(there[1].colour, back[0].colour, atol=1e-6)
     assert (there[0].colour[..., 3] == 0).any() or (there[1].colour[..., 3] == 0).any()
@@ -140,7 +153,7 @@ def test_turning_everything_by_whole_cells_turns_the_result() -> None:
         rendering(np.roll(picture, 40, axis=1)), rendering(np.roll(wall(), 40, axis=1))
     )  # fmt: skip
     for pair in (plain, turned):
-        GhostRemover(SIZE, threads=1)(*pair, 0.7)
+        suppress(*pair, 0.7)
     np.testing.assert_allclose(np.roll(plain[0].colour, 40, axis=1), turned[0].colour, atol=1e-6)
     assert (plain[0].colour[..., 3] == 0).any()
 
@@ -151,7 +164,7 @@ def test_from_one_place_everything_cross_fades() -> None:
     np.testing.assert_allclose(found, 0.6 * picture + 0.4 * wall(), atol=1e-6)
 
 
-def test_what_only_one_view_shows_keeps_its_worth() -> None:
+def test_what_only_one_view_shows_keeps_its_weight() -> None:
     where = ball(256)
     picture = with_ball(wall(), where)
     first, second = rendering(picture), rendering(wall())
@@ -159,9 +172,28 @@ def test_what_only_one_view_shows_keeps_its_worth() -> None:
     alone[:, 250:260] = True
     second.colour[alone] = 0
     second.inverse_depth[alone] = -1
-    GhostRemover(SIZE, threads=1)(first, second, 0.8)
+    suppress(first, second, 0.8)
     assert (first.colour[alone, 3] == 1).all()
     assert (first.colour[where & ~alone & ~border(where, 8), 3] < 0.01).all()
+
+
+def test_regions_are_those_of_opencv_joined_across_the_seam() -> None:
+    """Islands, rings and winding walls; two regions that touch the seam beside each other are one."""
+    rng = np.random.default_rng(0)
+    for share in (0.05, 0.3, 0.45, 0.6):
+        differs = rng.random((40, 70)) < share
+        differs[3:30:2], differs[4:30:4, 69], differs[6:30:4, 1], differs[:, 35] = True, False, False, False
+        differs[3:30:2, 34:37] = True
+        found = regions(differs)
+        _, twice = cv2.connectedComponents(np.tile(differs, 2).astype(np.uint8), connectivity=8)
+        assert ((found > 0) == differs).all()
+        for i, j in rng.integers(0, (40, 70), (60, 2)):
+            own = found == found[i, j]
+            reached = twice == twice[i, j]
+            assert not differs[i, j] or own[(reached[:, :70] | reached[:, 70:])].all()
+        pairs = [(found[a], found[b]) for a in (np.s_[1:], np.s_[:-1]) for b in (np.s_[1:], np.s_[:-1])]
+        assert all((one[(one > 0) & (two > 0)] == two[(one > 0) & (two > 0)]).all() for one, two in pairs[:1])
+        assert len(np.unique(found)) - 1 <= cv2.connectedComponents(differs.astype(np.uint8), connectivity=8)[0] - 1
 
 
 @pytest.mark.parametrize("size", [(2, 4), (16, 32), (50, 100), (130, 260), (300, 600)])
@@ -170,8 +202,8 @@ def test_any_size_works(size: tuple[int, int]) -> None:
     colour = [np.ones((*size, 4), np.float32) for _ in range(2)]
     for c in colour:
         c[..., :3] = rng.random((*size, 3))
-    views = [Rendering(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
-    GhostRemover(size, options=GhostOptions(difference=0.01), threads=1)(views[0], views[1], 0.5)
+    views = [Rendering.of(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
+    suppress(views[0], views[1], 0.5, ghosts=GhostOptions(difference=0.01))
     assert all(np.isfinite(c).all() and (c >= 0).all() for c in colour)
 
 

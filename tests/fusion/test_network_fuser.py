@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion import GeometricFuser
 from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.network import NetworkFuser, working_size
-from omnisyn_cli.fusion.network_kernels import reduce_rows
-from omnisyn_cli.fusion.options import BlendOptions
+from omnisyn_cli.fusion.network_kernels import reduce_band
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker, doubt_of
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown, blended, view_weights
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Rendering
@@ -20,7 +21,7 @@ ROWS = 32
 
 
 def rendering(seed, size=(ROWS, 2 * ROWS), offset=(0.0, 0.0, 0.5), holes=0.2):
-    """Random colours and worths at random distances from 2 m on, with holes in blocks of 4."""
+    """Random colours and weights at random distances from 2 m on, with holes in blocks of 4."""
     rng = np.random.default_rng(seed)
     colour = rng.random((*size, 4), np.float32)
     colour[..., 3] = 0.2 + 0.8 * colour[..., 3]
@@ -28,7 +29,7 @@ def rendering(seed, size=(ROWS, 2 * ROWS), offset=(0.0, 0.0, 0.5), holes=0.2):
     blocks = rng.random((size[0] // 4, size[1] // 4)) < holes
     hole = np.kron(blocks, np.ones((4, 4), bool))
     colour[hole], rho[hole] = 0.0, -1.0
-    return Rendering(rho, colour, Pose(np.eye(3), np.array(offset, float)))
+    return Rendering.of(rho, colour, Pose(np.eye(3), np.array(offset, float)))
 
 
 def pair(size=(ROWS, 2 * ROWS), holes=0.2):
@@ -36,7 +37,7 @@ def pair(size=(ROWS, 2 * ROWS), holes=0.2):
 
 
 def copy(view):
-    return Rendering(view.inverse_depth.copy(), view.colour.copy(), view.target_from_source)
+    return Rendering.of(view.inverse_depth.copy(), view.colour.copy(), view.target_from_source)
 
 
 class Answers:
@@ -154,7 +155,7 @@ def test_turning_everything_by_columns_turns_the_result():
     turn, size = 10, (64, 128)  # taken close together: the geometric weights are the same in all directions
     views = rendering(1, size, (0.0, 0.0, 5e-5)), rendering(2, size, (0.0, 0.0, -5e-5))
     turned = [
-        Rendering(np.roll(v.inverse_depth, turn, 1), np.roll(v.colour, turn, 1), v.target_from_source) for v in views
+        Rendering.of(np.roll(v.inverse_depth, turn, 1), np.roll(v.colour, turn, 1), v.target_from_source) for v in views
     ]
     shift = np.random.default_rng(0).normal(0.0, 2.0, (32, 64))
     whole = np.roll(fuse(views, 0.4, Answers(shift)), turn, 1)
@@ -190,26 +191,27 @@ def test_a_correction_does_not_cross_an_edge_of_the_weights():
 def test_means_over_blocks_count_what_is_seen_by_its_worth():
     view = rendering(3, (40, 72), holes=0.4)
     coarse, rho = np.empty((12, 20, 4), np.float32), np.empty((12, 20), np.float32)
-    reduce_rows(view.colour, view.inverse_depth, coarse, rho, 0, 12)
+    reduce_band(view.colour[:20], view.inverse_depth[:20], coarse, rho, 0, 40)
+    reduce_band(view.colour[20:], view.inverse_depth[20:], coarse, rho, 20, 40)
     for i in range(12):
         for j in range(20):
             block = np.s_[i * 40 // 12 : (i + 1) * 40 // 12, j * 72 // 20 : (j + 1) * 72 // 20]
-            worth = view.colour[block][..., 3].astype(float)
-            if worth.sum() == 0:
+            weight = view.colour[block][..., 3].astype(float)
+            if weight.sum() == 0:
                 assert (coarse[i, j] == 0).all()
                 assert rho[i, j] == -1
                 continue
-            np.testing.assert_allclose(coarse[i, j, 3], worth.mean(), rtol=1e-5)
-            expected = (view.colour[block][..., :3] * worth[..., None]).sum((0, 1)) / worth.sum()
+            np.testing.assert_allclose(coarse[i, j, 3], weight.mean(), rtol=1e-5)
+            expected = (view.colour[block][..., :3] * weight[..., None]).sum((0, 1)) / weight.sum()
             np.testing.assert_allclose(coarse[i, j, :3], expected, rtol=1e-5)
-            expected_rho = (np.maximum(view.inverse_depth[block], 0) * worth).sum() / worth.sum()
+            expected_rho = (np.maximum(view.inverse_depth[block], 0) * weight).sum() / weight.sum()
             np.testing.assert_allclose(rho[i, j], expected_rho, rtol=1e-5)
 
 
 def test_the_planes_are_what_they_are_said_to_be():
     """Written out in NumPy from the definitions, at the size of the renderings."""
     (first, second), t, size = pair(), 0.3, (ROWS, 2 * ROWS)
-    made = PlaneMaker(size, 0.06, threads=1)(first, second, t, 0.003)
+    made = PlaneMaker(size, BandRunner(size, 1))(Views(first, second), BlendRule.at(t, BlendOptions()))
     planes, (a, b) = made.planes, seen((first, second))
     assert planes.shape == (PLANES, *size)
     directions = pixel_directions(*size)
@@ -234,7 +236,7 @@ def test_the_planes_are_what_they_are_said_to_be():
     for k, view in enumerate((first, second)):
         colour = planes[(plane.FIRST, plane.SECOND)[k] :][:3].transpose(1, 2, 0)
         np.testing.assert_allclose(colour, view.colour[..., :3], atol=1e-6)
-        np.testing.assert_allclose(planes[plane.WORTH + k], view.colour[..., 3], atol=1e-6)
+        np.testing.assert_allclose(planes[plane.WEIGHT + k], view.colour[..., 3], atol=1e-6)
         np.testing.assert_allclose(planes[plane.ROOT + k], np.sqrt(rhos[k] * baseline), atol=1e-5)
     difference = np.sqrt(((first.colour - second.colour)[..., :3] ** 2).mean(-1))
     sure = a & b & (difference > 0.06)
@@ -275,7 +277,7 @@ def test_where_distances_agree_the_sharper_view_is_left_alone():
 
 def test_the_network_is_not_asked_where_it_has_no_say():
     view = rendering(1, holes=0.0)
-    same = Rendering(view.inverse_depth.copy(), view.colour.copy(), Pose(np.eye(3), np.array([0.0, 0.0, -0.5])))
+    same = Rendering.of(view.inverse_depth.copy(), view.colour.copy(), Pose(np.eye(3), np.array([0.0, 0.0, -0.5])))
     small = (16, 32)
     cases = {
         "both show the same": ((view, same), 0.5),
@@ -319,8 +321,11 @@ def test_holes_filled_by_a_network_start_from_the_same_filling():
     either = np.logical_or(*seen(views))
     hole = ~either
     assert hole.any()
-    fuser = NetworkFuser(hole.shape, Answers(2.0), threads=1, rows=ROWS)
-    fuser(*map(copy, views), 0.5)
+    shown = [
+        Shown(view.colour[..., :3], view.colour[..., 3], view.inverse_depth, view.target_from_source.position)
+        for view in views
+    ]
+    weights = view_weights(*shown, pixel_directions(*hole.shape), BlendRule.at(0.5, BlendOptions()))
     image = np.where(either[..., None], filled, np.float32(0))
-    HoleFiller(hole.shape, 1)(image, fuser._weight.copy())
-    np.testing.assert_array_equal(image, filled)
+    HoleFiller(hole.shape, 1)(image, blended(*shown, weights)[1].astype(np.float32))
+    np.testing.assert_allclose(image, filled, atol=1e-4)

@@ -6,12 +6,15 @@ import torch
 from test_network_fuser import copy, geometric, pair
 
 from omnisyn_cli.fusion import painting
+from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.painting import MULTIPLE, PaintingFuser
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
 from omnisyn_cli.training.fusion_losses import inputs_of
+from omnisyn_cli.types import Rendering
 
 
 class Painter:
@@ -36,7 +39,7 @@ def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     monkeypatch.setattr(painting, "MOST_ROWS", most)
     views, painter = pair(size), Painter()
     paint(views, painter)
-    recorded = PlaneMaker((64, 128), 0.06, threads=1)(*map(copy, views), 0.5, 0.003).planes
+    recorded = PlaneMaker((64, 128), BandRunner(size, 1))(Views(*views), BlendRule.at(0.5, BlendOptions())).planes
     assert len(recorded) == PLANES
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
     np.testing.assert_array_equal(painter.shown[0], expected)
@@ -67,7 +70,7 @@ def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
 
 def test_from_one_place_views_are_cross_faded_without_the_network():
     first, second = pair((64, 128))
-    views = first, type(second)(second.inverse_depth, second.colour, first.target_from_source)
+    views = first, Rendering.of(second.inverse_depth, second.colour, first.target_from_source)
     painter = Painter()
     np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
     assert painter.shown == []
@@ -82,4 +85,3 @@ def test_frames_that_cannot_be_halved_often_enough_are_fused_by_rules():
 def test_threads_change_nothing():
     views = pair((96, 192))
     np.testing.assert_array_equal(paint(views, Painter()), paint(views, Painter(), threads=3))
-    assert not PaintingFuser((1024, 2048), Painter()).takes_rows()

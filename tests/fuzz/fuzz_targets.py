@@ -102,9 +102,9 @@ GPS = {
 
 
 def _image(suffix: str) -> Target:
+    from omnisyn_cli.interpolation.describe import geographic_place
     from omnisyn_cli.io import read_panorama
     from omnisyn_cli.io.decode import read_header
-    from omnisyn_cli.io.describe import geographic_place
 
     name = f"a.{suffix}"
     data = _picture(name, "float32" if suffix == "exr" else "uint8", **GPANO, **GPS)
@@ -159,7 +159,7 @@ PLACES = {
 
 def _poses() -> Target:
     from omnisyn_cli.errors import PoseError
-    from omnisyn_cli.io import read_poses
+    from omnisyn_cli.poses.file import read_poses
 
     def read(folder: Path) -> None:
         problems = []
@@ -196,7 +196,7 @@ def small_network(channels: int = 3) -> bytes:
 
 
 def _onnx() -> Target:
-    from omnisyn_cli.runtime.refinement import SessionRefinement
+    from omnisyn_cli.runtime.planes import SessionRefinement
     from omnisyn_cli.runtime.session import open_session
 
     planes = np.zeros((3, 32, 64), np.float32)
@@ -278,7 +278,7 @@ def _batch_results() -> Target:
 
 
 def _eval_results() -> Target:
-    from omnisyn_cli.evaluation.records import (
+    from omnisyn_cli.evaluation.results import (
         DepthRecord,
         FrameRecord,
         UnitRecord,
@@ -315,7 +315,7 @@ def _format(name: str, source: str) -> Callable[[Callable[[], dict[str, bytes]]]
 
 
 def _foreign(name: str) -> Target:
-    from omnisyn_cli.io.pose_formats import ImportOptions, import_poses
+    from omnisyn_cli.poses.formats import ImportOptions, import_poses
 
     source, make = FOREIGN[name]
     files = make()

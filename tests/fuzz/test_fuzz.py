@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from run_fuzz import fuzz
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.records import RESULTS_NAME, UnitRecord, read_records
+from omnisyn_cli.evaluation.results import RESULTS_NAME, UnitRecord, read_records
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, read_manifest
 
 SHORT = 8

@@ -17,10 +17,12 @@ import omnisyn_cli
 from omnisyn_cli.cli import main
 from omnisyn_cli.errors import ImageError, InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.io import MAX_PIXELS, PosedPanorama, read_depth, read_panorama, read_poses, write_image, write_poses
-from omnisyn_cli.io.describe import describe_file
-from omnisyn_cli.io.pose_formats import ImportOptions, import_poses
-from omnisyn_cli.planning import InterpolationJob, plan_interpolation
+from omnisyn_cli.interpolation.describe import describe_file
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.io import MAX_PIXELS, read_depth, read_panorama, write_image
+from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
+from omnisyn_cli.poses.formats import ImportOptions, import_poses
 from omnisyn_cli.runtime.models import find_model
 from process_memory import STATUS, peak_memory, renewed_peak_memory
 

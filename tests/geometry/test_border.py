@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from test_sampling import noise, unwrapped
 
-from omnisyn_cli.geometry.border import add_border, add_columns, filter_across_seam
+from omnisyn_cli.geometry.sampling import add_border, add_columns, filter_across_seam
 
 
 @pytest.mark.parametrize("shape", [(6, 8), (4, 10, 3)])

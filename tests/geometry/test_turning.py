@@ -5,8 +5,8 @@ import pytest
 from geometry_samples import rotations
 
 from omnisyn_cli.geometry.pose import rotation_from_heading
+from omnisyn_cli.geometry.sampling import turned_directions, turned_image
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_to_pixel, pixel_directions
-from omnisyn_cli.geometry.turning import turned_directions, turned_image
 
 SIZE = (16, 32)
 

@@ -40,7 +40,7 @@ def write_all(sink: Sink) -> None:
 
 
 def threads() -> list[str]:
-    return [thread.name for thread in threading.enumerate() if thread.name == "omnisyn-frames"]
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("omnisyn-frames")]
 
 
 def test_all_frames_arrive_in_order() -> None:

@@ -8,7 +8,7 @@ from io_samples import png_with_xmp, write_with, xmp_packet
 
 from omnisyn_cli.errors import ImageError, OutputPathError
 from omnisyn_cli.io import read_depth, read_header, read_inverse_depth, write_depth, write_image
-from omnisyn_cli.io.depth import check_depth_header, depth_size
+from omnisyn_cli.io.depth_files import check_depth_header, depth_size
 
 
 def some_depth() -> np.ndarray:

@@ -12,8 +12,8 @@ from io_samples import smooth_image, write_with
 
 from omnisyn_cli.cli.info import info
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.interpolation.describe import describe_file
 from omnisyn_cli.io import open_video, write_depth
-from omnisyn_cli.io.describe import describe_file
 
 GPS = {
     "GPS:Latitude": ("float[3]", (48.0, 30.0, 36.0)),

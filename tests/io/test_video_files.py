@@ -15,9 +15,8 @@ import pytest
 from omnisyn_cli.errors import EncodingError, InputError, OmnisynError, OutputPathError, WriteError
 from omnisyn_cli.io import check_output, check_video, open_video, read_panorama
 from omnisyn_cli.io.boxes import children_of
-from omnisyn_cli.io.encoder_process import EncoderProcess
 from omnisyn_cli.io.encoders import CODECS, EncoderSettings, encoder_command, ffmpeg_program
-from omnisyn_cli.io.frames import read_frames
+from omnisyn_cli.io.ffmpeg_process import EncoderProcess, read_frames
 
 PATCHES = np.array(
     [[255, 0, 0], [0, 255, 0], [0, 0, 255], [250, 200, 30], [30, 60, 90], [128, 128, 128], [255, 255, 255], [0, 0, 0]],

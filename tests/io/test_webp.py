@@ -12,9 +12,9 @@ from io_samples import exif_of, png_with_xmp, riff_chunk, smooth_image, webp_wit
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io import read_header, read_panorama
+from omnisyn_cli.io.decode import panorama_tags
 from omnisyn_cli.io.images import sphere_size
-from omnisyn_cli.io.pose_formats import ImportOptions, import_poses
-from omnisyn_cli.io.webp import panorama_tags
+from omnisyn_cli.poses.formats import ImportOptions, import_poses
 
 SIZE = (21, 40)
 

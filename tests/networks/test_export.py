@@ -2,10 +2,10 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from depth_samples import TINY
 
+from depth_samples import TINY
 from omnisyn_cli.networks.depth import DepthNetwork
-from omnisyn_cli.networks.export import OPSET, PARITY, export_depth, largest_difference
+from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def exported(tmp_path_factory):
     for stage in network.refinements:
         torch.nn.init.normal_(stage.choice.weight, std=0.5)
     path = tmp_path_factory.mktemp("models") / "tiny.onnx"
-    export_depth(network, path)
+    export_network(network, path)
     return network, path
 
 

@@ -12,7 +12,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import forward_frame, sweep_directions
-from omnisyn_cli.networks.export import OPSET, PARITY, export_depth, largest_difference
+from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
 from omnisyn_cli.networks.paper import (
     AHEAD,
     PAPER_VARIANTS,
@@ -200,7 +200,7 @@ def test_it_is_exported_and_used_like_every_other_network(tmp_path, size):
     network, path = PaperNetwork(config).eval(), tmp_path / "paper.onnx"
     with torch.no_grad():
         network.high_head[-1].second.bias.fill_(0.5)
-    export_depth(network, path)
+    export_network(network, path)
     pairs = np.random.default_rng(0).random((2, 2, 1, 3, *size), dtype=np.float32)
     assert largest_difference(network, path, map(tuple, pairs)) < PARITY
     model = onnx.load(path)

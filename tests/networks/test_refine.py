@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
+from plane_samples import REFINE, awake, random_planes
 
-from omnisyn_cli.networks.export import OPSET, PARITY, export_refine, largest_difference
 from omnisyn_cli.networks.refine import (
     AGREED_PLANE,
     CANDIDATES,
@@ -13,50 +13,28 @@ from omnisyn_cli.networks.refine import (
     SKY_PLANE,
     SUGGESTED,
     WINDOWS,
-    RefineConfig,
     RefineNetwork,
     RefinePrediction,
     candidates_of,
 )
 
-TINY = RefineConfig("tiny", planes=19, widths=(8, 12, 16), fine=6)
-
 
 @pytest.fixture(scope="module")
 def network():
-    torch.manual_seed(0)
-    network = RefineNetwork(TINY).eval()
-    torch.nn.init.normal_(network.answer.weight, std=0.3)
-    return network
-
-
-def planes(height=32, width=64, seed=0):
-    """Random ones; matching is sure in a tenth of the pixels, and another tenth is sky."""
-    given = torch.rand((1, 19, height, width), generator=torch.Generator().manual_seed(seed))
-    for plane in (AGREED_PLANE, SKY_PLANE):
-        given[:, plane] = (given[:, plane] > 0.9).float()
-    return given
+    return awake(REFINE)
 
 
 def test_a_fresh_network_nearly_leaves_matching_alone():
     torch.manual_seed(0)
-    given = planes()
+    given = random_planes()
     with torch.no_grad():
-        answer = RefineNetwork(TINY)(given)
+        answer = RefineNetwork(REFINE)(given)
     assert answer.root().shape == (1, 1, 32, 64)
     assert (answer.root() - given[:, FILLED_PLANE : FILLED_PLANE + 1]).abs().max() < 0.5
 
 
-def test_rolling_the_planes_rolls_the_answer(network):
-    given = planes()
-    with torch.no_grad():
-        straight, rolled = network(given), network(given.roll(24, -1))
-    torch.testing.assert_close(rolled.logits, straight.logits.roll(24, -1), rtol=1e-4, atol=1e-5)
-    torch.testing.assert_close(rolled.confidence_logit, straight.confidence_logit.roll(24, -1), rtol=1e-4, atol=1e-5)
-
-
 def test_where_matching_is_sure_its_answer_stays(network):
-    given = planes()
+    given = random_planes()
     with torch.no_grad():
         root = network(given).root()
     sure = (given[:, AGREED_PLANE] + given[:, SKY_PLANE] > 0)[:, None]
@@ -65,14 +43,9 @@ def test_where_matching_is_sure_its_answer_stays(network):
     assert (root - filled)[~sure].abs().mean() > 0.05
 
 
-def test_sizes_that_do_not_fit_are_refused(network):
-    with pytest.raises(ValueError, match="multiples of 8"):
-        network(planes(36, 72))
-
-
 def test_candidates_are_the_extremes_of_windows_around_the_seam():
     """Against plain loops."""
-    given = planes(12, 24)
+    given = random_planes(19, 12, 24)
     found = candidates_of(given)[0].numpy()
     assert len(found) == SUGGESTED
     filled = given[0, FILLED_PLANE].numpy()
@@ -120,24 +93,12 @@ def test_inverse_depth_is_never_negative_and_zero_is_reached():
     assert float(answer.inverse_depth()) == 0.0
 
 
-def test_the_exported_network_says_the_same_at_every_size(tmp_path, network):
-    import onnx
-
-    path = tmp_path / "tiny.onnx"
-    export_refine(network, path)
-    examples = [(planes(h, w, h).numpy(),) for h, w in ((16, 32), (32, 64), (64, 128), (24, 80))]
-    assert largest_difference(network, path, examples) < PARITY
-    model = onnx.load(path)
-    assert [opset.version for opset in model.opset_import] == [OPSET]
-    assert not any(node.op_type == "Pad" for node in model.graph.node)
-
-
 def test_single_precision_is_enough(network):
     """float32 against float64, relative to the inverse depth."""
-    given = planes()
+    given = random_planes()
     with torch.no_grad():
         single = network(given)
-        double = RefineNetwork(TINY).double()
+        double = RefineNetwork(REFINE).double()
         double.load_state_dict(network.state_dict())
         exact = double.eval()(given.double())
     same_choice = (single.root() - exact.root()).abs() < 0.01

@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from omnisyn_cli.networks.discriminator import PatchDiscriminator
 from omnisyn_cli.networks.synsin import (
     SYNSIN_VARIANTS,
     FeatureEncoder,
@@ -77,13 +76,3 @@ def test_the_shipped_variant_is_small():
     config = SYNSIN_VARIANTS["small"]
     parts = [MonocularNetwork(config), FeatureEncoder(config), RefinementDecoder(config)]
     assert 4 * sum(parameter.numel() for part in parts for parameter in part.parameters()) < 12e6
-
-
-def test_an_opponent_looks_at_two_scales_and_turns_with_the_picture():
-    torch.manual_seed(1)
-    opponent, image = PatchDiscriminator(widths=(4, 6), scales=2).eval(), torch.rand(1, 3, 32, 64)
-    with torch.no_grad():
-        answers, turned = opponent(image), opponent(image.roll(16, dims=-1))
-    assert [tuple(scale[-1].shape) for scale in answers] == [(1, 1, 8, 16), (1, 1, 4, 8)]
-    assert [len(scale) for scale in answers] == [3, 3]
-    torch.testing.assert_close(turned[0][-1], answers[0][-1].roll(4, dims=-1), rtol=1e-4, atol=1e-5)

@@ -1,26 +1,27 @@
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
+from plane_samples import COMPLETION, FUSION, PAINTING, REFINE, answers, awake, random_planes
 from torch.nn import functional
 
-from omnisyn_cli.networks.export import export_fusion, export_refine
+from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
+from omnisyn_cli.networks.interface import check_multiple
 from omnisyn_cli.networks.layers import LEAK
-from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
+from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 from omnisyn_cli.training.loop import load_network
 
 MODELS = Path(__file__).parents[2] / "models"
 
-EXPORTS = {"fusion-residual": export_fusion, "refine-balanced": export_refine}
 
-
-@pytest.mark.parametrize("name", EXPORTS)
+@pytest.mark.parametrize("name", ["fusion-residual", "refine-balanced"])
 def test_shipped_checkpoints_say_what_the_shipped_models_say(tmp_path, name):
     """Loaded strictly, exported again, run by ONNX Runtime: the same answers as those of the file that is shipped."""
     network, _ = load_network(MODELS / "checkpoints" / f"{name}.pt")
-    EXPORTS[name](network, tmp_path / "again.onnx")
+    export_network(network, tmp_path / "again.onnx")
     planes = np.random.default_rng(0).random((1, network.config.planes, 64, 128), dtype=np.float32)
     again, shipped = (
         onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, {"planes": planes})
@@ -29,6 +30,40 @@ def test_shipped_checkpoints_say_what_the_shipped_models_say(tmp_path, name):
     assert any(np.abs(answer).max() > 0.1 for answer in shipped)
     for one, other in zip(again, shipped, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+every_network = pytest.mark.parametrize(
+    "config", [REFINE, COMPLETION, FUSION, PAINTING], ids=["refine", "completion", "fusion", "painting"]
+)
+
+
+@every_network
+def test_rolling_the_planes_rolls_the_answer(config):
+    """Nothing knows where the seam is."""
+    network, given = awake(config), random_planes(config.planes)
+    straight, rolled = answers(network, given), answers(network, given.roll(24, -1))
+    assert max(value.std() for value in straight.values()) > 1e-3
+    for name, value in straight.items():
+        torch.testing.assert_close(rolled[name], value.roll(24, -1), rtol=1e-3, atol=1e-4)
+
+
+@every_network
+def test_sizes_that_do_not_fit_are_refused(config):
+    with pytest.raises(ValueError, match="multiples of 8"):
+        awake(config)(random_planes(config.planes, 36, 72))
+
+
+@every_network
+def test_the_exported_network_says_the_same_at_every_size(tmp_path, config):
+    network, path = awake(config), tmp_path / "tiny.onnx"
+    export_network(network, path)
+    sizes = ((16, 32), (32, 64), (64, 128), (24, 80), (80, 160))
+    examples = [(random_planes(config.planes, *size, seed=size[0]).numpy(),) for size in sizes]
+    assert largest_difference(network, path, examples) < PARITY
+    model = onnx.load(path)
+    assert [opset.version for opset in model.opset_import] == [OPSET]
+    assert not any(node.op_type == "Pad" for node in model.graph.node)
+    assert [entry.name for entry in model.graph.output] == list(network.ports.outputs)
 
 
 def convolved(weights, name, x, stride=1):
@@ -48,7 +83,7 @@ def block(weights, name, x, stride=1):
 def test_the_answers_are_those_of_the_plain_formula():
     """Written out once more over the names of the weights, which checkpoints depend on."""
     torch.manual_seed(0)
-    network = CorrectingUNet(5, (8, 12, 16), 6, 3)
+    network = CorrectingUNet(CorrectingConfig("tiny", 5, (8, 12, 16), 6), 3)
     w, planes = dict(network.state_dict()), torch.rand(2, 5, 16, 32)
     with torch.no_grad():
         x0 = block(w, "stem", functional.pixel_unshuffle(planes, 2))

@@ -27,13 +27,13 @@ def test_the_faces_tile_the_sphere_once(shape, cut):
 
 
 def test_a_whole_mesh_has_two_faces_per_quad_and_a_cap_triangle_per_column():
-    assert len(build_mesh(smooth(6, 10), WHOLE).faces()) == 2 * 5 * 10 + 2 * 10
+    assert len(build_mesh(smooth(6, 10), WHOLE).triangles().face) == 2 * 5 * 10 + 2 * 10
 
 
 def test_faces_are_numbered_in_ascending_order_without_repetition():
-    faces = build_mesh(rough(8, 12)).faces()
+    faces = build_mesh(rough(8, 12)).triangles().face
     assert (np.diff(faces) > 0).all()
-    assert faces.max() < FACES_PER_QUAD * 7 * 12 + 2 * 12
+    assert faces.max() < FACES_PER_QUAD * 7 * 12 + 2 * 2 * 12
 
 
 @pytest.mark.parametrize("masked", [0.0, 0.3, 1.0])
@@ -41,7 +41,7 @@ def test_faces_are_numbered_in_ascending_order_without_repetition():
 def test_faces_are_counted_without_being_made(cut, masked):
     """Whole, quartered and removed quads, quarters without a surface, and caps with and without one."""
     mesh = build_mesh(rough(9, 14), cut, np.random.default_rng(2).random((9, 14)) >= masked)
-    assert mesh.face_count() == len(mesh.faces())
+    assert mesh.face_count() == len(mesh.triangles().face)
 
 
 @pytest.mark.parametrize("cut", CUTS.values(), ids=CUTS)

@@ -5,7 +5,7 @@ import pytest
 from render_samples import random_pose, rough
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.render.renderer import RENDERERS, MeshRenderer, make_renderer
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 
@@ -21,26 +21,32 @@ def samples(height: int, width: int) -> np.ndarray:
     return np.random.default_rng(4).integers(0, 256, (height, width, 3), np.uint8)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_rows_and_crossings_are_those_of_the_whole(threads: int) -> None:
-    draw, pose = renderer(samples(64, 128), threads), random_pose(60, 0.4)
-    inverse_depth, colour = (part.copy() for part in draw(pose))
-    rows = draw.by_rows(pose)
-    np.testing.assert_array_equal(rows.inverse_depth, inverse_depth)
-    assert rows.target_from_source is pose
-    out = np.full((7, SIZE[1], 4), np.nan, np.float32)
+@pytest.mark.parametrize("name", RENDERERS)
+def test_rows_and_crossings_are_those_of_the_whole(name: str) -> None:
+    trust = np.random.default_rng(3).uniform(0.2, 1.0, (16, 32))
+    draw = make_renderer(name, np.float32(samples(64, 128) / 255), None, rough(16, 32), trust, SIZE, None, 2)
+    pose = random_pose(60, 0.4)
+    seen = draw(pose)
+    assert seen.target_from_source is pose
+    colour, out = seen.colour, np.full((7, SIZE[1], 4), np.nan, np.float32)
     for top in (0, 11, 33):
-        rows.colour_rows(top, top + 7, out)
+        seen.colour_rows(top, top + 7, out)
         np.testing.assert_allclose(out, colour[top : top + 7], atol=1e-6)
     which = np.array([0, 3, 4, 39]), np.array([1, 2, 50, 79])
-    np.testing.assert_allclose(rows.colour_at(*which), colour[np.ix_(*which)], atol=1e-6)
+    np.testing.assert_allclose(seen.colour_at(*which), colour[np.ix_(*which)], atol=1e-6)
+
+
+def test_colours_on_demand_are_those_of_the_whole_shader() -> None:
+    draw, pose = renderer(samples(64, 128)), random_pose(60, 0.4)
+    seen, shader = draw(pose), Shader(SIZE, 2)
+    np.testing.assert_allclose(seen.colour, shader(seen.inverse_depth, draw._trust, draw._texture, pose), atol=1e-6)
 
 
 @pytest.mark.parametrize("height", [20, 40, 64, 90, 160])
 def test_samples_of_eight_bits_look_like_the_numbers_they_stand_for(height: int) -> None:
     """Magnified, as they are and minified: only mip levels are rounded, by half a level each."""
     image, pose = samples(height, 2 * height), random_pose(61, 0.3)
-    exact, rounded = (renderer(each)(pose)[1].copy() for each in (np.float32(image / 255.0), image))
+    exact, rounded = (renderer(each)(pose).colour for each in (np.float32(image / 255.0), image))
     np.testing.assert_allclose(rounded, exact, atol=0.51 / 255)
     if height <= SIZE[0] // 2:
         np.testing.assert_allclose(rounded, exact, atol=1e-5)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.jit import kernel
 from omnisyn_cli.render.simd import (
     LANES,
     double,
@@ -19,6 +18,7 @@ from omnisyn_cli.render.simd import (
     swapped,
     where,
 )
+from omnisyn_cli.runtime.jit import kernel
 
 
 @kernel(cache=False)

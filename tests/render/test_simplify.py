@@ -1,4 +1,4 @@
-"""Tiles against the mesh they stand for, against closed forms and against the bound they promise."""
+"""Simplified meshes against the mesh they stand for, against closed forms and against the bound they promise."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,9 @@ from render_samples import WHOLE, moved, random_pose, rough, smooth, turn
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Cut, build_mesh
-from omnisyn_cli.render.rasterize import rasterize
+from omnisyn_cli.render.rasterize import Rasterizer, rasterize
 from omnisyn_cli.render.renderer import make_renderer
 from omnisyn_cli.render.simplify import TOLERANCE, simplify
-from omnisyn_cli.render.tiles import TileRasterizer
 
 WAY = np.array([0.4, 0.1, -0.7])
 HIGHEST, LOWEST = np.array([3.0, 1.1, 4.0]), np.array([-2.0, -1.6, -3.0])
@@ -27,7 +26,7 @@ def room_mesh(height: int = 64):
 
 
 def seen(mesh, way, pose: Pose, size: tuple[int, int], threads: int = 1, **options) -> np.ndarray:
-    return TileRasterizer(size, threads)(simplify(mesh, way, size[0], threads=threads, **options), pose)
+    return Rasterizer(size, threads)(simplify(mesh, way, size[0], threads=threads, **options)[0], pose)
 
 
 def pose_at(way: np.ndarray, share: float, rotation: np.ndarray | None = None) -> Pose:
@@ -49,19 +48,19 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("surface", ["room", "smooth", "far"])
 @pytest.mark.parametrize("tolerance", [TOLERANCE, 1.0])
 def test_no_vertex_is_seen_further_aside_than_promised_from_anywhere_on_the_way(surface, tolerance):
-    """Brute force: the tiles' inverse depth at every vertex, both points seen from 21 places on the way."""
+    """Brute force: their inverse depth at every vertex, both points seen from 21 places on the way."""
     height, rows = 64, 256
     directions = pixel_directions(height, 2 * height)
     rho = {"room": room(directions), "smooth": smooth(height, 2 * height), "far": 0.01 * smooth(height, 2 * height)}
     mesh = build_mesh(rho[surface].astype(np.float32), WHOLE)
-    tiles = simplify(mesh, WAY, rows, tolerance)
-    found = TileRasterizer((height, 2 * height), 1)(tiles, Pose.identity())
+    quads, kept = simplify(mesh, WAY, rows, tolerance)
+    found = Rasterizer((height, 2 * height), 1)(quads, Pose.identity())
     aside = [angles(directions - s * found[..., None] * WAY, directions - s * mesh.inverse_depth[..., None] * WAY)
              for s in np.linspace(0, 1, 21)]  # fmt: skip
     inner = np.max(aside, axis=0)[1:-1]  # first and last row are rims of the caps
     assert inner.max() <= tolerance * np.pi / rows * 1.02
     if surface != "smooth":
-        assert tiles.triangles < 0.5 * len(mesh.faces())
+        assert kept < 0.5 * mesh.face_count()
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -69,26 +68,26 @@ def test_no_vertex_is_seen_further_aside_than_promised_from_anywhere_on_the_way(
 def test_a_closed_room_has_no_cracks_at_any_share_of_the_way_and_in_any_orientation(seed, size):
     rng = np.random.default_rng(seed)
     mesh = room_mesh()
-    tiles = simplify(mesh, WAY, size[0])
-    assert tiles.triangles < len(mesh.faces()) / 3
+    quads, kept = simplify(mesh, WAY, size[0])
+    assert kept < mesh.face_count() / 3
     for share in (0.0, rng.random(), 1.0):
         pose = pose_at(WAY, share, turn(*rng.normal(size=3) * 1.5))
-        found = TileRasterizer(size, 1)(tiles, pose)
+        found = Rasterizer(size, 1)(quads, pose)
         assert (found >= 0).all()
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_fine_and_coarse_parts_beside_each_other_leave_no_cracks(seed):
-    """Bumps of all sizes on a closed surface: tiles of every size meet."""
+    """Bumps of all sizes on a closed surface: quads of every size meet."""
     rng = np.random.default_rng(seed)
     rho = np.full((64, 128), 0.3)
     for _ in range(6):
         i, j, reach = rng.integers(10, 54), rng.integers(0, 120), rng.integers(1, 9)
         rho[i - reach : i + reach, j : j + reach] += rng.uniform(0.0, 0.01, (2 * reach, min(reach, 128 - j)))
     mesh = build_mesh(rho.astype(np.float32), WHOLE)
-    tiles = simplify(mesh, WAY, 200)
+    quads, _ = simplify(mesh, WAY, 200)
     for share in (0.3, 1.0):
-        found = TileRasterizer((200, 400), 1)(tiles, pose_at(WAY, share, turn(*rng.normal(size=3))))
+        found = Rasterizer((200, 400), 1)(quads, pose_at(WAY, share, turn(*rng.normal(size=3))))
         assert (found >= 0).all()
 
 
@@ -134,10 +133,10 @@ def test_masked_vertices_have_no_surface():
     assert not (seen(build_mesh(smooth(8, 16), mask=np.zeros((8, 16), bool)), WAY, Pose.identity(), (8, 16)) >= 0).any()
 
 
-def test_what_is_very_far_becomes_a_few_tiles():
-    tiles = simplify(build_mesh(np.zeros((64, 128), np.float32)), WAY, 64)
-    assert tiles.triangles < 0.06 * 4 * 64 * 128
-    assert (TileRasterizer((64, 128), 1)(tiles, moved(3.0, 0.0, 0.0)) == 0).all()
+def test_what_is_very_far_becomes_a_few_quads():
+    quads, kept = simplify(build_mesh(np.zeros((64, 128), np.float32)), WAY, 64)
+    assert kept < 0.06 * 4 * 64 * 128
+    assert (Rasterizer((64, 128), 1)(quads, moved(3.0, 0.0, 0.0)) == 0).all()
 
 
 @pytest.mark.parametrize("threads", [2, 5])
@@ -156,6 +155,6 @@ def test_a_renderer_with_a_way_shows_the_same_picture_and_says_how_many_triangle
     every, few = (make_renderer("mesh", image, None, rho, confidence, size, WHOLE, 1, way) for way in (None, WAY))
     assert every.triangles[0] == every.triangles[1] == few.triangles[1] > 2 * few.triangles[0]
     pose = pose_at(WAY, 0.6, turn(0.1, 0.4, 0.2))
-    (_, expected), (_, found) = every(pose), few(pose)
+    expected, found = every(pose).colour, few(pose).colour
     assert np.abs(found - expected)[..., :3].max() < 0.02
     assert (np.abs(found - expected)[..., 3] < 1e-3).mean() > 0.99

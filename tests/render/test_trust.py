@@ -89,7 +89,7 @@ def test_is_found_by_place_as_by_face():
     texture = make_texture(np.ones((*size, 3), np.float32))
     fragments = rasterize(mesh, Pose.identity(), size)
     caps = [mesh.trust[0, :, :2].min(axis=-1), mesh.trust[-1, :, 2:].min(axis=-1)]
-    by_face = np.concatenate([mesh.trust.ravel().repeat(FACES_PER_QUARTER), *caps])[fragments.face]
+    by_face = np.concatenate([mesh.trust.ravel(), *caps]).repeat(FACES_PER_QUARTER)[fragments.face]
     assert len(np.unique(by_face)) > 2
     shown = shade(fragments.inverse_depth, mesh, texture, Pose.identity())
     np.testing.assert_allclose(shown[..., 3], by_face, rtol=1e-5)

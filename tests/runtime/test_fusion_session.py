@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.fusion import SessionFusion, SessionPainter
+from omnisyn_cli.runtime.planes import SessionFusion, SessionPainter
 
 
 class Session:

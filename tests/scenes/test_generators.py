@@ -2,14 +2,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scene_samples import builder
+from scene_samples import builder, oracle_distance, unit_directions
 
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import GENERATORS, Shape, clearance, distances, generate_scene, sample_path
-from omnisyn_cli.scenes.materials import Material
+from omnisyn_cli.scenes.materials import Column, Material
 from omnisyn_cli.scenes.scene import Walkway
 
 KINDS = sorted(GENERATORS)
+HARD = ("home", "jumble", "yard")
+OPEN = int(Column.OPEN)
 
 
 def frozen_bytes(scene):
@@ -95,3 +97,54 @@ def test_a_path_keeps_within_four_thin_walls(baseline, fits):
 def test_unknown_kinds_and_seeds_are_named(kind, seed):
     with pytest.raises(ValueError, match=f"{kind}' and {seed}"):
         generate_scene(kind, seed)
+
+
+@pytest.mark.parametrize("kind", HARD)
+@pytest.mark.parametrize("seed", range(6))
+def test_paths_are_no_longer_than_three_times_the_distance_of_what_is_near(kind, seed):
+    """And stay where walkways are: not through a window."""
+    scene = generate_scene(kind, seed)
+    start, end = (pose.position for pose in sample_path(scene, seed, 2))
+    directions = pixel_directions(8, 16).reshape(-1, 3)
+    near = min(np.quantile(distances(scene, place, directions)[0], 0.04) for place in (start, end))
+    assert 0.25 <= np.linalg.norm(end - start) <= 3.0 * near + 1e-9
+    lows, highs = (np.array([getattr(walkway, name) for walkway in scene.walkways]) for name in ("low", "high"))
+    assert np.any(np.all((end >= lows) & (end <= highs), axis=1, where=[True, False, True]))
+
+
+@pytest.mark.parametrize("kind", HARD)
+def test_usual_baselines_are_spread_evenly_in_their_logarithm(kind):
+    """From a quarter of a metre to several; what is long is shortened until it fits."""
+    lengths = []
+    for seed in range(24):
+        start, end = (pose.position for pose in sample_path(generate_scene(kind, seed), seed, 2))
+        lengths.append(np.linalg.norm(end - start))
+    assert min(lengths) < 0.5
+    assert max(lengths) > 2.0
+    assert 0.4 < np.median(lengths) < 2.5
+
+
+@pytest.mark.parametrize("kind", HARD)
+def test_what_is_cast_is_what_every_surface_tried_one_by_one_gives(kind):
+    scene = generate_scene(kind, 5)
+    solid = dataclasses.replace(
+        scene, materials=np.where(np.arange(scene.materials.shape[1]) == OPEN, 0, scene.materials)
+    )
+    eye = sample_path(scene, 5, 1)[0].position
+    directions = unit_directions(0, 40)
+    found, hits = distances(solid, eye, directions)
+    for direction, distance, hit in zip(directions, found, hits, strict=True):
+        expected, shape = oracle_distance(solid, eye, direction)
+        assert distance == pytest.approx(expected, rel=1e-6)
+        assert hit == shape or distance == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", HARD)
+def test_things_are_near_the_way(kind):
+    """In most scenes a tenth of what is seen lies nearer than two metres."""
+    near = []
+    for seed in range(8):
+        scene = generate_scene(kind, seed)
+        distance, _ = distances(scene, sample_path(scene, seed, 1)[0].position, unit_directions(seed, 200))
+        near.append(np.quantile(distance, 0.1) < 2.0)
+    assert np.mean(near) > 0.5

@@ -6,7 +6,8 @@ from click.testing import CliRunner
 
 from omnisyn_cli.cli.scenes import KINDS, scenes
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.io import read_depth, read_panorama, read_poses
+from omnisyn_cli.io import read_depth, read_panorama
+from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes import GENERATORS
 
 

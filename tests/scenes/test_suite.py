@@ -8,10 +8,11 @@ from click.testing import CliRunner
 
 from omnisyn_cli.cli.scenes import scenes
 from omnisyn_cli.errors import OutputPathError
-from omnisyn_cli.evaluation import suite as suite_module
+from omnisyn_cli.evaluation import scene_files as suite_module
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
-from omnisyn_cli.evaluation.suite import suite_scenes, write_suite_scene
-from omnisyn_cli.io import read_depth, read_poses
+from omnisyn_cli.evaluation.scene_files import suite_scenes, write_suite_scene
+from omnisyn_cli.io import read_depth
+from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes import clearance, generate_scene
 from omnisyn_cli.scenes.suite import BASELINES, FRAMES, SEEDS, suite_of
 

@@ -19,15 +19,15 @@ from onnx import TensorProto, numpy_helper
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.runtime.models import find_model, models_folder
-from omnisyn_cli.runtime.refinement import SessionRefinement
+from omnisyn_cli.runtime.planes import SessionRefinement
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.scenes import generate_scene, render_views, sample_path
-from omnisyn_cli.segments import SynthesisOptions
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.refined import RefinedDepthEstimator
-from omnisyn_cli.synthesis import Frame, synthesize
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synthesis_samples import ws_psnr
 
@@ -83,8 +83,8 @@ def quality(room: Room, path: Path) -> tuple[np.ndarray, float]:
     refinement = SessionRefinement(open_session(path, device="cpu", threads=1))
     estimator = RefinedDepthEstimator(Remembered(room.evidence), refinement, 0)  # type: ignore[arg-type]
     waypoint = Waypoint(0, 0.5, room.middle)
-    made = synthesize(room.views, [waypoint], estimator, SynthesisOptions(SIZE, threads=1))
-    (picture,) = [frame.image.copy() for frame in made if isinstance(frame, Frame)]
+    pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=1)).prepare(0, *room.views)
+    picture = pair.frame(waypoint).image
     return refinement(planes(room)[0])[0], ws_psnr(picture, room.truth)
 
 

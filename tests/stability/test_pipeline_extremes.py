@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,14 +13,17 @@ import pytest
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.interpolation import InterpolationJob, plan_interpolation, run_interpolation
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_inverse_depth, read_panorama, write_depth
 from omnisyn_cli.io.encode import write_channels
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.segments import SynthesisOptions
-from omnisyn_cli.synthesis import Frame, synthesize
-from omnisyn_cli.trajectory import plan_path
+from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from process_memory import peak_memory, renewed_peak_memory
 from synthesis_samples import RADIUS, SIZE, distance_to_wall, hall_image, hall_view, posed, write_hall, ws_psnr
@@ -30,8 +34,8 @@ PAIR = (posed((-0.5, -0.1, 0.4), 0.3), posed((0.4, 0.2, -0.3), 0.9))
 def frames(views: list[View], count: int = 5, size: tuple[int, int] = SIZE) -> list[np.ndarray]:
     """Pictures of all frames between two views."""
     path = plan_path([view.pose for view in views], count)
-    made = synthesize(views, path, KnownDepth(), SynthesisOptions(size, threads=1))
-    return [frame.image.copy() for frame in made if isinstance(frame, Frame)]
+    method = SurfaceMethod(KnownDepth(), SynthesisOptions(size, threads=1))
+    return [frame.image.copy() for frame in synthesize(views, path, method)]
 
 
 def scaled(view: View, factor: float) -> View:
@@ -227,19 +231,28 @@ def test_equal_runs_make_equal_videos_at_any_number_of_threads(tmp_path: Path) -
 
 YAW_SIZE = (64, 128)
 
+YAW_PAIR = (posed((-0.4, 0, 0)), posed((0.4, 0, 0)))
+
+
+def matched_frames(folder: Path, poses: Sequence[Pose]) -> list[np.ndarray]:
+    images = write_hall(folder, poses, YAW_SIZE, with_depth=False)
+    return run(folder, images, "out", depth="matching", frames=4, threads=1)
+
+
+@pytest.fixture(scope="module")
+def straight_frames(tmp_path_factory: pytest.TempPathFactory) -> list[np.ndarray]:
+    """Of panoramas that nobody has turned."""
+    return matched_frames(tmp_path_factory.mktemp("straight"), YAW_PAIR)
+
 
 @pytest.mark.parametrize("columns", [1, 7, 32, 64])
-def test_turning_both_panoramas_turns_the_video(tmp_path: Path, columns: int) -> None:
+def test_turning_both_panoramas_turns_the_video(
+    tmp_path: Path, straight_frames: list[np.ndarray], columns: int
+) -> None:
     """The whole pipeline, depth by matching: rolled inputs give rolled frames that are as good within 0.1 dB."""
-    poses = [posed((-0.4, 0, 0)), posed((0.4, 0, 0))]
     turn = rotation_from_heading(columns * 2 * np.pi / YAW_SIZE[1]).T
-    made = []
-    for name, shown in (("plain", poses), ("turned", [Pose(pose.rotation @ turn, pose.position) for pose in poses])):
-        (tmp_path / name).mkdir()
-        images = write_hall(tmp_path / name, shown, YAW_SIZE, with_depth=False)
-        made.append(run(tmp_path / name, images, "out", depth="matching", frames=4, threads=1))
-    path = plan_path(poses, 4)
-    for waypoint, plain, turned in zip(path, *made, strict=True):
+    turned_frames = matched_frames(tmp_path, [Pose(pose.rotation @ turn, pose.position) for pose in YAW_PAIR])
+    for waypoint, plain, turned in zip(plan_path(YAW_PAIR, 4), straight_frames, turned_frames, strict=True):
         truth = hall_image(waypoint.pose, YAW_SIZE)
         back = np.roll(turned, -columns, axis=1)
         assert abs(ws_psnr(back, truth) - ws_psnr(plain, truth)) < 0.1

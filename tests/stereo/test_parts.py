@@ -6,10 +6,11 @@ from stereo_samples import OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
+from omnisyn_cli.stereo.costs import census, sweep_cost, warp_cost
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import rectify, resize_area
-from omnisyn_cli.stereo.semi_global import aggregate, census, choose, sweep_cost, warp_cost
+from omnisyn_cli.stereo.semi_global import Bands
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Meridians, _nearness
 
@@ -64,38 +65,11 @@ def test_census_knows_order_only_and_no_seam() -> None:
 def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
     first, second = RNG.random((2, *SMALL, 3)).astype(np.float32)
     usable, zero = np.ones(SMALL, bool), np.zeros(SMALL, np.float32)
-    sweep = sweep_cost(first, second, usable, zero, 6, 0.5, 0.3)
+    bands = Bands.between(np.zeros(SMALL, np.int32), 5)
+    sweep = sweep_cost(first, second, usable, bands, 0.5, 0.3).reshape(*SMALL, 6)
     surface = warp_cost(first, census(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
     inside = slice(4, SMALL[0] - 10)
     np.testing.assert_allclose(surface[inside], sweep[inside, :, 4], atol=1e-5)
-
-
-def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
-    cost = RNG.random((*SMALL, 7)).astype(np.float32)
-    total = aggregate(cost, np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
-    np.testing.assert_allclose(total, 8.0 * cost, atol=1e-4)
-
-
-def test_with_endless_penalties_one_level_wins_everywhere_it_can_reach() -> None:
-    cost = RNG.random((*SMALL, 5)).astype(np.float32)
-    cost[..., 3] -= 0.5
-    level, _ = choose(aggregate(cost, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1))
-    assert np.all(np.rint(level) == 3)
-
-
-def test_aggregation_has_no_seam() -> None:
-    cost, grey = RNG.random((*SMALL, 5)).astype(np.float32), RNG.random(SMALL).astype(np.float32)
-    before = aggregate(cost, grey, 0.05, 0.3, 0.1)
-    after = aggregate(np.roll(cost, 31, axis=1), np.roll(grey, 31, axis=1), 0.05, 0.3, 0.1)
-    np.testing.assert_allclose(np.roll(before, 31, axis=1), after, atol=1e-3)
-
-
-def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
-    tip = RNG.uniform(1.0, 5.0, SMALL)
-    total = np.abs(np.arange(7) - tip[..., None]).astype(np.float32)
-    level, margin = choose(total)
-    np.testing.assert_allclose(level, tip, atol=1e-4)
-    assert margin.min() > 0
 
 
 def test_planes_are_found_among_outliers() -> None:

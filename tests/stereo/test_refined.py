@@ -98,6 +98,24 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
     assert wrong.confidence[8:-8, :24].mean() < 0.5 < wrong.confidence[8:-8, 40:56].mean()
 
 
+def test_without_a_network_the_answer_is_what_one_says_that_repeats_what_matching_filled(monkeypatch, both):
+    """But for the median that answers of a network get where matching is unsure: here it is sure everywhere."""
+    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda *_: both)
+    first, second = (
+        View(one.image, pose) for one, pose in zip(both, (Pose.identity(), Pose(TURN, OFFSET)), strict=True)
+    )
+
+    def repeats(planes):
+        return planes[3] ** 2, np.maximum(planes[5], planes[6])
+
+    estimators = [RefinedDepthEstimator(MatchingDepthEstimator(MatchingOptions(size=SIZE)), each, SIZE[0])
+                  for each in (None, repeats)]  # fmt: skip
+    for alone, repeated in zip(*(estimator(first, second) for estimator in estimators), strict=True):
+        np.testing.assert_allclose(alone.inverse_depth, repeated.inverse_depth, rtol=1e-5)
+        np.testing.assert_allclose(alone.confidence, repeated.confidence, rtol=1e-5, atol=1e-6)
+        assert alone.confidence.mean() > 0.9
+
+
 def test_estimates_have_the_last_size_that_the_pictures_have_pixels_for(monkeypatch, both):
     matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)
     monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda *_: both)

@@ -11,9 +11,9 @@ import pytest
 from stereo_samples import OPENINGS, room
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.stereo import matching
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.thread_limit import both, limited_threads
 
 SMALL = MatchingOptions(size=(96, 192))
 

@@ -7,11 +7,12 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.refine import RefineConfig, RefinePrediction
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.evidence import PLANES
-from omnisyn_cli.training import evidence
-from omnisyn_cli.training.data import list_pool
-from omnisyn_cli.training.evidence import EvidenceConfig, draw_evidence, load_evidence, make_evidence
+from omnisyn_cli.training import evidence_pool
+from omnisyn_cli.training.data import list_pool, load_samples
+from omnisyn_cli.training.evidence_pool import EvidencePair, draw_evidence, make_evidence
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.losses import refine_loss
+from omnisyn_cli.training.pool import TiltedConfig
 from omnisyn_cli.training.publish import publish
 
 TINY = RefineConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
@@ -22,13 +23,13 @@ SIZE = (32, 64)
 def pool(tmp_path_factory):
     """Two small scenes."""
     folder = tmp_path_factory.mktemp("evidence")
-    paths = [make_evidence(folder, seed, EvidenceConfig(size=SIZE)) for seed in (0, 1)]
+    paths = [make_evidence(folder, seed, TiltedConfig(size=SIZE)) for seed in (0, 1)]
     return [path for path in paths if path is not None]
 
 
 def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
     for path in pool:
-        for pair in load_evidence(path):
+        for pair in load_samples(path, EvidencePair):
             assert pair.planes.shape == (PLANES, *SIZE)
             assert pair.root.shape == SIZE
             assert pair.baseline > 0.05
@@ -37,12 +38,12 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
             # what both directions agree on is right more often than not
             if (agreed & ~sky).sum() > 50:
                 assert np.median(np.abs(pair.planes[3] - pair.root)[agreed & ~sky]) < 0.1
-        assert load_evidence(path, 2)[0].baseline == load_evidence(path)[2].baseline
+        assert load_samples(path, EvidencePair, 2)[0].baseline == load_samples(path, EvidencePair)[2].baseline
 
 
 @pytest.mark.parametrize("halved", [0.0, 1.0])
 def test_a_batch_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(monkeypatch, pool, halved):
-    monkeypatch.setattr(evidence, "HALVED", halved)
+    monkeypatch.setattr(evidence_pool, "HALVED", halved)
     one, same = (draw_evidence(pool, np.random.default_rng(3), 4) for _ in range(2))
     assert torch.equal(one.planes, same.planes)
     count, size = (12, (SIZE[0] // 2, SIZE[1] // 2)) if halved else (4, SIZE)
@@ -51,7 +52,7 @@ def test_a_batch_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(m
     stored = [
         (part, nearest)
         for path in pool
-        for pair in load_evidence(path)
+        for pair in load_samples(path, EvidencePair)
         for part, nearest in (halves(pair) if halved else [(pair.planes[3], pair.root)])
     ]
     for planes, root in zip(one.planes.numpy(), one.root.numpy(), strict=True):
@@ -101,14 +102,7 @@ def test_a_network_is_trained_and_published(tmp_path, pool):
     assert rows[-1]["loss"] < rows[0]["loss"]
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"], network.config) == ("refine", 40, TINY)
-    ((entry, difference),) = publish(
-        tmp_path / "run" / "checkpoint.pt",
-        tmp_path / "models",
-        name=None,
-        pool=pool[0].parent,
-        training="",
-        licence="MIT",
-    )
+    ((entry, difference),) = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=pool[0].parent)
     assert difference < 1e-4
     assert (entry.role, entry.size) == ("refine", SIZE)
     assert read_manifest(tmp_path / "models") == {"refine-tiny": entry}
@@ -118,16 +112,15 @@ def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, 
     folder = str(pool[0].parent)
     checkpoint, models = tmp_path / "run" / "checkpoint.pt", tmp_path / "models"
     train(TINY, TrainConfig(folder, folder, size=SIZE, batch=1), tmp_path / "run", steps=1)
-    publishing = {"pool": None, "training": "", "licence": "MIT"}
     with pytest.raises(InputError, match=r"name without folders, got 'a/b'; choose another \(--name\)"):
-        publish(checkpoint, models, name="a/b", **publishing)
+        publish(checkpoint, models, name="a/b")
 
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        publish(checkpoint, models, name=None, **publishing)
+        publish(checkpoint, models)
     assert list(models.iterdir()) == []
 
 

@@ -10,8 +10,9 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import epipole_frame
-from omnisyn_cli.io import PosedPanorama, write_depth, write_image, write_poses
+from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.training.data import draw_batch, list_pool, load_scene
 from omnisyn_cli.training.folders import add_pair, pair_path, pool_scene
 from omnisyn_cli.training.losses import depth_loss, depth_scores
@@ -80,7 +81,7 @@ def figures(roots, batch):
     assert all(torch.all(torch.isfinite(leaf.grad)) for leaf in leaves)
     assert torch.all(leaves[-1].grad[unknown] == 0)
     scores = depth_scores(prediction, batch.root, batch.baseline)
-    return loss.item(), scores.imae, scores.delta_25, scores.confidence_error
+    return loss.item(), scores["imae"], scores["delta_25"], scores["confidence_error"]
 
 
 def test_pairs_without_depth_or_without_a_baseline_are_refused():

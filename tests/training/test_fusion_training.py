@@ -3,22 +3,26 @@ import pytest
 import torch
 
 from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, build_fusion
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.fusion import (
+from omnisyn_cli.training.data import load_samples
+from omnisyn_cli.training.fusion_losses import corrected, fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.fusion_pool import (
     WINDOWS,
     FusionPoolConfig,
+    FusionSample,
     _beginning,
     draw_fusion,
     exchanged,
-    load_fusion,
     make_fusion_scene,
+    stored_fusion,
 )
-from omnisyn_cli.training.fusion_losses import corrected, fused_by, fusion_loss, fusion_scores
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.types import Rendering
@@ -42,7 +46,7 @@ def rendering(seed, offset):
     colour, rho = rng.random((*SIZE, 4), np.float32), rng.random(SIZE, np.float32) * 0.5
     hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((4, 4), bool))
     colour[hole], rho[hole] = 0.0, -1.0
-    return Rendering(rho, colour, Pose(np.eye(3), np.array(offset, float)))
+    return Rendering.of(rho, colour, Pose(np.eye(3), np.array(offset, float)))
 
 
 def test_the_network_learns_on_the_picture_that_the_program_makes():
@@ -74,8 +78,9 @@ def test_the_network_knows_where_the_weights_are():
 
 def test_exchanging_the_views_exchanges_the_planes():
     first, second = rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))
-    make = PlaneMaker(SIZE, 0.06, threads=1)
-    there, back = make(first, second, 0.3, 0.003).planes, make(second, first, 0.7, 0.003).planes
+    make, options = PlaneMaker(SIZE, BandRunner(SIZE, 1)), BlendOptions()
+    there = make(Views(first, second), BlendRule.at(0.3, options)).planes
+    back = make(Views(second, first), BlendRule.at(0.7, options)).planes
     np.testing.assert_allclose(exchanged(there), back, atol=1e-4)
     np.testing.assert_array_equal(exchanged(exchanged(there)), there)
 
@@ -83,7 +88,7 @@ def test_exchanging_the_views_exchanges_the_planes():
 def test_samples_hold_what_the_program_sees_and_the_truth(pool):
     assert pool
     for path in pool:
-        samples = load_fusion(path)
+        samples = load_samples(path, FusionSample)
         assert len(samples) == 2
         for sample in samples:
             assert sample.planes.shape == (PLANES, *SIZE)
@@ -92,13 +97,13 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
             assert np.isfinite(sample.planes).all()
             fused = sample.planes[plane.FUSED : plane.FUSED + 3]
             assert np.abs(fused - sample.truth).mean() < 0.5 * np.abs(np.roll(fused, 32, -1) - sample.truth).mean()
-        np.testing.assert_array_equal(load_fusion(path, 3)[0].truth, samples[1].truth)
+        np.testing.assert_array_equal(load_samples(path, FusionSample, 3)[0].truth, samples[1].truth)
 
 
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
     config = FusionPoolConfig(size=SIZE, places=2, matched=1.0, rows=2 * SIZE[0])
     again = make_fusion_scene(tmp_path, int(pool[0].stem), config)
-    for one, other in zip(load_fusion(pool[0]), load_fusion(again), strict=True):
+    for one, other in zip(load_samples(pool[0], FusionSample), load_samples(again, FusionSample), strict=True):
         np.testing.assert_array_equal(one.planes, other.planes)
 
 
@@ -142,7 +147,7 @@ def test_the_loss_is_least_for_the_truth_and_counts_by_solid_angle():
 
 
 def test_scores_are_those_of_the_metrics():
-    from omnisyn_cli.metrics import ws_psnr
+    from omnisyn_cli.evaluation.metrics import ws_psnr
 
     planes = torch.rand((1, PLANES, *SIZE), generator=torch.Generator().manual_seed(0))
     planes[:, plane.SEEN : plane.SEEN + 2] = (planes[:, plane.SEEN : plane.SEEN + 2] > 0.5).float()
@@ -150,21 +155,20 @@ def test_scores_are_those_of_the_metrics():
     picture = 0.9 * truth + 0.05
     scores = fusion_scores(picture, planes, truth)
     arrays = [x[0].permute(1, 2, 0).numpy() for x in (picture, truth, planes[:, plane.FUSED : plane.FUSED + 3])]
-    assert scores.ws_psnr == pytest.approx(ws_psnr(arrays[0], arrays[1]), abs=1e-3)
-    assert scores.gain == pytest.approx(scores.ws_psnr - ws_psnr(arrays[2], arrays[1]), abs=1e-3)
+    assert scores["ws_psnr"] == pytest.approx(ws_psnr(arrays[0], arrays[1]), abs=1e-3)
+    assert scores["gain"] == pytest.approx(scores["ws_psnr"] - ws_psnr(arrays[2], arrays[1]), abs=1e-3)
     hole = planes[0, plane.SEEN : plane.SEEN + 2].sum(dim=0).numpy() == 0
     error = [np.abs(image - arrays[1])[hole].mean() for image in (arrays[0], arrays[2])]
-    assert scores.hole_error == pytest.approx(error[0], rel=1e-4)
-    assert scores.hole_gain == pytest.approx(error[1] - error[0], rel=1e-4)
+    assert scores["hole_error"] == pytest.approx(error[0], rel=1e-4)
+    assert scores["hole_gain"] == pytest.approx(error[1] - error[0], rel=1e-4)
 
 
 def test_a_fresh_network_scores_as_the_geometric_fusion(pool):
-    sample = load_fusion(pool[0], 0)[0]
-    planes, truth = torch.from_numpy(sample.planes)[None], torch.from_numpy(sample.truth)[None]
+    stored = stored_fusion(pool[0], 0)
     torch.manual_seed(0)
     with torch.no_grad():
-        scores = fusion_scores(fused_by(build_fusion(TINY), planes), planes, truth)
-    assert scores.gain == 0.0
+        scores = fusion_scores(fused_by(build_fusion(TINY), stored.planes), stored.planes, stored.truth)
+    assert scores["gain"] == 0.0
 
 
 @pytest.mark.parametrize("config", [TINY, TINY_PAPER], ids=lambda config: config.name)
@@ -180,14 +184,7 @@ def test_a_network_is_trained_and_published(tmp_path, pool, config):
         assert rows[-1]["gain"] > 0
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"], network.config) == ("fusion", 40, config)
-    ((entry, difference),) = publish(
-        tmp_path / "run" / "checkpoint.pt",
-        tmp_path / "models",
-        name=None,
-        pool=pool[0].parent,
-        training="",
-        licence="MIT",
-    )
+    ((entry, difference),) = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=pool[0].parent)
     assert difference < 1e-4
     assert (entry.role, entry.size) == ("fusion", SIZE)
     assert read_manifest(tmp_path / "models") == {f"fusion-{config.name}": entry}

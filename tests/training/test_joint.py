@@ -11,22 +11,31 @@ from training_samples import TINY, ball_scene, make_pool
 from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion.options import BlendOptions
-from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion.planes import PLANES, PlaneMaker, fusion_planes
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.depth_config import VARIANTS
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
-from omnisyn_cli.networks.joint import JointConfig, JointNetwork, PairPrediction, exchanged_panoramas
 from omnisyn_cli.networks.paper import PaperConfig, PaperPrediction
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool, save_scene
+from omnisyn_cli.training.frame_samples import exchanged_panoramas
 from omnisyn_cli.training.fusion_losses import fused_by
-from omnisyn_cli.training.joint import JointAnswer, joint_answer, joint_loss, part_of, planes_between
-from omnisyn_cli.training.joint_planes import Seen, fusion_planes
-from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, train
+from omnisyn_cli.training.joint import (
+    JointAnswer,
+    JointConfig,
+    JointNetwork,
+    PairPrediction,
+    filled,
+    joint_answer,
+    joint_loss,
+    planes_between,
+)
+from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, part_of, train
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.triples import draw_triples
 from omnisyn_cli.types import Rendering
@@ -54,27 +63,26 @@ def random_view(seed, position):
     hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((8, 8), bool))
     colour[..., 3] = 0.01 + 0.99 * colour[..., 3]
     colour[hole], rho[hole] = 0.0, -1.0
-    return Rendering(rho, colour, Pose(np.eye(3), np.array(position, float)))
+    return Rendering.of(rho, colour, Pose(np.eye(3), np.array(position, float)))
 
 
 def as_seen(view):
-    colour = torch.from_numpy(view.colour)
-    return Seen(colour[..., :3], torch.from_numpy(view.inverse_depth), colour[..., 3], view.target_from_source.position)
+    colour, offset = torch.from_numpy(view.colour), torch.from_numpy(view.target_from_source.position)
+    return Shown(colour[..., :3], colour[..., 3], torch.from_numpy(view.inverse_depth), offset.to(colour))
 
 
 @pytest.mark.parametrize("t", [0.4, 0.93])
 def test_planes_are_those_of_the_program(t):
-    """The compiled plane maker is the oracle, weights, doubt, filled holes and all."""
+    """Of tensors as of arrays, weights, doubt, filled holes and all."""
     first, second = random_view(1, (0.0, 0.0, t)), random_view(2, (0.0, 0.0, t - 1.0))
-    options = BlendOptions()
-    hidden = options.hidden if t == 0.4 else options.hidden ** (0.7**2 * (3 - 2 * 0.7))
-    expected = PlaneMaker(SIZE, options.disagreement, threads=1)(first, second, t, hidden).planes
-    found = fusion_planes(as_seen(first), as_seen(second), t).numpy()
+    rule = BlendRule.at(t, BlendOptions())
+    expected = PlaneMaker(SIZE, BandRunner(SIZE, 1))(Views(first, second), rule).planes
+    found = fusion_planes(as_seen(first), as_seen(second), rule, 1.0, filled).planes.numpy()
     for name in (
         "FIRST",
         "SECOND",
         "FUSED",
-        "WORTH",
+        "WEIGHT",
         "ROOT",
         "LOG_RATIO",
         "GAP",
@@ -196,7 +204,7 @@ def test_a_stopped_run_goes_on_bit_for_bit(tmp_path, config):
 def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp_path, config):
     path = tmp_path / "run" / "checkpoint.pt"
     trainer = train(JOINT, config, tmp_path / "run", steps=1)
-    published = publish(path, tmp_path / "models", name=None, pool=None, training="", licence="MIT")
+    published = publish(path, tmp_path / "models")
     assert [(entry.name, entry.role, entry.size) for entry, _ in published] == [
         ("depth-tiny", "depth", SIZE),
         ("fusion-tiny", "fusion", SIZE),
@@ -204,10 +212,12 @@ def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp
     assert all(difference < 1e-4 for _, difference in published)
     assert read_manifest(tmp_path / "models").keys() == {"depth-tiny", "fusion-tiny"}
     assert sum(entry.parameters for entry, _ in published) == sum(p.numel() for p in trainer.network.parameters())
-    named = publish(path, tmp_path / "models", name="mine", pool=tmp_path / "pool", training="", licence="MIT")
+    named = publish(path, tmp_path / "models", name="mine", pool=tmp_path / "pool")
     assert [entry.name for entry, _ in named] == ["mine-depth", "mine-fusion"]
     part = part_of(path, ("fusion",))
-    assert equal(part.average, {k.removeprefix("fusion."): v for k, v in trainer.average.items() if k[0] == "f"})
+    assert equal(
+        dict(part.state_dict()), {k.removeprefix("fusion."): v for k, v in trainer.average.items() if k[0] == "f"}
+    )
     with pytest.raises(InputError, match=r"expected a refine network in .*got depth and fusion"):
         part_of(path, ("refine",))
 
@@ -224,7 +234,7 @@ def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, co
     pools = ("--pool", config.pool, "--validation-pool", config.validation_pool, "--height", 64, "--rate", 0.0)
     result = run("joint", tmp_path / "run", *pools, "--depth", tmp_path / "small.pt", "--fusion", "tiny", "--steps", 1)
     assert result.exit_code == 0, result.output
-    held = part_of(tmp_path / "run" / "checkpoint.pt", ("depth",)).average
+    held = part_of(tmp_path / "run" / "checkpoint.pt", ("depth",)).state_dict()
     for name, value in depth.average.items():
         torch.testing.assert_close(held[name], value, rtol=2e-3, atol=1e-4)
     again = run(
@@ -239,7 +249,7 @@ def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, co
         1,
     )
     assert again.exit_code == 0, again.output
-    assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("depth",)).average, held)
+    assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("depth",)).state_dict(), held)
 
 
 def test_what_cannot_begin_a_run_is_refused(tmp_path, config):

@@ -38,7 +38,7 @@ def test_below_zero_is_infinitely_far(target):
     gradients_aside = depth_loss(prediction(below, 20.0), target)
     assert gradients_aside < 0.05
     scores = depth_scores(prediction(below), target, torch.ones(2))
-    assert scores.sky_zero == 1.0
+    assert scores["sky_zero"] == 1.0
 
 
 @pytest.mark.parametrize("error", [0.05, -0.05, 0.2])
@@ -60,13 +60,13 @@ def test_gradients_are_finite_everywhere(target):
 
 def test_scores_of_the_truth_are_perfect_and_scale_with_the_baseline(target):
     perfect = depth_scores(prediction(target, 20.0), target, torch.tensor([2.0, 2.0]))
-    assert (perfect.imae, perfect.delta_5, perfect.delta_25, perfect.sky_zero) == (0.0, 1.0, 1.0, 1.0)
-    assert perfect.confidence_error < 1e-6
+    assert (perfect["imae"], perfect["delta_5"], perfect["delta_25"], perfect["sky_zero"]) == (0.0, 1.0, 1.0, 1.0)
+    assert perfect["confidence_error"] < 1e-6
     nearer = prediction(target * math.sqrt(1.07))  # 7 % more inverse depth
     scores = depth_scores(nearer, target, torch.tensor([2.0, 2.0]))
-    assert (scores.delta_5, scores.delta_10) == (0.0, 1.0)
+    assert (scores["delta_5"], scores["delta_10"]) == (0.0, 1.0)
     wider = depth_scores(nearer, target, torch.tensor([4.0, 4.0]))
-    assert 0 < wider.imae < scores.imae
+    assert 0 < wider["imae"] < scores["imae"]
 
 
 def test_the_papers_loss_is_l1_of_inverse_depth_by_solid_angle_and_half_of_the_low_head(target):

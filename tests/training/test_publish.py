@@ -2,8 +2,8 @@ import pytest
 from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import OmnisynError, OutputPathError
-from omnisyn_cli.presets import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
+from omnisyn_cli.synthesis.recipe import SYNSIN_MODELS
 from omnisyn_cli.training.loop import TrainConfig, train
 from omnisyn_cli.training.publish import publish, write_manifest
 from synsin_samples import TINY_SIZE, write_synsin_models
@@ -16,12 +16,8 @@ def checkpoint(tmp_path):
     return tmp_path / "run" / "checkpoint.pt"
 
 
-def options(**changes):
-    return {"name": None, "pool": None, "training": "", "licence": "Apache-2.0"} | changes
-
-
 def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
-    ((entry, difference),) = publish(checkpoint, tmp_path / "models", **options(pool=tmp_path / "pool"))
+    ((entry, difference),) = publish(checkpoint, tmp_path / "models", pool=tmp_path / "pool")
     assert difference < 1e-4
     assert (entry.name, entry.role, entry.size, entry.training) == ("depth-tiny", "depth", (64, 128), "1 steps")
     assert read_manifest(tmp_path / "models") == {"depth-tiny": entry}
@@ -30,18 +26,18 @@ def test_a_published_model_can_be_found_by_name(tmp_path, checkpoint):
 
 def test_a_model_is_replaced_only_on_request(tmp_path, checkpoint):
     folder = tmp_path / "models"
-    publish(checkpoint, folder, **options(licence="MIT"))
+    publish(checkpoint, folder, licence="MIT")
     with pytest.raises(OutputPathError, match="overwrite"):
-        publish(checkpoint, folder, **options())
+        publish(checkpoint, folder)
     assert read_manifest(folder)["depth-tiny"].licence == "MIT"
-    publish(checkpoint, folder, **options(overwrite=True))
+    publish(checkpoint, folder, overwrite=True)
     assert read_manifest(folder)["depth-tiny"].licence == "Apache-2.0"
 
 
 def test_a_model_that_says_something_else_is_refused(tmp_path, checkpoint, monkeypatch):
     monkeypatch.setattr("omnisyn_cli.training.publish.largest_difference", lambda *_: 0.01)
     with pytest.raises(OmnisynError, match="not exported"):
-        publish(checkpoint, tmp_path / "models", **options())
+        publish(checkpoint, tmp_path / "models")
     assert list((tmp_path / "models").iterdir()) == []
 
 
@@ -73,10 +69,10 @@ def test_if_one_of_three_says_something_else_none_is_left(tmp_path, monkeypatch)
     assert [path.name for path in (tmp_path / "models").iterdir()] == ["fresh.pt"]
 
 
-def test_synsin_is_compared_on_lessons_of_a_pool_too(tmp_path):
+def test_synsin_is_compared_on_samples_of_a_pool_too(tmp_path):
     write_synsin_models(tmp_path)
     (_, _, (_, difference)) = publish(
-        tmp_path / "fresh.pt", tmp_path / "models", **options(pool=make_pool(tmp_path / "pool"), name="mine")
+        tmp_path / "fresh.pt", tmp_path / "models", pool=make_pool(tmp_path / "pool"), name="mine"
     )
     assert difference < 1e-4
     assert list(read_manifest(tmp_path / "models")) == ["mine-depth", "mine-encoder", "mine-decoder"]

@@ -1,4 +1,4 @@
-"""SynSin's lessons, losses and runs, on a scene in closed form."""
+"""SynSin's samples, losses and runs, on a scene in closed form."""
 
 import dataclasses
 import math
@@ -12,17 +12,22 @@ from test_loop import equal
 from training_samples import ball_scene, make_pool
 
 from omnisyn_cli.cli.train import train as train_command
+from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.metrics import ws_psnr
-from omnisyn_cli.networks.discriminator import PatchDiscriminator
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork
 from omnisyn_cli.render.soft_points_torch import splat_torch
 from omnisyn_cli.training import adversarial, synsin
-from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, feature_loss, opposing_loss
+from omnisyn_cli.training.adversarial import (
+    PatchDiscriminator,
+    adversarial_loss,
+    adversarial_weight,
+    discriminator_loss,
+    feature_loss,
+)
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import PoolScene, list_pool, load_scene
-from omnisyn_cli.training.lessons import Lesson, draw_lessons, make_lesson
 from omnisyn_cli.training.loop import TrainConfig, open_trainer, train
+from omnisyn_cli.training.view_samples import ViewSample, draw_views, view_sample
 
 TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 
@@ -35,46 +40,46 @@ def config(tmp_path):
     )
 
 
-def seen_from_target(lesson: Lesson) -> torch.Tensor:
-    """The points of a lesson with their true depth, as the target sees them; colours and opacity."""
-    depths = list(lesson.roots[:, 0].square())
-    return splat_torch(list(lesson.images), depths, lesson.target_from_sources, (64, 128), radius=1.5)
+def seen_from_target(sample: ViewSample) -> torch.Tensor:
+    """The points of a sample with their true depth, as the target sees them; colours and opacity."""
+    depths = list(sample.roots[:, 0].square())
+    return splat_torch(list(sample.images), depths, sample.target_from_sources, (64, 128), radius=1.5)
 
 
 @pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.1, -0.2, 0.97)], ids=["level", "lift", "slope"])
 @pytest.mark.parametrize("heading", [0.0, 2.0])
-def test_the_points_of_a_lesson_are_where_its_truth_shows_them(up, heading):
+def test_the_points_of_a_sample_are_where_its_truth_shows_them(up, heading):
     """With the true depth; a mirrored axis, a swapped sign or a forgotten turn would move them aside."""
     scene = dataclasses.replace(ball_scene(3, (128, 256)), up=np.array(up) / np.linalg.norm(up))
-    lesson = make_lesson(scene, 1, (0, 2), (64, 128), heading=heading)
-    truth = lesson.truth.permute(1, 2, 0).numpy()
-    shown = seen_from_target(lesson)
+    sample = view_sample(scene, 1, (0, 2), (64, 128), heading=heading)
+    truth = sample.truth.permute(1, 2, 0).numpy()
+    shown = seen_from_target(sample)
     right = ws_psnr((shown[:3] / shown[3:]).permute(1, 2, 0).numpy(), truth)
-    reversed_way = tuple(dataclasses.replace(pose, position=-pose.position) for pose in lesson.target_from_sources)
-    wrong = seen_from_target(dataclasses.replace(lesson, target_from_sources=reversed_way))
+    reversed_way = tuple(dataclasses.replace(pose, position=-pose.position) for pose in sample.target_from_sources)
+    wrong = seen_from_target(dataclasses.replace(sample, target_from_sources=reversed_way))
     assert right > 26
     assert right > ws_psnr((wrong[:3] / wrong[3:]).permute(1, 2, 0).numpy(), truth) + 3
 
 
-def test_lessons_drawn_at_random_stay_consistent_when_mirrored_and_turned(tmp_path):
+def test_samples_drawn_at_random_stay_consistent_when_mirrored_and_turned(tmp_path):
     pool = list_pool(make_pool(tmp_path, size=(128, 256)))
-    lessons = draw_lessons(pool, np.random.default_rng(0), 12, (64, 128))
-    assert [len(lesson.images) for lesson in lessons] == [1, 2] * 6
-    for lesson in lessons:
-        shown = seen_from_target(lesson)
-        assert (shown[:3] / shown[3:] - lesson.truth).abs().mean() < 0.05
+    samples = draw_views(pool, np.random.default_rng(0), 12, (64, 128))
+    assert [len(sample.images) for sample in samples] == [1, 2] * 6
+    for sample in samples:
+        shown = seen_from_target(sample)
+        assert (shown[:3] / shown[3:] - sample.truth).abs().mean() < 0.05
 
 
-def test_the_world_is_upright_in_a_lesson():
+def test_the_world_is_upright_in_a_sample():
     """A scene that is white above the horizon and black below, on a line that climbs."""
     up = np.array([0.0, 0.5, math.sqrt(0.75)])
     scene = ball_scene(0)
     above = (pixel_directions(64, 128) @ up > 0)[None, ..., None]
     images = np.broadcast_to(np.where(above, 255, 0), scene.images.shape).astype(np.uint8)
-    lesson = make_lesson(PoolScene(images, scene.inverse_depth, scene.along, up), 0, (1,), (64, 128), heading=1.0)
-    assert lesson.truth[:, :30].min() > 0.9
-    assert lesson.truth[:, 34:].max() < 0.1
-    assert lesson.target_from_sources[0].position[1] == pytest.approx(0.5 * scene.along[1])
+    sample = view_sample(PoolScene(images, scene.inverse_depth, scene.along, up), 0, (1,), (64, 128), heading=1.0)
+    assert sample.truth[:, :30].min() > 0.9
+    assert sample.truth[:, 34:].max() < 0.1
+    assert sample.target_from_sources[0].position[1] == pytest.approx(0.5 * scene.along[1])
 
 
 def test_a_pool_without_up_is_of_level_lines(tmp_path):
@@ -85,32 +90,39 @@ def test_a_pool_without_up_is_of_level_lines(tmp_path):
     assert load_scene(path).up.tolist() == [0.0, 0.0, 1.0]
 
 
+def test_a_discriminator_looks_at_two_scales_and_turns_with_the_picture():
+    torch.manual_seed(1)
+    discriminator, image = PatchDiscriminator(widths=(4, 6), scales=2).eval(), torch.rand(1, 3, 32, 64)
+    with torch.no_grad():
+        answers, turned = discriminator(image), discriminator(image.roll(16, dims=-1))
+    assert [tuple(scale[-1].shape) for scale in answers] == [(1, 1, 8, 16), (1, 1, 4, 8)]
+    assert [len(scale) for scale in answers] == [3, 3]
+    torch.testing.assert_close(turned[0][-1], answers[0][-1].roll(4, dims=-1), rtol=1e-4, atol=1e-5)
+
+
 def test_the_hinge_is_that_of_its_definition():
     true = [[torch.zeros(1), torch.tensor([2.0, 0.5])]]
     made = [[torch.ones(1), torch.tensor([-3.0, 0.0])]]
-    assert float(opposing_loss(made, true)) == pytest.approx((0 + 0.5) / 2 + (0 + 1) / 2)
+    assert float(discriminator_loss(made, true)) == pytest.approx((0 + 0.5) / 2 + (0 + 1) / 2)
     assert float(adversarial_loss(made)) == pytest.approx(1.5)
     assert float(feature_loss(made, true)) == pytest.approx(adversarial.FEATURE_WEIGHT)
 
 
-def test_the_opponent_counts_for_nothing_at_first_and_then_ever_more():
+def test_the_discriminator_counts_for_nothing_at_first_and_then_ever_more():
     weights = [adversarial_weight(step) for step in (0, adversarial.ALONE, adversarial.ALONE + adversarial.RAMP // 2)]
     assert weights == [0.0, 0.0, pytest.approx(adversarial.WEIGHT / 2)]
     assert adversarial_weight(10**6) == adversarial.WEIGHT
 
 
-def test_what_the_opponent_says_teaches_the_networks_but_not_the_truth(config):
-    pool, opponent = list_pool(Path(config.pool)), PatchDiscriminator(widths=(4, 6), scales=1)
+def test_what_the_discriminator_says_teaches_the_networks_but_not_the_truth(config):
+    discriminator = PatchDiscriminator(widths=(4, 6), scales=1)
     torch.manual_seed(0)
     network = SynSinNetwork(TINY)
-    early, late = (
-        synsin.contest_losses(network, opponent.eval(), pool, np.random.default_rng(0), config, step)[0]
-        for step in (0, 10**6)
-    )
-    lessons = draw_lessons(pool, np.random.default_rng(0), 2, config.size)
-    made = synsin.make_pictures(network, lessons)
-    torch.testing.assert_close(early, synsin.own_loss(made, lessons))
-    seen, true = opponent(made.pictures), opponent(torch.stack([lesson.truth for lesson in lessons]))
+    samples = draw_views(list_pool(Path(config.pool)), np.random.default_rng(0), 2, config.size)
+    early, late = (synsin.adversarial_losses(network, discriminator.eval(), samples, step)[0] for step in (0, 10**6))
+    made = synsin.make_pictures(network, samples)
+    torch.testing.assert_close(early, synsin.own_loss(made, samples))
+    seen, true = discriminator(made.pictures), discriminator(torch.stack([sample.truth for sample in samples]))
     expected = early + adversarial.WEIGHT * (adversarial_loss(seen) + feature_loss(seen, true))
     torch.testing.assert_close(late, expected)
     network.zero_grad()
@@ -119,16 +131,16 @@ def test_what_the_opponent_says_teaches_the_networks_but_not_the_truth(config):
         assert max(float(p.grad.abs().max()) for p in part.parameters() if p.grad is not None) > 0
 
 
-def test_the_opponents_own_loss_does_not_teach_the_networks(config):
-    network, opponent = SynSinNetwork(TINY), PatchDiscriminator(widths=(4, 6), scales=1)
-    pool = list_pool(Path(config.pool))
-    synsin.contest_losses(network, opponent, pool, np.random.default_rng(0), config, 0)[1].backward()
+def test_the_discriminators_own_loss_does_not_teach_the_networks(config):
+    network, discriminator = SynSinNetwork(TINY), PatchDiscriminator(widths=(4, 6), scales=1)
+    samples = draw_views(list_pool(Path(config.pool)), np.random.default_rng(0), config.batch, config.size)
+    synsin.adversarial_losses(network, discriminator, samples, 0)[1].backward()
     assert all(parameter.grad is None for parameter in network.parameters())
-    assert all(parameter.grad is not None for parameter in opponent.parameters())
+    assert all(parameter.grad is not None for parameter in discriminator.parameters())
 
 
-def test_a_stopped_run_goes_on_bit_for_bit_with_its_opponent(tmp_path, config, monkeypatch):
-    """Also across the step from which the opponent has a say."""
+def test_a_stopped_run_goes_on_bit_for_bit_with_its_discriminator(tmp_path, config, monkeypatch):
+    """Also across the step from which the discriminator has a say."""
     monkeypatch.setattr(adversarial, "ALONE", 2)
     monkeypatch.setattr(adversarial, "RAMP", 2)
     train(TINY, config, tmp_path / "whole", steps=5)
@@ -139,7 +151,7 @@ def test_a_stopped_run_goes_on_bit_for_bit_with_its_opponent(tmp_path, config, m
     assert equal(whole, stopped)
 
 
-def test_a_run_without_its_opponents_past_would_be_another(tmp_path, config, monkeypatch):
+def test_a_run_without_its_discriminators_past_would_be_another(tmp_path, config, monkeypatch):
     monkeypatch.setattr(adversarial, "ALONE", 0)
     train(TINY, config, tmp_path / "whole", steps=4)
     train(TINY, config, tmp_path / "stopped", steps=3)
@@ -159,7 +171,7 @@ def test_a_run_logs_figures_and_shows_pictures(tmp_path, config):
     assert (tmp_path / "run" / "pictures" / "00000004.png").is_file()
 
 
-def test_a_compact_checkpoint_has_no_opponent_and_can_be_trained_on(tmp_path, config):
+def test_a_compact_checkpoint_has_no_discriminator_and_can_be_trained_on(tmp_path, config):
     train(TINY, config, tmp_path / "run", steps=2)
     small = compact(load_checkpoint(tmp_path / "run" / "checkpoint.pt"))
     assert "opponent" not in small
@@ -167,7 +179,7 @@ def test_a_compact_checkpoint_has_no_opponent_and_can_be_trained_on(tmp_path, co
     assert train(TINY, config, tmp_path / "new", steps=3).step == 3
 
 
-def test_a_fresh_opponent_only_watches_at_first_also_where_a_run_goes_on(tmp_path, config):
+def test_a_fresh_discriminator_only_watches_at_first_also_where_a_run_goes_on(tmp_path, config):
     """From a compact checkpoint of any step; when it began is kept in the next checkpoint."""
     train(TINY, config, tmp_path / "run", steps=1)
     late = {**compact(load_checkpoint(tmp_path / "run" / "checkpoint.pt")), "step": 10**6}
@@ -175,18 +187,18 @@ def test_a_fresh_opponent_only_watches_at_first_also_where_a_run_goes_on(tmp_pat
     save_checkpoint(path, late)
     trainer = open_trainer(TINY, config, path)
     pool = list_pool(Path(config.pool))
-    lessons = draw_lessons(pool, np.random.default_rng([config.seed, 10**6]), config.batch, config.size)
-    own = float(synsin.own_loss(synsin.make_pictures(trainer.network, lessons), lessons).detach())
+    samples = draw_views(pool, np.random.default_rng([config.seed, 10**6]), config.batch, config.size)
+    own = float(synsin.own_loss(synsin.make_pictures(trainer.network, samples), samples).detach())
     assert trainer.advance(pool) == pytest.approx(own, rel=1e-5)
     save_checkpoint(path, trainer.state())
     again = open_trainer(TINY, config, path)
-    assert again.opponent.begun == 10**6
+    assert again.discriminator.begun == 10**6
 
 
-def test_the_opponent_takes_the_weight_decay_of_the_stage(tmp_path, config):
+def test_the_discriminator_takes_the_weight_decay_of_the_stage(tmp_path, config):
     train(TINY, config, tmp_path / "run", steps=1)
     trainer = train(TINY, dataclasses.replace(config, weight_decay=0.5), tmp_path / "run", steps=2)
-    assert [group["weight_decay"] for group in trainer.opponent.optimizer.param_groups] == [0.5]
+    assert [group["weight_decay"] for group in trainer.discriminator.optimizer.param_groups] == [0.5]
 
 
 def test_the_command_trains_and_refuses_sizes_that_do_not_fit(tmp_path):

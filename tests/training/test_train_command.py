@@ -11,6 +11,7 @@ from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.checkpoint import load_checkpoint
 from omnisyn_cli.training.data import save_arrays
+from omnisyn_cli.training.precision import choose_precision
 from omnisyn_cli.training.publish import publish
 
 SMALL = {"widths": (4, 6, 8, 8, 8, 8), "volume_widths": (4, 6, 8, 8), "levels": 16}
@@ -76,14 +77,11 @@ def test_the_papers_network_is_trained_published_and_found_by_its_name(tmp_path,
     pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]
     result = run("depth", tmp_path / "run", *pools, "--variant", variant, "--height", 64, "--steps", 2, "--batch", 1)
     assert result.exit_code == 0, result.output
-    assert result.output == f"{tmp_path / 'run'}: from step 0 on cpu, with a line every 250 steps\n"
+    assert result.output == f"{tmp_path / 'run'}: from step 0 on {choose_precision()}, with a line every 250 steps\n"
     state = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
     assert (state["kind"], state["step"]) == ("paper", 2)
     assert (state["training"]["size"], state["training"]["rate"]) == (size, 1e-4)
-    ((entry, difference),) = publish(
-        tmp_path / "run" / "checkpoint.pt", tmp_path / "models", name=None, pool=tmp_path / "pool", training="",
-        licence="MIT",
-    )  # fmt: skip
+    ((entry, difference),) = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=tmp_path / "pool")
     assert difference < 1e-4
     assert (entry.name, entry.role, entry.variant, entry.size) == (f"depth-{variant}", "depth", variant, size)
     session = open_session(find_model(f"depth-{variant}", tmp_path / "models"), device="cpu")

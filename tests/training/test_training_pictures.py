@@ -6,8 +6,7 @@ from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.training.loop import TrainConfig, train
-from omnisyn_cli.training.pictures import GAP, contact_sheet, depth_pictures
-from omnisyn_cli.training.tensorboard import Board
+from omnisyn_cli.training.pictures import GAP, Board, contact_sheet, depth_pictures
 
 
 @pytest.fixture

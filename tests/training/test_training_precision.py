@@ -4,19 +4,41 @@ from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig
+from omnisyn_cli.networks.refine import RefineConfig, RefineNetwork
+from omnisyn_cli.networks.synsin import FeatureEncoder, MonocularNetwork, RefinementDecoder, SynSinConfig
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.loop import TrainConfig, Trainer
-from omnisyn_cli.training.precision import Precision, choose_precision
+from omnisyn_cli.training.precision import BF16_INSTRUCTIONS, Precision, choose_precision
 
 PAPER = PaperConfig("small", (64, 128), widths=(4, 6, 8, 8, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
+SYNSIN = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 HALF = Precision(torch.device("cpu"), is_half=True)
 
 
-def test_without_a_gpu_the_processor_computes_in_single_precision(monkeypatch):
+@pytest.mark.parametrize("question", BF16_INSTRUCTIONS)
+@pytest.mark.parametrize("has_bf16", [True, False])
+def test_without_a_gpu_bfloat16_is_used_where_the_processor_has_it(monkeypatch, question, has_bf16):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert choose_precision("auto") == choose_precision("cpu") == Precision(torch.device("cpu"), is_half=False)
+    for each in BF16_INSTRUCTIONS:
+        monkeypatch.setattr(torch.cpu, each, lambda answer=has_bf16 and each == question: answer, raising=False)
+    assert choose_precision("auto") == Precision(torch.device("cpu"), is_half=has_bf16)
     with choose_precision().autocast():
+        assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == (torch.bfloat16 if has_bf16 else torch.float32)
+
+
+def test_a_torch_that_cannot_tell_computes_in_single_precision(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for each in BF16_INSTRUCTIONS:
+        monkeypatch.delattr(torch.cpu, each, raising=False)
+    assert choose_precision("auto") == Precision(torch.device("cpu"), is_half=False)
+
+
+def test_the_processor_asked_for_by_name_computes_in_single_precision(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert choose_precision("cpu") == Precision(torch.device("cpu"), is_half=False)
+    with choose_precision("cpu").autocast():
         assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == torch.float32
     with pytest.raises(InputError, match="--device cpu"):
         choose_precision("cuda")
@@ -63,6 +85,26 @@ def test_roots_are_in_single_precision_even_under_autocast():
     assert all(root.dtype == torch.float32 for root in half.roots)
     assert (half.roots[-1] - single.roots[-1]).abs().max() < 0.02 * TINY.greatest_root
     assert torch.unique(half.roots[-1]).numel() > 256
+
+
+@pytest.mark.parametrize(
+    ("network", "channels"),
+    [
+        (RefineNetwork(RefineConfig("small", 19, (8, 12), 8)), 19),
+        (build_fusion(FusionConfig("small", 14, (8, 12), 8)), 14),
+        (build_fusion(FusionConfig("small", 8, (8, 12, 16), paints=True)), 8),
+        (MonocularNetwork(SYNSIN), 3),
+        (FeatureEncoder(SYNSIN), 3),
+        (RefinementDecoder(SYNSIN), SYNSIN.features + 1),
+    ],
+    ids=lambda x: type(x).__name__,
+)
+def test_what_losses_are_computed_from_is_in_single_precision(network, channels):
+    """A processor's autocast, unlike CUDA's, would sum a loss in the bits that it is given."""
+    with HALF.autocast():
+        answer = network(torch.rand(1, channels, *SYNSIN.size))
+    for value in (answer,) if isinstance(answer, torch.Tensor) else vars(answer).values():
+        assert value.dtype == torch.float32
 
 
 def test_a_run_goes_on_with_another_precision(tmp_path):

@@ -4,24 +4,9 @@ import math
 
 import numpy as np
 
+from depth_samples import TINY as TINY
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.networks.depth_config import DepthConfig
 from omnisyn_cli.training.data import PoolScene, save_scene
-
-TINY = DepthConfig(
-    name="tiny",
-    size=(64, 128),
-    widths=(8, 12, 16, 16),
-    coarse_stride=8,
-    levels=16,
-    greatest_root=2.0,
-    match_channels=8,
-    match_groups=2,
-    hidden=16,
-    volume_filters=0,
-    refined_widths=(12, 8),
-    reach=2,
-)
 
 
 def ball_scene(seed=0, size=(64, 128), along=(0.0, 0.4, 1.0), radius=2.0):

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from omnisyn_cli.batch.folder import attempt_folder, measure, pack, publish, workshop_is_seen
 from omnisyn_cli.batch.manifest import BatchJob
-from omnisyn_cli.batch.memory import DepthMemory, PanoramaMemory
-from omnisyn_cli.batch.places import attempt_folder, measure, pack, publish, workshop_is_seen
 from omnisyn_cli.batch.provenance import digest_of_network, sources
-from omnisyn_cli.interpolation import InterpolationPlan, make_estimator, plan_interpolation, run_interpolation
-from omnisyn_cli.presets import OMNISYN
+from omnisyn_cli.batch.reuse import DepthMemory, PanoramaMemory, Recent
+from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["Settings", "make_interpolator"]
 
@@ -28,7 +29,7 @@ class Settings:
 
     Attributes:
         folder: of the batch, absolute.
-        token: of the batch's workshop, see :func:`~omnisyn_cli.batch.places.workshop_is_seen`.
+        token: of the batch's workshop, see :func:`~omnisyn_cli.batch.folder.workshop_is_seen`.
         threads: of each interpolation.
     """
 
@@ -46,7 +47,7 @@ class _Interpolator:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._panoramas = PanoramaMemory()
-        self._estimators: OrderedDict[Hashable, DepthMemory] = OrderedDict()
+        self._estimators = Recent[DepthMemory](MOST_ESTIMATORS)
 
     def __call__(self, job: BatchJob) -> dict[str, Any]:
         """Make the outputs of a job; what there is to say about it, and the files if they could not be put in place."""
@@ -65,7 +66,7 @@ class _Interpolator:
 
     def _interpolate(self, job: BatchJob, attempt: Path, made_of: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
-        finds_depth = plan.depth != "file" and plan.job.method == OMNISYN
+        finds_depth = plan.recipe.depth.kind != "file" and plan.recipe.method == OMNISYN
         memory = self._memory(plan, made_of) if finds_depth else None
         decoded, found = self._panoramas.decoded, memory.found if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
@@ -77,11 +78,8 @@ class _Interpolator:
 
     def _memory(self, plan: InterpolationPlan, made_of: Mapping[str, Any]) -> DepthMemory:
         """The estimator that jobs with the same wishes for depth share; a network is loaded once, until it changes."""
-        digest = None if plan.model is None else digest_of_network(plan.model, made_of)
-        key = (plan.depth, plan.job.preset, plan.model, digest, plan.job.device)
-        if key not in self._estimators:
-            while len(self._estimators) >= MOST_ESTIMATORS:
-                self._estimators.popitem(last=False)
-            self._estimators[key] = DepthMemory(make_estimator(plan))
-        self._estimators.move_to_end(key)
-        return self._estimators[key]
+        source, device = plan.recipe.depth, plan.recipe.device
+        key = (source, device, None if source.model is None else digest_of_network(source.model, made_of))
+        return self._estimators.get(
+            key, lambda: DepthMemory(make_estimator(source, device=device, threads=plan.job.threads))
+        )

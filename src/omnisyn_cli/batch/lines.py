@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from omnisyn_cli.io.paths import read_text
-from omnisyn_cli.io.strict_json import parse_json
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.io.documents import parse_json, read_text
 
 __all__ = ["read_lines"]
 
@@ -26,7 +26,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
     Raises:
         InputError: the file cannot be read.
     """
-    text = read_text(path, "a manifest", LARGEST_FILE)
+    text = read_text(path, "a manifest", LARGEST_FILE, InputError)
     if path.suffix.lower() == ".csv":
         yield from _rows(csv.DictReader(io.StringIO(text), strict=True))
         return

@@ -22,10 +22,12 @@ from pydantic import ValidationError
 from omnisyn_cli.batch.lines import read_lines
 from omnisyn_cli.batch.schema import OUTPUTS, PLACES, Line, explained
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.io import PoseFile, check_encoding, read_poses, sample_type
+from omnisyn_cli.interpolation.checks import check_choices
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets
+from omnisyn_cli.interpolation.plan import frame_count
+from omnisyn_cli.io import check_encoding
 from omnisyn_cli.io.sequence import NUMBER
-from omnisyn_cli.planning import POSES_FROM_PICTURES, InterpolationJob, check_choices, frame_count
-from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.poses.file import PoseFile, read_poses
 
 __all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "read_manifest"]
 
@@ -73,11 +75,6 @@ class BatchJob:
     def interpolation(self, folder: Path, threads: int | None = None) -> InterpolationJob:
         """The job as ``omnisyn interpolate`` would do it, with outputs in ``folder``."""
         options = dict(self.options)
-        cut, metres = options.pop("cut", None), options.pop("cut_metres", None)
-        if metres is not None:
-            options["cut"] = Cut(relative=None, metres=metres)
-        elif cut is not None:
-            options["cut"] = Cut(relative=cut)
         if "size" in options:
             width, _, height = options["size"].partition("x")
             options["size"] = int(height), int(width)
@@ -161,7 +158,7 @@ class _Reader:
             for image in images:
                 pose_file.of(image)
         options = line.model_dump(exclude=set(PLACES), exclude_defaults=True)
-        _check_together(options, len(images), is_found=pose_file is None)
+        _check_together(options, is_found=pose_file is None)
         if "masks" in options:
             options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]
         if (model := options.get("model")) is not None and self._exists(self._folder / model):
@@ -237,17 +234,10 @@ def _ends(poses: PoseFile | None) -> list[str]:
     return [names[0], names[-1]]
 
 
-def _check_together(options: dict[str, Any], panoramas: int, *, is_found: bool) -> None:
+def _check_together(options: dict[str, Any], *, is_found: bool) -> None:
     """What options say together."""
-    if "masks" in options and len(options["masks"]) != panoramas:
-        raise InputError(
-            f"expected one mask for each of {panoramas} panoramas, got {len(options['masks'])}; name them in the order "
-            "of the panoramas"
-        )
     if "frames" in options and "duration" in options:
         raise InputError("expected either frames or a duration, got both; name one")
-    if "cut" in options and "cut_metres" in options:
-        raise InputError("expected either cut or cut_metres, got both; name one")
     if "baseline" in options and not is_found:
         raise InputError("expected a baseline only where poses are found in the pictures, got a pose file; name one")
     if "size" in options:
@@ -261,13 +251,10 @@ def _check_feasible(job: InterpolationJob) -> None:
     check_choices(job)
     frame_count(job)
     size = job.size or EVEN_SIZE
-    check_encoding(
-        job.output, size=size, fps=job.fps, codec=job.codec, crf=job.crf, preset=job.encoder_preset,
-        dtype=sample_type(job.output, job.codec),
-    )  # fmt: skip
-    for grey_or_images in (job.save_confidence, job.save_frames):
-        if grey_or_images is not None:
-            check_encoding(grey_or_images, size=size, fps=job.fps)
+    for place, encoding in targets(job).items():
+        check_encoding(place, size=size, **encoding)
+    if job.save_confidence is not None:
+        check_encoding(job.save_confidence, size=size, fps=job.fps)
 
 
 def _inside(place: str) -> PurePosixPath:

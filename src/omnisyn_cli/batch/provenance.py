@@ -12,8 +12,8 @@ from typing import Any
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.io import PosedPanorama, PoseFile, read_poses
-from omnisyn_cli.planning import networks_of
+from omnisyn_cli.interpolation.recipes import recipe_of
+from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
 __all__ = ["digest_of_network", "files_of", "has_same_sources", "hash_file", "sources", "stamp"]
@@ -38,30 +38,24 @@ def hash_file(path: Path) -> dict[str, Any]:
 
 def files_of(job: BatchJob) -> Iterator[Path]:
     """Every file that is read for a job."""
-    entries = _entries(job)
-    yield from _files(job, entries, _networks(job, entries))
+    yield from _made_of(job)[1]
     yield job.poses
 
 
 def sources(job: BatchJob) -> dict[str, Any]:
     """What the result of a job depends on, as plain values for JSON."""
-    entries = _entries(job)
-    networks = _networks(job, entries)
-    files = {str(path): hash_file(path) for path in _files(job, entries, networks)}
-    return {**_settings(job, entries, networks), "files": files}
+    settings, files = _made_of(job)
+    return {**settings, "files": {str(path): hash_file(path) for path in files}}
 
 
 def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     """Whether a job would be made of the same as a recorded one; files are only read if they have been touched."""
     if not isinstance(recorded, dict):
         return False
-    known, entries = recorded.get("files"), _entries(job)
-    networks = _networks(job, entries)
-    settings = _settings(job, entries, networks)
+    known, (settings, files) = recorded.get("files"), _made_of(job)
     if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in settings.items()):
         return False
-    paths = list(_files(job, entries, networks))
-    return {str(path) for path in paths} == set(known) and all(_is_same(path, known[str(path)]) for path in paths)
+    return {str(path) for path in files} == set(known) and all(_is_same(path, known[str(path)]) for path in files)
 
 
 def digest_of_network(name: str, made_of: Mapping[str, Any]) -> str | None:
@@ -70,34 +64,32 @@ def digest_of_network(name: str, made_of: Mapping[str, Any]) -> str | None:
     return None if known is None else str(known)
 
 
-def _settings(job: BatchJob, entries: Sequence[PosedPanorama], networks: Sequence[str]) -> dict[str, Any]:
+def _made_of(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
+    """Settings as plain values, and the files, but for the pose file, of which only the entries of panoramas count.
+
+    Networks that come with the program are not among the files: they lie elsewhere on every machine.
+    """
+    entries = _entries(job)
+    networks = _networks(job, entries)
     named = [name for name in networks if not _is_path(name)]
     installed = _installed() if named else {}
-    return {
+    settings = {
         "inputs": [str(image) for image in job.images],
         "outputs": job.outputs,
         "options": json.loads(json.dumps(job.options, default=str)),
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
         "models": {name: installed[name].sha256 if name in installed else None for name in named},
     }
-
-
-def _files(job: BatchJob, entries: Sequence[PosedPanorama], networks: Sequence[str]) -> Iterator[Path]:
-    """Every file that is read for a job, but for the pose file, of which only the entries of its panoramas count.
-
-    Networks that come with the program are not among them: they lie elsewhere on every machine.
-    """
-    yield from dict.fromkeys((*job.images, *job.masks))
-    companions = [file for entry in entries for file in (entry.depth, entry.mask) if file is not None]
-    yield from dict.fromkeys(companions)
-    yield from (Path(name) for name in networks if _is_path(name))
+    companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
+    own_networks = (Path(name) for name in networks if _is_path(name))
+    return settings, list(dict.fromkeys((*job.images, *job.masks, *companions, *own_networks)))
 
 
 def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:
     """Names and paths of the networks that a job uses; none where it cannot be done, as the job itself will say."""
     bare = [PosedPanorama(Pose.identity())] * len(job.images)  # what there is where poses are found in the pictures
     try:
-        return networks_of(job.interpolation(Path()), entries or bare)
+        return recipe_of(job.interpolation(Path()), entries or bare).networks
     except OmnisynError:
         return ()
 

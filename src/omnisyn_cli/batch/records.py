@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from omnisyn_cli.errors import OutputPathError
-from omnisyn_cli.io.paths import write_errors
+from omnisyn_cli.io.outputs import write_errors
 
 __all__ = ["Records", "recorded_places"]
 

@@ -10,11 +10,8 @@ from typing import Annotated, Any, Literal, get_type_hints
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, ValidationError, create_model
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io import MAX_PIXELS
-from omnisyn_cli.io.pose_models import place_of, sentence
-from omnisyn_cli.planning import DEPTH_METHODS, RENDERER_CHOICES, InterpolationJob
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS
-from omnisyn_cli.runtime.session import DEVICES
+from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob
+from omnisyn_cli.io.documents import place_of, sentence
 
 __all__ = ["OUTPUTS", "PLACES", "Line", "check_options", "explained"]
 
@@ -24,8 +21,6 @@ OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence")
 PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
 """What a line says beside the options of its interpolation."""
 
-Fraction = Annotated[float, Field(gt=0, le=1)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Name = Annotated[str, StringConstraints(min_length=1)]
 
 
@@ -44,7 +39,7 @@ def _size(text: str) -> str:
 class _Places(BaseModel):
     """The part of a line that is about files."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     id: Annotated[str, AfterValidator(_id)]
     inputs: Annotated[list[Name], Field(min_length=2)] | None = None
@@ -57,26 +52,14 @@ class _Places(BaseModel):
     save_confidence: Name | None = None
 
 
-CONSTRAINED: dict[str, Any] = {
-    "frames": (Annotated[int, Field(ge=2)] | None, None),
-    "duration": (Positive | None, None),
-    "fps": (Annotated[float, Field(gt=0, le=1000)], 30.0),
-    "size": (Annotated[str, AfterValidator(_size)] | None, None),
-    "method": (Literal[METHODS], OMNISYN),
-    "preset": (Literal[tuple(PRESETS)], DEFAULT_PRESET),
-    "depth": (Literal[DEPTH_METHODS], "auto"),
-    "device": (Literal[DEVICES], "auto"),
-    "renderer": (Literal[RENDERER_CHOICES], "auto"),
-    "fusion": (Literal[FUSION_CHOICES], "auto"),
-    "baseline": (Positive | None, None),
-    "cut": (Fraction | None, None),
-    "cut_metres": (Positive | None, None),
-    "encoder_preset": (Name | None, None),
-    "masks": (list[Name] | None, None),
-    "nadir": (Annotated[float, Field(ge=0, lt=90)], 0.0),
-    "max_pixels": (Annotated[int, Field(ge=1)], MAX_PIXELS),
+CONSTRAINED: Mapping[str, Any] = {
+    "size": Annotated[str, AfterValidator(_size)] | None,
+    "encoder_preset": Name | None,
+    "masks": list[Name] | None,
+    "nadir": Annotated[float, Field(ge=0, lt=90)],
+    **{name: Literal[names] for name, names in CHOICES.items()},
 }
-"""Options whose values can be checked more closely than the types of :class:`InterpolationJob` say."""
+"""Types of options that a line writes in another way than :class:`InterpolationJob`, which says all other ranges."""
 
 OF_THE_RUN = {"images", "threads", "overwrite"}
 """Fields of :class:`InterpolationJob` that a line does not choose."""
@@ -84,13 +67,12 @@ OF_THE_RUN = {"images", "threads", "overwrite"}
 
 def _options() -> dict[str, Any]:
     """Type and default of every option that a line may have."""
-    hints = get_type_hints(InterpolationJob)
-    known = {
-        field.name: (hints[field.name], field.default)
+    hints = {**get_type_hints(InterpolationJob, include_extras=True), **CONSTRAINED}
+    return {
+        field.name: (hints[field.name], None if field.default == () else field.default)
         for field in fields(InterpolationJob)
         if field.name not in OF_THE_RUN | set(PLACES)
     }
-    return {**known, **CONSTRAINED}
 
 
 Line: Any = create_model("Line", __base__=_Places, **_options())

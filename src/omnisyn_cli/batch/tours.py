@@ -18,9 +18,10 @@ from jaxtyping import Float
 from omnisyn_cli.batch.schema import check_options
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
-from omnisyn_cli.io import check_output, read_poses
-from omnisyn_cli.io.paths import replaced_when_complete
-from omnisyn_cli.planning import POSES_FROM_PICTURES
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
+from omnisyn_cli.io import check_output
+from omnisyn_cli.io.outputs import replaced_when_complete
+from omnisyn_cli.poses.file import read_poses
 
 __all__ = ["TourOptions", "neighbours", "plan_tours", "walks", "write_manifest"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.numbers import FiniteRange, WholeRange
-from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.options import json_option, print_json, quiet_option
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.progress import is_watched
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
+    from omnisyn_cli.batch.batch import BatchReport, Progress
     from omnisyn_cli.batch.manifest import Manifest
-    from omnisyn_cli.batch.run import BatchReport, Progress
 
 __all__ = ["batch", "plan"]
 
@@ -60,8 +60,8 @@ class _BatchCommand(click.Command):
 )  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Try jobs again that failed in a former run.")
 @click.option("--overwrite", is_flag=True, help="Replace files in FOLDER that no batch has written.")
-@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@json_option("the report")
+@quiet_option
 @click.pass_context
 def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool, quiet: bool, **options: Any) -> None:
     """Interpolate every pair of MANIFEST, a JSONL or CSV file with one job a line.
@@ -75,12 +75,12 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
     became of every job; started again, the command does what is missing or has changed, and nothing else.
     `omnisyn batch plan --help` says how a manifest is made.
     """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.batch.batch import BatchOptions, run_batch
     from omnisyn_cli.batch.manifest import read_manifest
-    from omnisyn_cli.batch.run import BatchOptions, run_batch
 
     checked = read_manifest(manifest)
     _refuse_problems(checked)
-    with _progress(is_shown=not quiet and sys.stderr.isatty()) as on_progress:
+    with _progress(is_shown=is_watched(is_quiet=quiet)) as on_progress:
         report = run_batch(checked, output, BatchOptions(**options), on_progress)
     _print_report(report, output, as_json=as_json, quiet=quiet)
     if report.failed:
@@ -105,7 +105,7 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
 )  # fmt: skip
 @click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="An option for every job; repeatable.")
 @click.option("--overwrite", is_flag=True, help="Replace the manifest if it exists.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 def plan(
     source: Path, output: Path, one_way: bool, settings: tuple[str, ...], overwrite: bool, quiet: bool, **options: Any
 ) -> None:
@@ -150,9 +150,7 @@ def _refuse_problems(manifest: Manifest) -> None:
 
 def _print_report(report: BatchReport, folder: Path, *, as_json: bool, quiet: bool) -> None:
     if as_json:
-        import json
-
-        click.echo(json.dumps(report.describe(), indent=2, ensure_ascii=False))
+        print_json(report.describe())
     elif not quiet:
         total = len(report.done) + len(report.kept) + len(report.failed)
         click.echo(

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from omnisyn_cli.cli.compiling import say_when_compiling
 from omnisyn_cli.cli.evaluate import LAYOUTS, print_table
-from omnisyn_cli.cli.interpolate import Size
-from omnisyn_cli.cli.numbers import WholeRange
-from omnisyn_cli.cli.places import FilePath
-from omnisyn_cli.cli.progress import counted_bar
-from omnisyn_cli.presets import PRESETS, SCALE
-
-if TYPE_CHECKING:
-    from omnisyn_cli.evaluation.pareto import Figures
+from omnisyn_cli.cli.options import device_option, json_option, print_json, quiet_option, report_option
+from omnisyn_cli.cli.parameters import FilePath, Size, WholeRange
+from omnisyn_cli.cli.progress import counted_bar, working_folder
+from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 
 __all__ = ["bench"]
 
@@ -44,10 +36,7 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 
 @click.command(epilog="Exit codes: 0 done, 1 a setting failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
 @click.argument("dataset", metavar="[DATASET_DIR]", required=False, type=FilePath())
-@click.option(
-    "--report", metavar="DIR", type=FilePath(),
-    help="Keep results, page and diagram here; a run that was interrupted goes on from them.",
-)  # fmt: skip
+@report_option("results, page and diagram")
 @click.option(
     "--presets", type=ListOf(click.Choice(list(PRESETS))), default=",".join(SCALE), show_default=True,
     help="Which ones.",
@@ -75,13 +64,10 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 @click.option("--quick", is_flag=True, help="Frames and scenes of 512x256 only, eight frames: a look, not a figure.")
 @click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
 @click.option("--pairs", metavar="0:4|every:N|FILE", help="Frames that are inputs, see omnisyn eval.")
-@click.option(
-    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
-    help="For networks; cuda also for the frames of clips, see omnisyn interpolate.",
-)  # fmt: skip
+@device_option("For networks; cuda also for the frames of clips, see omnisyn interpolate.")
 @click.option("--store", metavar="FILE", type=FilePath(), help="Write the table that interpolate --budget chooses by.")
-@click.option("--json", "as_json", is_flag=True, help="Print all figures as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@json_option("all figures")
+@quiet_option
 def bench(
     dataset: Path | None, report: Path | None, scene_size: tuple[int, int], quick: bool, store: Path | None,
     as_json: bool, quiet: bool, **options: Any,
@@ -97,8 +83,7 @@ def bench(
     own. Scenes with true frames between give the accuracy; without a data set, a street and a room are made. No preset
     has a number of spheres to choose: matching compares all disparities, and a network's spheres are part of it.
     """  # noqa: D301 - click's \b is a backspace
-    import tempfile
-
+    from omnisyn_cli import __version__
     from omnisyn_cli.evaluation.bench import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
     from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
     from omnisyn_cli.evaluation.pareto import write_table
@@ -108,41 +93,22 @@ def bench(
         scene_size, options = QUICK["scene_size"], {**options, "sizes": QUICK["sizes"], "frames": QUICK["frames"]}
     if store is not None:
         check_output(store, overwrite=True)
-    with ExitStack() as stack:
-        stack.enter_context(say_when_compiling(is_quiet=quiet))
-        folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-bench-")))
+    with working_folder(report, "bench", is_quiet=quiet) as folder:
         if dataset is None:
             dataset = folder / f"scenes-{scene_size[1]}x{scene_size[0]}"
             make_scenes(dataset, scene_size)
         plan = plan_bench(BenchJob(dataset, folder, **options))
-        progress = counted_bar(
-            "settings", len(plan.settings), lambda _, figures: figures.setting.name,
-            is_shown=not quiet and sys.stderr.isatty(),
-        )  # fmt: skip
-        with progress as on_setting:
+        total = len(plan.settings)
+        with counted_bar("settings", total, lambda _, figures: figures.setting.name, is_quiet=quiet) as on_setting:
             measured = run_bench(plan, on_setting)
         write_bench_report(folder, measured)
     if store is not None:
         write_table(store, machine_in_words(), measured)
     if as_json:
-        _print_json(measured)
+        ratios = {figures.setting.name: {"clip_to_encoder": figures.to_encoder} for figures in measured}
+        settings = [figures.to_json() for figures in measured]
+        print_json({"version": __version__, "machine": machine_in_words(), "settings": settings, "ratios": ratios})
     elif not quiet:
         for table in bench_tables(measured):
             print_table(table, table.title)
     return int(any(figures.status == "failed" for figures in measured))
-
-
-def _print_json(measured: Sequence[Figures]) -> None:
-    """All figures, and the time of a standard clip in that of encoding its frames alone."""
-    import json
-
-    from omnisyn_cli import __version__
-    from omnisyn_cli.evaluation.bench import machine_in_words
-
-    values: dict[str, Any] = {
-        "version": __version__,
-        "machine": machine_in_words(),
-        "settings": [f.to_json() for f in measured],
-    }
-    values["ratios"] = {figures.setting.name: {"clip_to_encoder": figures.to_encoder} for figures in measured}
-    click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))

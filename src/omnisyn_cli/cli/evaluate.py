@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.compiling import say_when_compiling
-from omnisyn_cli.cli.interpolate import Size
-from omnisyn_cli.cli.numbers import WholeRange
-from omnisyn_cli.cli.places import FilePath
-from omnisyn_cli.cli.progress import counted_bar
+from omnisyn_cli.cli.options import (
+    device_option,
+    json_option,
+    print_json,
+    quiet_option,
+    report_option,
+    threads_option,
+)
+from omnisyn_cli.cli.parameters import FilePath, Size
+from omnisyn_cli.cli.progress import counted_bar, working_folder
 
 if TYPE_CHECKING:
-    from omnisyn_cli.evaluation.engine import EvaluationPlan
-    from omnisyn_cli.evaluation.records import UnitRecord
-    from omnisyn_cli.evaluation.table import Table
+    from omnisyn_cli.evaluation.results import UnitRecord
+    from omnisyn_cli.evaluation.tables import Table
 
-__all__ = ["LAYOUTS", "eval_", "print_table"]
+__all__ = ["LAYOUTS", "eval_", "print_records", "print_table"]
 
 
 LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
@@ -46,10 +49,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
     "eval", epilog="Exit codes: 0 done, 1 something is broken, 2 wrong usage, 3 unusable input, 130 interrupted."
 )
 @click.argument("dataset", metavar="DATASET_DIR", type=FilePath())
-@click.option(
-    "--report", metavar="DIR", type=FilePath(),
-    help="Keep results, pictures and the report here; a run that was interrupted goes on from them.",
-)  # fmt: skip
+@report_option("results, pictures and the report")
 @click.option(
     "--methods", metavar="all|LIST", default="all", show_default=True,
     help="Names separated by commas, see --list-methods; a name may have parameters: matching:cut=0.02.",
@@ -71,13 +71,10 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the folders of poses.json.")
 @click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
 @click.option("--no-pictures", is_flag=True, help="Keep no frames, error maps and depth as pictures.")
-@click.option(
-    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
-    help="Where networks run; everything else runs on the processor.",
-)  # fmt: skip
-@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
-@click.option("--json", "as_json", is_flag=True, help="Print all results as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@device_option("Where networks run; everything else runs on the processor.")
+@threads_option
+@json_option("all results")
+@quiet_option
 def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **options: Any) -> int:
     """Compare methods on scenes with true frames between two panoramas.
 
@@ -89,23 +86,18 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, those between
     are the truth; true depth is compared where there is some.
     """  # noqa: D301 - click's \b is a backspace
-    import tempfile
-
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 
-    with ExitStack() as stack:
-        stack.enter_context(say_when_compiling(is_quiet=quiet))
-        folder = report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="omnisyn-eval-")))
+    with working_folder(report, "eval", is_quiet=quiet) as folder:
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
         plan = plan_evaluation(job)
         progress = counted_bar(
-            "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}",
-            is_shown=not quiet and sys.stderr.isatty(),
-        )  # fmt: skip
+            "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet
+        )
         with progress as on_unit:
             records = run_evaluation(plan, on_unit) if report is None else evaluate(plan, on_unit)
     if as_json:
-        _print_json(plan, records, report)
+        print_records(records, dataset=str(job.dataset), report=None if report is None else str(report))
     elif not quiet:
         _print_table(records)
         if report is not None:
@@ -113,18 +105,11 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     return int(any(record.status == "failed" for record in records))
 
 
-def _print_json(plan: EvaluationPlan, records: Sequence[UnitRecord], report: Path | None) -> None:
-    import json
-
+def print_records(records: Sequence[UnitRecord], **about: str | None) -> None:
+    """Print everything as JSON."""
     from omnisyn_cli import __version__
 
-    values = {
-        "version": __version__,
-        "dataset": str(plan.job.dataset),
-        "report": None if report is None else str(report),
-        "units": [record.to_json() for record in records],
-    }
-    click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
+    print_json({"version": __version__, **about, "units": [record.to_json() for record in records]})
 
 
 def _print_table(records: Sequence[UnitRecord]) -> None:
@@ -145,7 +130,7 @@ def print_table(shown: Table, title: str | None = None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from omnisyn_cli.evaluation.table import format_value
+    from omnisyn_cli.evaluation.tables import format_value
 
     table = Table(title=title, box=box.SIMPLE, title_justify="left")
     table.add_column(shown.corner, no_wrap=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.parameters import FilePath
 
 __all__ = ["export_onnx"]
 

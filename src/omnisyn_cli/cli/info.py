@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from omnisyn_cli.cli.numbers import WholeRange
-from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.parameters import FilePath, WholeRange
 
 __all__ = ["info"]
 
@@ -41,8 +40,8 @@ def info(
 
 def _description(path: Path, max_pixels: int | None, allow_outside: bool) -> dict[str, Any]:
     from omnisyn_cli.errors import OmnisynError
+    from omnisyn_cli.interpolation.describe import describe_file
     from omnisyn_cli.io import MAX_PIXELS
-    from omnisyn_cli.io.describe import describe_file
 
     try:
         description = describe_file(path, max_pixels=max_pixels or MAX_PIXELS, allow_outside=allow_outside)

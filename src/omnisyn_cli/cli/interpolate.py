@@ -3,42 +3,30 @@
 from __future__ import annotations
 
 import math
-import sys
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.compiling import say_when_compiling
-from omnisyn_cli.cli.masks import masks_option, nadir_option
-from omnisyn_cli.cli.numbers import FiniteRange, FrameRate, WholeRange
-from omnisyn_cli.cli.places import FilePath, FramePlace
-from omnisyn_cli.cli.progress import counted_bar
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_CHOICES, METHODS, OMNISYN, PRESETS, REPRODUCTIONS, SCALE
+from omnisyn_cli.cli.options import (
+    device_option,
+    json_option,
+    masks_option,
+    nadir_option,
+    outside_option,
+    print_json,
+    quiet_option,
+    threads_option,
+)
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
+from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
+from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation import Summary
-    from omnisyn_cli.planning import InterpolationPlan
+    from omnisyn_cli.interpolation.plan import InterpolationPlan
+    from omnisyn_cli.interpolation.summary import Summary
 
-    SizeType = click.ParamType[tuple[int, int]]
-else:
-    SizeType = click.ParamType  # older releases of click have no generic one
-
-__all__ = ["Size", "interpolate"]
-
-
-class Size(SizeType):
-    """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program."""
-
-    name = "WxH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Two positive numbers, twice as wide as high."""
-        if isinstance(value, tuple):
-            return value
-        width, _, height = str(value).lower().partition("x")
-        if not (width.isdecimal() and height.isdecimal()) or int(width) == 0 or int(width) != 2 * int(height):
-            self.fail(f"expected WIDTHxHEIGHT, twice as wide as high, such as 2048x1024, got {value!r}", param, ctx)
-        return int(height), int(width)
+__all__ = ["interpolate"]
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
@@ -77,8 +65,7 @@ class Size(SizeType):
     "this machine is, is measured for a second first.",
 )  # fmt: skip
 @click.option(
-    "--depth", type=click.Choice(["auto", "file", "matching", "refined", "network", "monocular"]), default="auto",
-    show_default=True,
+    "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
     help="Where depth comes from: files named in the poses, matching of the two pictures, matching refined by a "
     "network, a network alone, or one that looks at each panorama by itself and answers in metres. auto takes the "
     "files where every panorama has one, else what the preset says.",
@@ -87,7 +74,7 @@ class Size(SizeType):
     "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
 )
 @click.option(
-    "--renderer", type=click.Choice(["auto", "mesh", "points", "two-pass"]), default="auto", show_default=True,
+    "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto", show_default=True,
     help="mesh is exact; points and the paper's two-pass method are there to compare; auto: the preset's, mesh but for "
     "paper.",
 )  # fmt: skip
@@ -105,7 +92,7 @@ class Size(SizeType):
     help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
 )  # fmt: skip
 @click.option(
-    "--fusion", type=click.Choice(FUSION_CHOICES), default="auto", show_default=True,
+    "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
     help="How two renderings become one picture: by rules, by rules that a network corrects where estimated depths "
     "contradict each other, or painted by a network as in the paper; auto: the preset's, but rules where depth comes "
     "from files.",
@@ -132,7 +119,7 @@ class Size(SizeType):
 @masks_option
 @nadir_option
 @click.option(
-    "--fallback", type=click.Choice(["none", "crossfade", "fail"]), default="none", show_default=True,
+    "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
     help="Where confidence is low: warn only, show the photographs cross-faded in doubtful regions, or give up.",
 )  # fmt: skip
 @click.option(
@@ -145,30 +132,29 @@ class Size(SizeType):
     type=FramePlace(),
     help="Keep the frames as images besides the video: PNG, or a pattern such as DIR/%05d.jpg.",
 )
-@click.option(
-    "--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True,
-    help="Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer "
-    "mesh, fusion geometric). Poses and matching are found on the processor.",
-)  # fmt: skip
-@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
+@device_option(
+    "Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer mesh, "
+    "fusion geometric). Poses and matching are found on the processor."
+)
+@threads_option
 @click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
 @click.option(
     "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
     help="Refuse panoramas, masks and depth files with more, before they are decoded.",
 )  # fmt: skip
-@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder.")
+@outside_option
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option(
     "--dry-run", is_flag=True,
     help="Check options, poses and what files say of themselves, print the plan, make nothing.",
 )  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
+@json_option("the summary")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def interpolate(
-    context: click.Context, /, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, cut: float | None,
-    cut_metres: float | None, budget: float | None, nadir: float, **options: Any,
+    context: click.Context, /, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
+    nadir: float, **options: Any,
 ) -> None:  # fmt: skip
     """Make the 360° video between panoramas A and B, and on through C and further ones.
 
@@ -181,37 +167,31 @@ def interpolate(
 
     Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.planning import InterpolationJob, check_device, networks_of, plan_interpolation
-    from omnisyn_cli.render.mesh import Cut
+    from omnisyn_cli.interpolation.job import InterpolationJob
+    from omnisyn_cli.interpolation.plan import plan_interpolation
+    from omnisyn_cli.interpolation.recipes import check_device
 
-    if cut is not None and cut_metres is not None:
+    if options["cut"] is not None and options["cut_metres"] is not None:
         raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
     if budget is not None:
         _check_budget_decides(options["method"])
-    rule = Cut(relative=cut) if cut is not None else None
-    if cut_metres is not None:
-        rule = Cut(relative=None, metres=cut_metres)
-    plan = plan_interpolation(InterpolationJob(cut=rule, nadir=math.radians(nadir), **options))
+    plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **options))
     if budget is not None or not dry_run:
         context.with_resource(say_when_compiling(is_quiet=quiet))
     if budget is not None:
         from omnisyn_cli.evaluation.budget import apply_budget
 
         plan = apply_budget(plan, budget)
-    check_device(plan.job, plan.renderer, plan.fusion, networks_of(plan.job, plan.entries))
+    check_device(plan.recipe)
     if not quiet:
         for note in plan.notes:
             click.echo(f"note: {note}", err=True)
     if dry_run:
-        _print_plan(plan, as_json)
+        _print_plan(plan, as_json=as_json)
         return
-    from omnisyn_cli.interpolation import run_interpolation  # the kernels, which a plan does without
+    from omnisyn_cli.interpolation.run import run_interpolation  # the kernels, which a plan does without
 
-    progress = counted_bar(
-        "depth", len(plan.path), lambda done: "frames" if done > 1 else None,
-        is_shown=not quiet and sys.stderr.isatty(),
-    )  # fmt: skip
-    with progress as on_frame:
+    with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:
         for warning in summary.warnings():
@@ -229,19 +209,12 @@ def _check_budget_decides(method: str) -> None:
         raise click.UsageError(f"expected --budget only with --method {OMNISYN}, got {method}; leave one of them out")
 
 
-def _print_plan(plan: InterpolationPlan, as_json: bool) -> None:
+def _print_plan(plan: InterpolationPlan, *, as_json: bool) -> None:
     values = plan.describe()
-    if not as_json:
-        del values["notes"]  # said before, a line each
-    _print_values(values, as_json)
-
-
-def _print_values(values: dict[str, Any], as_json: bool) -> None:
-    import json
-
     if as_json:
-        click.echo(json.dumps(values, indent=2, ensure_ascii=False))
+        print_json(values)
         return
+    del values["notes"]  # said before, a line each
     for key, value in values.items():
         shown = ", ".join(map(str, value)) if isinstance(value, list) else value
         if shown != "":
@@ -250,13 +223,11 @@ def _print_values(values: dict[str, Any], as_json: bool) -> None:
 
 def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: bool) -> None:
     if as_json:
-        _print_values(summary.describe(), as_json)
-        return
-    if quiet:
-        return
-    if verbose:
-        for stage, seconds in summary.seconds.items():
-            click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
-    height, width = summary.plan.size
-    frames, seconds = len(summary.plan.path), summary.seconds["total"]
-    click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {seconds:.1f} s")
+        print_json(summary.describe())
+    elif not quiet:
+        if verbose:
+            for stage, seconds in summary.seconds.items():
+                click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
+        height, width = summary.plan.size
+        frames, total = len(summary.plan.path), summary.seconds["total"]
+        click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.options import print_json
+from omnisyn_cli.cli.parameters import FilePath
 
 __all__ = ["models"]
 
@@ -19,7 +20,6 @@ def models(folder: Path | None, as_json: bool) -> None:
 
     Their names are what `--model` of `interpolate` takes.
     """
-    import json
     from dataclasses import asdict
 
     from omnisyn_cli.runtime.models import find_model, read_manifest
@@ -28,7 +28,7 @@ def models(folder: Path | None, as_json: bool) -> None:
     for name in entries:
         find_model(name, folder)
     if as_json:
-        click.echo(json.dumps([asdict(entry) for entry in entries.values()], indent=2, ensure_ascii=False))
+        print_json([asdict(entry) for entry in entries.values()])
         return
     if not entries:
         click.echo("no models; make some with `omnisyn train` and `omnisyn export-onnx`")

@@ -1,23 +1,266 @@
-"""``omnisyn poses``: where panoramas were taken."""
+"""``omnisyn poses``: where panoramas were taken, from and for other programs, and what the pictures say about it."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import click
 
-from omnisyn_cli.cli.lazy import LazyGroup
+from omnisyn_cli.cli.lazy import PlainGroup
+from omnisyn_cli.cli.options import all_of, json_option, masks_option, nadir_option, outside_option, quiet_option
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 
-__all__ = ["COMMANDS", "poses"]
+if TYPE_CHECKING:
+    from omnisyn_cli.poses.estimation import PictureOptions
+    from omnisyn_cli.poses.formats import Origin
 
-COMMANDS = {
-    "import": ("omnisyn_cli.cli.poses_import", "Make poses.json from what another program, or a camera, wrote."),
-    "export": ("omnisyn_cli.cli.poses_export", "Write poses.json as another program wants it."),
-    "check": ("omnisyn_cli.cli.poses_check", "Do the poses fit the pictures, and if not, what was done wrong?"),
-    "refine": ("omnisyn_cli.cli.poses_check", "Correct rotations and directions of poses that nearly fit."),
-    "estimate": ("omnisyn_cli.cli.poses_check", "Find the poses of panoramas in the pictures alone."),
-}
-"""Module and one-line help of every command, as in :mod:`omnisyn_cli.cli`."""
+    PlaceType = click.ParamType[Origin]
+else:
+    PlaceType = click.ParamType  # older releases of click have no generic one
+
+__all__ = ["poses"]
+
+IMPORT_FORMATS = (
+    "auto", "exif", "table", "colmap", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind", "authors",
+)  # fmt: skip
+"""``auto`` and :data:`omnisyn_cli.poses.formats.IMPORT_FORMATS`, written out: ``--help`` does not load them."""
+
+EXPORT_FORMATS = ("colmap", "nerfstudio", "tum")
+
+CAMERA_AXES = ("opengl", "opencv", "flu")
+
+UP = ("y", "-y", "z", "-z", "cameras")
+
+images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
+poses_option = click.option(
+    "--poses", required=True, type=FilePath(), help="JSON file with the poses of the panoramas."
+)
+output_option = click.option("-o", "--output", required=True, type=FilePath(), help="Pose file to write.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
+picture_options = all_of(
+    masks_option,
+    nadir_option,
+    click.option("--threads", type=WholeRange(1), help="At most this many.  [default: one per core]"),
+    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
+)
 
 
-@click.group(cls=LazyGroup, lazy=COMMANDS)
+class Place(PlaceType):
+    """``LATITUDE,LONGITUDE[,ALTITUDE]`` as three numbers."""
+
+    name = "place"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Origin:
+        """Degrees and metres; altitude 0 if none is given."""
+        try:
+            numbers = [float(part) for part in str(value).split(",")]
+        except ValueError:
+            numbers = []
+        is_complete = len(numbers) in (2, 3) and all(math.isfinite(number) for number in numbers)
+        if not is_complete or abs(numbers[0]) > 90 or abs(numbers[1]) > 180:
+            self.fail(f"expected LATITUDE,LONGITUDE[,ALTITUDE] in degrees and metres, got '{value}'", param, ctx)
+        return numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 0.0
+
+
+class PosesGroup(PlainGroup):
+    """Its commands in the order in which a newcomer needs them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of this file."""
+        return list(self.commands)
+
+
+@click.group(cls=PosesGroup)
 def poses() -> None:
     """Import, export, check, refine and estimate poses."""
+
+
+@poses.command("import")
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=FilePath())
+@click.option("-o", "--output", required=True, type=FilePath(), help="The pose file to write.")
+@click.option("--format", "format_name", type=click.Choice(IMPORT_FORMATS), default="auto", show_default=True)
+@click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: where SOURCE says]")
+@click.option(
+    "--copy-images", is_flag=True, help="Copy panoramas (and depth) beside the pose file, under unique names."
+)
+@click.option("--origin", type=Place(), metavar="LAT,LON[,ALT]", help="Origin of a world on earth.  [default: first]")
+@click.option("--up", type=click.Choice(UP), help="Axis of SOURCE's world that points up.  [default: the format's]")
+@click.option(
+    "--camera-axes", "camera", type=click.Choice(CAMERA_AXES), help="Axes of SOURCE's cameras.  [default: the format's]"
+)
+@click.option("--floor", help="Floor of a ZInD tour, e.g. floor_01.  [default: the only one]")
+@click.option(
+    "--time-tolerance",
+    type=FiniteRange(0),
+    default=0.02,
+    show_default=True,
+    help="Seconds by which time stamps of a trajectory and of its images may differ.",
+)
+@click.option("--allow-outside", is_flag=True, help="Accept images outside of SOURCE's folder.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@quiet_option
+def import_(
+    sources: tuple[Path, ...], output: Path, format_name: str, copy_images: bool, overwrite: bool, quiet: bool,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Make poses.json from what another program, or a camera, wrote.
+
+    \b
+    exif        images with GPS and GPano tags, or their folder
+    table       CSV or JSON with image, lat, lng, heading, pitch, roll
+    colmap      text model with EQUIRECTANGULAR cameras
+    opensfm     reconstruction.json with spherical cameras
+    nerfstudio  transforms.json with EQUIRECTANGULAR cameras
+    tum, kitti  trajectories
+    habitat     NN/{rgb.png,rot.txt,tran.txt} as PanoGRF and PanSplat use them
+    zind        zind_data.json of the Zillow Indoor Dataset
+    authors     rotations.npy and translations.npy of the OmniSyn authors
+
+    What had to be assumed is said on stderr, one line each.
+    """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.poses.formats import ImportOptions, import_poses, write_imported
+
+    check_kept([output], sources)
+    check_output(output, overwrite)
+    name, imported = import_poses(sources, format_name, ImportOptions(**options))
+    notes = write_imported(output, imported, copy_images=copy_images, overwrite=overwrite)
+    _report([*imported.notes, *notes, f"{output}: {len(imported.views)} panoramas from {name}"], quiet)
+
+
+@poses.command()
+@click.argument("poses", metavar="POSES", type=FilePath())
+@click.option("-o", "--output", required=True, type=FilePath(), help="File to write; for colmap a folder.")
+@click.option("--format", "format_name", type=click.Choice(EXPORT_FORMATS), required=True)
+@click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: that of POSES]")
+@click.option("--size", type=Size(), help="Of all panoramas.  [default: read from their files]")
+@click.option(
+    "--allow-outside", is_flag=True, help="Accept depth and masks outside of POSES' folder (none is exported)."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@quiet_option
+def export(poses: Path, output: Path, format_name: str, allow_outside: bool, quiet: bool, **options: Any) -> None:
+    """Write poses.json as another program wants it.
+
+    \b
+    colmap      cameras.txt, images.txt, points3D.txt in a folder; EQUIRECTANGULAR cameras
+    nerfstudio  transforms.json; EQUIRECTANGULAR cameras, z up
+    tum         a trajectory in OpenCV axes; names in comments
+    """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.poses.file import read_poses
+    from omnisyn_cli.poses.formats import export_poses
+
+    check_kept([output], [poses])
+    pose_file = read_poses(poses, allow_outside=allow_outside)
+    notes = export_poses(pose_file, output, format_name, **options)
+    _report([*notes, f"{output}: {len(pose_file.panoramas)} panoramas for {format_name}"], quiet)
+
+
+@poses.command(epilog="Exit codes: 0 the poses fit or nearly fit (or cannot be judged), 3 they do not.")
+@images
+@poses_option
+@picture_options
+@outside_option
+@json_option("the measurements")
+def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: bool, **options: Any) -> None:
+    """Do the poses fit the pictures, and if not, what was done wrong?
+
+    Points that neighbouring panoramas have in common are compared with the poses. The distance between two panoramas
+    cannot be checked.
+    """
+    import json
+
+    from omnisyn_cli.poses.estimation import check_poses
+    from omnisyn_cli.poses.file import read_poses
+    from omnisyn_cli.poses.registration.diagnosis_text import diagnosis_sentences, diagnosis_values
+
+    does_fit, values = True, []
+    pose_file = read_poses(poses, allow_outside=allow_outside)
+    for pair in check_poses(images, pose_file, _picture_options(**options)):
+        does_fit &= pair.diagnosis.verdict not in ("mistake", "contradiction")
+        values.append({"first": str(pair.first), "second": str(pair.second), **diagnosis_values(pair.diagnosis)})
+        if not as_json:
+            verdict, *details = diagnosis_sentences(pair.diagnosis)
+            click.echo("\n  ".join([f"{pair.first.name} and {pair.second.name}: {verdict}", *details]))
+    if as_json:
+        click.echo(json.dumps(values, indent=2, ensure_ascii=False))
+    if not does_fit:
+        click.get_current_context().exit(3)
+
+
+@poses.command()
+@images
+@poses_option
+@output_option
+@overwrite_option
+@picture_options
+@outside_option
+@quiet_option
+def refine(
+    images: tuple[Path, ...], poses: Path, output: Path, overwrite: bool, allow_outside: bool, quiet: bool,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Correct rotations and directions of poses that nearly fit.
+
+    The first panorama and the distances between neighbours stay as they are. What cannot be improved is written as it
+    was given; every pair's correction is printed.
+    """
+    from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.poses.estimation import refine_poses
+    from omnisyn_cli.poses.file import check_companions_named, read_poses, write_poses
+
+    pose_file = read_poses(poses, allow_outside=allow_outside)
+    check_output(output, overwrite)
+    check_kept([output], (poses, *images))
+    check_companions_named(output, pose_file.panoramas, allow_outside=allow_outside)
+    refined = refine_poses(images, pose_file, _picture_options(**options))
+    write_poses(output, refined.panoramas, allow_outside=allow_outside)
+    _report([*refined.notes, f"{output}: {refined.changed} of {len(images) - 1} pairs refined"], quiet)
+
+
+@poses.command()
+@images
+@click.option(
+    "--baseline", "baselines", metavar="METRES", multiple=True, required=True,
+    type=FiniteRange(0, min_open=True), help="Distance of neighbours: once for all pairs, or once for each.",
+)  # fmt: skip
+@output_option
+@overwrite_option
+@picture_options
+@quiet_option
+def estimate(
+    images: tuple[Path, ...], baselines: tuple[float, ...], output: Path, overwrite: bool, quiet: bool, **options: Any
+) -> None:
+    """Find the poses of panoramas in the pictures alone.
+
+    The first panorama is put at the origin and taken for level, looking along −z. Pictures do not tell distances: say
+    how far neighbours are apart.
+    """
+    from omnisyn_cli.io import check_output
+    from omnisyn_cli.io.outputs import check_kept
+    from omnisyn_cli.poses.estimation import estimate_poses
+    from omnisyn_cli.poses.file import write_poses
+
+    check_output(output, overwrite)
+    check_kept([output], images)
+    found = estimate_poses(images, baselines, _picture_options(**options))
+    write_poses(output, found.panoramas)
+    _report([*found.notes, f"{output}: {len(found.panoramas)} poses"], quiet)
+
+
+def _picture_options(nadir: float, **options: Any) -> PictureOptions:
+    from omnisyn_cli.poses.estimation import PictureOptions
+
+    return PictureOptions(nadir=math.radians(nadir), **options)
+
+
+def _report(notes: Sequence[str], quiet: bool) -> None:
+    """Say on stderr what there is to say, one line each."""
+    for note in () if quiet else notes:
+        click.echo(note, err=True)

@@ -1,16 +1,53 @@
-"""Bars on stderr that say how far a command is."""
+"""What is said on stderr while a command works: how far it is, and why nothing happens for a while."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
 
-__all__ = ["counted_bar"]
+import click
+
+__all__ = ["counted_bar", "is_watched", "say_when_compiling", "working_folder"]
+
+COMPILING = "note: compiling the kernels, once per installation: about a minute"
+
+COMPILING_AGAIN = (
+    "note: compiling the kernels, about a minute each time: there is no place to keep them; set NUMBA_CACHE_DIR to a "
+    "folder that can be written"
+)
+
+
+def say_when_compiling(*, is_quiet: bool) -> AbstractContextManager[None]:
+    """Says once that kernels are compiled if any are inside, which only the first run does."""
+    from omnisyn_cli.runtime.jit import are_kernels_kept, when_compiling
+
+    def say() -> None:
+        if not is_quiet:
+            click.echo(COMPILING if are_kernels_kept() else COMPILING_AGAIN, err=True)
+
+    return when_compiling(say)
+
+
+@contextmanager
+def working_folder(report: Path | None, command: str, *, is_quiet: bool) -> Iterator[Path]:
+    """The folder of a report, else one that is gone afterwards; inside it is said when kernels are compiled."""
+    import tempfile
+
+    with ExitStack() as stack:
+        stack.enter_context(say_when_compiling(is_quiet=is_quiet))
+        yield report or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=f"omnisyn-{command}-")))
+
+
+def is_watched(*, is_quiet: bool) -> bool:
+    """Whether somebody sees a bar."""
+    return not is_quiet and sys.stderr.isatty()
 
 
 @contextmanager
 def counted_bar(
-    begins: str, total: int, name: Callable[..., str | None], *, is_shown: bool
+    begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool
 ) -> Iterator[Callable[..., None] | None]:
     """A bar with the time left on stderr; what is yielded takes how many are done, and perhaps what was done last.
 
@@ -18,9 +55,9 @@ def counted_bar(
         begins: what stands before the bar at first.
         total: how many there are to be done.
         name: what stands before the bar then, of the same arguments; None leaves it as it is.
-        is_shown: otherwise there is no bar, and None is yielded.
+        is_quiet: there is no bar then, nor where stderr is no terminal, and None is yielded.
     """
-    if not is_shown:
+    if not is_watched(is_quiet=is_quiet):
         yield None
         return
     from rich.console import Console

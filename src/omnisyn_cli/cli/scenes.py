@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from omnisyn_cli.cli.compiling import say_when_compiling
-from omnisyn_cli.cli.interpolate import Size
-from omnisyn_cli.cli.numbers import FiniteRange, WholeRange
-from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
+from omnisyn_cli.cli.progress import say_when_compiling
 
 if TYPE_CHECKING:
     from omnisyn_cli.scenes.suite import SuiteScene
 
 __all__ = ["KINDS", "TEXTURES", "scenes"]
 
-KINDS = ("street", "room")
+KINDS = ("street", "room", "home", "jumble", "yard")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
 
 
@@ -35,11 +33,8 @@ def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
 
 
-OF_ONE_SCENE = (
-    "kind", "seed", "count", "frames", "baseline", "tilt", "vertical", "supersample", "names", "no_depth",
-    "textures",
-)  # fmt: skip
-"""Parameters that the standard set has fixed."""
+OF_THE_SUITE = {"out", "suite", "size", "threads", "overwrite", "quiet"}
+"""Parameters that the standard set has not fixed."""
 
 
 @scenes.command()
@@ -58,16 +53,10 @@ OF_ONE_SCENE = (
 @click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
 @click.option("--size", type=Size(), default="1024x512", show_default=True, help="Of the panoramas.")
 @click.option(
-    "--baseline",
-    type=FiniteRange(0, min_open=True),
-    help="Metres from the first to the last.  [default: by chance]",
+    "--baseline", type=FiniteRange(0, min_open=True), help="Metres from the first to the last.  [default: by chance]"
 )
 @click.option(
-    "--tilt",
-    type=FiniteRange(0, 90),
-    default=0.0,
-    show_default=True,
-    help="Degrees by which cameras are held askew.",
+    "--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Degrees by which cameras are held askew."
 )
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
 @click.option(
@@ -111,10 +100,9 @@ def make(
     --threads, --overwrite and --quiet apply.
     """
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.evaluation.suite import POSES_NAME, depth_name, write_scene
+    from omnisyn_cli.evaluation.scene_files import POSES_NAME, depth_name, write_scene
     from omnisyn_cli.io import read_photographs
-    from omnisyn_cli.io.paths import make_folder
-    from omnisyn_cli.io.staging import staged_folder
+    from omnisyn_cli.io.outputs import make_folder, staged_folder
     from omnisyn_cli.scenes import generate_scene, pack_photos, sample_path
 
     context.with_resource(say_when_compiling(is_quiet=quiet))
@@ -150,7 +138,7 @@ def _check_suite_options(context: click.Context) -> None:
     given = [
         option.opts[0]
         for option in context.command.params
-        if option.name in OF_ONE_SCENE and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+        if option.name not in OF_THE_SUITE and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
     ]
     if given:
         options = ", ".join(given)
@@ -159,9 +147,8 @@ def _check_suite_options(context: click.Context) -> None:
 
 def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwrite: bool, quiet: bool) -> None:
     """Every scene of the standard set in a folder of its own; each appears whole or not at all."""
-    from omnisyn_cli.evaluation.suite import suite_files, suite_scenes, write_suite_scene
-    from omnisyn_cli.io.paths import make_folder
-    from omnisyn_cli.io.staging import staged_folder
+    from omnisyn_cli.evaluation.scene_files import suite_files, suite_scenes, write_suite_scene
+    from omnisyn_cli.io.outputs import make_folder, staged_folder
 
     walks = list(suite_scenes())
     for walk in walks:
@@ -196,8 +183,7 @@ def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> Non
 def _check_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
     """Refuse a folder that the files could not be put into, or that has one of them unless ``overwrite``."""
     from omnisyn_cli.io import check_output
-    from omnisyn_cli.io.paths import check_name
-    from omnisyn_cli.io.staging import check_staged_folder
+    from omnisyn_cli.io.outputs import check_name, check_staged_folder
 
     check_name(folder)
     check_staged_folder(next(path for path in (folder, *folder.parents) if path.exists()))

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.evaluate import LAYOUTS
-from omnisyn_cli.cli.numbers import WholeRange
-from omnisyn_cli.cli.places import FilePath
+from omnisyn_cli.cli.options import all_of
+from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
 __all__ = ["convert", "evidence", "fusion_pool", "pool"]
@@ -20,7 +20,20 @@ FOLDER = FilePath(file_okay=False)
 POOL_MULTIPLE = 64
 """Of the height of evidence and of renderings: twice what the networks need that learn from parts of them."""
 
-SEED = click.option("--seed", default=0, show_default=True, type=WholeRange(0), help="Seed of the first scene.")
+
+def _height_option(of: str) -> Callable[..., Any]:
+    return click.option("--height", default=256, show_default=True, type=WholeRange(64), help=f"Rows of every {of}.")
+
+
+def _scene_options(count: int, of: str) -> Callable[..., Any]:
+    """What commands take that render scenes."""
+    return all_of(
+        click.argument("folder", type=FOLDER),
+        click.option("--scenes", default=count, show_default=True, type=WholeRange(1), help="How many scenes."),
+        click.option("--seed", default=0, show_default=True, type=WholeRange(0), help="Seed of the first scene."),
+        _height_option(of),
+    )
+
 
 WORKERS = click.option(
     "--workers", default=1, show_default=True, type=WholeRange(1), help="Processes, at low priority."
@@ -28,29 +41,19 @@ WORKERS = click.option(
 
 
 @click.command()
-@click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=1000, show_default=True, type=WholeRange(1), help="How many scenes.")
-@SEED
-@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every view.")
+@_scene_options(1000, "view")
 @click.option("--views", default=3, show_default=True, type=WholeRange(2, 9), help="Views per scene, on a line.")
 @click.option(
     "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
 )
 @WORKERS
 @TEXTURES
-def pool(
-    folder: Path, scenes: int, seed: int, height: int, views: int, kinds: tuple[str, ...], workers: int,
-    textures: Path | None,
-) -> None:  # fmt: skip
+def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> None:
     """Render procedural scenes into FOLDER; those that are there already stay."""
-    from functools import partial
-
     from omnisyn_cli.training.pool import PoolConfig, render_to_pool
 
-    options: dict[str, Any] = {"kinds": kinds} if kinds else {}
-    options["textures"] = _textures(textures)
-    make = partial(render_to_pool, config=PoolConfig(size=(height, 2 * height), views=views, **options))
-    _fill(folder, range(seed, seed + scenes), make, workers)
+    chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
+    _fill(render_to_pool, PoolConfig(size=(height, 2 * height), views=views, **chosen), **options)
 
 
 @click.command()
@@ -60,7 +63,7 @@ def pool(
 @click.option(
     "--pairs", metavar="0:4|every:N|FILE", default="every:1", show_default=True, help="Of frames, see omnisyn eval."
 )
-@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every view.")
+@_height_option("view")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
     """Add the pairs of DATASET, panoramas with poses and depth in files, to the pool FOLDER for `train depth`.
 
@@ -91,40 +94,28 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 
 
 @click.command()
-@click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=500, show_default=True, type=WholeRange(1), help="How many scenes.")
-@SEED
-@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every view.")
+@_scene_options(500, "view")
 @WORKERS
 @TEXTURES
-def evidence(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
+def evidence(height: int, **options: Any) -> None:
     """Render scenes into FOLDER and match them, for `train refine`; those that are there already stay."""
-    from functools import partial
-
-    from omnisyn_cli.training.evidence import EvidenceConfig, make_evidence
+    from omnisyn_cli.training.evidence_pool import make_evidence
+    from omnisyn_cli.training.pool import TiltedConfig
 
     _check_pool_height(height)
-    make = partial(make_evidence, config=EvidenceConfig(size=(height, 2 * height), textures=_textures(textures)))
-    _fill(folder, range(seed, seed + scenes), make, workers)
+    _fill(make_evidence, TiltedConfig(size=(height, 2 * height)), **options)
 
 
 @click.command("fusion-pool")
-@click.argument("folder", type=FOLDER)
-@click.option("--scenes", default=200, show_default=True, type=WholeRange(1), help="How many scenes.")
-@SEED
-@click.option("--height", default=256, show_default=True, type=WholeRange(64), help="Rows of every picture.")
+@_scene_options(200, "picture")
 @WORKERS
 @TEXTURES
-def fusion_pool(folder: Path, scenes: int, seed: int, height: int, workers: int, textures: Path | None) -> None:
+def fusion_pool(height: int, **options: Any) -> None:
     """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
-    from functools import partial
-
-    from omnisyn_cli.training.fusion import FusionPoolConfig, make_fusion_scene
+    from omnisyn_cli.training.fusion_pool import FusionPoolConfig, make_fusion_scene
 
     _check_pool_height(height)
-    config = FusionPoolConfig(size=(height, 2 * height), rows=4 * height, textures=_textures(textures))
-    make = partial(make_fusion_scene, config=config)
-    _fill(folder, range(seed, seed + scenes), make, workers)
+    _fill(make_fusion_scene, FusionPoolConfig(size=(height, 2 * height), rows=4 * height), **options)
 
 
 def _check_pool_height(height: int) -> None:
@@ -133,18 +124,19 @@ def _check_pool_height(height: int) -> None:
         raise click.BadParameter(f"expected a multiple of {POOL_MULTIPLE}, got {height}", param_hint="--height")
 
 
-def _fill(folder: Path, seeds: range, make: Callable[[Path, int], Path | None], workers: int) -> None:
+def _fill(
+    make: Callable[..., Path | None], config: Any, folder: Path, scenes: int, seed: int, workers: int,
+    textures: Path | None,
+) -> None:  # fmt: skip
     """Make the scenes that are not there yet, and name them."""
+    from dataclasses import replace
+    from functools import partial
+
+    from omnisyn_cli.io import list_photographs
     from omnisyn_cli.training.pool import fill_pool
 
-    for path in fill_pool(folder, seeds, make, workers=workers):
+    if textures is not None:
+        list_photographs(textures)  # there are some
+        config = replace(config, textures=str(textures.resolve()))
+    for path in fill_pool(folder, range(seed, seed + scenes), partial(make, config=config), workers=workers):
         click.echo(path)
-
-
-def _textures(folder: Path | None) -> str | None:
-    """The folder by its full name, once it is known that there are photographs in it."""
-    from omnisyn_cli.io import list_photographs
-
-    if folder is not None:
-        list_photographs(folder)
-    return None if folder is None else str(folder.resolve())

@@ -17,20 +17,19 @@ from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from omnisyn_cli.batch.worker import end_with_parent
+from omnisyn_cli.batch.local_executor import end_with_parent
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
+from omnisyn_cli.evaluation.methods import ingredients_of
 from omnisyn_cli.evaluation.pareto import Figures, Setting
-from omnisyn_cli.evaluation.suite import suite_scenes, write_suite_scene
-from omnisyn_cli.evaluation.trial import Trial, run_trial
-from omnisyn_cli.io.paths import make_folder, replaced_when_complete
-from omnisyn_cli.io.staging import staged_folder
-from omnisyn_cli.jit import announce_compiling, when_compiling
-from omnisyn_cli.presets import FUSION_MODELS, PRESETS, SCALE
-from omnisyn_cli.runtime.models import read_manifest
+from omnisyn_cli.evaluation.scene_files import suite_scenes, write_suite_scene
+from omnisyn_cli.io.outputs import make_folder, replaced_when_complete, staged_folder
+from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
+from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.scenes.suite import SEEDS
-from omnisyn_cli.threads import available_threads
+from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 
 __all__ = ["BenchJob", "BenchPlan", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
 
@@ -47,7 +46,7 @@ class BenchJob:
     Attributes:
         dataset: folder of scenes; figures without true frames have no accuracy.
         report: folder for results; made if it is not there.
-        presets: names of :data:`omnisyn_cli.presets.PRESETS`.
+        presets: names of :data:`omnisyn_cli.synthesis.presets.PRESETS`.
         depth_rows: that depth is looked for at; empty means those of each preset.
         sizes: (height, width) of the frames.
         threads: empty means one per core.
@@ -113,7 +112,7 @@ def _settings(job: BenchJob) -> Sequence[Setting]:
     return [
         Setting(preset, rows, size, threads)
         for size, threads, preset in axes
-        for rows in job.depth_rows or (PRESETS[preset].depth_rows,)
+        for rows in job.depth_rows or (PRESETS[preset].recipe.depth.rows,)
     ]
 
 
@@ -137,7 +136,7 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
         key = _key(plan, setting, files)
         figures = known.get(key)
         if figures is None:
-            figures = _in_child(Trial(setting, plan.pairs, plan.job.frames, plan.job.device, key))
+            figures = _in_child(BenchRun(setting, plan.pairs, plan.job.frames, plan.job.device, key))
             _append(path, figures)
         measured.append(figures)
         if on_setting:
@@ -151,10 +150,7 @@ def machine_in_words() -> str:
 
 
 def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
-    preset, manifest = PRESETS[setting.preset], read_manifest()
-    networks = (preset.model, FUSION_MODELS.get(preset.fusion))
-    digests = [manifest[name].sha256 if name is not None and name in manifest else "" for name in networks]
-    ingredients = [setting.name, repr(preset), *digests]
+    ingredients = [setting.name, *ingredients_of(PRESETS[setting.preset].recipe)]
     options = {"frames": plan.job.frames, "device": plan.job.device}
     return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)
 
@@ -182,18 +178,18 @@ COMPILING = "compiling"
 """What a process says, before its figures, when it compiles kernels."""
 
 
-def _in_child(trial: Trial) -> Figures:
-    """A trial in a process of its own; once more where kernels were compiled, which would count as its time."""
-    figures, has_compiled = _measured_once(trial)
-    return _measured_once(trial)[0] if has_compiled and figures.status == "done" else figures
+def _in_child(run: BenchRun) -> Figures:
+    """A run in a process of its own; once more where kernels were compiled, which would count as its time."""
+    figures, has_compiled = _measured_once(run)
+    return _measured_once(run)[0] if has_compiled and figures.status == "done" else figures
 
 
-def _measured_once(trial: Trial) -> tuple[Figures, bool]:
+def _measured_once(run: BenchRun) -> tuple[Figures, bool]:
     """Figures of a process, and whether it compiled; whatever ends it is written down, and the others go on."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     with tempfile.TemporaryDirectory(prefix="omnisyn-bench-", ignore_cleanup_errors=True) as folder:
-        process = context.Process(target=_serve, args=(theirs, trial, Path(folder), time.time()), daemon=True)
+        process = context.Process(target=_serve, args=(theirs, run, Path(folder), time.time()), daemon=True)
         process.start()
         theirs.close()
         has_compiled = False
@@ -211,17 +207,17 @@ def _measured_once(trial: Trial) -> tuple[Figures, bool]:
             process.join()
             ours.close()
     if not isinstance(figures, Figures):
-        figures = Figures(trial.setting, "failed", str(figures), trial.key)
+        figures = Figures(run.setting, "failed", str(figures), run.key)
     return figures, has_compiled
 
 
-def _serve(connection: Connection, trial: Trial, folder: Path, launched: float) -> None:
+def _serve(connection: Connection, run: BenchRun, folder: Path, launched: float) -> None:
     """Send figures, or the message of what went wrong."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     end_with_parent()
     try:
         with when_compiling(lambda: connection.send(COMPILING)):
-            figures = run_trial(trial, folder, launched)
+            figures = measure_setting(run, folder, launched)
         connection.send(figures)
     except Exception as error:  # noqa: BLE001 - one broken setting must not end a comparison of many
         connection.send(" ".join(f"{type(error).__name__}: {error}".split()))

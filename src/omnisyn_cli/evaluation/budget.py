@@ -11,10 +11,10 @@ from pathlib import Path
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.calibration import calibrate
-from omnisyn_cli.evaluation.pareto import Figures, ParetoTable, Workload, expected_seconds, read_table
-from omnisyn_cli.planning import InterpolationPlan, with_preset
-from omnisyn_cli.presets import SCALE
-from omnisyn_cli.threads import available_threads
+from omnisyn_cli.evaluation.pareto import ParetoTable, Workload, expected_seconds, quality, read_table
+from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
+from omnisyn_cli.runtime.threads import available_threads
+from omnisyn_cli.synthesis.presets import SCALE
 
 __all__ = ["Choice", "apply_budget", "choose_preset", "shipped_table"]
 
@@ -56,7 +56,7 @@ def shipped_table() -> ParetoTable:
     Raises:
         InputError: they are missing or damaged.
     """
-    return read_table(Path(str(files("omnisyn_cli"))) / "data" / "pareto.json")
+    return read_table(Path(str(files("omnisyn_cli"))) / "evaluation" / "pareto.json")
 
 
 def apply_budget(
@@ -76,10 +76,10 @@ def apply_budget(
     _check_measured(plan)
     work = Workload(
         len(plan.entries), len(plan.path), plan.size, max(plan.source_sizes),
-        calibrate(plan.job.threads) if calibration is None else calibration, plan.depth != "file",
+        calibrate(plan.job.threads) if calibration is None else calibration, plan.recipe.depth.kind != "file",
     )  # fmt: skip
     choice = choose_preset(table or shipped_table(), work, plan.job.threads or available_threads(), budget)
-    if plan.depth == "file":
+    if plan.recipe.depth.kind == "file":
         return replace(plan, notes=(*plan.notes, _without_choice(choice)))
     chosen = with_preset(plan, choice.preset)
     return replace(chosen, notes=(*chosen.notes, str(choice)))
@@ -89,11 +89,11 @@ def _check_measured(plan: InterpolationPlan) -> None:
     """Presets were measured as they are, on the processor; depth from files takes no time."""
     job = plan.job
     asked = {
-        "renderer": (plan.renderer, ("mesh",)),
+        "renderer": (plan.recipe.renderer, ("mesh",)),
         "depth": (job.depth, ("auto", "file", "refined")),
         "model": (job.model, (None,)),
         "fusion": (job.fusion, ("auto",)),
-        "device": ("cuda" if plan.is_on_gpu else "cpu", ("cpu",)),
+        "device": ("cuda" if plan.recipe.is_on_gpu else "cpu", ("cpu",)),
     }
     for name, (given, measured) in asked.items():
         if given not in measured:
@@ -121,15 +121,13 @@ def choose_preset(table: ParetoTable, work: Workload, threads: int, budget: floa
     measured = {
         name: figures
         for name, preset in SCALE.items()
-        if (figures := table.of_preset(name, preset.depth_rows, work.size, threads)) is not None
+        if (figures := table.of_preset(name, preset.recipe.depth.rows, work.size, threads)) is not None
     }
     if not measured:
         raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")
     expected = {name: expected_seconds(figures, work) for name, figures in measured.items()}
     fitting = [name for name, seconds in expected.items() if seconds <= budget]
-    best = max(fitting, key=lambda name: _worth(measured[name])) if fitting else min(expected, key=expected.__getitem__)
+    best = (
+        max(fitting, key=lambda name: quality(measured[name])) if fitting else min(expected, key=expected.__getitem__)
+    )
     return Choice(best, expected, budget)
-
-
-def _worth(figures: Figures) -> float:
-    return float("-inf") if figures.ws_psnr is None else figures.ws_psnr

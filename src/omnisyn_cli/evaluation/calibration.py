@@ -8,25 +8,23 @@ from __future__ import annotations
 
 import statistics
 import time
-from functools import partial
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
-from omnisyn_cli.fusion import GeometricFuser
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.types import Rendering
 
 __all__ = ["SECONDS", "calibrate"]
 
 SECONDS = 0.8
 """How long steps are repeated; with the last one that is below two seconds on any machine worth using."""
 
-SURFACE = (256, 512)
-
-TARGET = (256, 512)
+SIZE = (256, 512)
+"""Of the surfaces and of the picture."""
 
 BASELINE = 1.0
 
@@ -48,17 +46,17 @@ def calibrate(threads: int | None = None, seconds: float = SECONDS) -> float:
     return statistics.median(after - before for before, after in pairwise(marks))
 
 
-def _step(threads: int | None) -> partial[None]:
+def _step(threads: int | None) -> Callable[[], None]:
     """The work: a ball of a room with a bump, seen from both ends of a way."""
-    directions = pixel_directions(*SURFACE)
+    directions = pixel_directions(*SIZE)
     inverse_depth = np.asarray(0.3 + 0.2 * (directions[..., 1] < 0) + 0.3 * (directions[..., 0] > 0.8), np.float32)
     image = np.asarray(0.5 + 0.5 * np.sin(40 * directions), np.float32)
-    renderers = [MeshRenderer(image, None, inverse_depth, None, TARGET, None, threads) for _ in range(2)]
-    fuser = GeometricFuser(TARGET, threads=threads)
+    renderers = [MeshRenderer(image, None, inverse_depth, None, SIZE, None, threads) for _ in range(2)]
+    fuser = GeometricFuser(SIZE, threads=threads)
     poses = [Pose(np.eye(3), np.array([0.0, 0.0, side * BASELINE / 2])) for side in (-1, 1)]
-    return partial(_work, renderers, poses, fuser)
 
+    def work() -> None:
+        first, second = (render(pose) for render, pose in zip(renderers, poses, strict=True))
+        fuser(first, second, 0.5)
 
-def _work(renderers: list[MeshRenderer], poses: list[Pose], fuser: GeometricFuser) -> None:
-    seen = [Rendering(*render(pose), pose) for render, pose in zip(renderers, poses, strict=True)]
-    fuser(seen[0], seen[1], 0.5)
+    return work

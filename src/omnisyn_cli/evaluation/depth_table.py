@@ -1,7 +1,7 @@
 """The paper's depth table on scenes that no network was trained on: streets and rooms, two panoramas a metre apart.
 
 Scenes are made as they are needed, with true depth, and never written. Every result is a line of ``results.jsonl`` in
-the report's folder as soon as it is there (:mod:`omnisyn_cli.evaluation.records`); an interrupted run goes on from
+the report's folder as soon as it is there (:mod:`omnisyn_cli.evaluation.results`); an interrupted run goes on from
 them. Both panoramas of a pair are scored.
 """
 
@@ -12,30 +12,39 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 import omnisyn_cli
-from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.depth_methods import METHODS, DepthMethod, find_depth_methods
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.engine import Known, one_line, recorded
 from omnisyn_cli.evaluation.fingerprint import digest_of_sources
 from omnisyn_cli.evaluation.grouping import gaps
-from omnisyn_cli.evaluation.markdown import render_markdown
 from omnisyn_cli.evaluation.measure import depth_records
-from omnisyn_cli.evaluation.records import UnitRecord, append_record, latest_records, read_records
-from omnisyn_cli.evaluation.table import Row, Table
-from omnisyn_cli.evaluation.tables import depth_table
-from omnisyn_cli.io.paths import make_folder, replaced_when_complete
-from omnisyn_cli.scenes import GENERATORS, Scene, generate_scene, render_views, sample_path
+from omnisyn_cli.evaluation.methods import find_method
+from omnisyn_cli.evaluation.results import UnitRecord
+from omnisyn_cli.evaluation.tables import Row, Table, depth_table
+from omnisyn_cli.evaluation.templating import render_markdown
+from omnisyn_cli.io.outputs import replaced_when_complete
+from omnisyn_cli.runtime.models import find_model, sha256_of
+from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path
+from omnisyn_cli.scenes.suite import STANDARD_KINDS
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.synthesis.recipe import DepthSource
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = [
     "BASELINE",
     "FIRST_SEED",
     "LEAST_SEED",
+    "SOURCES",
     "DepthTableJob",
+    "depth_sources",
     "depth_tables",
     "make_pair",
     "run_depth_table",
@@ -59,6 +68,39 @@ FORM = 1
 """Counts up when the same scenes are measured or recorded in another way."""
 
 
+SOURCES: Mapping[str, DepthSource] = MappingProxyType(
+    {
+        "synsin": find_method("monocular").recipe.depth,
+        "matching": find_method("matching").recipe.depth,
+        **{f"omnisyn-{preset.name}": preset.recipe.depth for preset in PRESETS.values()},
+    }
+)
+"""The rows of the table: SynSin's monocular network, matching alone, and the presets; ``paper`` is a network alone."""
+
+NETWORK = "network:"
+"""Before a model's name in the manifest or its ONNX file: that stereo network alone."""
+
+
+def depth_sources(text: str) -> dict[str, DepthSource]:
+    """``all``, or names separated by commas, each once; ``network:FILE.onnx`` is a stereo network in a file.
+
+    Raises:
+        InputError: a name that there is no method of, or no name.
+    """
+    if text == "all":
+        return dict(SOURCES)
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    return {name: _source(name) for name in names or [text]}
+
+
+def _source(name: str) -> DepthSource:
+    if name.startswith(NETWORK):
+        return DepthSource("network", model=name.removeprefix(NETWORK))
+    if name not in SOURCES:
+        raise InputError(f"expected one of {', '.join((*SOURCES, NETWORK + 'FILE.onnx'))} as method, got {name!r}")
+    return SOURCES[name]
+
+
 @dataclass(frozen=True)
 class DepthTableJob:
     """What a user asks for.
@@ -67,8 +109,7 @@ class DepthTableJob:
         report: folder for results and table; made if it is not there.
         scenes: how many, streets and rooms in equal shares; an odd one is a street.
         seed: of the first scene of each kind; those without room for the way are left out.
-        methods: ``all`` or names separated by commas, see
-            :data:`omnisyn_cli.evaluation.depth_methods.METHODS`.
+        methods: ``all`` or names separated by commas, see :func:`depth_sources`.
         size: height and width of the panoramas.
         device: where networks run.
         threads: at most this many; None is one per core.
@@ -95,33 +136,23 @@ def run_depth_table(job: DepthTableJob, on_unit: Callable[[int, UnitRecord], Non
             results that cannot be read.
         OutputPathError, WriteError: the folder of the report cannot be written.
     """
-    methods = find_depth_methods(job.methods)
+    sources = depth_sources(job.methods)
     if job.seed < LEAST_SEED:
         raise InputError(f"expected a seed of at least {LEAST_SEED:,}, got {job.seed:,}; smaller ones are for training")
     if job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
-    make_folder(job.report, "the report")
-    known = {record.unit: record for record in latest_records(read_records(job.report))}
-    worker, records = _Worker(job, methods), list[UnitRecord]()
-    for kind, seed, scene in _scenes(job):
-        for record in worker.records(kind, seed, scene, known):
-            if not _is_same(known.get(record.unit), record):
-                append_record(job.report, record)
-            records.append(record)
-            if on_unit:
-                on_unit(len(records), record)
+    records: list[UnitRecord] = []
+    for record in recorded(job.report, _Worker(job, sources).records):
+        records.append(record)
+        if on_unit:
+            on_unit(len(records), record)
     return records
-
-
-def _is_same(known: UnitRecord | None, record: UnitRecord) -> bool:
-    """Whether a line says the same already."""
-    return known is not None and known.to_json() == record.to_json()
 
 
 def _scenes(job: DepthTableJob) -> Iterator[tuple[str, int, Scene]]:
     """As many scenes of each kind as there should be, with room for the way, in ascending order of their seeds."""
-    for index, kind in enumerate(GENERATORS):
-        wanted = (job.scenes + len(GENERATORS) - 1 - index) // len(GENERATORS)
+    for index, kind in enumerate(STANDARD_KINDS):
+        wanted = (job.scenes + len(STANDARD_KINDS) - 1 - index) // len(STANDARD_KINDS)
         for seed in count(job.seed):
             if wanted == 0:
                 break
@@ -166,43 +197,40 @@ def make_pair(scene: Scene, seed: int, size: tuple[int, int], threads: int | Non
 class _Worker:
     """Measures methods on one scene after the other; every network is loaded once."""
 
-    def __init__(self, job: DepthTableJob, methods: Sequence[DepthMethod]) -> None:
-        self._job, self._methods = job, methods
+    def __init__(self, job: DepthTableJob, sources: Mapping[str, DepthSource]) -> None:
+        self._job, self._sources = job, sources
         self._made: dict[str, DepthEstimator] = {}
-        self._ingredients: dict[str, list[str]] = {}
+        self._weights: dict[str | None, str] = {None: ""}
         program = digest_of_sources(Path(omnisyn_cli.__file__).parent)
         self._fixed = [FORM, omnisyn_cli.__version__, program, list(job.size), job.device]
 
-    def records(
-        self, kind: str, seed: int, scene: Scene, known: Mapping[tuple[str, str, str, str], UnitRecord]
-    ) -> Iterator[UnitRecord]:
-        """One record for every method, the known one where nothing has changed."""
-        pair: tuple[View, View] | None = None
-        for method in self._methods:
-            blank = UnitRecord("", f"{kind}-{seed}", "first", "second", method.name, "unavailable", baseline=BASELINE)
-            try:
-                blank = replace(blank, key=self._key(method, kind, seed))
-                estimator = self._estimator(method)
-            except InputError as error:
-                yield replace(blank, reason=str(error))
-                continue
-            earlier = known.get(blank.unit)
-            if earlier is not None and earlier.status == "done" and earlier.key == blank.key:
-                yield earlier
-                continue
-            pair = pair or make_pair(scene, seed, self._job.size, self._job.threads)
-            yield _measured(blank, estimator, pair, self._job.size)
+    def records(self, known: Known) -> Iterator[UnitRecord]:
+        """One record for every method on every scene, the known one where nothing has changed."""
+        for kind, seed, scene in _scenes(self._job):
+            pair = cache(partial(make_pair, scene, seed, self._job.size, self._job.threads))
+            for name, source in self._sources.items():
+                blank = UnitRecord("", f"{kind}-{seed}", "first", "second", name, "unavailable", baseline=BASELINE)
+                try:
+                    blank = replace(blank, key=self._key(name, source, kind, seed))
+                    estimator = self._estimator(name, source)
+                except InputError as error:
+                    yield replace(blank, reason=str(error))
+                    continue
+                former = known.get(blank.unit)
+                is_done = former is not None and former.status == "done" and former.key == blank.key
+                yield former if former and is_done else _measured(blank, estimator, pair(), self._job.size)
 
-    def _key(self, method: DepthMethod, kind: str, seed: int) -> str:
-        if method.name not in self._ingredients:
-            self._ingredients[method.name] = method.ingredients()
-        described = [*self._fixed, method.name, self._ingredients[method.name], kind, seed]
-        return hashlib.sha256(json.dumps(described).encode()).hexdigest()
+    def _key(self, name: str, source: DepthSource, kind: str, seed: int) -> str:
+        """Hash of everything that a result depends on; InputError where a network is missing."""
+        if source.model not in self._weights:
+            self._weights[source.model] = sha256_of(find_model(str(source.model)))
+        ingredients = [source.kind, str(source.rows), self._weights[source.model]]
+        return hashlib.sha256(json.dumps([*self._fixed, name, ingredients, kind, seed]).encode()).hexdigest()
 
-    def _estimator(self, method: DepthMethod) -> DepthEstimator:
-        if method.name not in self._made:
-            self._made[method.name] = method.make(self._job.device, self._job.threads)
-        return self._made[method.name]
+    def _estimator(self, name: str, source: DepthSource) -> DepthEstimator:
+        if name not in self._made:
+            self._made[name] = make_estimator(source, device=self._job.device, threads=self._job.threads)
+        return self._made[name]
 
 
 def _measured(
@@ -216,12 +244,7 @@ def _measured(
         seconds = time.perf_counter() - begin
         depths = depth_records(found, pair, (blank.first, blank.second))
     except Exception as error:  # noqa: BLE001 - one broken method must not end a comparison of many
-        text = " ".join(str(error).split())
-        return replace(
-            blank,
-            status="failed",
-            reason=text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}",
-        )
+        return replace(blank, status="failed", reason=one_line(error))
     return replace(blank, status="done", size=size, depths=depths, seconds={"depth": seconds, "total": seconds})
 
 
@@ -236,7 +259,7 @@ def _table(kind: str, records: Sequence[UnitRecord]) -> Table:
     rows = {row.name: row for row in table.rows}
     methods = dict.fromkeys(record.method for record in records)
     reasons = {record.method: record.reason for record in records if record.status != "done"}
-    order = sorted(methods, key=lambda name: list(METHODS).index(name) if name in METHODS else -1)
+    order = sorted(methods, key=lambda name: list(SOURCES).index(name) if name in SOURCES else -1)
     every = tuple(rows.get(name) or Row(name, (), reasons[name]) for name in order)
     return replace(table, title=f"{kind.capitalize()}s, {BASELINE:g} m", rows=every)
 

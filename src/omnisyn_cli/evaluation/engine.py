@@ -6,18 +6,24 @@ in ``results.jsonl`` are not done again. What is broken or unavailable is tried 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.album import Album, has_all_pictures
 from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
-from omnisyn_cli.evaluation.methods import Method, MethodOptions, find_methods
-from omnisyn_cli.evaluation.records import (
+from omnisyn_cli.evaluation.methods import (
+    ComparedMethod,
+    MethodAtWork,
+    MethodUnavailableError,
+    PairDepths,
+    find_methods,
+)
+from omnisyn_cli.evaluation.results import (
     FrameRecord,
     Status,
     UnitRecord,
@@ -25,11 +31,23 @@ from omnisyn_cli.evaluation.records import (
     latest_records,
     read_records,
 )
-from omnisyn_cli.evaluation.synthesizers import DepthMemory, MethodUnavailableError
 from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
-from omnisyn_cli.io.paths import make_folder
+from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
+from omnisyn_cli.io.outputs import make_folder
 
-__all__ = ["EvaluationJob", "EvaluationPlan", "evaluate", "plan_evaluation", "run_evaluation"]
+__all__ = [
+    "EvaluationJob",
+    "EvaluationPlan",
+    "Known",
+    "evaluate",
+    "one_line",
+    "plan_evaluation",
+    "recorded",
+    "run_evaluation",
+]
+
+Known = dict[tuple[str, str, str, str], UnitRecord]
+"""The last record of every unit."""
 
 NO_TRUTH = "expected true frames between the two panoramas, got none"
 
@@ -79,7 +97,7 @@ class EvaluationPlan:
     """
 
     job: EvaluationJob
-    methods: tuple[Method, ...]
+    methods: tuple[ComparedMethod, ...]
     pairs: tuple[Pair, ...]
     findings: tuple[UnitRecord, ...]
 
@@ -107,7 +125,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
         except NoScaleError as error:
             findings.append(_finding(source, "skipped", str(error)))
         except Exception as error:  # noqa: BLE001 - one broken scene must not end an evaluation of many
-            findings.append(_finding(source, "failed", _one_line(error)))
+            findings.append(_finding(source, "failed", one_line(error)))
         else:
             pairs += [pair for pair in found if pair.between]
             findings += [_without_truth(pair) for pair in found if not pair.between]
@@ -150,24 +168,33 @@ def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], No
 
 
 def _written_records(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None) -> Iterator[UnitRecord]:
-    """Every record once it has reached the disk."""
-    report = plan.job.report
-    make_folder(report, "the report")
-    known = {record.unit: record for record in latest_records(read_records(report))}
     units = 0
-    for record in _records(plan, known):
-        if not _is_same(known.get(record.unit), record):
-            append_record(report, record)
-            known[record.unit] = record
+    for record in recorded(plan.job.report, partial(_records, plan)):
         yield record
         units += bool(record.method)
         if on_unit and record.method:
             on_unit(units, record)
 
 
-def _is_same(known: UnitRecord | None, record: UnitRecord) -> bool:
-    """Whether a line says the same already; undefined numbers count as equal."""
-    return known is not None and known.to_json() == record.to_json()
+def recorded(report: Path, records: Callable[[Known], Iterable[UnitRecord]]) -> Iterator[UnitRecord]:
+    """Every record once it is a line of ``results.jsonl``, which it may have been before.
+
+    Args:
+        report: folder of the results; made if it is not there.
+        records: makes them, given the last line of every unit.
+
+    Raises:
+        InputError: the results of an earlier run cannot be read.
+        OutputPathError, WriteError: the folder cannot be written.
+    """
+    make_folder(report, "the report")
+    known = {record.unit: record for record in latest_records(read_records(report))}
+    for record in records(known):
+        former = known.get(record.unit)
+        if former is None or former.to_json() != record.to_json():  # as JSON undefined numbers are equal
+            append_record(report, record)
+            known[record.unit] = record
+        yield record
 
 
 def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
@@ -177,9 +204,6 @@ def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
 def _without_truth(pair: Pair) -> UnitRecord:
     names = (pair.first.name, pair.second.name)
     return UnitRecord("", pair.scene, *names, "", "skipped", NO_TRUTH, baseline=baseline_of(pair))
-
-
-Known = dict[tuple[str, str, str, str], UnitRecord]
 
 
 def _records(plan: EvaluationPlan, known: Known) -> Iterator[UnitRecord]:
@@ -197,15 +221,15 @@ class _Worker:
         self._perceptual: Perceptual | None = None
         self._options: dict[str, Any] = {"size": job.size, "pictures": job.pictures, "device": job.device}
         if job.lpips is not None:
-            from omnisyn_cli.metrics.lpips import Lpips
+            from omnisyn_cli.evaluation.metrics.lpips import Lpips
 
             self._perceptual = Lpips(job.lpips, threads=job.threads)
             self._options["lpips"] = self._fingerprints.of_file(job.lpips)
 
-    def records(self, pair: Pair, methods: tuple[Method, ...], known: Known) -> Iterator[UnitRecord]:
+    def records(self, pair: Pair, methods: tuple[ComparedMethod, ...], known: Known) -> Iterator[UnitRecord]:
         """One record for every method, the known one where nothing has changed."""
         loaded: LoadedPair | str | None = None
-        options = MethodOptions(self._job.threads, self._job.device, DepthMemory())
+        depths = PairDepths()
         for method in methods:
             blank = UnitRecord(
                 "", pair.scene, pair.first.name, pair.second.name, method.name, "failed", baseline=baseline_of(pair)
@@ -214,56 +238,48 @@ class _Worker:
                 ingredients = [method.name, *method.ingredients()]
                 blank = replace(blank, key=self._fingerprints.of(pair, ingredients, self._options))
             except InputError as error:
-                yield replace(blank, reason=_one_line(error))
+                yield replace(blank, reason=one_line(error))
                 continue
-            if self._is_done(known.get(blank.unit), blank.key):
-                yield known[blank.unit]
+            former = known.get(blank.unit)
+            if former is not None and self._is_done(former, blank.key):
+                yield former
+                continue
+            loaded = loaded or self._loaded(pair)
+            if isinstance(loaded, str):
+                yield replace(blank, reason=loaded)
             else:
-                loaded = loaded or self._loaded(pair)
-                if isinstance(loaded, str):
-                    yield replace(blank, reason=loaded)
-                else:
-                    yield self._unit(blank, pair, loaded, method, options)
+                yield self._unit(blank, pair, loaded, method, depths)
 
     def _loaded(self, pair: Pair) -> LoadedPair | str:
         """The pictures of a pair, or why there are none."""
         try:
             return load_pair(pair, self._job.size, self._job.threads)
         except Exception as error:  # noqa: BLE001 - one broken pair must not end an evaluation of many
-            return _one_line(error)
+            return one_line(error)
 
-    def _is_done(self, record: UnitRecord | None, key: str) -> bool:
-        return (
-            record is not None
-            and record.key == key
-            and record.status == "done"
-            and has_all_pictures(self._job.report, record)
-        )
+    def _is_done(self, former: UnitRecord, key: str) -> bool:
+        return former.key == key and former.status == "done" and has_all_pictures(self._job.report, former)
 
     def _unit(
-        self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, method: Method, options: MethodOptions
+        self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, method: ComparedMethod, depths: PairDepths
     ) -> UnitRecord:
         """Measure one method; whatever breaks in it is written down, and the others go on."""
         try:
-            made = measure(
-                method.make(loaded.views, options),
-                loaded,
-                (blank.first, blank.second),
-                self._perceptual,
-                options.threads,
-            )
+            threads, device = self._job.threads, self._job.device
+            at_work = MethodAtWork(method, loaded.views, threads=threads, device=device, known=depths)
+            made = measure(at_work, loaded, (blank.first, blank.second), self._perceptual, threads)
         except MethodUnavailableError as error:
-            return replace(blank, status="unavailable", reason=_one_line(error))
+            return replace(blank, status="unavailable", reason=one_line(error))
         except Exception as error:  # noqa: BLE001 - one broken method must not end a comparison of many
-            return replace(blank, reason=_one_line(error))
+            return replace(blank, reason=one_line(error))
         return self._done(blank, pair, loaded, made)
 
     def _done(self, blank: UnitRecord, pair: Pair, loaded: LoadedPair, made: Measurement) -> UnitRecord:
         pictures: list[dict[str, str]] = [{} for _ in loaded.truths]
         depths = made.depths
         if self._job.pictures:
-            album = Album(self._job.report, pair, blank.method)
-            pictures, depths = album.of_frames(loaded, made), album.of_depths(loaded, made)
+            writer = PictureWriter(self._job.report, pair, blank.method)
+            pictures, depths = writer.frames(loaded, made), writer.depths(loaded, made)
         frames = tuple(
             FrameRecord(truth.name, truth.waypoint.t, truth.distance, scores, shown)
             for truth, scores, shown in zip(loaded.truths, made.scores, pictures, strict=True)
@@ -274,7 +290,7 @@ class _Worker:
         )  # fmt: skip
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """The message of an error; for those that this package did not expect, with their kind."""
     text = " ".join(str(error).split())
     return text if isinstance(error, OmnisynError) else f"{type(error).__name__}: {text}"

@@ -12,6 +12,7 @@ from typing import Any
 import omnisyn_cli
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair
+from omnisyn_cli.runtime.models import sha256_of
 
 __all__ = ["Fingerprints", "digest_of_sources"]
 
@@ -69,8 +70,7 @@ class Fingerprints:
         """
         if path not in self._files:
             try:
-                with path.open("rb") as file:
-                    self._files[path] = hashlib.file_digest(file, "sha256").hexdigest()
+                self._files[path] = sha256_of(path)
             except OSError as error:
                 raise ImageError(f"{path}: expected a file, got '{error.strerror}'; check the scene") from error
         return self._files[path]

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from omnisyn_cli.evaluation.records import FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
 __all__ = [
     "Gap",
-    "Pair",
-    "band_name",
     "distance_band",
+    "figures_of",
     "finished",
     "frames_of",
     "gaps",
     "is_bound",
-    "mean",
-    "methods_of",
     "pair_names",
-    "pair_of",
     "ranked_methods",
     "stages_of",
     "time_band",
@@ -41,23 +37,15 @@ TIME_BANDS = 5
 STAGES = ("depth", "flow", "mesh", "render", "fuse")
 """Stages in the order in which they are gone through; others follow."""
 
-Pair = tuple[str, str, str]
-"""Scene, first and second panorama."""
 
-
-def finished(records: Iterable[UnitRecord]) -> list[UnitRecord]:
-    """The units that were measured."""
-    return [record for record in records if record.status == "done"]
+def finished(records: Iterable[UnitRecord], method: str | None = None) -> list[UnitRecord]:
+    """The units that were measured, all or those of a method."""
+    return [record for record in records if record.status == "done" and method in (None, record.method)]
 
 
 def is_bound(method: str) -> bool:
     """Whether a method is an upper bound, which is shown but never called the best."""
     return method.partition(":")[0] in BOUNDS
-
-
-def methods_of(records: Iterable[UnitRecord]) -> list[str]:
-    """Names of methods in the order in which they appear; records about a whole scene have none."""
-    return list(dict.fromkeys(record.method for record in records if record.method))
 
 
 def ranked_methods(records: Sequence[UnitRecord]) -> list[str]:
@@ -67,14 +55,26 @@ def ranked_methods(records: Sequence[UnitRecord]) -> list[str]:
         score = mean(value for value, _ in frames_of(records, method))
         return -math.inf if math.isnan(score) else score
 
-    return sorted(methods_of(records), key=standing, reverse=True)
+    return sorted(dict.fromkeys(record.method for record in records if record.method), key=standing, reverse=True)
 
 
 def frames_of(records: Iterable[UnitRecord], method: str) -> Iterator[tuple[float, FrameRecord]]:
     """The :data:`MAIN_SCORE` of every frame of a method that has it, with the frame."""
-    for record in finished(records):
-        if record.method == method:
-            yield from ((frame.scores[MAIN_SCORE], frame) for frame in record.frames if MAIN_SCORE in frame.scores)
+    for record in finished(records, method):
+        yield from ((frame.scores[MAIN_SCORE], frame) for frame in record.frames if MAIN_SCORE in frame.scores)
+
+
+def figures_of(
+    record: UnitRecord,
+) -> Iterator[tuple[tuple[str, str, float | str, float | str], Mapping[str, float]]]:
+    """What was measured of what: subject, name, t and distance, as far as there are any, and the figures by metric."""
+    for frame in record.frames:
+        yield ("frame", frame.name, frame.t, frame.distance), frame.scores
+    for depth in record.depths:
+        yield ("depth", depth.view, "", ""), depth.plain
+        yield ("depth-weighted", depth.view, "", ""), depth.weighted
+    yield ("temporal", "", "", ""), record.temporal
+    yield ("seconds", "", "", ""), record.seconds
 
 
 def stages_of(records: Iterable[UnitRecord]) -> list[str]:
@@ -83,46 +83,31 @@ def stages_of(records: Iterable[UnitRecord]) -> list[str]:
     return [stage for stage in STAGES if stage in found] + [stage for stage in found if stage not in STAGES]
 
 
-def mean(values: Iterable[float]) -> float:
-    """Arithmetic mean; NaN of nothing, infinite if one value is."""
-    listed = list(values)
-    return math.fsum(listed) / len(listed) if listed else math.nan
-
-
-def distance_band(metres: float) -> int:
-    """Number of the band of :data:`BAND_EDGES` that a distance lies in; millimetres beyond an edge do not count."""
+def distance_band(metres: float) -> tuple[float, str]:
+    """Lower edge and name of the band of :data:`BAND_EDGES` of a distance; millimetres beyond an edge do not count."""
     rounded = round(metres, 2)
-    return max(1, next(index for index, edge in enumerate(BAND_EDGES) if rounded <= edge))
-
-
-def band_name(band: int) -> str:
-    """A band in words."""
+    band = max(1, next(index for index, edge in enumerate(BAND_EDGES) if rounded <= edge))
     lower, upper = BAND_EDGES[band - 1], BAND_EDGES[band]
-    return f"more than {lower:g} m" if math.isinf(upper) else f"{lower:g} to {upper:g} m"
+    return lower, f"more than {lower:g} m" if math.isinf(upper) else f"{lower:g} to {upper:g} m"
 
 
-def time_band(t: float) -> tuple[float, float]:
-    """The part of the way, ``[begin, end)`` in [0, 1], that ``t`` lies in."""
+def time_band(t: float) -> tuple[float, str]:
+    """Begin and name of the part of the way, ``[begin, end)`` in [0, 1], that ``t`` lies in."""
     band = min(math.floor(t * TIME_BANDS + 1e-9), TIME_BANDS - 1)
-    return band / TIME_BANDS, (band + 1) / TIME_BANDS
+    return band / TIME_BANDS, f"{band / TIME_BANDS:.1f} to {(band + 1) / TIME_BANDS:.1f}"
 
 
-def pair_names(records: Iterable[UnitRecord]) -> dict[Pair, str]:
+def pair_names(records: Iterable[UnitRecord]) -> dict[tuple[str, str, str], str]:
     """What each pair is called: its scene, and which panoramas where the scene has several pairs."""
-    pairs: defaultdict[str, dict[Pair, None]] = defaultdict(dict)
+    pairs: defaultdict[str, dict[tuple[str, str, str], None]] = defaultdict(dict)
     for record in records:
         if record.method:
-            pairs[record.scene][pair_of(record)] = None
+            pairs[record.scene][record.pair] = None
     return {
         pair: scene if len(listed) == 1 else f"{scene}: {pair[1]} → {pair[2]}"
         for scene, listed in pairs.items()
         for pair in listed
     }
-
-
-def pair_of(record: UnitRecord) -> Pair:
-    """Scene, first and second panorama."""
-    return record.scene, record.first, record.second
 
 
 @dataclass(frozen=True)
@@ -148,6 +133,6 @@ def gaps(records: Sequence[UnitRecord]) -> list[Gap]:
     found: defaultdict[tuple[str, str, str], list[str]] = defaultdict(list)
     for record in sorted(records, key=lambda record: record.method != ""):
         if record.status != "done":
-            where = names[pair_of(record)] if record.method else record.scene
+            where = names[record.pair] if record.method else record.scene
             found[record.method, record.status, record.reason].append(where)
     return [Gap(*key, tuple(where)) for key, where in found.items()]

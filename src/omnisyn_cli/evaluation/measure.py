@@ -8,26 +8,36 @@ both panoramas, :data:`CLIP_STEP` of the way apart (two seconds of video at 30 f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.evaluation.records import DepthRecord
-from omnisyn_cli.evaluation.synthesizers import Picture, Synthesizer
+from omnisyn_cli.evaluation.metrics import (
+    depth_metrics,
+    end_psnr,
+    lrce,
+    psnr,
+    row_weights,
+    scored_pixels,
+    ssim,
+    ws_psnr,
+    ws_ssim,
+)
+from omnisyn_cli.evaluation.metrics.temporal import flicker, warping_error
+from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.metrics import depth_metrics, lrce, psnr, row_weights, scored_pixels, ssim, ws_psnr, ws_ssim
-from omnisyn_cli.metrics.temporal import flicker, warping_error
-from omnisyn_cli.segments import Stopwatch
-from omnisyn_cli.synthesis import turned_panorama
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.synthesis.frames import turned_panorama
+from omnisyn_cli.synthesis.methods import Pair
+from omnisyn_cli.synthesis.segments import Stopwatch
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["Measurement", "Perceptual", "depth_records", "frame_scores", "measure"]
+__all__ = ["Measurement", "PairMaker", "Perceptual", "depth_records", "frame_scores", "measure"]
 
 CLIP_FRAMES = 9
 
@@ -42,7 +52,11 @@ WINDOW = 11
 """Rows that structural similarity needs."""
 
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
-"""A distance of two equirectangular pictures, such as :class:`omnisyn_cli.metrics.lpips.Lpips`."""
+"""A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""
+
+
+PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
+"""Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,7 @@ class Measurement:
         scores: of every picture.
         depths: of both views; empty for methods without.
         found: the depth that the method found, or None.
-        temporal: see :class:`omnisyn_cli.evaluation.records.UnitRecord`.
+        temporal: see :class:`omnisyn_cli.evaluation.results.UnitRecord`.
         seconds: for the true frames, by stage, with their ``total``; clips and ends are not counted.
     """
 
@@ -67,7 +81,7 @@ class Measurement:
 
 
 def measure(
-    method: Synthesizer,
+    method: PairMaker,
     pair: LoadedPair,
     names: tuple[str, str],
     perceptual: Perceptual | None = None,
@@ -83,17 +97,21 @@ def measure(
         threads: at most this many.
     """
     clock = Stopwatch()
-    path = [truth.waypoint for truth in pair.truths]
-    images = tuple(_shown(picture.image) for picture in method.pictures(path, pair.size, clock))
+    made = method(pair.size, clock)
+    images = tuple(_shown(made.frame(truth.waypoint).image) for truth in pair.truths)
     seconds = dict(clock.seconds)
     scores = tuple(
         frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
     )
-    temporal = {**_clip_measures(method, pair), **_end_errors(method, pair, threads)}
-    depths = () if method.depths is None else depth_records(method.depths, pair.views, names)
-    return Measurement(
-        images, scores, depths, method.depths, temporal, {**seconds, "total": math.fsum(seconds.values())}
-    )
+    temporal = {**_clip_measures(method, made, pair), **_end_errors(made, pair, threads)}
+    found = made.depths if _has_parallax(pair) else None
+    depths = () if found is None else depth_records(found, pair.views, names)
+    return Measurement(images, scores, depths, found, temporal, {**seconds, "total": math.fsum(seconds.values())})
+
+
+def _has_parallax(pair: LoadedPair) -> bool:
+    first, second = pair.views
+    return bool(np.linalg.norm(second.pose.position - first.pose.position) > STILL)
 
 
 def _shown(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
@@ -106,11 +124,12 @@ def frame_scores(
     truth: Float[np.ndarray, "height width 3"],
     perceptual: Perceptual | None = None,
 ) -> dict[str, float]:
-    """All measures of one picture, by the names of :data:`omnisyn_cli.evaluation.records.SCORES`.
+    """All measures of one picture, by the names of :class:`omnisyn_cli.evaluation.results.FrameRecord`.
 
     Pictures of fewer than 11 rows have no structural similarity.
     """
     scores = {"ws_psnr": ws_psnr(image, truth), "psnr": psnr(image, truth), "lrce": lrce(image, truth)}
+    scores.update(psnr_top=end_psnr(image, truth, is_bottom=False), psnr_bottom=end_psnr(image, truth, is_bottom=True))
     if len(truth) >= WINDOW:
         scores.update(ws_ssim=ws_ssim(image, truth), ssim=ssim(image, truth))
     if perceptual is not None:
@@ -135,29 +154,22 @@ def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
     estimate = found.inverse_depth.astype(np.float64)
     if estimate.shape != truth.shape:
         estimate = sample_bilinear(estimate, pixel_directions(*truth.shape))
-    plain, weighted = (asdict(depth_metrics(estimate, truth, weighted=weighted)) for weighted in (False, True))
+    plain, weighted = (depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
     return DepthRecord(name, plain, weighted)
 
 
-def _clip_measures(method: Synthesizer, pair: LoadedPair) -> dict[str, float]:
-    poses = [view.pose for view in pair.views]
-    if np.linalg.norm(poses[1].position - poses[0].position) <= STILL:
+def _clip_measures(method: PairMaker, made: Pair, pair: LoadedPair) -> dict[str, float]:
+    """Both measures along the geometry of the clip; none where neighbouring frames show nothing in common."""
+    times = 0.5 + CLIP_STEP * (np.arange(CLIP_FRAMES) - CLIP_FRAMES // 2)
+    first, second = (view.pose for view in pair.views)
+    path = [Waypoint(0, float(t), interpolate_pose(first, second, float(t))) for t in times]
+    if not _has_parallax(pair) or made.inverse_depth(path[0]) is None:
         return {}
     height = min(CLIP_HEIGHT, pair.size[0])
-    times = 0.5 + CLIP_STEP * (np.arange(CLIP_FRAMES) - CLIP_FRAMES // 2)
-    path = [Waypoint(0, float(t), interpolate_pose(poses[0], poses[1], float(t))) for t in times]
-    clip = []
-    for picture in method.pictures(path, (height, 2 * height), Stopwatch()):
-        if picture.inverse_depth is None:
-            return {}
-        clip.append(picture)
-    return _followed(clip, [waypoint.pose for waypoint in path])
-
-
-def _followed(clip: Sequence[Picture], poses: Sequence[Pose]) -> dict[str, float]:
-    """Both measures along the geometry of the clip; none where neighbouring frames show nothing in common."""
-    frames = [_shown(picture.image) for picture in clip]
-    inverse_depths = [picture.inverse_depth for picture in clip if picture.inverse_depth is not None]
+    clip = method((height, 2 * height), Stopwatch())
+    frames = [_shown(clip.frame(waypoint).image) for waypoint in path]
+    inverse_depths = [seen for waypoint in path if (seen := clip.inverse_depth(waypoint)) is not None]
+    poses = [waypoint.pose for waypoint in path]
     try:
         return {
             "warping_error": warping_error(frames, inverse_depths, poses),
@@ -167,15 +179,14 @@ def _followed(clip: Sequence[Picture], poses: Sequence[Pose]) -> dict[str, float
         return {}
 
 
-def _end_errors(method: Synthesizer, pair: LoadedPair, threads: int | None) -> dict[str, float]:
+def _end_errors(made: Pair, pair: LoadedPair, threads: int | None) -> dict[str, float]:
     """How far both ends are from the photographs that are shown there: what would pop."""
-    path = [Waypoint(0, t, view.pose) for t, view in zip((END, 1 - END), pair.views, strict=True)]
     errors = []
-    for picture, view in zip(method.pictures(path, pair.size, Stopwatch()), pair.views, strict=True):
-        truth = view.image
+    for t, view in zip((END, 1 - END), pair.views, strict=True):
+        shown, truth = _shown(made.frame(Waypoint(0, t, view.pose)).image), view.image
         if truth.shape[:2] != pair.size:
             truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
         weights = row_weights(pair.size[0])
-        squared = ((_shown(picture.image).astype(np.float64) - _shown(truth)) ** 2).mean(axis=(1, 2))
+        squared = ((shown.astype(np.float64) - _shown(truth)) ** 2).mean(axis=(1, 2))
         errors.append(math.sqrt(float(np.average(squared, weights=weights))))
     return {"end_first": errors[0], "end_second": errors[1]}

@@ -1,202 +1,240 @@
 """The methods that are compared, by name: what is measured, upper bounds, baselines and ablations.
 
+A method is a :class:`~omnisyn_cli.synthesis.recipe.Recipe`, perhaps changed, and what only an evaluation may do: look
+at the true depth, make surfaces of another density, hide the second panorama.
+
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
 estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
-fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper) or ``views=1`` (only the
-first panorama is shown): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
-``omnisyn-balanced:fusion=network``.
+fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
+does) or ``views=1`` (only the first panorama is shown); those whose depth a network refines take ``model=none`` (all
+else as it is, without that network): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
+``omnisyn-accurate:model=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 
-from omnisyn_cli.errors import InputError
-from omnisyn_cli.estimators import make_estimator
-from omnisyn_cli.evaluation.flow import CrossFade, FlowFade
-from omnisyn_cli.evaluation.synsin import SynSinSynthesizer
-from omnisyn_cli.evaluation.synthesizers import (
-    DepthMemory,
-    GeometricSynthesizer,
-    MethodUnavailableError,
-    Recipe,
-    Synthesizer,
-    first_view_only,
-    geometric_fuser,
-    network_fuser,
-)
-from omnisyn_cli.presets import DEFAULT_PRESET, FUSION_MODELS, PRESETS, SYNSIN_MODELS, SYNSIN_SOURCES
-from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import RENDERERS
+import numpy as np
+
+from omnisyn_cli.errors import InputError, OmnisynError
+from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.synsin import open_synsin
-from omnisyn_cli.types import KnownDepth, View
+from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames
+from omnisyn_cli.synthesis.making import make_estimator, make_method
+from omnisyn_cli.synthesis.methods import Pair, SurfacePair
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, SCALE
+from omnisyn_cli.synthesis.recipe import FUSIONS, OMNISYN, RENDERERS, SYNSIN_MODELS, DepthSource, Recipe
+from omnisyn_cli.synthesis.segments import Stopwatch
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
-__all__ = ["METHODS", "Method", "MethodOptions", "find_method", "find_methods"]
+__all__ = [
+    "METHODS",
+    "ComparedMethod",
+    "MethodAtWork",
+    "MethodUnavailableError",
+    "PairDepths",
+    "find_method",
+    "find_methods",
+    "ingredients_of",
+]
+
+AT_FIRST = 1e-9
+"""Share of the way at which the exposure of a frame is still that of the first view."""
+
+
+class MethodUnavailableError(OmnisynError):
+    """A method cannot work on this pair or in this installation; the message is the reason that tables give."""
+
+
+class PairDepths:
+    """Depth of one pair by its source, and the seconds that it took; every source is asked once."""
+
+    def __init__(self) -> None:
+        self._found: dict[DepthSource, tuple[tuple[DepthEstimate, DepthEstimate], float]] = {}
+
+    def recall(
+        self, source: DepthSource, estimator: DepthEstimator, first: View, second: View
+    ) -> tuple[tuple[DepthEstimate, DepthEstimate], float]:
+        """What the source's estimator finds, and the seconds that it took when it was asked."""
+        if source not in self._found:
+            begin = time.perf_counter()
+            found = estimator(first, second)
+            self._found[source] = (found, time.perf_counter() - begin)
+        return self._found[source]
 
 
 @dataclass(frozen=True)
-class MethodOptions:
-    """What all methods are made with.
-
-    Attributes:
-        threads: at most this many; None is one per core.
-        device: where networks run: ``auto``, ``cpu`` or ``cuda``.
-        memory: depth of the pair that another method has found already; None: there is none.
-    """
-
-    threads: int | None = None
-    device: str = "auto"
-    memory: DepthMemory | None = None
-
-
-Factory = Callable[[tuple[View, View], MethodOptions], Synthesizer]
-"""Sets a method to work on a pair; raises MethodUnavailableError where it cannot."""
-
-
-@dataclass(frozen=True)
-class Method:
+class ComparedMethod:
     """A method that can be compared.
 
     Attributes:
         name: as it is chosen and listed.
         description: what it does, in a few words.
-        make: sets it to work.
-        ingredients: tells what its results depend on besides its name, such as the networks that are installed.
+        recipe: what its frames are made with; depth from files is the truth, which no other method sees.
+        depth_size: height and width of the surfaces' grids; None is that of the estimates.
+        shows_first_only: whether the second panorama is hidden.
     """
 
     name: str
     description: str
-    make: Factory
-    ingredients: Callable[[], tuple[str, ...]] = tuple
+    recipe: Recipe
+    depth_size: tuple[int, int] | None = None
+    shows_first_only: bool = False
+
+    def ingredients(self) -> tuple[str, ...]:
+        """What its results depend on besides its name."""
+        return ingredients_of(self.recipe)
 
 
-RecipeFactory = Callable[[MethodOptions], Recipe]
+def ingredients_of(recipe: Recipe) -> tuple[str, ...]:
+    """What results depend on that are made by a recipe: its settings, the digests of its networks as installed."""
+    installed = read_manifest()
+    return (repr(recipe), *(installed[name].sha256 if name in installed else "" for name in recipe.networks))
 
 
-def _matching(options: MethodOptions) -> Recipe:
-    return Recipe("matching", make_estimator("matching", threads=options.threads))
+class MethodAtWork:
+    """A method at work on one pair of views: called with a size and a stopwatch, it makes the pair ready for frames.
+
+    Args:
+        method: which.
+        views: with the true depth, which is kept from all that must not see it.
+        threads: at most this many; None is one per core.
+        device: where networks run: ``auto``, ``cpu`` or ``cuda``.
+        known: depth that other methods have found, which counts with the seconds that it took there.
+
+    Raises:
+        MethodUnavailableError: true depth or a network is missing.
+    """
+
+    def __init__(
+        self, method: ComparedMethod, views: tuple[View, View], *, threads: int | None = None, device: str = "auto",
+        known: PairDepths | None = None,
+    ) -> None:  # fmt: skip
+        self._method, self._threads, self._known = method, threads, known or PairDepths()
+        self._recipe = replace(method.recipe, device=device)
+        sees_truth = self._recipe.depth.kind == "file"
+        if sees_truth and self._recipe.method == OMNISYN and any(view.known_depth is None for view in views):
+            raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
+        self._views = views if sees_truth else tuple(View(view.image, view.pose, view.mask) for view in views)
+        with _unavailable_without_network():
+            self._estimator = make_estimator(self._recipe.depth, device=device, threads=threads)
+
+    def __call__(self, size: tuple[int, int], clock: Stopwatch) -> Pair:
+        """The pair ready for frames of a size; seconds by stage go to the stopwatch."""
+        fuser = _FirstViewOnly(size, self._threads) if self._method.shows_first_only else None
+        with _unavailable_without_network():
+            method = make_method(
+                self._recipe, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
+                fuser=fuser,
+            )  # fmt: skip
+        pair = method.prepare(0, *self._views)
+        return _FirstOfPair(pair) if fuser is not None and isinstance(pair, SurfacePair) else pair
+
+    def _depths(self, clock: Stopwatch, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        """The depth of both views; ``clock`` is given the seconds that this does not take now."""
+        begin = time.perf_counter()
+        found, seconds = self._known.recall(self._recipe.depth, self._estimator, first, second)
+        if (size := self._method.depth_size) is not None:
+            found = (_resized(found[0], size), _resized(found[1], size))
+        clock.seconds["depth"] += max(0.0, seconds - (time.perf_counter() - begin))
+        return found
 
 
-def _monocular(options: MethodOptions) -> Recipe:
+@contextmanager
+def _unavailable_without_network() -> Iterator[None]:
     try:
-        estimator = make_estimator("monocular", model=SYNSIN_MODELS[0], device=options.device, threads=options.threads)
+        yield
     except InputError as error:
         raise MethodUnavailableError(str(error)) from error
-    return Recipe("monocular", estimator)
 
 
-def _synsin(name: str, views: tuple[View, View], options: MethodOptions) -> Synthesizer:
-    try:
-        networks = open_synsin(device=options.device, threads=options.threads)
-    except InputError as error:
-        raise MethodUnavailableError(str(error)) from error
-    return SynSinSynthesizer(networks, views, SYNSIN_SOURCES[name], options.threads)
+def _resized(estimate: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
+    """An estimate at another size; pixels are taken from where they are, so that no edge is blurred."""
+    directions = pixel_directions(*size)
+    return DepthEstimate(
+        sample_nearest(estimate.inverse_depth, directions), sample_nearest(estimate.confidence, directions)
+    )
 
 
-def _oracle(_: MethodOptions) -> Recipe:
-    return Recipe("truth", KnownDepth(), sees_truth=True)
+class _FirstViewOnly:
+    """A fuser that is blind to the second view."""
+
+    def __init__(self, size: tuple[int, int], threads: int | None) -> None:
+        self._fuser: Fuser = GeometricFuser(size, threads=threads)
+
+    def __call__(
+        self, first: Rendering, second: Rendering, t: float, out: np.ndarray | None = None,
+        confidence: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        unseen = np.full_like(second.inverse_depth, -1.0)
+        nothing = Rendering.of(unseen, np.zeros((*unseen.shape, 4), np.float32), second.target_from_source)
+        return self._fuser(first, nothing, t, out, confidence)
 
 
-def _preset(name: str) -> RecipeFactory:
-    """The recipe of a preset of the product; unavailable where its network is missing."""
+class _FirstOfPair:
+    """A :class:`~omnisyn_cli.synthesis.methods.Pair` as its first view alone shows it, at that view's exposure."""
 
-    def make(options: MethodOptions) -> Recipe:
-        preset = PRESETS[name]
-        try:
-            estimator = make_estimator(
-                preset.depth, rows=preset.depth_rows, model=preset.model, device=options.device, threads=options.threads
-            )
-        except InputError as error:
-            raise MethodUnavailableError(str(error)) from error
-        fuser = geometric_fuser if preset.fusion == "geometric" else network_fuser(options.device, preset.fusion)
-        cut = Cut() if preset.cut_metres is None else Cut(relative=None, metres=preset.cut_metres)
-        return Recipe(f"preset {name}", estimator, renderer=preset.renderer, cut=cut, fuser=fuser)
+    def __init__(self, pair: SurfacePair) -> None:
+        self._pair, self.depths = pair, pair.depths
 
-    return make
+    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+        """What the first view shows."""
+        return self._pair.frame(replace(waypoint, t=AT_FIRST), out)
+
+    def inverse_depth(self, waypoint: Waypoint) -> np.ndarray:
+        """Of the first view's surface."""
+        return self._pair.inverse_depth(waypoint, (0,))
 
 
-def _installed(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
-    """A preset, and the digests of its network and of that for fusion, as far as they are there and take part."""
-    preset = PRESETS.get(name)
-    settings = () if preset is None else (repr(preset), _digest(preset.model))
-    fusions = {FUSED_BY[parameter] for parameter in parameters if parameter in FUSED_BY}
-    fusions |= {preset.fusion} if preset is not None else set()
-    return (*settings, *(_digest(model) for fusion, model in FUSION_MODELS.items() if fusion in fusions))
+_DEFAULT = PRESETS[DEFAULT_PRESET].recipe
 
-
-def _with_synsin(name: str, parameters: tuple[str, ...]) -> tuple[str, ...]:
-    """The same, and the digests of SynSin's networks."""
-    return (*map(_digest, SYNSIN_MODELS), *_installed(name, parameters))
-
-
-def _digest(model: str | None) -> str:
-    """Of a network of the manifest; empty where there is none."""
-    entry = read_manifest().get(model) if model else None
-    return entry.sha256 if entry else ""
-
-
-def _changed(base: RecipeFactory, **changes: object) -> RecipeFactory:
-    return lambda options: replace(base(options), **changes)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """A geometric method: description, recipe, and the preset that the recipe looks at, if it does."""
-
-    description: str
-    recipe: RecipeFactory
-    preset: str = ""
-
-
-def _of_preset(description: str, name: str, **changes: object) -> _Entry:
-    return _Entry(description, _changed(_preset(name), **changes), name)
-
-
-RECIPES: Mapping[str, _Entry] = MappingProxyType(
+BASES: Mapping[str, ComparedMethod] = MappingProxyType(
     {
-        "matching": _Entry("depth by matching, mesh, geometric fusion", _matching),
-        "omnisyn-fast": _of_preset("the preset fast", "fast"),
-        "omnisyn-balanced": _of_preset("the preset balanced", "balanced"),
-        "omnisyn-accurate": _of_preset("the preset accurate", "accurate"),
-        "omnisyn-paper": _of_preset("the preset paper: the method of the paper with narrower networks", "paper"),
-        "omnisyn-points": _of_preset(
-            "the default preset with a cloud of points instead of the mesh", DEFAULT_PRESET, renderer="points"
-        ),
-        "omnisyn-two-pass": _of_preset(
-            "the default preset with the paper's two-pass rasteriser", DEFAULT_PRESET, renderer="two-pass"
-        ),
-        "first-view-only": _of_preset(
-            "the default preset's depth, only the first panorama is shown", DEFAULT_PRESET, fuser=first_view_only
-        ),
-        "monocular": _Entry("depth from each panorama alone, mesh, geometric fusion", _monocular),
-        "oracle-depth": _Entry("the true depth: an upper bound", _oracle),
+        name: ComparedMethod(name, description, recipe, shows_first_only=name == "first-view-only")
+        for name, description, recipe in (
+            ("crossfade", "both panoramas, turned, averaged by time", Recipe(method="crossfade")),
+            ("flow", "both panoramas moved along optical flow (DIS), averaged by time", Recipe(method="flow")),
+            ("synsin", "SynSin from the nearer panorama", Recipe(method="synsin")),
+            ("synsin-2view", "SynSin from both panoramas", Recipe(method="synsin-2view")),
+            ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"))),
+            *((f"omnisyn-{name}", f"the preset {name}", preset.recipe) for name, preset in SCALE.items()),
+            (
+                "omnisyn-paper", "the preset paper: the method of the paper with narrower networks",
+                PRESETS["paper"].recipe,
+            ),
+            (
+                "omnisyn-points", "the default preset with a cloud of points instead of the mesh",
+                replace(_DEFAULT, renderer="points"),
+            ),
+            (
+                "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
+                replace(_DEFAULT, renderer="two-pass"),
+            ),
+            ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
+            (
+                "monocular", "depth from each panorama alone, mesh, geometric fusion",
+                Recipe(DepthSource("monocular", model=SYNSIN_MODELS[0])),
+            ),
+            ("oracle-depth", "the true depth: an upper bound", Recipe(DepthSource("file"))),
+        )
     }
 )  # fmt: skip
-"""Geometric methods by name."""
+"""Methods without parameters, by name."""
 
-PLAIN: Mapping[str, tuple[str, Callable[[tuple[View, View], int | None], Synthesizer]]] = MappingProxyType(
-    {
-        "crossfade": ("both panoramas, turned, averaged by time", CrossFade),
-        "flow": ("both panoramas moved along optical flow (DIS), averaged by time", FlowFade),
-    }
-)
-"""Methods without geometry."""
+FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
+"""Fusions by the parameter that asks for them."""
 
-FUSED_BY = {f"fusion={name}": name for name in FUSION_MODELS}
-"""Fusions with a network by the parameter that asks for them."""
-
-SYNSIN: Mapping[str, str] = MappingProxyType(
-    {
-        "synsin": "SynSin from the nearer panorama",
-        "synsin-2view": "SynSin from both panoramas",
-    }
-)
-"""SynSin's points and networks, by the name of the method."""
+NO_MODEL = "model=none"
 
 ONE_VIEW = "views=1"
 
@@ -211,79 +249,59 @@ VARIANTS = (
 """Ablations that are part of ``all``."""
 
 
-def find_method(name: str) -> Method:
+def find_method(name: str) -> ComparedMethod:
     """The method of a name.
 
     Raises:
         InputError: there is none, or it has no such parameter.
     """
     base, *parameters = name.split(":")
-    if base in PLAIN and not parameters:
-        description, make = PLAIN[base]
-        return Method(name, description, lambda views, options: make(views, options.threads))
-    if base in SYNSIN and not parameters:
-        return Method(name, SYNSIN[base], partial(_synsin, base), partial(_with_synsin, base, ()))
-    if base not in RECIPES:
-        raise InputError(
-            f"expected one of {', '.join((*PLAIN, *SYNSIN, *RECIPES))} as method, got {name!r}; choose one of these"
-        )
-    entry = RECIPES[base]
-    description = entry.description
-    changes = [_change(parameter, name) for parameter in parameters]
+    if base not in BASES or (parameters and BASES[base].recipe.method != OMNISYN):
+        raise InputError(f"expected one of {', '.join(BASES)} as method, got {name!r}; choose one of these")
     fusions = [parameter for parameter in parameters if parameter in FUSED_BY]
     if fusions and ONE_VIEW in parameters:
         raise InputError(f"expected {fusions[0]} or {ONE_VIEW}, got both in {name!r}: one view has nothing to fuse")
+    method = BASES[base]
+    for parameter in parameters:
+        method = _changed(method, parameter, name)
     if parameters:
-        description = f"{description}; {', '.join(parameters)}"
-
-    def make_geometric(views: tuple[View, View], options: MethodOptions) -> Synthesizer:
-        made = entry.recipe(options)
-        for change in changes:
-            made = change(made, options)
-        _check_truth(made, views)
-        return GeometricSynthesizer(made, views, options.threads, options.memory)
-
-    ingredients = _with_synsin if base == "monocular" else _installed
-    return Method(name, description, make_geometric, partial(ingredients, entry.preset, tuple(parameters)))
+        method = replace(method, description=f"{method.description}; {', '.join(parameters)}")
+    return replace(method, name=name)
 
 
-def _change(parameter: str, name: str) -> Callable[[Recipe, MethodOptions], Recipe]:
+def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMethod:
     key, _, value = parameter.partition("=")
+    recipe = method.recipe
     try:
         if key == "cut" and 0 < float(value) <= 1:
-            return lambda recipe, _: replace(recipe, cut=Cut(relative=float(value)))
+            return replace(method, recipe=replace(recipe, cut=float(value), cut_metres=None))
         if key == "metres" and float(value) > 0:
-            return lambda recipe, _: replace(recipe, cut=Cut(relative=None, metres=float(value)))
+            return replace(method, recipe=replace(recipe, cut=None, cut_metres=float(value)))
         if key == "renderer" and value in RENDERERS:
-            return lambda recipe, _: replace(recipe, renderer=value)
+            return replace(method, recipe=replace(recipe, renderer=value))
         if parameter in FUSED_BY:
-            return lambda recipe, options: replace(recipe, fuser=network_fuser(options.device, FUSED_BY[parameter]))
+            return replace(method, recipe=replace(recipe, fusion=FUSED_BY[parameter]), shows_first_only=False)
+        if parameter == NO_MODEL and recipe.depth.kind == "refined":
+            return replace(method, recipe=replace(recipe, depth=replace(recipe.depth, model=None)))
         if parameter == ONE_VIEW:
-            return lambda recipe, _: replace(recipe, fuser=first_view_only)
+            return replace(method, shows_first_only=True)
         if key == "depth":
             width, height = (int(number) for number in value.lower().split("x"))
             if width == 2 * height > 0:
-                return lambda recipe, _: replace(recipe, depth_size=(height, width))
+                return replace(method, depth_size=(height, width))
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)} or {ONE_VIEW} after the "
-        f"colon, got {parameter!r} in {name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)}, {NO_MODEL} (where one "
+        f"refines matching) or {ONE_VIEW} after the colon, got {parameter!r} in {name!r}"
     )
 
 
-def _check_truth(recipe: Recipe, views: tuple[View, View]) -> None:
-    if recipe.sees_truth and any(view.known_depth is None for view in views):
-        raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
-
-
-METHODS: Mapping[str, Method] = MappingProxyType(
-    {name: find_method(name) for name in (*PLAIN, *SYNSIN, *RECIPES, *VARIANTS)}
-)
+METHODS: Mapping[str, ComparedMethod] = MappingProxyType({name: find_method(name) for name in (*BASES, *VARIANTS)})
 """What ``all`` stands for, by name."""
 
 
-def find_methods(text: str) -> list[Method]:
+def find_methods(text: str) -> list[ComparedMethod]:
     """``all``, or names separated by commas, each once.
 
     Raises:

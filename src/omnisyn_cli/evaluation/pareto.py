@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import ConfigDict, TypeAdapter
+
 from omnisyn_cli import __version__
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.io.outputs import replaced_when_complete
 
 __all__ = [
     "FRAME_STAGES",
@@ -48,11 +50,13 @@ class Setting:
     """What can be chosen.
 
     Attributes:
-        preset: a name of :data:`omnisyn_cli.presets.PRESETS`.
+        preset: a name of :data:`omnisyn_cli.synthesis.presets.PRESETS`.
         depth_rows: that depth is looked for at, which is the density of the mesh as well.
         size: height and width of the frames.
         threads: at most this many.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     preset: str
     depth_rows: int
@@ -83,12 +87,14 @@ class Figures:
         encoder: wall time that the encoder alone takes for each frame of the first clip, beside these.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
     key: str = ""
     source: tuple[int, int] = (0, 0)
-    seconds: Mapping[str, float] | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
     calibration: float = 0.0
     memory: int | None = None
     ws_psnr: float | None = None
@@ -102,24 +108,15 @@ class Figures:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-        return asdict(replace(self, seconds=dict(self.seconds or {})))
+        return asdict(self)
 
     @staticmethod
-    def from_json(values: Mapping[str, Any]) -> Figures:
-        """The figures that :meth:`to_json` made plain values of.
+    def from_json(values: Any) -> Figures:
+        """The figures that :meth:`to_json` made plain values of; ValueError where it did not make them."""
+        return FIGURES.validate_python(values)
 
-        Raises:
-            KeyError, TypeError, ValueError: it did not make them.
-        """
-        made = Figures(**values)
-        setting = Setting(**values["setting"])
-        height, width = setting.size
-        rows, columns = made.source
-        seconds = {str(stage): float(value) for stage, value in values["seconds"].items()}
-        return replace(
-            made, setting=replace(setting, size=(int(height), int(width))), source=(int(rows), int(columns)),
-            seconds=seconds,
-        )  # fmt: skip
+
+FIGURES = TypeAdapter(Figures)
 
 
 @dataclass(frozen=True)
@@ -146,11 +143,11 @@ class Workload:
 def expected_seconds(figures: Figures, work: Workload) -> float:
     """Seconds that a job is expected to take with a setting that was measured."""
     seconds = _seconds(figures)
-    source = _pixels(work.source) / _pixels(figures.source)
+    source = math.prod(work.source) / math.prod(figures.source)
     decode = seconds["decode"] * source * work.panoramas / 2
     skipped = {"decode"} if work.finds_depth else {"decode", "depth"}
     pairs = (work.panoramas - 1) * math.fsum(seconds[s] for s in pair_stages(figures) if s not in skipped)
-    frames = work.frames * frame_seconds(figures) * _pixels(work.size) / _pixels(figures.setting.size)
+    frames = work.frames * frame_seconds(figures) * math.prod(work.size) / math.prod(figures.setting.size)
     return (seconds["start"] + decode + pairs + frames) * work.calibration / figures.calibration
 
 
@@ -182,8 +179,8 @@ def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
     """
     rated = [figures for figures in measured if figures.status == "done" and figures.ws_psnr is not None]
     front: list[Figures] = []
-    for figures in sorted(rated, key=lambda each: (standard_seconds(each), -_quality(each))):
-        if not front or _quality(figures) > _quality(front[-1]):
+    for figures in sorted(rated, key=lambda each: (standard_seconds(each), -quality(each))):
+        if not front or quality(figures) > quality(front[-1]):
             front.append(figures)
     return front
 
@@ -206,7 +203,7 @@ class ParetoTable:
         """The figures of a preset whose threads and, among those, whose frames are the nearest; None: not measured."""
         return min(
             (f for f in self.figures if f.setting.preset == preset and f.setting.depth_rows == rows),
-            key=lambda f: (_ratio(f.setting.threads, threads), _ratio(_pixels(f.setting.size), _pixels(size))),
+            key=lambda f: (_ratio(f.setting.threads, threads), _ratio(math.prod(f.setting.size), math.prod(size))),
             default=None,
         )
 
@@ -235,7 +232,7 @@ def read_table(path: Path) -> ParetoTable:
             raise ValueError(f"version {content['version']}")
         measured = tuple(Figures.from_json(values) for values in content["figures"])
         return ParetoTable(str(content["omnisyn"]), str(content["machine"]), measured)
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: expected a table of version {VERSION} from `omnisyn bench --store`, got '{error}'; write it anew"
         ) from error
@@ -245,12 +242,9 @@ def _seconds(figures: Figures) -> Mapping[str, float]:
     return figures.seconds or dict.fromkeys(("start", "decode", "depth", *FRAME_STAGES), math.nan)
 
 
-def _quality(figures: Figures) -> float:
+def quality(figures: Figures) -> float:
+    """WS-PSNR in dB; minus infinity where it is not known."""
     return -math.inf if figures.ws_psnr is None else figures.ws_psnr
-
-
-def _pixels(size: tuple[int, int]) -> int:
-    return size[0] * size[1]
 
 
 def _ratio(first: float, second: float) -> float:

@@ -6,24 +6,32 @@ import io
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 from omnisyn_cli.evaluation.grouping import (
     distance_band,
     finished,
     frames_of,
-    mean,
     ranked_methods,
     stages_of,
     time_band,
 )
-from omnisyn_cli.evaluation.records import FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.pareto import STANDARD_FRAMES, Figures, pareto_front, standard_seconds
+from omnisyn_cli.evaluation.results import UnitRecord, mean
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["report_plots"]
+__all__ = ["PLOT_TITLES", "pareto_plot", "report_plots"]
+
+PLOT_TITLES = {
+    "ws-psnr-by-distance": "WS-PSNR against the distance from the nearer panorama",
+    "ws-psnr-by-share": "WS-PSNR along the way",
+    "ws-psnr-by-seconds": "Quality against time",
+    "seconds-by-stage": "Seconds per pair, by stage",
+}
 
 WIDTH = 6.4
 HEIGHT = 3.8
@@ -44,23 +52,16 @@ MOST_POINTS = 2000
 
 
 def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:
-    """Every diagram that there are figures for: name without extension -> PNG file."""
-    figures = {
-        "ws-psnr-by-distance": _quality_by_distance(records),
-        "ws-psnr-by-share": _quality_by_share(records),
-        "ws-psnr-by-seconds": _quality_by_seconds(records),
-        "seconds-by-stage": _seconds_by_stage(records),
-    }
+    """Every diagram that there are figures for: a key of :data:`PLOT_TITLES` -> PNG file."""
+    drawings = (_quality_by_distance, _quality_by_share, _quality_by_seconds, _seconds_by_stage)
+    figures = {name: draw(records) for name, draw in zip(PLOT_TITLES, drawings, strict=True)}
     return {name: _png(figure) for name, figure in figures.items() if figure is not None}
 
 
 def _quality_by_distance(records: Sequence[UnitRecord]) -> Figure | None:
     """The paper's diagram: WS-PSNR against the distance from the nearer panorama."""
-
-    def coordinates(frame: FrameRecord) -> tuple[float, float]:
-        return frame.distance, float(distance_band(frame.distance))
-
-    return _quality_by(records, coordinates, "Distance from the nearer panorama, m")
+    axis = "Distance from the nearer panorama, m"
+    return _quality_by(records, lambda frame: (frame.distance, distance_band(frame.distance)[0]), axis)
 
 
 def _quality_by_share(records: Sequence[UnitRecord]) -> Figure | None:
@@ -107,22 +108,17 @@ def _quality_by_seconds(records: Sequence[UnitRecord]) -> Figure | None:
     """What a method's quality costs: mean WS-PSNR against mean seconds per pair."""
     points = {}
     for method in ranked_methods(records):
-        units = [record for record in finished(records) if record.method == method and record.seconds]
+        units = [record for record in finished(records, method) if record.seconds]
         score = mean(value for value, _ in frames_of(records, method))
         seconds = mean(record.seconds.get("total", math.fsum(record.seconds.values())) for record in units)
         if math.isfinite(score) and seconds > 0:
             points[method] = (seconds, score)
     if not points:
         return None
-    from matplotlib.ticker import LogLocator
-
     figure, axes = _new_figure(len(points))
     for index, (method, (seconds, score)) in enumerate(points.items()):
         axes.plot([seconds], [score], linestyle="none", markersize=8, label=_plain(method), **_style(index))
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-    axes.xaxis.set_minor_formatter("{x:g}")
+    axes.set_xscale("log", subs=(2, 5))
     _finish(figure, axes, "Seconds per pair", "WS-PSNR, dB")
     return figure
 
@@ -146,6 +142,32 @@ def _seconds_by_stage(records: Sequence[UnitRecord]) -> Figure | None:
     return figure
 
 
+def pareto_plot(measured: Sequence[Figures]) -> bytes | None:
+    """Accuracy against the seconds of a standard clip as a PNG file, a line along the best of each size.
+
+    None where no setting has an accuracy.
+    """
+    rated = [figures for figures in measured if figures.status == "done" and figures.ws_psnr is not None]
+    if not rated:
+        return None
+    figure, axes = _new_figure(0, HEIGHT + 0.5)
+    presets = list(dict.fromkeys(figures.setting.preset for figures in rated))
+    for marker, size in zip(cycle(MARKERS), dict.fromkeys(figures.setting.size for figures in rated)):
+        of_size = [figures for figures in rated if figures.setting.size == size]
+        axes.plot(*_seconds_and_quality(pareto_front(of_size)), color="0.6", zorder=1)
+        for index, preset in enumerate(presets):
+            points = _seconds_and_quality([figures for figures in of_size if figures.setting.preset == preset])
+            label = f"{preset}, {size[1]}x{size[0]}"
+            axes.scatter(*points, marker=marker, s=45, zorder=2, color=_colour(index), label=label)
+    axes.set_xscale("log")
+    _finish(figure, axes, f"Seconds for {STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB")
+    return _png(figure)
+
+
+def _seconds_and_quality(measured: Sequence[Figures]) -> tuple[list[float], list[float]]:
+    return [standard_seconds(figures) for figures in measured], [figures.ws_psnr or 0.0 for figures in measured]
+
+
 def _new_figure(entries: int, height: float = HEIGHT) -> tuple[Figure, Axes]:
     """A diagram with room for a legend of so many entries below it."""
     from matplotlib.figure import Figure
@@ -159,6 +181,9 @@ def _new_figure(entries: int, height: float = HEIGHT) -> tuple[Figure, Axes]:
 
 
 def _finish(figure: Figure, axes: Axes, x_title: str, y_title: str) -> None:
+    if axes.get_xscale() == "log":
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("{x:g}")
     axes.set_xlabel(x_title)
     axes.set_ylabel(y_title)
     axes.grid(alpha=0.25)

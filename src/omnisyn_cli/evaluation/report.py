@@ -1,6 +1,8 @@
 """The report of an evaluation: a page to read, tables to paste, figures to compute with.
 
 It is made of the records alone, whatever number of them there is, so that an unfinished evaluation has one as well.
+The page shows the worst frames of every method first, and depth beside the true depth: pictures are read from the
+folder of the report, made small and put into the page itself.
 """
 
 from __future__ import annotations
@@ -9,22 +11,22 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+
+import cv2
+import numpy as np
 
 from omnisyn_cli import __version__
-from omnisyn_cli.evaluation.gallery import depth_sections, frame_sections
-from omnisyn_cli.evaluation.grouping import gaps
-from omnisyn_cli.evaluation.markdown import render_markdown
-from omnisyn_cli.evaluation.page import render_page
-from omnisyn_cli.evaluation.plots import report_plots
-from omnisyn_cli.evaluation.records import UnitRecord, latest_records
-from omnisyn_cli.evaluation.table import Table
-from omnisyn_cli.evaluation.tables import report_tables
-from omnisyn_cli.io.paths import write_errors
-from omnisyn_cli.io.staging import staged_folder
+from omnisyn_cli.evaluation.grouping import figures_of, finished, gaps, pair_names, ranked_methods
+from omnisyn_cli.evaluation.plots import PLOT_TITLES, report_plots
+from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord, json_values, latest_records
+from omnisyn_cli.evaluation.tables import Table, format_value, report_tables
+from omnisyn_cli.evaluation.templating import data_uri, render_markdown, render_page
+from omnisyn_cli.evaluation.visualization import ERROR_SCALE
+from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 __all__ = ["CSV_COLUMNS", "REPORT_NAME", "write_report"]
 
@@ -36,6 +38,24 @@ CSV_COLUMNS = (
 )  # fmt: skip
 """``subject`` is what was measured: ``frame``, ``depth``, ``depth-weighted``, ``temporal`` or ``seconds``; ``name`` is
 that of the frame or panorama; ``distance`` is to the nearer panorama; lengths are metres."""
+
+FRAMES_PER_METHOD = 4
+"""The worst frames of each method that are shown."""
+
+MOST_PANORAMAS = 8
+"""The panoramas whose depth is shown."""
+
+WIDTH = 512
+QUALITY = 78
+"""Of the JPEG files inside the page; the full pictures stay in the folder."""
+
+FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error"}
+
+Pictures = dict[str, str]
+"""Pictures side by side: a caption -> the whole file as an address."""
+
+Sections = dict[str, dict[str, Pictures]]
+"""By method or panorama, then by a title, which may be empty."""
 
 
 def write_report(folder: Path, records: Iterable[UnitRecord]) -> None:
@@ -53,7 +73,9 @@ def write_report(folder: Path, records: Iterable[UnitRecord]) -> None:
     units = latest_records(records)
     tables, plots = report_tables(units), report_plots(units)
     page = render_page(
-        units, tables, plots, frame_sections(folder, units), depth_sections(folder, units), __version__
+        "report.html.j2", version=__version__, counts=Counter(unit.status for unit in units), tables=tables,
+        gaps=gaps(units), plots=plots, titles=PLOT_TITLES, frames=frame_sections(folder, units),
+        depths=depth_sections(folder, units), error_scale=ERROR_SCALE,
     )  # fmt: skip
     texts = {
         "html": page,
@@ -72,19 +94,11 @@ def _json(units: Sequence[UnitRecord], tables: Sequence[Table]) -> str:
     """Strict JSON: tables of means and all units; what is infinite or undefined is a string or null."""
     content = {
         "version": __version__,
-        "tables": [_strict(asdict(table)) for table in tables],
+        "tables": [asdict(table) for table in tables],
         "gaps": [asdict(gap) for gap in gaps(units)],
-        "units": [unit.to_json() for unit in units],
+        "units": [asdict(unit) for unit in units],
     }
-    return json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
-
-
-def _strict(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _strict(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_strict(item) for item in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps(json_values(content), ensure_ascii=False, allow_nan=False, indent=1) + "\n"
 
 
 def _csv(units: Sequence[UnitRecord]) -> str:
@@ -95,17 +109,74 @@ def _csv(units: Sequence[UnitRecord]) -> str:
     for unit in units:
         about = (unit.scene, unit.first, unit.second, unit.method, unit.baseline)
         writer.writerows(
-            (*about, *rest, metric, value) for rest, scores in _figures(unit) for metric, value in scores.items()
+            (*about, *rest, metric, value) for rest, scores in figures_of(unit) for metric, value in scores.items()
         )
     return file.getvalue()
 
 
-def _figures(unit: UnitRecord) -> Iterator[tuple[tuple[str, str, float | str, float | str], Mapping[str, float]]]:
-    """Subject, name, t and distance, and the figures by metric."""
-    for frame in unit.frames:
-        yield ("frame", frame.name, frame.t, frame.distance), frame.scores
-    for depth in unit.depths:
-        yield ("depth", depth.view, "", ""), depth.plain
-        yield ("depth-weighted", depth.view, "", ""), depth.weighted
-    yield ("temporal", "", "", ""), unit.temporal
-    yield ("seconds", "", "", ""), unit.seconds
+def frame_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
+    """For each method, the best one first, its worst frames: the true frame, the synthesised one and the error."""
+    names = pair_names(records)
+    sections: Sections = {}
+    for method in ranked_methods(records):
+        frames = ((record, f) for record in finished(records, method) for f in record.frames if f.pictures)
+        worst = sorted(frames, key=lambda item: item[1].scores.get("ws_psnr", math.inf))[:FRAMES_PER_METHOD]
+        for record, frame in worst:
+            if pictures := _pictures(folder, frame.pictures, FRAME_CAPTIONS):
+                sections.setdefault(method, {})[_frame_title(names[record.pair], frame)] = pictures
+    return sections
+
+
+def depth_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
+    """For each panorama the true depth and the depth of every method, the method with the best frames first."""
+    names, ranked = pair_names(records), ranked_methods(records)
+    found: dict[str, dict[str, DepthRecord]] = {}
+    for record in finished(records):
+        for depth in record.depths:
+            if depth.pictures:
+                found.setdefault(f"{names[record.pair]}, {depth.view}", {})[record.method] = depth
+    sections: Sections = {}
+    for panorama, depths in list(found.items())[:MOST_PANORAMAS]:
+        if pictures := _depth_pictures(folder, {method: depths[method] for method in ranked if method in depths}):
+            sections[panorama] = {"": pictures}
+    return sections
+
+
+def embedded_picture(path: Path) -> str | None:
+    """A picture file as a data URI of a JPEG at most :data:`WIDTH` pixels wide; None if it cannot be read."""
+    try:
+        samples = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError:
+        return None
+    image = cv2.imdecode(samples, cv2.IMREAD_COLOR) if samples.size else None
+    if image is None:
+        return None
+    height, width = image.shape[:2]
+    if width > WIDTH:
+        size = (WIDTH, max(1, round(height * WIDTH / width)))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return data_uri(encoded.tobytes(), "jpeg")
+
+
+def _frame_title(pair: str, frame: FrameRecord) -> str:
+    score = format_value(frame.scores.get("ws_psnr", math.nan), 2)
+    return f"{pair}, {frame.name}: {score} dB at t = {frame.t:.2f}, {frame.distance:.2f} m from the nearer panorama"
+
+
+def _depth_pictures(folder: Path, depths: Mapping[str, DepthRecord]) -> Pictures:
+    """The first true depth that can be read, then the estimate of every method."""
+    truths = (_pictures(folder, depth.pictures, {"truth": "true depth"}) for depth in depths.values())
+    shown = next(filter(None, truths), {})
+    for method, depth in depths.items():
+        error = depth.weighted.get("imae", math.nan)
+        caption = method if math.isnan(error) else f"{method}, IMAE {error:.4f} 1/m"
+        shown |= _pictures(folder, depth.pictures, {"depth": caption})
+    return shown
+
+
+def _pictures(folder: Path, files: Mapping[str, str], captions: Mapping[str, str]) -> Pictures:
+    """Those of the pictures with a caption that can be read; a name that leads out of the folder is ignored."""
+    paths = {caption: (folder / files[key]).resolve() for key, caption in captions.items() if key in files}
+    inside = {caption: path for caption, path in paths.items() if path.is_relative_to(folder.resolve())}
+    return {caption: uri for caption, path in inside.items() if (uri := embedded_picture(path)) is not None}

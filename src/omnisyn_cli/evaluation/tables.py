@@ -7,33 +7,76 @@ measured is not called the best, since it may have been lucky with what it measu
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from omnisyn_cli.evaluation.grouping import (
-    Pair,
-    band_name,
     distance_band,
+    figures_of,
     finished,
     frames_of,
+    gaps,
     is_bound,
-    mean,
-    methods_of,
     pair_names,
-    pair_of,
     ranked_methods,
     stages_of,
     time_band,
 )
-from omnisyn_cli.evaluation.records import SCORES, FrameRecord, UnitRecord
-from omnisyn_cli.evaluation.table import Cell, Column, Row, Table, marked_columns, marked_row
+from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-__all__ = ["depth_table", "report_tables"]
+__all__ = ["Cell", "Column", "Row", "Table", "depth_table", "format_value", "mean_table", "report_tables"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of figures; ``better`` is +1 where more is better, −1 where less is, 0 where neither."""
+
+    title: str
+    better: int = 0
+    digits: int = 2
+
+    @property
+    def heading(self) -> str:
+        """The title with an arrow in the direction of what is better."""
+        return self.title + {1: " ↑", -1: " ↓", 0: ""}[self.better]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A mean over ``count`` values; NaN of none."""
+
+    value: float
+    count: int = 1
+    is_best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: figures, or the reason why there are none."""
+
+    name: str
+    cells: tuple[Cell, ...] = ()
+    reason: str = ""
+    is_bound: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: ``corner`` is the title of the column with the rows' names, ``note`` a sentence about it."""
+
+    title: str
+    note: str
+    corner: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
 
 
 FRAME_COLUMNS = {
     "ws_psnr": Column("WS-PSNR, dB", 1),
     "psnr": Column("PSNR, dB", 1),
+    "psnr_top": Column("PSNR of the top eighth, dB", 1),
+    "psnr_bottom": Column("of the bottom eighth, dB", 1),
     "ws_ssim": Column("WS-SSIM", 1, 4),
     "ssim": Column("SSIM", 1, 4),
     "lrce": Column("LRCE", -1, 4),
@@ -60,9 +103,7 @@ TEMPORAL_COLUMNS = {
     "end_second": Column("At the second panorama", -1, 4),
 }
 
-Values = Iterable[Mapping[str, float]]
-
-Placed = tuple[tuple[Pair, int], Mapping[str, float]]
+Placed = tuple[tuple[tuple[str, str, str], int], Mapping[str, float]]
 """Values with their pair and their number there."""
 
 
@@ -70,127 +111,91 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
     """All tables that the records have figures for, the means per method first."""
     tables = [
         mean_table(records),
-        pair_table(records),
-        time_table(records),
-        distance_table(records),
-        baseline_table(records),
+        *_score_tables(records),
         depth_table(records, weighted=False),
         depth_table(records, weighted=True),
-        temporal_table(records),
-        seconds_table(records),
+        _temporal_table(records),
+        _seconds_table(records),
     ]
     return [table for table in tables if table.rows]
 
 
 def mean_table(records: Sequence[UnitRecord]) -> Table:
     """Means of all scores per method, the best method first, and the reasons of those that measured nothing."""
-    table = _method_table(
-        "Means per method",
-        "Mean over all frames between the panoramas; each is compared with the true one.",
-        records, FRAME_COLUMNS, _frame_scores, "Frames",
-    )  # fmt: skip
-    missing = set(methods_of(records)) - {row.name for row in table.rows}
-    absent = [Row(name, (), _reasons(records, name)) for name in ranked_methods(records) if name in missing]
-    return Table(table.title, table.note, table.corner, table.columns, (*table.rows, *absent))
+    note = "Mean over all frames between the panoramas; each is compared with the true one."
+    table = _method_table("Means per method", note, "Frames", records, "frame", FRAME_COLUMNS)
+    shown = {row.name for row in table.rows}
+    absent = [Row(name, (), _reasons(records, name)) for name in ranked_methods(records) if name not in shown]
+    return replace(table, rows=(*table.rows, *absent))
 
 
 def depth_table(records: Sequence[UnitRecord], *, weighted: bool) -> Table:
     """The paper's depth table per method, over all panoramas whose true depth is known."""
-
-    def figures(record: UnitRecord) -> Values:
-        return ((depth.weighted if weighted else depth.plain) for depth in record.depths)
-
-    how = "weighted by solid angle" if weighted else "every pixel counts alike"
+    how, subject = ("weighted by solid angle", "depth-weighted") if weighted else ("every pixel counts alike", "depth")
     note = f"On pixels with a true depth between 1 m and 50 m; {how}. Estimates beyond 100 m count as 100 m in metres."
-    return _method_table(f"Depth, {how}", note, records, DEPTH_COLUMNS, figures, "Panoramas")
+    return _method_table(f"Depth, {how}", note, "Panoramas", records, subject, DEPTH_COLUMNS)
 
 
-def temporal_table(records: Sequence[UnitRecord]) -> Table:
-    """Steadiness per method."""
+def _temporal_table(records: Sequence[UnitRecord]) -> Table:
     note = (
         "Warping error: difference of a frame and the next one warped into it along the geometry. Flicker: second "
         "difference in time of each point. At a panorama: root mean square difference from the panorama itself."
     )
-    return _method_table("Steadiness", note, records, TEMPORAL_COLUMNS, lambda record: [record.temporal], "Pairs")
+    return _method_table("Steadiness", note, "Pairs", records, "temporal", TEMPORAL_COLUMNS)
 
 
-def seconds_table(records: Sequence[UnitRecord]) -> Table:
+def _seconds_table(records: Sequence[UnitRecord]) -> Table:
     """Mean wall time per pair by stage and in total; a stage that a method does not have took no time."""
-    stages = stages_of(records)
-    columns = {stage: Column(stage) for stage in stages} | {"total": Column("Total", -1)}
+    zeros = dict.fromkeys(stages_of(records), 0.0)
+    timed = [
+        replace(unit, seconds=zeros | {"total": math.fsum(unit.seconds.values())} | dict(unit.seconds))
+        for unit in records
+        if unit.seconds
+    ]
+    columns = {stage: Column(stage) for stage in zeros} | {"total": Column("Total", -1)}
+    return _method_table("Seconds per pair", "Mean wall time by stage.", "Pairs", timed, "seconds", columns)
 
-    def figures(record: UnitRecord) -> Values:
-        zeros = dict.fromkeys(stages, 0.0)
-        return [{**zeros, "total": math.fsum(record.seconds.values()), **record.seconds}] if record.seconds else []
 
-    return _method_table("Seconds per pair", "Mean wall time by stage.", records, columns, figures, "Pairs")
-
-
-def pair_table(records: Sequence[UnitRecord]) -> Table:
-    """WS-PSNR of every method on every pair."""
+def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
+    """WS-PSNR by pair, by the share of the way, and by the distance to the nearer and between both panoramas."""
     names = pair_names(records)
-    return _score_table("Scenes", "Scene", records, lambda record, _: (0, names[pair_of(record)]))
-
-
-def time_table(records: Sequence[UnitRecord]) -> Table:
-    """WS-PSNR by the share of the way."""
-
-    def part(_: UnitRecord, frame: FrameRecord) -> tuple[float, str]:
-        begin, end = time_band(frame.t)
-        return begin, f"{begin:.1f} to {end:.1f}"
-
-    return _score_table("Share of the way", "t", records, part)
-
-
-def distance_table(records: Sequence[UnitRecord]) -> Table:
-    """WS-PSNR by the distance to the nearer panorama."""
-
-    def band(_: UnitRecord, frame: FrameRecord) -> tuple[float, str]:
-        number = distance_band(frame.distance)
-        return number, band_name(number)
-
-    return _score_table("Distance to the nearer panorama", "Distance", records, band)
-
-
-def baseline_table(records: Sequence[UnitRecord]) -> Table:
-    """WS-PSNR by the distance between the two panoramas."""
-
-    def band(record: UnitRecord, _: FrameRecord) -> tuple[float, str]:
-        number = distance_band(record.baseline)
-        return number, band_name(number)
-
-    return _score_table("Baseline", "Between the panoramas", records, band)
+    for title, corner, group in (
+        ("Scenes", "Scene", lambda unit, _: (0, names[unit.pair])),
+        ("Share of the way", "t", lambda _, frame: time_band(frame.t)),
+        ("Distance to the nearer panorama", "Distance", lambda _, frame: distance_band(frame.distance)),
+        ("Baseline", "Between the panoramas", lambda unit, _: distance_band(unit.baseline)),
+    ):
+        yield _score_table(title, corner, records, group)
 
 
 def _method_table(
-    title: str,
-    note: str,
-    records: Sequence[UnitRecord],
-    columns: Mapping[str, Column],
-    figures: Callable[[UnitRecord], Values],
-    counted: str,
+    title: str, note: str, counted: str, records: Sequence[UnitRecord], subject: str, columns: Mapping[str, Column]
 ) -> Table:
     """One row for each method, best first; columns that nobody has are left out, the last one counts the values."""
-    placed = {method: _placed(records, method, figures) for method in ranked_methods(records)}
+    found = {method: _placed(records, method, subject) for method in ranked_methods(records)}
+    placed = {method: listed for method, listed in found.items() if listed}
     every = [one for listed in placed.values() for one in listed]
     present = [key for key in columns if any(key in values for _, values in every)]
-    totals = [len({where for where, values in every if key in values}) for key in present]
-    rows = [
-        Row(method, (*(_cell(listed, key) for key in present), Cell(len(listed))), is_bound=is_bound(method))
-        for method, listed in placed.items()
-        if listed
+    marked = [
+        _marked(
+            [_cell(listed, key) for listed in placed.values()],
+            len({where for where, values in every if key in values}),
+            [0 if is_bound(method) else columns[key].better for method in placed],
+        )
+        for key in present
     ]
+    counts = [Cell(len(listed)) for listed in placed.values()]
+    rows = zip(placed, zip(*marked, counts, strict=True), strict=True)
     shown = (*(columns[key] for key in present), Column(counted, 0, 0))
-    return Table(title, note, "Method", shown, marked_columns(shown, rows, [*totals, len(rows)]))
+    return Table(title, note, "Method", shown, tuple(Row(name, cells, "", is_bound(name)) for name, cells in rows))
 
 
-def _placed(records: Sequence[UnitRecord], method: str, figures: Callable[[UnitRecord], Values]) -> list[Placed]:
-    """The values of a method, each with its pair and its number there, which are the same for all methods."""
+def _placed(records: Sequence[UnitRecord], method: str, subject: str) -> list[Placed]:
+    """What a method measured of a subject, each with its pair and its number there, which are the same for all."""
     return [
-        ((pair_of(record), number), values)
-        for record in finished(records)
-        if record.method == method
-        for number, values in enumerate(figures(record))
+        ((record.pair, number), values)
+        for record in finished(records, method)
+        for number, values in enumerate(values for about, values in figures_of(record) if about[0] == subject)
         if values
     ]
 
@@ -199,32 +204,39 @@ def _score_table(
     title: str,
     corner: str,
     records: Sequence[UnitRecord],
-    place: Callable[[UnitRecord, FrameRecord], tuple[float, str]],
+    group: Callable[[UnitRecord, FrameRecord], tuple[float, str]],
 ) -> Table:
-    """Mean WS-PSNR with a column for each method and a row for each group of frames, in order of ``place``."""
+    """Mean WS-PSNR with a column for each method and a row for each ``group`` of frames, which has order and name."""
     methods = [method for method in ranked_methods(records) if any(frames_of(records, method))]
-    groups: dict[tuple[float, str], dict[str, list[float]]] = {}
-    shown: dict[tuple[float, str], set[tuple[Pair, str]]] = {}
+    better = [0 if is_bound(method) else 1 for method in methods]
+    groups: defaultdict[tuple[float, str], list[tuple[str, tuple[str, ...], float]]] = defaultdict(list)
     for record in finished(records):
         for frame in record.frames:
             if "ws_psnr" in frame.scores:
-                where = place(record, frame)
-                groups.setdefault(where, {}).setdefault(record.method, []).append(frame.scores["ws_psnr"])
-                shown.setdefault(where, set()).add((pair_of(record), frame.name))
-    columns = tuple(Column(method, 1) for method in methods)
-    rows = [
-        marked_row(
-            columns,
-            Row(where[1], tuple(Cell(mean(group.get(method, ())), len(group.get(method, ()))) for method in methods)),
-            len(shown[where]),
-        )
-        for where, group in sorted(groups.items(), key=lambda item: item[0][0])
+                which = (*record.pair, frame.name)
+                groups[group(record, frame)].append((record.method, which, frame.scores["ws_psnr"]))
+    rows = []
+    for (_, name), listed in sorted(groups.items(), key=lambda item: item[0][0]):
+        scores = [[score for by, _, score in listed if by == method] for method in methods]
+        cells = [Cell(mean(values), len(values)) for values in scores]
+        rows.append(Row(name, _marked(cells, len({which for _, which, _ in listed}), better)))
+    return Table(title, "Mean WS-PSNR, dB.", corner, tuple(Column(method, 1) for method in methods), tuple(rows))
+
+
+def _marked(cells: Sequence[Cell], every: int, better: Sequence[int]) -> tuple[Cell, ...]:
+    """The cells with the best of them marked, equal ones together.
+
+    Means over less than ``every`` value take no part, nor do cells of which neither more nor less is ``better``.
+    """
+    standings = [
+        sign * cell.value if cell.count == every > 0 and sign != 0 else math.nan
+        for cell, sign in zip(cells, better, strict=True)
     ]
-    return Table(title, "Mean WS-PSNR, dB.", corner, columns, tuple(rows))
-
-
-def _frame_scores(record: UnitRecord) -> Values:
-    return ({key: frame.scores[key] for key in SCORES if key in frame.scores} for frame in record.frames)
+    compared = [standing for standing in standings if not math.isnan(standing)]
+    if len(compared) < 2:
+        return tuple(cells)
+    best = max(compared)
+    return tuple(replace(cell, is_best=standing == best) for cell, standing in zip(cells, standings, strict=True))
 
 
 def _cell(listed: Sequence[Placed], key: str) -> Cell:
@@ -234,6 +246,12 @@ def _cell(listed: Sequence[Placed], key: str) -> Cell:
 
 def _reasons(records: Sequence[UnitRecord], method: str) -> str:
     """Why a method measured nothing: each reason once, the most frequent first."""
-    of_method = [record for record in records if record.method == method]
-    reasons = Counter(f"{record.status}: {record.reason}" for record in of_method if record.status != "done")
-    return "; ".join(reason for reason, _ in reasons.most_common()) or "no frame between the panoramas"
+    found = sorted((gap for gap in gaps(records) if gap.method == method), key=lambda gap: -len(gap.pairs))
+    return "; ".join(f"{gap.status}: {gap.reason}" for gap in found) or "no frame between the panoramas"
+
+
+def format_value(value: float, digits: int) -> str:
+    """A figure as text: an en dash where nothing was measured, ∞ for equal pictures."""
+    if math.isnan(value):
+        return "–"
+    return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:.{digits}f}"

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.io import Panorama, read_mask, read_panorama
-from omnisyn_cli.synthesis import turned_panorama
-from omnisyn_cli.trajectory import Waypoint
+from omnisyn_cli.io import read_mask, read_panorama
+from omnisyn_cli.io.images import check_mask_size
+from omnisyn_cli.synthesis.frames import turned_panorama
+from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["LoadedPair", "TrueFrame", "baseline_of", "load_pair", "share_of_way"]
+__all__ = ["LoadedPair", "TrueFrame", "baseline_of", "load_pair"]
 
 UNTURNED = Pose.identity()
 
@@ -57,7 +57,7 @@ def baseline_of(pair: Pair) -> float:
     return float(np.linalg.norm(pair.second.pose.position - pair.first.pose.position))
 
 
-def share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
+def _share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
     """The share of the way by distance, d₁/(d₁ + d₂), and metres to the nearer panorama; ½ where both are here."""
     d1, d2 = (float(np.linalg.norm(pose.position - end.pose.position)) for end in (pair.first, pair.second))
     return (d1 / (d1 + d2) if d1 + d2 > 0 else 0.5), min(d1, d2)
@@ -72,13 +72,13 @@ def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | No
         threads: at most this many.
 
     Raises:
-        ImageError: a file is missing or damaged.
+        InputError: a file is missing or damaged, or a mask has another size than its panorama.
     """
     truths = []
     for frame in pair.between:
         image = read_panorama(frame.image).image
         size = size or (image.shape[0], image.shape[1])
-        t, distance = share_of_way(pair, frame.pose)
+        t, distance = _share_of_way(pair, frame.pose)
         if image.shape[:2] != size:
             image = np.clip(turned_panorama(image, UNTURNED, size, threads), 0, 1)
         truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
@@ -89,18 +89,12 @@ def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | No
 
 def _view(frame: SceneFrame) -> View:
     panorama = read_panorama(frame.image)
-    mask = panorama.mask if frame.mask is None else _both(panorama, read_mask(frame.mask), frame)
+    mask = panorama.mask
+    if frame.mask is not None:
+        given = read_mask(frame.mask)
+        check_mask_size(frame.mask, given.shape, panorama.image.shape[:2])
+        mask = given if mask is None else mask & given
     return View(panorama.image, frame.pose, mask, _depth(frame))
-
-
-def _both(panorama: Panorama, mask: np.ndarray, frame: SceneFrame) -> np.ndarray:
-    if mask.shape != panorama.image.shape[:2]:
-        (rows, columns), (height, width) = mask.shape, panorama.image.shape[:2]
-        raise ImageError(
-            f"{frame.mask}: expected a mask of {width}×{height} pixels, got {columns}×{rows}; "
-            "give it the size of its panorama"
-        )
-    return mask if panorama.mask is None else panorama.mask & mask
 
 
 def _depth(frame: SceneFrame) -> DepthEstimate | None:

@@ -11,13 +11,14 @@ Source: Gortler et al., The Lumigraph, 1996, section 3.3.3.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.kernels import pull, push
-from omnisyn_cli.fusion.row_kernels import push_samples
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.fusion.kernels import stored, storing_in
+from omnisyn_cli.runtime.jit import fast_kernel
+from omnisyn_cli.runtime.threads import run_bands
 
 __all__ = ["HoleFiller"]
 
@@ -26,15 +27,19 @@ SMALL_LEVEL = 1 << 16
 
 
 class HoleFiller:
-    """A pyramid for one image size, reused from frame to frame."""
+    """A pyramid for one image size, reused from frame to frame.
+
+    Attributes:
+        half: colours and weights of the level of half the size, rounded up; for a kernel that pulls into it by itself.
+    """
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
         sizes = [size]
         while max(sizes[-1]) > 1:
             sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
-        self._colours = [np.zeros((*level, 3), np.float32) for level in sizes[1:]]
-        self._weights = [np.zeros(level, np.float32) for level in sizes[1:]]
+        self._levels = [(np.zeros((*level, 3), np.float32), np.zeros(level, np.float32)) for level in sizes[1:]]
+        self.half = self._levels[0]
 
     def __call__(
         self, image: Float32[np.ndarray, "height width 3"], weight: Float32[np.ndarray, "height width"]
@@ -45,48 +50,89 @@ class HoleFiller:
             image: RGB; wraps at the seam.
             weight: >= 0; how much a pixel counts for the holes around it. Without any weight the image becomes black.
         """
-        if weight.min() > 0.0:
-            return
-        if self._colours:
-            self._run(pull, self._weights[0], image, weight, self._colours[0], self._weights[0])
-            self._fill_below()
-            self._run(push, weight, self._colours[0], self._weights[0], image, weight, True)
+        if weight.min() <= 0.0:
+            self._pull((image, weight), self.half)
+            self.fill(image, weight)
 
-    @property
-    def half(self) -> tuple[Float32[np.ndarray, "rows cols 3"], Float32[np.ndarray, "rows cols"]]:
-        """Colours and weights of the level of half the size, for a kernel that pulls into it by itself."""
-        return self._colours[0], self._weights[0]
-
-    def fill_samples(
-        self,
-        samples: UInt8[np.ndarray, "height width 3"],
-        seen: UInt8[np.ndarray, "height width"],
-        holes: Int32[np.ndarray, " pairs"],
-    ) -> None:
-        """Fill, in place, the samples that are not ``seen``, after :attr:`half` has been written.
+    def fill(self, image: Shaped[np.ndarray, "height width 3"], seen: Shaped[np.ndarray, "height width"]) -> None:
+        """The same, after :attr:`half` has been written.
 
         Args:
-            samples: RGB; height and width are even.
+            image: RGB, numbers or samples.
             seen: 0 in holes.
-            holes: how many of them there are in every pair of rows.
         """
-        if not holes.any():
+        if seen.min() > 0:
             return
-        self._fill_below()
-        run_bands(
-            lambda begin, end: push_samples(*self.half, samples, seen, holes, begin, end), len(holes), self.threads
-        )
+        for finer, coarser in zip(self._levels[:-1], self._levels[1:], strict=True):
+            self._pull(finer, coarser)
+        for finer, coarser in zip(self._levels[-2::-1], self._levels[:0:-1], strict=True):
+            self._push(coarser, finer, keeps_weight=False)
+        self._push(self.half, (image, seen), keeps_weight=True)
 
-    def _fill_below(self) -> None:
-        """All levels but the finest, the one of half the size being known where it has weight."""
-        colours, weights = self._colours, self._weights
-        for level in range(len(colours) - 1):
-            self._run(pull, weights[level + 1], colours[level], weights[level], colours[level + 1], weights[level + 1])
-        for level in range(len(colours) - 2, -1, -1):
-            above = (colours[level + 1], weights[level + 1])
-            self._run(push, weights[level], *above, colours[level], weights[level], False)
+    def _pull(self, fine: tuple[np.ndarray, np.ndarray], coarse: tuple[np.ndarray, np.ndarray]) -> None:
+        self._run(_pull_rows, np.arange(len(coarse[1])), coarse[1], *fine, *coarse)
 
-    def _run(self, kernel: Callable[..., None], written: np.ndarray, *arguments: np.ndarray | bool) -> None:
-        """A kernel over the rows of the level it writes."""
+    def _push(
+        self, coarse: tuple[np.ndarray, np.ndarray], fine: tuple[np.ndarray, np.ndarray], *, keeps_weight: bool
+    ) -> None:
+        with_holes = np.flatnonzero(fine[1].min(axis=1) <= 0)
+        self._run(_push_rows, with_holes, fine[1], *coarse, *fine, keeps_weight, storing_in(fine[0]))
+
+    def _run(self, kernel: Callable[..., None], rows: np.ndarray, written: np.ndarray, *arguments: Any) -> None:
+        """A kernel over some rows of the level it writes."""
         threads = self.threads if written.size > SMALL_LEVEL else 1
-        run_bands(lambda begin, end: kernel(*arguments, begin, end), len(written), threads)
+        run_bands(lambda begin, end: kernel(*arguments, rows[begin:end]), len(rows), threads)
+
+
+@fast_kernel()
+def _pull_rows(colour, weight, coarse_colour, coarse_weight, rows):
+    """Weighted means over 2×2 pixels, for some coarse rows; an odd last row or column stands alone.
+
+    Colours without weight are not read: they may be anything, NaN included.
+    """
+    height, width = weight.shape
+    for row in rows:
+        for col in range(coarse_weight.shape[1]):
+            r = g = b = total = np.float32(0.0)
+            for i in range(2 * row, min(2 * row + 2, height)):
+                for j in range(2 * col, min(2 * col + 2, width)):
+                    w = weight[i, j]
+                    if w > 0.0:
+                        r += w * colour[i, j, 0]
+                        g += w * colour[i, j, 1]
+                        b += w * colour[i, j, 2]
+                        total += w
+            coarse_weight[row, col] = total
+            if total > 0.0:
+                coarse_colour[row, col, 0] = r / total
+                coarse_colour[row, col, 1] = g / total
+                coarse_colour[row, col, 2] = b / total
+
+
+@fast_kernel()
+def _push_rows(coarse_colour, coarse_weight, colour, weight, keeps_weight, storing, rows):
+    """Holes of some rows get the coarse colours, bilinearly and by weight; rows end at the poles.
+
+    A filled pixel's own weight, for the next finer level, is the mean of those it was filled from unless
+    ``keeps_weight``.
+    """
+    width = weight.shape[1]
+    coarse_height, coarse_width = coarse_weight.shape
+    for row in rows:
+        i = row // 2
+        i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
+        for col in range(width):
+            if weight[row, col] > 0:
+                continue
+            j = col // 2
+            j2 = (j - 1 if col % 2 == 0 else j + 1) % coarse_width
+            a, b = np.float32(0.5625) * coarse_weight[i, j], np.float32(0.1875) * coarse_weight[i, j2]
+            c, d = np.float32(0.1875) * coarse_weight[i2, j], np.float32(0.0625) * coarse_weight[i2, j2]
+            total = a + b + c + d
+            share = np.float32(1.0) / total if total > np.float32(0.0) else np.float32(0.0)
+            for k in range(3):
+                mixed = a * coarse_colour[i, j, k] + b * coarse_colour[i, j2, k]
+                mixed += c * coarse_colour[i2, j, k] + d * coarse_colour[i2, j2, k]
+                colour[row, col, k] = stored(mixed * share, storing)
+            if not keeps_weight:
+                weight[row, col] = np.float32(0.25) * total

@@ -1,27 +1,26 @@
-"""The loops that find and remove ghosts, in numba."""
+"""The loops over pixels that find and remove ghosts, in numba: twins of those of :mod:`omnisyn_cli.fusion.ghosts`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from omnisyn_cli.jit import fast_kernel, inlined
+from omnisyn_cli.runtime.jit import fast_kernel, inlined
 from omnisyn_cli.types import UNSEEN
 
-__all__ = ["gather_cells", "silence_rows"]
+__all__ = ["gather_cells", "suppress_rows"]
 
 
 @fast_kernel()
-def gather_cells(first, first_rho, second, second_rho, cell, step, sums, begin, end):
+def gather_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
     """Sums over the pixels of each cell that both views see, for rows of cells ``begin`` to ``end``.
 
     Args:
-        first: ``(height, width, 4)`` RGB and worth.
+        first: ``(height, width, 4)`` RGB and weight.
         first_rho: its inverse depth.
         second: as ``first``.
         second_rho: as ``first_rho``.
         cell: pixels along the side of a cell.
-        step: every so many-th pixel of a row and of a column is read.
-        sums: ``(rows, cols, 11)``: count; RGB of the first, of the second; worth of both; inverse depth of both.
+        sums: ``(rows, cols, 11)``: count; RGB and weight of the first, of the second; inverse depth of both.
         begin: first row of cells.
         end: the row after the last.
     """
@@ -30,51 +29,47 @@ def gather_cells(first, first_rho, second, second_rho, cell, step, sums, begin, 
         for j in range(sums.shape[1]):
             for k in range(sums.shape[2]):
                 sums[i, j, k] = np.float32(0.0)
-            for row in range(i * cell, min((i + 1) * cell, height), step):
-                for col in range(j * cell, min((j + 1) * cell, width), step):
+            for row in range(i * cell, min((i + 1) * cell, height)):
+                for col in range(j * cell, min((j + 1) * cell, width)):
                     if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
                         sums[i, j, 0] += np.float32(1.0)
-                        for k in range(3):
+                        for k in range(4):
                             sums[i, j, 1 + k] += first[row, col, k]
-                            sums[i, j, 4 + k] += second[row, col, k]
-                        sums[i, j, 7] += first[row, col, 3]
-                        sums[i, j, 8] += second[row, col, 3]
+                            sums[i, j, 5 + k] += second[row, col, k]
                         sums[i, j, 9] += max(first_rho[row, col], np.float32(0.0))
                         sums[i, j, 10] += max(second_rho[row, col], np.float32(0.0))
 
 
 @fast_kernel()
-def silence_rows(first, second, loser, cell, offset, begin, end):
-    """Take the worth of the losing view away where both see something, gradually at the border of a region.
+def suppress_rows(first, second, suppressed, cell, top):
+    """Take weight away from the suppressed view where both see something, gradually at the border of a region.
 
     Args:
-        first: ``(height, width, 4)`` RGB and worth; the worth is changed in place.
+        first: ``(rows, width, 4)`` RGB and weight; the weight is changed in place.
         second: likewise.
-        loser: ``(rows, cols)`` by cell: from −1 (the first loses all of its worth) to 1 (the second does).
+        suppressed: ``(rows, cols)`` by cell: from −1 (the first loses all of its weight) to 1 (the second does).
         cell: pixels along the side of a cell.
-        offset: row of the picture that the first row of both is.
-        begin: first row of both.
-        end: the row after the last.
+        top: row of the picture that the first row of both is.
     """
-    rows, cols = loser.shape
+    rows, cols = suppressed.shape
     width, size, half = first.shape[1], np.float32(cell), np.float32(0.5)
-    for row in range(begin, end):
-        y = (np.float32(offset + row) + half) / size - half
+    for row in range(len(first)):
+        y = (np.float32(top + row) + half) / size - half
         i = int(np.floor(y))
         down = y - np.float32(i)
         upper, lower = min(max(i, 0), rows - 1), min(max(i + 1, 0), rows - 1)
         for block in range(-(-width // cell)):
-            if _is_free(loser, upper, lower, block):
+            if _is_free(suppressed, upper, lower, block):
                 continue
             for col in range(block * cell, min((block + 1) * cell, width)):
                 x = (np.float32(col) + half) / size - half
                 j = int(np.floor(x))
                 right = x - np.float32(j)
                 left, beyond = j % cols, (j + 1) % cols
-                top = loser[upper, left] + right * (loser[upper, beyond] - loser[upper, left])
-                bottom = loser[lower, left] + right * (loser[lower, beyond] - loser[lower, left])
-                value = top + down * (bottom - top)
-                if value != np.float32(0.0) and first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+                above = suppressed[upper, left] + right * (suppressed[upper, beyond] - suppressed[upper, left])
+                below = suppressed[lower, left] + right * (suppressed[lower, beyond] - suppressed[lower, left])
+                value = above + down * (below - above)
+                if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
                     if value > np.float32(0.0):
                         second[row, col, 3] *= np.float32(1.0) - value
                     else:
@@ -82,10 +77,10 @@ def silence_rows(first, second, loser, cell, offset, begin, end):
 
 
 @inlined()
-def _is_free(loser, upper, lower, block):
-    """Whether nothing is to be silenced between the rows of cells ``upper`` and ``lower`` in and beside a cell."""
-    cols = loser.shape[1]
+def _is_free(suppressed, upper, lower, block):
+    """Whether nothing is to be suppressed between the rows of cells ``upper`` and ``lower`` in and beside a cell."""
+    cols = suppressed.shape[1]
     for j in range(block - 1, block + 2):
-        if loser[upper, j % cols] != np.float32(0.0) or loser[lower, j % cols] != np.float32(0.0):
+        if suppressed[upper, j % cols] != np.float32(0.0) or suppressed[lower, j % cols] != np.float32(0.0):
             return False
     return True

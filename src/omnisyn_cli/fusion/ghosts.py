@@ -5,40 +5,46 @@ a few pixels. A person who is there in only one of them does not. So means over 
 taking away what differs over a wide neighbourhood (light, vignetting). Islands of cells that differ, but for thin ones,
 which are edges of wrong depth, are regions. In each region the view that counts more there, taken as a whole, wins: a
 thing is there or it is not, but never half transparent, and it changes once along the way.
+
+Colours may be numpy arrays or torch tensors on any device. Only what is done for every pixel has two forms: arrays
+here, and kernels for the processor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
-import cv2
 import numpy as np
+from array_api_compat import array_namespace, device, is_numpy_array
 from jaxtyping import Bool, Float32, Integer
 
-from omnisyn_cli.fusion.ghost_kernels import gather_cells, silence_rows
-from omnisyn_cli.fusion.options import BlendOptions
-from omnisyn_cli.geometry.border import filter_across_seam
+from omnisyn_cli.fusion.cells import greatest_near, mean_near, side_of_cells, step_in_cells
+from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows
+from omnisyn_cli.fusion.rule import BlendRule, Shown, view_weights
+from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import BELIEF, Rendering, RowRendering
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import UNSEEN, ColourStep, Rendering
 
-__all__ = [
-    "ENDLESS", "LEAST_CELL", "NEARBY", "ROWS_OF_CELLS", "SAMPLES_ALONG_CELL", "GhostOptions", "GhostRemover",
-    "samples_of_cells",
-]  # fmt: skip
+__all__ = ["GhostOptions", "GhostRemover", "is_in_place"]
 
-ROWS_OF_CELLS = 128
-LEAST_CELL = 4
-"""Pixels along the side of a cell at least, because views are displaced by pixels, not by angles."""
-
-SAMPLES_ALONG_CELL = 4
+Array = Any  # numpy.ndarray or torch.Tensor
 
 NEARBY = 3
 """Cells by which wrong depth may displace things."""
 
 ENDLESS = 1e3
+
+LEAST_T = 1e-9
+"""How close to an end of the way the weights of both views are still compared."""
+
+SPREADINGS = 4
+"""Steps of spreading after which it is asked whether anything has changed."""
+
+PREFERENCE_STEPS = 2.0**20
+"""Parts of 1 in which preferences are added: sums of whole numbers do not depend on their order."""
 
 
 @dataclass(frozen=True)
@@ -58,170 +64,198 @@ class GhostOptions:
 
 
 class GhostRemover:
-    """Takes the worth of one of two renderings away where blending them would show a ghost. Reused between frames.
+    """Finds where blending two renderings would show a ghost, and which of them is not to be shown there.
 
     Args:
         size: height and width of the renderings.
-        blend: how they will be blended.
         options: what a ghost is.
         threads: at most this many; None is one per core.
+
+    Attributes:
+        looks_everywhere: whether every pixel is looked at, and not only some of each cell.
     """
 
-    def __init__(
-        self,
-        size: tuple[int, int],
-        blend: BlendOptions | None = None,
-        options: GhostOptions | None = None,
-        threads: int | None = None,
-    ) -> None:
-        self.size, self.threads = size, threads
-        self.blend, self.options = blend or BlendOptions(), options or GhostOptions()
-        self.cell = max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
-        self._step = max(1, self.cell // SAMPLES_ALONG_CELL)
+    def __init__(self, size: tuple[int, int], options: GhostOptions | None = None, threads: int | None = None) -> None:
+        self.size, self.threads, self.options = size, threads, options or GhostOptions()
+        self.cell, step = side_of_cells(size), step_in_cells(size)
+        self.looks_everywhere = step == 1
+        self._along = -(-self.cell // step)
+        self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell % step == 0) for count in size)
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
-        self._sums = np.zeros((*self._grid, 11), np.float32)
         self._directions = pixel_directions(*self._grid).astype(np.float32)
 
-    def __call__(self, first: Rendering, second: Rendering, t: float, strictness: float = 1.0) -> None:
-        """Change the worths in place for a frame at a share ``t`` of the way.
+    def __call__(self, first: Rendering, second: Rendering, rule: BlendRule) -> ColourStep | None:
+        """What suppresses ghosts in colours of both views; None where there are none.
 
         Args:
             first: of the first view.
             second: of the second view.
-            t: share of the way.
-            strictness: how strictly the nearer surface hides the farther one in the blend, from 0 to 1.
+            rule: how they are blended.
         """
-        seen = (first.colour, first.inverse_depth, second.colour, second.inverse_depth)
-        loser = self._losers(seen, self.cell, self._step, first, second, t, strictness)
-        if loser is not None:
-            run_bands(
-                lambda begin, end: silence_rows(first.colour, second.colour, loser, self.cell, 0, begin, end),
-                self.size[0],
-                self.threads,
-            )
-
-    def by_rows(
-        self, first: RowRendering, second: RowRendering, t: float, strictness: float = 1.0
-    ) -> Callable[[np.ndarray, np.ndarray, int], None] | None:
-        """The same for renderings that are coloured row by row.
-
-        Returns:
-            What changes the worths of some rows of colours of both, given the first of them; None where nothing is to
-            be changed.
-        """
-        rows, cols = (samples_of_cells(count, self.cell, self._step) for count in self.size)
-        seen = (
-            first.colour_at(rows, cols), first.inverse_depth[rows].take(cols, axis=1),
-            second.colour_at(rows, cols), second.inverse_depth[rows].take(cols, axis=1),
-        )  # fmt: skip
-        loser = self._losers(seen, -(-self.cell // self._step), 1, first, second, t, strictness)
-        if loser is None:
+        if self._reach < NEARBY:
             return None
-        return lambda a, b, top: silence_rows(a, b, loser, self.cell, top, 0, len(a))
+        one, other, count = self._cells(first, second)
+        differs = self._differing(one, other, count)
+        if not is_any(differs):
+            return None
+        preference = self._preference(one, other, count, rule)
+        return partial(suppress, suppressed=suppressed_cells(differs, preference), cell=self.cell)
 
     @property
-    def sampled(self) -> float:
-        """Share of the pixels that are looked at."""
-        return 1.0 / self._step**2
+    def _reach(self) -> int:
+        return min(self.options.neighbourhood, *(count // 2 - 1 for count in self._grid))
 
-    def _losers(
-        self, seen: tuple[np.ndarray, ...], cell: int, step: int, first: Rendering | RowRendering,
-        second: Rendering | RowRendering, t: float, strictness: float,
-    ) -> Float32[np.ndarray, "rows cols"] | None:  # fmt: skip
-        """Which view loses in which cell, see :func:`_losers_of_regions`; None where there is no ghost."""
-        run_bands(
-            lambda begin, end: gather_cells(*seen, cell, step, self._sums, begin, end), self._grid[0], self.threads
-        )
-        differs = self._differing()
-        if not differs.any():
-            return None
-        offsets = (first.target_from_source.position, second.target_from_source.position)
-        return _losers_of_regions(differs, self._preference(offsets, t, strictness))
-
-    def _differing(self) -> Bool[np.ndarray, "rows cols"]:
-        """Cells of different things: not thin, and grown by what an opening took from their edges."""
-        count, reach = self._sums[..., 0], min(self.options.neighbourhood, *(n // 2 - 1 for n in self._grid))
-        if reach < NEARBY:
-            return np.zeros(self._grid, bool)
-        first, second = (self._sums[..., k : k + 3] / np.maximum(count, 1.0)[..., None] for k in (1, 4))
-        plain = first - second
-        second = second + _box_mean(plain, count, reach)
-        least, seen = self.options.difference, count > 0.0
-        differs = seen & (_greatest(np.abs(plain)) > least) & (_greatest(np.abs(first - second)) > least)
-        differs &= np.maximum(_beyond(first, second, seen), _beyond(second, first, seen)) > self.options.beyond
-        return filter_across_seam(_grown_core, differs.astype(np.uint8), 4) > 0
-
-    def _preference(
-        self, offsets: tuple[np.ndarray, np.ndarray], t: float, strictness: float
-    ) -> Float32[np.ndarray, "rows cols"]:
-        """log(weight of the first / weight of the second) in the blend, by cell; 0 where only one sees anything."""
-        count = np.maximum(self._sums[..., 0], 1.0)
-        worths = [np.maximum(self._sums[..., k] / count, 1e-6) for k in (7, 8)]
-        rhos = [self._sums[..., k] / count for k in (9, 10)]
-        near = [
-            -1.5 * np.log(((self._directions - rho[..., None] * offset) ** 2).sum(axis=-1) + 1e-8)
-            for rho, offset in zip(rhos, offsets, strict=True)
+    def _cells(self, first: Rendering, second: Rendering) -> tuple[Shown, Shown, Array]:
+        """Means over what both views see of each cell, and how many pixels of it these are."""
+        (a, a_rho), (b, b_rho) = (self._looked_at(view) for view in (first, second))
+        if is_numpy_array(a):
+            sums = np.empty((*self._grid, 11), np.float32)
+            gather = partial(gather_cells, a, a_rho, b, b_rho, self._along, sums)
+            run_bands(gather, self._grid[0], self.threads)
+        else:
+            sums = self._gathered(a, a_rho, b, b_rho)
+        xp, count = array_namespace(sums), sums[..., 0]
+        mean = sums / xp.clip(count, min=1.0)[..., None]
+        offsets = (xp.asarray(view.target_from_source.position, dtype=sums.dtype, device=device(sums))
+                   for view in (first, second))  # fmt: skip
+        shown = [
+            Shown(mean[..., k : k + 3], mean[..., k + 3], mean[..., rho], offset)
+            for k, rho, offset in zip((1, 5), (9, 10), offsets, strict=True)
         ]
-        gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * self.blend.disagreement + 1e-9)
-        believed = np.minimum(1.0, BELIEF * np.where(gap > 0.0, *worths))
-        rest = 1.0 - believed * (1.0 - np.exp(np.maximum(-gap * gap, strictness * np.log(self.blend.hidden))))
-        hides = -np.sign(gap) * np.log(rest)
-        share = np.log(max(1.0 - t, 1e-9) / max(t, 1e-9))
-        found = share + np.log(worths[0] / worths[1]) + near[0] - near[1] + hides
-        return np.asarray(np.where(self._sums[..., 0] > 0.0, found, 0.0), np.float32)
+        return shown[0], shown[1], count
+
+    def _looked_at(self, view: Rendering) -> tuple[Array, Array]:
+        """Colours and inverse depth of the pixels that are looked at."""
+        if self.looks_everywhere and view.held is not None:
+            return view.held, view.inverse_depth
+        xp, rho = array_namespace(view.inverse_depth), view.inverse_depth
+        rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
+        return view.colour_at(self._rows, self._cols), xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
+
+    def _gathered(self, first: Array, first_rho: Array, second: Array, second_rho: Array) -> Array:
+        """:func:`omnisyn_cli.fusion.ghost_kernels.gather_cells` by arrays."""
+        xp, (rows, cols) = array_namespace(first), (count * self._along for count in self._grid)
+        both = ((first[..., 3] > float(UNSEEN)) & (second[..., 3] > float(UNSEEN)))[..., None]
+        near = xp.clip(xp.stack([first_rho, second_rho], axis=-1), min=0.0)
+        values = xp.concat([xp.ones_like(near[..., :1]), first, second, near], axis=-1)
+        whole = xp.zeros((rows, cols, values.shape[-1]), dtype=values.dtype, device=device(values))
+        whole[: values.shape[0], : values.shape[1]] = xp.where(both, values, xp.zeros_like(values))
+        return xp.sum(whole.reshape(self._grid[0], self._along, self._grid[1], self._along, -1), axis=(1, 3))
+
+    def _differing(self, first: Shown, second: Shown, count: Array) -> Bool[Array, "rows cols"]:
+        """Cells of different things: not thin, and grown by what an opening took from their edges."""
+        xp = array_namespace(count)
+        one, plain = first.colour, first.colour - second.colour
+        weighted = xp.concat([plain * count[..., None], count[..., None]], axis=-1)
+        means = mean_near(weighted, self._reach, is_mirrored=True)
+        other = second.colour + means[..., :3] / xp.clip(means[..., 3:], min=1e-6)
+        least, seen = self.options.difference, count > 0.0
+        differs = seen & (_greatest(xp.abs(plain)) > least) & (_greatest(xp.abs(one - other)) > least)
+        differs &= xp.maximum(_beyond(one, other, seen), _beyond(other, one, seen)) > self.options.beyond
+        rest = greatest_near(xp.astype(~differs, xp.int32), 1)
+        return greatest_near(1 - rest, 2) > 0
+
+    def _preference(self, first: Shown, second: Shown, count: Array, rule: BlendRule) -> Float32[Array, "rows cols"]:
+        """log(weight of the first / weight of the second) in the blend, by cell; 0 where only one sees anything."""
+        xp = array_namespace(count)
+        directions = xp.asarray(self._directions, device=device(count))
+        inside = replace(rule, t=min(max(rule.t, LEAST_T), 1.0 - LEAST_T))
+        a, b = view_weights(first, second, directions, inside)
+        is_known = (a > 0.0) & (b > 0.0)
+        one = xp.ones_like(count)
+        return xp.log(xp.where(is_known, a, one)) - xp.log(xp.where(is_known, b, one))
 
 
-def samples_of_cells(count: int, cell: int, step: int) -> Integer[np.ndarray, " samples"]:
-    """Every ``step``-th pixel of each cell along a side of ``count`` pixels."""
-    return np.flatnonzero(np.arange(count) % cell % step == 0)
+def is_any(mask: Bool[Array, "rows cols"]) -> bool:
+    """Whether it is set anywhere: what has to be known before it goes on."""
+    return bool(mask.any())
 
 
-def _grown_core(wide: Integer[np.ndarray, "rows cols"]) -> Integer[np.ndarray, "rows cols"]:
-    """A mask opened, and grown by one more cell."""
-    return np.asarray(cv2.dilate(cv2.erode(wide, np.ones((3, 3), np.uint8)), np.ones((5, 5), np.uint8)))
+def is_in_place(first: Rendering, second: Rendering) -> bool:
+    """Whether both views were taken from one place: then one picture turns into the other, and nothing is a ghost."""
+    positions = (first.target_from_source.position, second.target_from_source.position)
+    return np.allclose(*positions, rtol=0.0, atol=STILL)
 
 
-def _beyond(one: np.ndarray, other: np.ndarray, seen: np.ndarray) -> Float32[np.ndarray, "rows cols"]:
+def suppress(first: Array, second: Array, top: int, suppressed: Float32[Array, "rows cols"], cell: int) -> None:
+    """Take weight away from the suppressed view where both see something, in place, gradually at borders of regions.
+
+    Args:
+        first: ``(rows, width, 4)`` RGB and weight of some rows.
+        second: likewise.
+        top: row of the picture that the first of them is.
+        suppressed: by cell: from −1 (the first loses all of its weight) to 1 (the second does).
+        cell: pixels along the side of a cell.
+    """
+    if is_numpy_array(first):
+        suppress_rows(first, second, suppressed, cell, top)
+        return
+    xp, (rows, cols) = array_namespace(first), suppressed.shape
+    upper, lower, down = _neighbours(xp.arange(first.shape[0], device=device(first)) + top, cell)
+    left, right, across = _neighbours(xp.arange(first.shape[1], device=device(first)), cell)
+    above, below = suppressed[xp.clip(upper, min=0)], suppressed[xp.clip(lower, max=rows - 1)]
+    line = above + down[:, None] * (below - above)
+    value = line[:, left % cols] + across * (line[:, right % cols] - line[:, left % cols])
+    value = value * ((first[..., 3] > float(UNSEEN)) & (second[..., 3] > float(UNSEEN)))
+    first[..., 3] *= 1.0 + xp.clip(value, max=0.0)
+    second[..., 3] *= 1.0 - xp.clip(value, min=0.0)
+
+
+def _neighbours(pixel: Integer[Array, " pixels"], cell: int) -> tuple[Array, Array, Array]:
+    """Cells whose centres a pixel's lies between, and how far it is from the first of them."""
+    xp = array_namespace(pixel)
+    place = (xp.astype(pixel, xp.float32) + 0.5) / cell - 0.5
+    before = xp.floor(place)
+    index = xp.astype(before, xp.int64)
+    return index, index + 1, place - before
+
+
+def _beyond(one: Array, other: Array, seen: Bool[Array, "rows cols"]) -> Float32[Array, "rows cols"]:
     """How far the colours of one lie outside of the range that the other has around the same place."""
-    window = np.ones((2 * NEARBY + 1, 2 * NEARBY + 1), np.uint8)
-    ranges = []
-    for extreme, nothing in ((cv2.dilate, -ENDLESS), (cv2.erode, ENDLESS)):
-        known = np.where(seen[..., None], other, nothing).astype(np.float32)
-        ranges.append(filter_across_seam(partial(extreme, kernel=window), known, NEARBY))
-    return _greatest(np.maximum(one - ranges[0], ranges[1] - one))
+    xp = array_namespace(one)
+    nothing, known = xp.full_like(other, -ENDLESS), seen[..., None]
+    highest = greatest_near(xp.where(known, other, nothing), NEARBY)
+    lowest = -greatest_near(xp.where(known, -other, nothing), NEARBY)
+    return _greatest(xp.maximum(one - highest, lowest - one))
 
 
-def _greatest(values: Float32[np.ndarray, "rows cols 3"]) -> Float32[np.ndarray, "rows cols"]:
+def _greatest(values: Float32[Array, "rows cols 3"]) -> Float32[Array, "rows cols"]:
     """Of three channels; numpy's own maximum over so short an axis takes ten times as long."""
-    return np.asarray(np.maximum(np.maximum(values[..., 0], values[..., 1]), values[..., 2]))
+    xp = array_namespace(values)
+    return xp.maximum(xp.maximum(values[..., 0], values[..., 1]), values[..., 2])
 
 
-def _box_mean(values: np.ndarray, weight: np.ndarray, reach: int) -> Float32[np.ndarray, "rows cols 3"]:
-    """Weighted means over squares that wrap at the seam and end at the poles."""
-    stacked = np.dstack([values * weight[..., None], weight])
-    mean = partial(cv2.boxFilter, ddepth=-1, ksize=(2 * reach + 1, 2 * reach + 1), borderType=cv2.BORDER_REFLECT)
-    sums = filter_across_seam(mean, stacked, reach)
-    return np.asarray(sums[..., :3] / np.maximum(sums[..., 3:], 1e-6))
+def suppressed_cells(
+    differs: Bool[Array, "rows cols"], preference: Float32[Array, "rows cols"]
+) -> Float32[Array, "rows cols"]:
+    """By cell: 1 in regions where the first view wins, −1 where the second does, 0 elsewhere.
+
+    Args:
+        differs: the cells of regions.
+        preference: by how much each counts for the first view.
+    """
+    xp, labels = array_namespace(preference), regions(differs).reshape(-1)
+    votes = xp.astype(xp.round(preference * PREFERENCE_STEPS), xp.float64)
+    sums = xp.bincount(labels, votes.reshape(-1))
+    wins = xp.take(sums, labels, axis=0).reshape(differs.shape) >= 0.0
+    return xp.astype(differs, preference.dtype) * (2.0 * xp.astype(wins, preference.dtype) - 1.0)
 
 
-def _losers_of_regions(
-    differs: Bool[np.ndarray, "rows cols"], preference: np.ndarray
-) -> Float32[np.ndarray, "rows cols"]:
-    """1 in regions where the first view wins (the second loses), −1 where the second does, 0 elsewhere."""
-    count, labels = cv2.connectedComponents(differs.astype(np.uint8), connectivity=8)
-    labels = _joined_at_the_seam(labels, count)
-    sums = np.bincount(labels.ravel(), preference.ravel(), count)
-    winners = np.where(sums >= 0.0, np.float32(1.0), np.float32(-1.0))
-    winners[0] = 0.0
-    return np.asarray(winners[labels])
+def regions(differs: Bool[Array, "rows cols"]) -> Integer[Array, "rows cols"]:
+    """A number > 0 for every region of neighbouring cells, diagonal ones and those across the seam included; else 0.
 
-
-def _joined_at_the_seam(labels: np.ndarray, count: int) -> np.ndarray:
-    """Labels of regions that touch across the seam made equal."""
-    names = np.arange(count)
-    padded = np.pad(labels[:, -1], 1)
-    for shift in range(3):
-        for left, right in zip(labels[:, 0], padded[shift : shift + len(labels)], strict=True):
-            if left and right and names[left] != names[right]:
-                names[names == names[right]] = names[left]
-    return np.asarray(names[labels])
+    The greatest number spreads over neighbours, and from every cell on to the cells that name it: regions that wind
+    take hardly longer than others.
+    """
+    xp = array_namespace(differs)
+    inside = xp.astype(differs, xp.int64)
+    count = inside.shape[0] * inside.shape[1]
+    labels = inside * xp.arange(1, count + 1, device=device(differs)).reshape(inside.shape)
+    while True:
+        before = labels
+        for _ in range(SPREADINGS):
+            labels = greatest_near(labels, 1) * inside
+            named = xp.take(labels.reshape(-1), xp.clip(labels - 1, min=0).reshape(-1), axis=0)
+            labels = named.reshape(inside.shape) * inside
+        if not is_any(before != labels):
+            return labels

@@ -1,148 +1,336 @@
-"""The loops of fusion, in numba."""
+"""The loops that make one picture of two renderings, some rows at a time, in numba.
+
+What is found out about the pixels of a row is kept number by number, so that loops over them become loops of vectors.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from omnisyn_cli.jit import fast_kernel, inlined
+from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendRule
+from omnisyn_cli.runtime.jit import fast_kernel, inlined
 from omnisyn_cli.types import BELIEF, UNSEEN
 
-__all__ = ["FAR_PREFERENCE", "blend_rows", "pull", "push", "quantize_rows", "view_weights"]
+__all__ = [
+    "NO_CORRECTION", "Correction", "Layer", "Rule", "Storing", "Tables", "blend_band", "quantize_rows", "rule_of",
+    "storing_in", "view_weights",
+]  # fmt: skip
 
-FAR_PREFERENCE = 0.01
-"""1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
+RUN = 512
+"""Pixels of a row that are blended together, an even number: what is found out stays in the nearest cache."""
+
+STEPS = 6
+"""A power of e is the square of the square … of another one, so many times; that one is close to 1."""
+
+MOST_GAP = np.float32(4.0)
+"""Beyond it nothing is left of a hidden surface's weight that could be seen: e⁻¹⁶."""
+
+LEAST_RATIO = np.float32(1e-9)
+"""Of two weights: beyond it their logarithm is not looked at."""
+
+PLAIN, DIFFERENT = np.float32(0.01), np.float32(0.06)
+"""Root mean square of the difference of two colours up to which it does not matter which of them is shown, and from
+which on all of a correction counts."""
+
+ALIKE = np.float32(0.5)
+"""Difference of the log-ratios of weights at which a coarse pixel counts half for a fine one."""
+
+FAINT = np.float32(1e-4)
+"""Share of coarse pixels that have anything to say below which a fine pixel stays as it is."""
+
+
+class Layer(NamedTuple):
+    """Some rows of a rendering: ``(rows, width, 4)`` RGB and weight; inverse depth; where its view is, three numbers.
+
+    The position is in the frame of the target.
+    """
+
+    colour: np.ndarray
+    inverse_depth: np.ndarray
+    offset: tuple[np.float32, np.float32, np.float32]
+
+
+class Rule(NamedTuple):
+    """:class:`omnisyn_cli.fusion.rule.BlendRule` as kernels take it."""
+
+    t: np.float32
+    disagreement: np.float32
+    hidden: np.float32
+
+
+class Tables(NamedTuple):
+    """Of directions, see :func:`omnisyn_cli.geometry.sphere.direction_tables`; for the rows of a kernel."""
+
+    sin_p: np.ndarray
+    cos_p: np.ndarray
+    sin_a: np.ndarray
+    cos_a: np.ndarray
+
+
+class Storing(NamedTuple):
+    """How numbers >= 0 become samples: at most ``most``, times ``scale``, plus ``half``; then cut off."""
+
+    most: np.float32
+    scale: np.float32
+    half: np.float32
+
+
+class Correction(NamedTuple):
+    """What a network says about the weights of a whole picture, ``(rows, cols)`` each; nothing if these are empty.
+
+    ``shift`` is added to the log-ratio of the weights. It is carried from coarse pixels that both views see (``both``
+    is 1), the more the more alike the weights are there (``log_ratio``): edges stay where fine renderings have them.
+    """
+
+    shift: np.ndarray
+    log_ratio: np.ndarray
+    both: np.ndarray
+
+
+NO_CORRECTION = Correction(*np.empty((3, 0, 0), np.float32))
+
+
+def rule_of(rule: BlendRule) -> Rule:
+    """The rule as kernels take it."""
+    return Rule(np.float32(rule.t), np.float32(rule.disagreement), np.float32(rule.hidden))
+
+
+def storing_in(out: np.ndarray) -> Storing:
+    """Rounded to the levels of integers, unchanged as floating-point numbers."""
+    if out.dtype.kind == "f":
+        return Storing(np.float32(np.finfo(np.float32).max), np.float32(1.0), np.float32(0.0))
+    return Storing(np.float32(1.0), np.float32(np.iinfo(out.dtype).max), np.float32(0.5))
 
 
 @inlined(fastmath=True)
-def _nearness(rho, x, y, z, t):
+def stored(value, storing):
+    """A number as it is assigned to a sample."""
+    return min(max(value, np.float32(0.0)), storing.most) * storing.scale + storing.half
+
+
+@inlined(fastmath=True)
+def _nearness(rho, x, y, z, offset):
     """(Distance from the target / distance from the source) of what is seen, cubed."""
-    dx, dy, dz = x - rho * t[0], y - rho * t[1], z - rho * t[2]
+    dx, dy, dz = x - rho * offset[0], y - rho * offset[1], z - rho * offset[2]
     squared = dx * dx + dy * dy + dz * dz + np.float32(1e-8)
     return np.float32(1.0) / (squared * math.sqrt(squared))
 
 
 @inlined(fastmath=True)
-def view_weights(
-    worth_a, near_a, first_offset, worth_b, near_b, second_offset, x, y, z, t, disagreement, hidden
-):  # fmt: skip
-    """Weights of what two views show along the direction ``(x, y, z)``, not normalised; 0 for a view that shows none.
+def _falling(gap):
+    """``exp(-gap²)``, relatively within 1e-4, without a call, so that the loop around it becomes one of vectors."""
+    gap = min(max(gap, -MOST_GAP), MOST_GAP)
+    x = gap * gap * np.float32(-1.0 / (1 << STEPS))
+    value = np.float32(1 / 6) + x * np.float32(1 / 24)
+    value = np.float32(1.0) + x * (np.float32(1.0) + x * (np.float32(1 / 2) + x * value))
+    value = value * value
+    value = value * value
+    value = value * value
+    value = value * value
+    value = value * value
+    return value * value
+
+
+@inlined(fastmath=True)
+def view_weights(weight_a, near_a, offset_a, weight_b, near_b, offset_b, x, y, z, rule):
+    """:func:`omnisyn_cli.fusion.rule.view_weights` of one pixel, all branches chosen without a jump.
 
     Args:
-        worth_a: of the first's colour.
+        weight_a: of the first's colour.
         near_a: the first's inverse depth from the target, >= 0.
-        first_offset: its position in the frame of the target.
-        worth_b: of the second's colour.
+        offset_a: its position in the frame of the target.
+        weight_b: of the second's colour.
         near_b: as ``near_a``.
-        second_offset: as ``first_offset``.
+        offset_b: as ``offset_a``.
         x: of a unit vector, as ``y`` and ``z``.
         y: upwards.
         z: backwards.
-        t: share of the way.
-        disagreement: relative difference of inverse depth at which the farther surface has lost most of its weight.
-        hidden: the least share of its weight that it keeps.
+        rule: at a place of the way.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
-    a = worth_a * _nearness(near_a, x, y, z, first_offset)
-    b = worth_b * _nearness(near_b, x, y, z, second_offset)
-    a = a if worth_a > UNSEEN else zero
-    b = b if worth_b > UNSEEN else zero
-    if a > zero and b > zero:
-        a, b = (one - t) * a, t * b
-        gap = (near_a - near_b) / (max(near_a, near_b) * disagreement + np.float32(1e-9))
-        believed = worth_a if gap > zero else worth_b
-        believed = min(one, np.float32(BELIEF) * believed)
-        rest = one - believed * (one - max(math.exp(-gap * gap), hidden))
-        a, b = (a * rest, b) if gap < zero else (a, b * rest)
-    return a, b
+    a = weight_a * _nearness(near_a, x, y, z, offset_a)
+    b = weight_b * _nearness(near_b, x, y, z, offset_b)
+    a = a if weight_a > UNSEEN else zero
+    b = b if weight_b > UNSEEN else zero
+    gap = (near_a - near_b) / (max(near_a, near_b) * rule.disagreement + np.float32(1e-9))
+    believed = min(one, np.float32(BELIEF) * (weight_a if gap > zero else weight_b))
+    rest = one - believed * (one - max(_falling(gap), rule.hidden))
+    is_both = min(a, b) > zero
+    share_a = (one - rule.t) * (rest if gap < zero else one)
+    share_b = rule.t * (one if gap < zero else rest)
+    return a * share_a if is_both else a, b * share_b if is_both else b
 
 
 @fast_kernel()
-def blend_rows(
-    first, first_rho, first_offset, second, second_rho, second_offset, t, disagreement, hidden,
-    sin_p, cos_p, sin_a, cos_a, image, weight, begin, end,
-):  # fmt: skip
-    """Weighted mean of two renderings; ``weight`` is 0 in holes, elsewhere large where the surface is far."""
-    width = image.shape[1]
-    zero, one = np.float32(0.0), np.float32(1.0)
-    for row in range(begin, end):
-        sp, y = sin_p[row], cos_p[row]
-        for col in range(width):
-            x, z = sp * sin_a[col], -sp * cos_a[col]
-            rho_a, rho_b = first_rho[row, col], second_rho[row, col]
-            near_a, near_b = max(rho_a, zero), max(rho_b, zero)
-            a, b = view_weights(
-                first[row, col, 3], near_a, first_offset, second[row, col, 3], near_b, second_offset,
-                x, y, z, t, disagreement, hidden,
-            )  # fmt: skip
-            total = a + b
-            if total > zero:
-                smaller = min(a, b) / total  # the larger share is 1 minus this: exactly 1 where the other is 0
-                share_a, share_b = (smaller, one - smaller) if a < b else (one - smaller, smaller)
-                for k in range(3):
-                    image[row, col, k] = max(zero, share_a * first[row, col, k] + share_b * second[row, col, k])
-                far = np.float32(FAR_PREFERENCE) / (share_a * near_a + share_b * near_b + np.float32(FAR_PREFERENCE))
-                weight[row, col] = far * far * far * far
-            else:
-                weight[row, col] = zero
+def blend_band(first, second, rule, tables, correction, top, height, storing, out, seen, coarse_colour, coarse_weight):
+    """Blend some rows of two renderings, store them, and join them in twos for the pyramid that fills holes.
 
-
-@fast_kernel()
-def pull(colour, weight, coarse_colour, coarse_weight, begin, end):
-    """Weighted means over 2×2 pixels, for coarse rows ``begin`` to ``end``; an odd last row or column stands alone.
-
-    Colours without weight are not read: they may be anything, NaN included.
+    Args:
+        first: :class:`Layer` of the first view.
+        second: of the second view.
+        rule: :class:`Rule`.
+        tables: :class:`Tables`.
+        correction: :class:`Correction` of the weights.
+        top: row of the picture that the first row is, an even number.
+        height: rows of the picture.
+        storing: :class:`Storing`.
+        out: ``(rows, width, 3)`` samples, written; of no meaning in holes. An odd number of rows ends the picture.
+        seen: ``(rows, width)`` uint8, written: 0 in holes, else 1.
+        coarse_colour: ``(half of rows, half of width, 3)``, written where there is weight, halves being rounded up.
+        coarse_weight: of these, written; much where the surface is far.
     """
-    height, width = weight.shape
-    for row in range(begin, end):
-        for col in range(coarse_weight.shape[1]):
-            r = g = b = total = np.float32(0.0)
-            for i in range(2 * row, min(2 * row + 2, height)):
-                for j in range(2 * col, min(2 * col + 2, width)):
-                    w = weight[i, j]
-                    if w > 0.0:
-                        r += w * colour[i, j, 0]
-                        g += w * colour[i, j, 1]
-                        b += w * colour[i, j, 2]
-                        total += w
-            coarse_weight[row, col] = total
-            if total > 0.0:
-                coarse_colour[row, col, 0] = r / total
-                coarse_colour[row, col, 1] = g / total
-                coarse_colour[row, col, 2] = b / total
+    rows, width = seen.shape
+    upper, lower = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32)
+    first_flat, second_flat, out_flat = first.colour.reshape(-1), second.colour.reshape(-1), out.reshape(-1)
+    coarse_flat, half_width = coarse_colour.reshape(-1), coarse_weight.shape[1]
+    for pair in range(len(coarse_weight)):
+        for left in range(0, width, RUN):
+            right = min(left + RUN, width)
+            for row, mixed in ((2 * pair, upper), (2 * pair + 1, lower)):
+                if row == rows:
+                    mixed[:] = np.float32(0.0)
+                    continue
+                begin, end = row * width + left, row * width + right
+                a = Layer(first_flat[4 * begin : 4 * end], first.inverse_depth[row, left:right], first.offset)
+                b = Layer(second_flat[4 * begin : 4 * end], second.inverse_depth[row, left:right], second.offset)
+                some = Tables(
+                    tables.sin_p[row:], tables.cos_p[row:], tables.sin_a[left:right], tables.cos_a[left:right]
+                )
+                _blend_run(a, b, rule, some, mixed)
+                if len(correction.shift) > 0:
+                    _correct_run(a, b, rule, some, correction, top + row, height, left, width, mixed)
+                _store_run(mixed, storing, out_flat[3 * begin : 3 * end], seen[row, left:right])
+                if right < left + RUN:  # an odd last column stands alone
+                    for number in range(4):
+                        mixed[number * RUN + right - left] = np.float32(0.0)
+            begin, end = pair * half_width + left // 2, pair * half_width + (right + 1) // 2
+            half = coarse_weight[pair, left // 2 : (right + 1) // 2]
+            _pull_run(upper, lower, coarse_flat[3 * begin : 3 * end], half)
 
 
 @fast_kernel()
-def push(coarse_colour, coarse_weight, colour, weight, keep_weight, begin, end):
-    """Holes of rows ``begin`` to ``end`` get the coarse colours, bilinearly and by weight; rows end at the poles.
+def _blend_run(first, second, rule, tables, mixed):
+    """Red, green, blue and weight of some pixels of a row, each :data:`RUN` numbers apart in ``mixed``.
 
-    A filled pixel's own weight, for the next finer level, is the mean of those it was filled from unless
-    ``keep_weight``.
+    Colours are flat, four numbers for each pixel: steps that are known make vectors possible.
     """
-    width = weight.shape[1]
-    coarse_height, coarse_width = coarse_weight.shape
-    for row in range(begin, end):
-        i = row // 2
-        i2 = max(i - 1, 0) if row % 2 == 0 else min(i + 1, coarse_height - 1)
-        for col in range(width):
-            if weight[row, col] > 0.0:
-                continue
-            j = col // 2
-            j2 = (j - 1 if col % 2 == 0 else j + 1) % coarse_width
-            a, b = np.float32(0.5625) * coarse_weight[i, j], np.float32(0.1875) * coarse_weight[i, j2]
-            c, d = np.float32(0.1875) * coarse_weight[i2, j], np.float32(0.0625) * coarse_weight[i2, j2]
-            total = a + b + c + d
-            if total > 0.0:
-                for k in range(3):
-                    mixed = a * coarse_colour[i, j, k] + b * coarse_colour[i, j2, k]
-                    mixed += c * coarse_colour[i2, j, k] + d * coarse_colour[i2, j2, k]
-                    colour[row, col, k] = mixed / total
-            else:
-                for k in range(3):
-                    colour[row, col, k] = np.float32(0.0)
-            if not keep_weight:
-                weight[row, col] = np.float32(0.25) * total
+    zero, one, far_preference = np.float32(0.0), np.float32(1.0), np.float32(FAR_PREFERENCE)
+    sine, y = tables.sin_p[0], tables.cos_p[0]
+    a_colour, b_colour = first.colour, second.colour
+    for col in range(len(first.inverse_depth)):
+        x, z = sine * tables.sin_a[col], -sine * tables.cos_a[col]
+        near_a, near_b = max(first.inverse_depth[col], zero), max(second.inverse_depth[col], zero)
+        a, b = view_weights(
+            a_colour[4 * col + 3], near_a, first.offset, b_colour[4 * col + 3], near_b, second.offset, x, y, z, rule
+        )
+        total = a + b
+        smaller = min(a, b) / max(total, np.float32(1e-37))  # the larger share is 1 minus this: 1 if the other is 0
+        share_a = smaller if a < b else one - smaller
+        share_b = one - smaller if a < b else smaller
+        far = far_preference / (share_a * near_a + share_b * near_b + far_preference)
+        mixed[col] = max(zero, share_a * a_colour[4 * col] + share_b * b_colour[4 * col])
+        mixed[RUN + col] = max(zero, share_a * a_colour[4 * col + 1] + share_b * b_colour[4 * col + 1])
+        mixed[2 * RUN + col] = max(zero, share_a * a_colour[4 * col + 2] + share_b * b_colour[4 * col + 2])
+        mixed[3 * RUN + col] = far * far * far * far if total > zero else zero
+
+
+@fast_kernel()
+def _store_run(mixed, storing, out, seen):
+    """What :func:`_blend_run` found, as samples."""
+    for col in range(len(seen)):
+        out[3 * col] = stored(mixed[col], storing)
+        out[3 * col + 1] = stored(mixed[RUN + col], storing)
+        out[3 * col + 2] = stored(mixed[2 * RUN + col], storing)
+        seen[col] = np.uint8(mixed[3 * RUN + col] > np.float32(0.0))
+
+
+@inlined(fastmath=True)
+def _mean(upper, lower, at, w00, w01, w10, w11):
+    """Two by two numbers by their weights; the sum."""
+    return w00 * upper[at] + w01 * upper[at + 1] + w10 * lower[at] + w11 * lower[at + 1]
+
+
+@fast_kernel()
+def _pull_run(upper, lower, colour, weight):
+    """The first step of pulling (:mod:`omnisyn_cli.fusion.fill`) for the pixels of two runs, one above the other."""
+    for col in range(len(weight)):
+        at = 3 * RUN + 2 * col
+        w00, w01, w10, w11 = upper[at], upper[at + 1], lower[at], lower[at + 1]
+        total = w00 + w01 + w10 + w11
+        share = np.float32(1.0) / max(total, np.float32(1e-37))
+        weight[col] = total
+        colour[3 * col] = share * _mean(upper, lower, 2 * col, w00, w01, w10, w11)
+        colour[3 * col + 1] = share * _mean(upper, lower, RUN + 2 * col, w00, w01, w10, w11)
+        colour[3 * col + 2] = share * _mean(upper, lower, 2 * RUN + 2 * col, w00, w01, w10, w11)
+
+
+@inlined(fastmath=True)
+def neighbours(index, fine, coarse):
+    """The coarse pixel before the centre of a fine one (it may be −1), and how far the centre lies beyond it."""
+    position = (np.float32(index) + np.float32(0.5)) * np.float32(coarse) / np.float32(fine) - np.float32(0.5)
+    before = math.floor(position)
+    return int(before), position - np.float32(before)
+
+
+@inlined(fastmath=True)
+def _relevance(first, second, col):
+    """How much of a correction counts for two colours: from 0 (they are alike) to 1, smooth."""
+    squared = np.float32(0.0)
+    for k in range(3):
+        step = first[4 * col + k] - second[4 * col + k]
+        squared += step * step
+    difference = math.sqrt(squared * (np.float32(1.0) / np.float32(3.0)))
+    x = min(np.float32(1.0), max(np.float32(0.0), (difference - PLAIN) / (DIFFERENT - PLAIN)))
+    return x * x * (np.float32(3.0) - np.float32(2.0) * x)
+
+
+@fast_kernel()
+def _correct_run(first, second, rule, tables, correction, row, height, left, width, mixed):
+    """Correct what :func:`_blend_run` found where it matters which of the views is shown.
+
+    The run begins at ``row`` and column ``left`` of a picture of ``height`` and ``width``; other arguments as there.
+    """
+    rows, cols = correction.shift.shape
+    zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    sine, y = tables.sin_p[0], tables.cos_p[0]
+    i, down = neighbours(row, height, rows)
+    upper, lower = max(i, 0), min(i + 1, rows - 1)
+    for col in range(len(first.inverse_depth)):
+        weight_a, weight_b = first.colour[4 * col + 3], second.colour[4 * col + 3]
+        if not (weight_a > UNSEEN and weight_b > UNSEEN):
+            continue
+        counts = _relevance(first.colour, second.colour, col)
+        if counts == zero:
+            continue
+        a, b = view_weights(
+            weight_a, max(first.inverse_depth[col], zero), first.offset,
+            weight_b, max(second.inverse_depth[col], zero), second.offset,
+            sine * tables.sin_a[col], y, -sine * tables.cos_a[col], rule,
+        )  # fmt: skip
+        if not (a > zero and b > zero):
+            continue
+        ratio = np.float32(math.log((a + LEAST_RATIO * b) / (b + LEAST_RATIO * a)))
+        j, right = neighbours(left + col, width, cols)
+        before, beyond = j % cols, (j + 1) % cols
+        total = value = zero
+        for corner in range(4):
+            r, c = upper if corner < 2 else lower, before if corner % 2 == 0 else beyond
+            share = (one - down if corner < 2 else down) * (one - right if corner % 2 == 0 else right)
+            unlike = (correction.log_ratio[r, c] - ratio) / ALIKE
+            share *= correction.both[r, c] / (one + unlike * unlike)
+            total += share
+            value += share * correction.shift[r, c]
+        if total < FAINT or value == zero:
+            continue
+        factor = np.float32(math.exp(half * counts * value / total))
+        share_a = a * factor / (a * factor + b / factor)
+        for k in range(3):
+            mixed[k * RUN + col] = max(
+                zero, share_a * first.colour[4 * col + k] + (one - share_a) * second.colour[4 * col + k]
+            )
 
 
 @fast_kernel()

@@ -15,10 +15,14 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.geometric import GeometricFuser, is_in_place
-from omnisyn_cli.fusion.network_kernels import colour_holes, correct_rows
-from omnisyn_cli.fusion.options import BlendOptions
+from omnisyn_cli.fusion.bands import Views
+from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
+from omnisyn_cli.fusion.ghosts import is_in_place
+from omnisyn_cli.fusion.kernels import Correction, storing_in
+from omnisyn_cli.fusion.network_kernels import colour_holes
 from omnisyn_cli.fusion.planes import FusionPlanes, PlaneMaker
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
 __all__ = ["MULTIPLE", "WORKING_ROWS", "FusionCorrection", "NetworkFuser", "working_size"]
@@ -28,7 +32,6 @@ WORKING_ROWS = 256
 
 MULTIPLE = 32
 """It halves its input five times."""
-
 
 LEAST_STRENGTH = 1e-6
 """So close to an end the correction could change no colour, and weights may be too small for their ratio to be one."""
@@ -78,38 +81,37 @@ class NetworkFuser(GeometricFuser):
         super().__init__(size, options, threads)
         self._correction = correction
         small = working_size(size, rows)
-        self._planes = None if small is None else PlaneMaker(small, self.options.disagreement, threads)
+        self._planes = None if small is None else PlaneMaker(small, self.bands)
 
-    def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
-        """The fused picture, every pixel of it filled, never negative; the next call overwrites it.
-
-        Worths are changed in place as in :class:`~omnisyn_cli.fusion.geometric.GeometricFuser`.
+    def __call__(
+        self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
+        confidence: Confidence | None = None,
+    ) -> Picture:  # fmt: skip
+        """The fused picture, every pixel of it filled, never negative; see :class:`omnisyn_cli.types.Fuser`.
 
         Raises:
             InputError: the network does not take the planes, or answers something else.
         """
-        strictness = self._settle(first, second, t)
-        self._blend(first, second, t, strictness)
-        seen = self._look(first, second, t, strictness)
-        if seen is None:
-            self._filler(self._image, self._weight)
-            return self._image
-        correction, colours = self._correction(seen.planes)
-        strength = np.float32(strictness)
-        inputs = self._inputs(first, second, t, strictness)
-        shift = strength * seen.doubt * correction
-        self._run(correct_rows, *inputs, shift, seen.log_ratio, seen.both, self._image)
-        self._filler(self._image, self._weight)
-        self._run(colour_holes, self._weight, colours, seen.holes, strength, self._image)
-        return self._image
+        rule = BlendRule.at(t, self.options)
+        if self._planes is None or rule.strictness < LEAST_STRENGTH or is_in_place(first, second):
+            return super().__call__(first, second, t, out, confidence)
+        first, second = self.bands.held(first, second)
+        suppression, out = self._suppression(first, second, rule), self._memory(out)
+        judged = self._judged(first, second, confidence).then(suppression)
+        seen = self._planes(Views(first, second).then(suppression), rule)
+        if seen.is_settled:
+            self.paint(judged, rule, out)
+        else:
+            self._correct(judged, rule, seen, out)
+        return out
 
-    def takes_rows(self) -> bool:
-        """No: the network looks at whole renderings."""
-        return False
+    def _correct(self, views: Views, rule: BlendRule, seen: FusionPlanes, out: Picture) -> None:
+        """The picture as the network wants it."""
+        shift, colours = self._correction(seen.planes)
+        strength, storing = np.float32(rule.strictness), storing_in(out)
+        self.paint(views, rule, out, Correction(strength * seen.doubt * shift, seen.log_ratio, seen.both))
 
-    def _look(self, first: Rendering, second: Rendering, t: float, strictness: float) -> FusionPlanes | None:
-        """What the network is to see; None where it has no say."""
-        if self._planes is None or strictness < LEAST_STRENGTH or is_in_place(first, second):
-            return None
-        seen = self._planes(first, second, t, self.options.hidden**strictness)
-        return None if seen.is_settled else seen
+        def add(begin: int, end: int) -> None:
+            colour_holes(self.is_seen, colours, seen.holes, strength, storing, out, begin, end)
+
+        run_bands(add, self.size[0], self.threads)

@@ -9,19 +9,22 @@ Source: OmniSyn, section 3.5.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Protocol
 
 import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.geometric import GeometricFuser, is_in_place
+from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
+from omnisyn_cli.fusion.ghosts import is_in_place
+from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.fusion.network import working_size
-from omnisyn_cli.fusion.network_kernels import reduce_rows
-from omnisyn_cli.geometry.border import add_border
+from omnisyn_cli.fusion.planes import reduced
+from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
-from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import UNSEEN, Rendering
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Rendering
 
 __all__ = ["MOST_ROWS", "MULTIPLE", "Painter", "PaintingFuser"]
 
@@ -30,9 +33,6 @@ MOST_ROWS = 1024
 
 MULTIPLE = 64
 """It halves its input six times."""
-
-PLANES = 8
-"""Colours of the first and of the second view, and whether each of them shows anything."""
 
 BORDER = 2
 """Pixels from over the seam and the poles that interpolation may reach for."""
@@ -61,41 +61,30 @@ class PaintingFuser(GeometricFuser):
         self._small = working_size(size, MOST_ROWS, MULTIPLE)
         self._maps = None if self._small is None or self._small == size else _maps(self._small, size)
 
-    def __call__(self, first: Rendering, second: Rendering, t: float) -> Float32[np.ndarray, "height width 3"]:
-        """The painted picture in [0, 1]; the next call overwrites it.
+    def __call__(
+        self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
+        confidence: Confidence | None = None,
+    ) -> Picture:  # fmt: skip
+        """The painted picture in [0, 1]; see :class:`omnisyn_cli.types.Fuser`.
 
         Raises:
             InputError: the network does not take the planes, or answers something else.
         """
         if self._small is None or is_in_place(first, second):
-            return super().__call__(first, second, t)
-        painted = self._painter(self._planes(first, second, self._small)).transpose(1, 2, 0)
+            return super().__call__(first, second, t, out, confidence)
+        views = reduced(self._judged(first, second, confidence), self._small, self.bands)
+        planes = [*(view.colour.transpose(2, 0, 1) for view in views), *(view.is_seen[None] for view in views)]
+        painted = self._painter(np.concatenate(planes).astype(np.float32)).transpose(1, 2, 0)
         if self._maps is not None:
             painted = _enlarged(painted, *self._maps)
-        np.clip(painted, 0.0, 1.0, out=self._image)
-        return self._image
+        return self._stored(painted, self._memory(out))
 
-    def takes_rows(self) -> bool:
-        """No: the network looks at whole renderings."""
-        return False
-
-    def _planes(
-        self, first: Rendering, second: Rendering, size: tuple[int, int]
-    ) -> Float32[np.ndarray, "8 height width"]:
-        planes = np.empty((PLANES, *size), np.float32)
-        for index, view in enumerate((first, second)):
-            colour, inverse_depth = np.zeros((*size, 4), np.float32), np.empty(size, np.float32)
-            _reduce(view, colour, inverse_depth, self.threads)
-            planes[3 * index : 3 * index + 3] = colour[..., :3].transpose(2, 0, 1)
-            planes[6 + index] = colour[..., 3] > UNSEEN
-        return planes
-
-
-def _reduce(view: Rendering, colour: np.ndarray, inverse_depth: np.ndarray, threads: int | None) -> None:
-    def band(begin: int, end: int) -> None:
-        reduce_rows(view.colour, view.inverse_depth, colour, inverse_depth, begin, end)
-
-    run_bands(band, len(colour), threads)
+    def _stored(self, picture: Float32[np.ndarray, "height width 3"], out: Picture) -> Picture:
+        """The picture within [0, 1], as numbers or samples."""
+        if out.dtype == np.float32:
+            return np.clip(picture, 0.0, 1.0, out=out)
+        run_bands(partial(quantize_rows, picture, np.float32(np.iinfo(out.dtype).max), out), len(out), self.threads)
+        return out
 
 
 def _maps(source: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

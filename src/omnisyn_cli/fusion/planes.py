@@ -4,7 +4,7 @@ Planes, in this order (``PLANES`` of them, float32):
 
 * ``FIRST``, ``SECOND``: colours of both renderings, 0 where they show nothing (3 each),
 * ``FUSED``: the geometric fusion, holes filled (3),
-* ``WORTH``: of both colours (2),
+* ``WEIGHT``: of both colours (2),
 * ``ROOT``: square root of inverse depth × baseline of both, at most ``GREATEST_ROOT`` (2),
 * ``LOG_RATIO``: of the geometric weights, over ``GREATEST_LOG``, in [−1, 1]; positive where the first counts more,
 * ``GAP``: difference of inverse depth over what counts as a disagreement, over ``GREATEST_GAP``, in [−1, 1],
@@ -13,57 +13,53 @@ Planes, in this order (``PLANES`` of them, float32):
   in holes,
 * ``TIME``: 2t − 1,
 * ``LATITUDE``: 1 at the top of the picture, −1 at its bottom.
+
+They are a function of numpy arrays and of torch tensors, with gradients to colours and inverse depths.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Float32
+from array_api_compat import array_namespace, device
+from jaxtyping import Float, Float32
 
+from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion.cells import greatest_near, mean_near
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.geometric import kernel_views
-from omnisyn_cli.fusion.kernels import blend_rows
-from omnisyn_cli.fusion.network_kernels import compare_rows, reduce_rows
-from omnisyn_cli.geometry.border import filter_across_seam
-from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.threads import run_bands
-from omnisyn_cli.types import UNSEEN, Rendering
+from omnisyn_cli.fusion.kernels import DIFFERENT, LEAST_RATIO, PLAIN
+from omnisyn_cli.fusion.network_kernels import reduce_band
+from omnisyn_cli.fusion.rule import BlendRule, Shown, blended, difference_of_depth, view_weights
+from omnisyn_cli.geometry.sphere import pixel_directions
 
 __all__ = [
-    "FIRST",
-    "FUSED",
-    "GAP",
-    "GREATEST_GAP",
-    "GREATEST_LOG",
-    "GREATEST_ROOT",
-    "LATITUDE",
-    "LOG_RATIO",
-    "PLANES",
-    "REACH",
-    "RELEVANCE",
-    "ROOT",
-    "SECOND",
-    "SEEN",
-    "SOFTNESS",
-    "TIME",
-    "WORTH",
-    "FusionPlanes",
-    "PlaneMaker",
-    "doubt_of",
-]
+    "FIRST", "FUSED", "GAP", "GREATEST_GAP", "GREATEST_LOG", "GREATEST_ROOT", "LATITUDE", "LOG_RATIO", "PLANES",
+    "RELEVANCE", "ROOT", "SECOND", "SEEN", "TIME", "WEIGHT", "FusionPlanes", "PlaneMaker", "doubt_of", "fusion_planes",
+    "reduced",
+]  # fmt: skip
 
-FIRST, SECOND, FUSED, WORTH, ROOT, LOG_RATIO, GAP = 0, 3, 6, 9, 11, 13, 14
+Array = Any  # numpy.ndarray or torch.Tensor
+
+FIRST, SECOND, FUSED, WEIGHT, ROOT, LOG_RATIO, GAP = 0, 3, 6, 9, 11, 13, 14
 SEEN, RELEVANCE, TIME, LATITUDE, PLANES = 15, 17, 18, 19, 20
 
 GREATEST_ROOT, GREATEST_LOG, GREATEST_GAP = 2.0, 8.0, 4.0
 
-REACH, SOFTNESS = 9, 5
-"""Pixels across within which a disagreement is near, and over which doubt about the weights fades."""
+LINEAR = 1e-4
+"""Inverse depth × baseline below which its root is a straight line, so that its slope stays bounded."""
+
+REACH, SOFTNESS = 4, 2
+"""Pixels to every side within which a disagreement is near, and over which doubt about the weights fades."""
+
+COARSE_ROWS = 4
+"""That are reduced together."""
+
+Fill = Callable[[Array, Array], Array]
+"""Answers a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
 
 
 @dataclass(frozen=True)
@@ -78,16 +74,16 @@ class FusionPlanes:
         doubt: how much the network's shift of the weights counts, from 0 to 1.
     """
 
-    planes: Float32[np.ndarray, "planes height width"]
-    log_ratio: Float32[np.ndarray, "height width"]
-    both: Float32[np.ndarray, "height width"]
-    holes: Float32[np.ndarray, "height width"]
-    doubt: Float32[np.ndarray, "height width"]
+    planes: Float[Array, "planes height width"]
+    log_ratio: Float[Array, "height width"]
+    both: Float[Array, "height width"]
+    holes: Float[Array, "height width"]
+    doubt: Float[Array, "height width"]
 
     @property
     def is_settled(self) -> bool:
         """Whether there is nothing to decide: no hole, and nothing that differs between the views."""
-        return not self.planes[RELEVANCE].any()
+        return not bool(self.planes[RELEVANCE].any())
 
 
 class PlaneMaker:
@@ -95,67 +91,106 @@ class PlaneMaker:
 
     Args:
         size: height and width of the planes.
-        disagreement: relative difference of inverse depth at which the farther surface has lost most of its weight.
-        threads: at most this many; None is one per core.
+        bands: of the renderings.
     """
 
-    def __init__(self, size: tuple[int, int], disagreement: float, threads: int | None = None) -> None:
-        self.size, self.threads = size, threads
-        self._disagreement = np.float32(disagreement)
-        self._tables = tuple(table.astype(np.float32) for table in direction_tables(*size))
-        self._filler = HoleFiller(size, threads)
-        self._colours = [np.zeros((*size, 4), np.float32) for _ in range(2)]
-        self._rhos = [np.zeros(size, np.float32) for _ in range(2)]
-        self._image, self._weight = np.zeros((*size, 3), np.float32), np.zeros(size, np.float32)
-        self._latitude = np.broadcast_to(self._tables[1][:, None], size)
+    def __init__(self, size: tuple[int, int], bands: BandRunner) -> None:
+        self.size, self._bands = size, bands
+        self._filler = HoleFiller(size, bands.threads)
 
-    def __call__(self, first: Rendering, second: Rendering, t: float, hidden: float) -> FusionPlanes:
-        """Planes of two renderings, at least as high as the planes, at a share ``t`` of the way.
+    def __call__(self, views: Views, rule: BlendRule) -> FusionPlanes:
+        """Planes of two renderings, at least as high as the planes.
 
         Args:
-            first: of the first view.
-            second: of the second view.
-            t: share of the way.
-            hidden: the least share of its weight that a hidden surface keeps.
+            views: both, and what is done to their colours.
+            rule: at its place of the way.
         """
-        for view, colour, rho in zip((first, second), self._colours, self._rhos, strict=True):
-            self._run(reduce_rows, view.colour, view.inverse_depth, colour, rho)
-        small = [
-            Rendering(rho, colour, view.target_from_source)
-            for view, rho, colour in zip((first, second), self._rhos, self._colours, strict=True)
-        ]
-        views = kernel_views(*small)
-        rule = (np.float32(t), self._disagreement, np.float32(hidden), *self._tables)
-        self._run(blend_rows, *views, *rule, self._image, self._weight)
-        planes = np.empty((PLANES, *self.size), np.float32)
-        log_ratio = np.empty(self.size, np.float32)
-        self._run(compare_rows, *views, *rule, log_ratio, planes[GAP], planes[RELEVANCE])
-        self._filler(self._image, self._weight)
-        baseline = np.linalg.norm(first.target_from_source.position - second.target_from_source.position)
-        return self._assembled(planes, log_ratio, t, float(baseline))
+        first, second = reduced(views, self.size, self._bands)
+        return fusion_planes(first, second, rule, float(np.linalg.norm(first.offset - second.offset)), self._filled)
 
-    def _assembled(self, planes: np.ndarray, log_ratio: np.ndarray, t: float, baseline: float) -> FusionPlanes:
-        for view, (colour, rho) in enumerate(zip(self._colours, self._rhos, strict=True)):
-            planes[(FIRST, SECOND)[view] :][:3] = colour[..., :3].transpose(2, 0, 1)
-            planes[WORTH + view] = colour[..., 3]
-            planes[ROOT + view] = np.sqrt(np.clip(rho * baseline, 0.0, GREATEST_ROOT**2))
-            planes[SEEN + view] = colour[..., 3] > UNSEEN
-        planes[FUSED : FUSED + 3] = self._image.transpose(2, 0, 1)
-        doubt = doubt_of(planes[GAP])
-        planes[LOG_RATIO] = np.clip(log_ratio / GREATEST_LOG, -1.0, 1.0)
-        planes[GAP] = np.clip(planes[GAP] / GREATEST_GAP, -1.0, 1.0)
-        planes[TIME] = 2.0 * t - 1.0
-        planes[LATITUDE] = self._latitude
-        both = planes[SEEN] * planes[SEEN + 1]
-        holes = (1.0 - planes[SEEN]) * (1.0 - planes[SEEN + 1])
-        planes[RELEVANCE] *= np.where(both > 0.0, doubt, np.float32(1.0))
-        return FusionPlanes(planes, log_ratio, both, holes, doubt)
-
-    def _run(self, kernel: Callable[..., None], *arguments: Any) -> None:
-        run_bands(lambda begin, end: kernel(*arguments, begin, end), self.size[0], self.threads)
+    def _filled(self, image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        self._filler(image, weight)
+        return image
 
 
-def doubt_of(gap: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
+def reduced(views: Views, size: tuple[int, int], bands: BandRunner) -> tuple[Shown, Shown]:
+    """Two renderings at a smaller size: means over blocks of what is seen, by its weight; colours are within [0, 1]."""
+    (height, _), (rows, _) = bands.size, size
+    colours, rhos = np.empty((2, *size, 4), np.float32), np.empty((2, *size), np.float32)
+    renderings = (views.first, views.second)
+
+    def reduce(top: int, bottom: int, *shown: np.ndarray) -> None:
+        for view, colour, coarse, rho in zip(renderings, shown, colours, rhos, strict=True):
+            reduce_band(colour, view.inverse_depth[top:bottom], coarse, rho, top, height)
+
+    bands(views, reduce, [*(i * height // rows for i in range(0, rows, COARSE_ROWS)), height])
+    first, second = (
+        Shown(colour[..., :3], colour[..., 3], rho, view.target_from_source.position.astype(np.float32))
+        for view, colour, rho in zip(renderings, colours, rhos, strict=True)
+    )
+    return first, second
+
+
+def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float, fill: Fill) -> FusionPlanes:
+    """All planes of what two views show.
+
+    Args:
+        first: of the first view.
+        second: of the second view.
+        rule: at its place of the way.
+        baseline: how far apart both views are, in the unit that depth is measured in.
+        fill: fills the holes of the geometric fusion.
+    """
+    xp, like = array_namespace(first.weight), first.weight
+    both = first.is_seen & second.is_seen
+    one, is_both = xp.ones_like(like), xp.astype(both, like.dtype)
+    holes = xp.astype(~(first.is_seen | second.is_seen), like.dtype)
+    directions = xp.asarray(_directions(*like.shape), dtype=like.dtype, device=device(like))
+    gap = difference_of_depth(first, second, rule.disagreement) * is_both
+    weights = view_weights(first, second, directions, rule)
+    log_ratio, doubt = _log_ratio(*(xp.where(both, weight, one) for weight in weights)), doubt_of(gap)
+    planes = [
+        *(first.colour[..., k] for k in range(3)),
+        *(second.colour[..., k] for k in range(3)),
+        *xp.moveaxis(fill(*blended(first, second, weights)), -1, 0),
+        first.weight,
+        second.weight,
+        *(_root(view.near * baseline) for view in (first, second)),
+        xp.clip(log_ratio / GREATEST_LOG, min=-1.0, max=1.0),
+        xp.clip(gap / GREATEST_GAP, min=-1.0, max=1.0),
+        *(xp.astype(view.is_seen, like.dtype) for view in (first, second)),
+        is_both * doubt * _relevance(first.colour - second.colour) + holes,
+        (2.0 * rule.t - 1.0) * one,
+        directions[..., 1],
+    ]
+    return FusionPlanes(xp.stack(planes), log_ratio, is_both, holes, doubt)
+
+
+_directions = lru_cache(maxsize=2)(pixel_directions)
+
+
+def _log_ratio(a: Array, b: Array) -> Float[Array, "height width"]:
+    """log(a / b), bounded where one of them is next to nothing."""
+    least = float(LEAST_RATIO)
+    return array_namespace(a).log((a + least * b) / (b + least * a))
+
+
+def _relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
+    """How much it matters which of two colours is shown: from 0 (they are alike) to 1, smooth."""
+    xp, plain, different = array_namespace(difference), float(PLAIN), float(DIFFERENT)
+    squared = xp.sum(difference * difference, axis=-1) / 3.0
+    x = xp.clip((xp.sqrt(xp.clip(squared, min=plain**2)) - plain) / (different - plain), min=0.0, max=1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def _root(near: Float[Array, "height width"]) -> Float[Array, "height width"]:
+    """Square root of inverse depth × baseline, at most what the planes hold."""
+    xp = array_namespace(near)
+    above = xp.sqrt(xp.clip(near, min=LINEAR, max=GREATEST_ROOT**2))
+    return xp.where(near < LINEAR, near / LINEAR**0.5, above)
+
+
+def doubt_of(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
     """Smooth, from 0 to 1: 1 where the views disagree about the distance, and around there; wraps at the seam.
 
     Where they agree, the one that was nearer shows it sharper, and a mixture would only blur it.
@@ -163,10 +198,4 @@ def doubt_of(gap: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "h
     Args:
         gap: difference of inverse depth, in units of what counts as a disagreement.
     """
-
-    def spread(wide: np.ndarray) -> np.ndarray:
-        around = cv2.dilate(wide, np.ones((REACH, REACH), np.uint8))
-        return cv2.blur(around, (SOFTNESS, SOFTNESS), borderType=cv2.BORDER_REPLICATE)
-
-    soft = filter_across_seam(spread, -np.expm1(-gap * gap), REACH // 2 + SOFTNESS // 2)
-    return np.ascontiguousarray(soft, np.float32)
+    return mean_near(greatest_near(-array_namespace(gap).expm1(-gap * gap), REACH), SOFTNESS, is_mirrored=False)

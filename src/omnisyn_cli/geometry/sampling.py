@@ -1,4 +1,4 @@
-"""Reading an equirectangular image at arbitrary directions, across the seam and over the poles.
+"""Reading an equirectangular image at arbitrary directions and beyond its border, across the seam and over the poles.
 
 The plain, readable form, for numpy and torch (differentiable in image and direction); the renderer has its own kernels
 and is tested against these.
@@ -6,14 +6,27 @@ and is tested against these.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from array_api_compat import array_namespace
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
-from omnisyn_cli.geometry.sphere import direction_to_pixel
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 
-__all__ = ["sample_bicubic", "sample_bilinear", "sample_bilinear_at", "sample_nearest", "wrap_pixel"]
+__all__ = [
+    "add_border",
+    "add_columns",
+    "filter_across_seam",
+    "sample_bicubic",
+    "sample_bilinear",
+    "sample_bilinear_at",
+    "sample_nearest",
+    "turned_directions",
+    "turned_image",
+    "wrap_pixel",
+]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -31,6 +44,33 @@ def wrap_pixel(row: Array, col: Array, height: int, width: int) -> tuple[Array, 
     inside = xp.where(above, -1 - row, xp.where(below, 2 * height - 1 - row, row))
     shifted = xp.where(above | below, col + width // 2, col)
     return inside, shifted % width
+
+
+def add_border(image: Shaped[np.ndarray, "height width *channels"], border: int) -> Shaped[np.ndarray, "rows cols ..."]:
+    """The image with ``border`` more rows and columns on every side, as the sphere goes on there; a copy.
+
+    It is at least ``border`` pixels high.
+    """
+    height, width = image.shape[:2]
+    row, col = np.arange(-border, height + border)[:, None], np.arange(-border, width + border)[None, :]
+    return np.ascontiguousarray(image[wrap_pixel(row, col, height, width)])
+
+
+def add_columns(
+    image: Shaped[np.ndarray, "height width *channels"], columns: int
+) -> Shaped[np.ndarray, "height cols ..."]:
+    """The image with ``columns`` more on either side, from over the seam; a copy."""
+    return np.pad(image, ((0, 0), (columns, columns), *((0, 0) for _ in image.shape[2:])), mode="wrap")
+
+
+def filter_across_seam(
+    apply: Callable[[np.ndarray], np.ndarray], image: Shaped[np.ndarray, "height width *channels"], reach: int
+) -> Shaped[np.ndarray, "height width ..."]:
+    """What a filter makes of an image whose columns wrap; beyond the poles it sees what it likes.
+
+    ``apply`` keeps the size; its answers depend on ``reach`` columns on either side.
+    """
+    return apply(add_columns(image, reach))[:, reach : reach + image.shape[1]]
 
 
 def sample_nearest(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
@@ -58,6 +98,34 @@ def sample_bicubic(image: Float[Array, "height width *channels"], direction: Flo
     Source: Keys, Cubic convolution interpolation for digital image processing, 1981.
     """
     return _convolve(image, *direction_to_pixel(direction, image.shape[:2]), reach=(-1, 2), kernel=_cubic_weight)
+
+
+def turned_directions(
+    size: tuple[int, int], source: Float[np.ndarray, "3 3"], held: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "height width 3"]:
+    """Unit vectors in the frame of a panorama through the pixels (``size``) of a camera that is held otherwise.
+
+    ``source`` and ``held`` are the world-from-camera rotations of the two.
+    """
+    return np.asarray(pixel_directions(*size) @ (source.T @ held).T)
+
+
+def turned_image(
+    image: Float[np.ndarray, "rows cols 3"],
+    source: Float[np.ndarray, "3 3"],
+    held: Float[np.ndarray, "3 3"],
+    size: tuple[int, int],
+) -> Float[np.ndarray, "height width 3"]:
+    """A panorama as a network is shown it, in training and after: bicubic, averaged over areas where it is larger.
+
+    RGB in [0, 1]; ``size`` is that of the result, ``source`` and ``held`` are as for :func:`turned_directions`.
+    """
+    import cv2  # loaded only here: a plan needs this module, and no more
+
+    numbers = np.asarray(image, np.float32)
+    if numbers.shape[0] > size[0]:
+        numbers = np.asarray(cv2.resize(numbers, size[::-1], interpolation=cv2.INTER_AREA))
+    return np.asarray(np.clip(sample_bicubic(numbers, turned_directions(size, source, held)), 0.0, 1.0))
 
 
 def _convolve(image: Array, row: Array, col: Array, *, reach: tuple[int, int], kernel: Any) -> Array:

@@ -119,8 +119,7 @@ def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, n
 
     Kernels build ``(sin_polar·sin_azimuth, cos_polar, −sin_polar·cos_azimuth)`` from them.
 
-    Returns:
-        ``(sin_polar (height,), cos_polar (height,), sin_azimuth (width,), cos_azimuth (width,))``, float64.
+    Float64: ``sin_polar (height,), cos_polar (height,), sin_azimuth (width,), cos_azimuth (width,)``.
     """
     azimuth, polar_angle = pixel_to_angles(np.arange(height), np.arange(width), (height, width))
     return np.sin(polar_angle), np.cos(polar_angle), np.sin(azimuth), np.cos(azimuth)

@@ -47,14 +47,11 @@ INFINITE = 1e-3
 def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
     """Both cameras turned so that +y points from the first to the second and both share one orientation.
 
-    Args:
-        first: world-from-camera pose of the first panorama.
-        second: world-from-camera pose of the second, at another position.
+    The image centre looks as nearly straight down as the baseline lets it, so the ground lies at azimuth 0 and the sky
+    at the seam; with a vertical baseline it stays near the horizon.
 
     Returns:
-        ``(first, second, baseline)``: the turned poses (same positions) and the distance in metres. The image centre
-        looks as nearly straight down as the baseline lets it, so the ground lies at azimuth 0 and the sky at the seam;
-        with a vertical baseline it stays near the horizon.
+        ``(first, second, baseline)``: the turned world-from-camera poses (same positions) and the distance in metres.
     """
     along, baseline = _baseline(first, second)
     rotation = _frame_with_zenith(along)
@@ -85,10 +82,8 @@ def exchanged_in_forward_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np
 def parallax_from_inverse_depth(polar_angle: Array, inverse_depth: Array, baseline: float = 1.0) -> Array:
     """How far down its meridian a point moves from the first image to the second, radians in [0, π − polar_angle].
 
-    Args:
-        polar_angle: angle between the baseline and the direction in the first camera, radians.
-        inverse_depth: 1/metre, as seen from the first camera; 0 is infinitely far.
-        baseline: metres.
+    ``polar_angle`` is the angle between the baseline (metres) and the direction in the first camera; an inverse depth
+    (1/metre, as seen from the first camera) of 0 is infinitely far.
     """
     xp = array_namespace(polar_angle, inverse_depth)
     shift = inverse_depth * baseline
@@ -116,10 +111,7 @@ def sweep_directions(
 
     The homogeneous form ``R·d + ρ·t``: nothing divides, and ρ = 0 is the sphere at infinity.
 
-    Args:
-        directions: unit vectors of the first camera.
-        inverse_depth: 1/metre, broadcasts against ``directions[..., 0]``.
-        second_from_first: rigid transform.
+    ``directions`` are unit vectors of the first camera; inverse depths (1/metre) broadcast against their first axes.
     """
     xp = array_namespace(directions, inverse_depth)
     rotation = xp.asarray(second_from_first.rotation, dtype=directions.dtype)
@@ -137,10 +129,7 @@ def free_space_agreement(
 
     Where the other camera sees something nearer the surface is merely hidden from it, which contradicts nothing.
 
-    Args:
-        inverse_depth: in baselines, of one panorama.
-        other: of the other panorama, in its own frame.
-        other_from_this: rigid transform with its translation in baselines.
+    Inverse depths, each in its own panorama's frame, and the translation of ``other_from_this`` are in baselines.
     """
     directions = pixel_directions(*inverse_depth.shape)
     moved = sweep_directions(directions, inverse_depth.astype(np.float64), other_from_this)

@@ -9,11 +9,12 @@ from weakref import ref
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.io import Panorama, PosedPanorama, read_inverse_depth
-from omnisyn_cli.io.images import INTEGER_PEAKS
-from omnisyn_cli.io.masks import usable_part
-from omnisyn_cli.planning import InterpolationJob, InterpolationPlan
-from omnisyn_cli.segments import Stopwatch
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.io import Panorama, read_inverse_depth
+from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
+from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["KeptPanorama", "Loader", "PanoramaReader"]
@@ -45,8 +46,8 @@ class KeptPanorama:
             self._image = None
 
 
-class Loader:
-    """Panoramas from their files when they are needed; the last two are kept, as long as the loader is."""
+class Loader(Sequence[View]):
+    """All views, read from their files when they are needed; the last two are kept, as long as the loader is."""
 
     def __init__(self, plan: InterpolationPlan, clock: Stopwatch, read: PanoramaReader) -> None:
         self._plan, self._clock = plan, clock
@@ -54,18 +55,17 @@ class Loader:
         self.panorama = lru_cache(maxsize=2)(partial(_read_panorama, plan.job, read))
         self._companions = lru_cache(maxsize=2)(partial(_read_companions, plan, self.panorama))
 
-    def views(self) -> Sequence[View]:
-        """All views, read on demand."""
-        return _LazySequence(len(self._plan.entries), self._view)
+    def __len__(self) -> int:
+        return len(self._plan.entries)
+
+    def __getitem__(self, index: int) -> View:  # type: ignore[override]
+        with self._clock("decode"):
+            panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
+            return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, samples=panorama.samples)
 
     def forget_numbers(self, index: int) -> None:
         """What a surface has been made of is not needed as numbers any more."""
         self.panorama(index).forget_numbers()
-
-    def _view(self, index: int) -> View:
-        with self._clock("decode"):
-            panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
-            return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, samples=panorama.samples)
 
 
 def _read_panorama(job: InterpolationJob, read: PanoramaReader, index: int) -> KeptPanorama:
@@ -85,18 +85,7 @@ def _read_companions(
 
 
 def _known_depth(plan: InterpolationPlan, entry: PosedPanorama) -> DepthEstimate | None:
-    if plan.depth != "file" or entry.depth is None:
+    if plan.recipe.depth.kind != "file" or entry.depth is None:
         return None
     inverse_depth = read_inverse_depth(entry.depth, max_pixels=plan.job.max_pixels)
     return DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
-
-
-class _LazySequence(Sequence[View]):
-    def __init__(self, count: int, item: Callable[[int], View]) -> None:
-        self._count, self._item = count, item
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, index: int) -> View:  # type: ignore[override]
-        return self._item(index)

@@ -9,14 +9,15 @@ import numpy as np
 from jaxtyping import Shaped
 
 from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.interpolation.job import depth_name, targets
 from omnisyn_cli.interpolation.loading import Loader
-from omnisyn_cli.io import FrameSink, open_video, sample_type, write_depth
+from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.io import open_video, write_depth
 from omnisyn_cli.io.background import BackgroundSink, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
-from omnisyn_cli.io.staging import staged_folder
-from omnisyn_cli.planning import InterpolationPlan, depth_name, targets
-from omnisyn_cli.synthesis import Frame
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.io.outputs import staged_folder
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.synthesis.frames import Frame
 from omnisyn_cli.types import DepthEstimate
 
 __all__ = ["KeepDepth", "confidence_sink", "depth_keeper", "frame_sinks", "samples_of"]
@@ -80,19 +81,12 @@ def confidence_sink(plan: InterpolationPlan) -> Iterator[Callable[[Frame], None]
 
 @contextmanager
 def frame_sinks(plan: InterpolationPlan) -> Iterator[list[BackgroundSink]]:
-    """Where frames go, in the order of :func:`omnisyn_cli.planning.targets`."""
+    """Where frames go, in the order of :func:`omnisyn_cli.interpolation.job.targets`."""
     job = plan.job
     with ExitStack() as stack:
-        sinks: list[FrameSink] = []
-        for path, codec in targets(job):
-            is_output = path == job.output
-            sinks.append(
-                stack.enter_context(
-                    open_video(
-                        path, size=plan.size, fps=job.fps, codec=codec, threads=job.threads or 0,
-                        crf=job.crf if is_output else None, preset=job.encoder_preset if is_output else None,
-                        dtype=sample_type(path, codec), overwrite=job.overwrite,
-                    )
-                )
-            )  # fmt: skip
+        opened = [
+            open_video(place, size=plan.size, threads=job.threads or 0, overwrite=job.overwrite, **encoding)
+            for place, encoding in targets(job).items()
+        ]
+        sinks = [stack.enter_context(sink) for sink in opened]
         yield [stack.enter_context(BackgroundSink(sink, frames_in_queue(plan.size))) for sink in sinks]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
-from omnisyn_cli.confidence import LEAST_SCORE, PairConfidence
-from omnisyn_cli.planning import InterpolationPlan
-from omnisyn_cli.presets import OMNISYN
+from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
+from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["Summary", "warning_about"]
 
@@ -44,7 +44,7 @@ class Summary:
 
     def _confidence(self) -> dict[str, Any] | None:
         """The clip's score is that of its worst pair; its shares are the means. None: nobody knows."""
-        if self.plan.job.method != OMNISYN:
+        if self.plan.recipe.method != OMNISYN:
             return None
         if not self.pairs:
             return {"score": 1.0, "pairs": []}

@@ -1,23 +1,18 @@
 """Files in and out: panoramas, masks, depth, poses, videos."""
 
-from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, read_header
-from omnisyn_cli.io.depth import read_depth, read_inverse_depth, write_depth
+from omnisyn_cli.io.decode import MAX_PIXELS, read_header
+from omnisyn_cli.io.depth_files import read_depth, read_inverse_depth, write_depth
 from omnisyn_cli.io.encode import write_image
 from omnisyn_cli.io.images import Panorama, read_mask, read_panorama
-from omnisyn_cli.io.paths import check_output
+from omnisyn_cli.io.outputs import check_output
 from omnisyn_cli.io.photographs import list_photographs, read_photographs
-from omnisyn_cli.io.poses import PosedPanorama, PoseFile, read_poses, write_poses
-from omnisyn_cli.io.spherical import SphericalMetadata, inject_spherical, read_spherical
+from omnisyn_cli.io.spherical import inject_spherical, read_spherical
 from omnisyn_cli.io.video import FrameSink, check_encoding, check_video, open_video, sample_type
 
 __all__ = [
     "MAX_PIXELS",
     "FrameSink",
-    "ImageHeader",
     "Panorama",
-    "PoseFile",
-    "PosedPanorama",
-    "SphericalMetadata",
     "check_encoding",
     "check_output",
     "check_video",
@@ -30,10 +25,8 @@ __all__ = [
     "read_mask",
     "read_panorama",
     "read_photographs",
-    "read_poses",
     "read_spherical",
     "sample_type",
     "write_depth",
     "write_image",
-    "write_poses",
 ]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from collections import deque
-from types import TracebackType
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
@@ -29,9 +27,7 @@ def frames_in_queue(size: tuple[int, int]) -> int:
 class FrameRing:
     """Memory for frames on their way to sinks, used again when they have arrived.
 
-    Args:
-        size: height and width of a frame.
-        waiting: frames in the queue of each sink at most. Besides them one is being written and one being made.
+    There is room for a frame of ``size`` (height, width) that is written, one that is made, and ``waiting`` between.
     """
 
     def __init__(self, size: tuple[int, int], waiting: int) -> None:
@@ -46,53 +42,34 @@ class FrameRing:
 class BackgroundSink:
     """Hands frames to another sink from a thread; frames must not be changed before they have arrived.
 
-    An error of the other sink is raised by the next call of :meth:`write` or by :meth:`finish`.
+    An error of the other sink is raised by the next call of :meth:`write` or by :meth:`finish`; frames that still wait
+    when the context ends with an error are dropped.
 
-    Args:
-        sink: where frames go.
-        waiting: this many wait for it at most.
+    At most ``waiting`` frames wait for it while one is being written.
     """
 
     def __init__(self, sink: FrameSink, waiting: int = FRAMES_IN_QUEUE) -> None:
-        self._sink = sink
-        self._frames: queue.Queue[np.ndarray | None] = queue.Queue(waiting)
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, name="omnisyn-frames", daemon=True)
-        self._thread.start()
+        self._sink, self._waiting = sink, waiting
+        self._pending: deque[Future[None]] = deque()
+        self._worker = ThreadPoolExecutor(1, "omnisyn-frames")
 
     def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
-        """Take one more frame; waits while the queue is full."""
-        self._raise_error()
-        self._frames.put(frame)
+        """Take one more frame; waits while as many are waiting as may."""
+        while self._pending and (len(self._pending) > self._waiting or self._pending[0].done()):
+            self._pending.popleft().result()
+        self._pending.append(self._worker.submit(self._sink.write, frame))
 
     def finish(self) -> None:
         """Wait until every frame has been handed over."""
-        if self._thread.is_alive():
-            self._frames.put(None)
-            self._thread.join()
-        self._raise_error()
+        while self._pending:
+            self._pending.popleft().result()
 
     def __enter__(self) -> BackgroundSink:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.finish()
-            return
-        self._error = self._error or error  # from here on frames are dropped
-        self._frames.put(None)
-        self._thread.join()
-
-    def _work(self) -> None:
-        while (frame := self._frames.get()) is not None:
-            if self._error is None:
-                try:
-                    self._sink.write(frame)
-                except BaseException as error:  # noqa: BLE001  raised again in the thread that writes
-                    self._error = error
-
-    def _raise_error(self) -> None:
-        if self._error is not None:
-            raise self._error
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self.finish()
+        finally:
+            self._worker.shutdown(cancel_futures=True)

@@ -1,6 +1,7 @@
 """The boxes an MP4 or MOV file is made of: found in the file, opened down to the sample entries, put together again.
 
-Only as much as tagging a video needs. Media data are never loaded; sizes are checked before anything is believed.
+Only as much as tagging a video needs. Media data are never loaded; sizes are checked before anything is believed, and
+an InputError says what does not hold together.
 
 Source: ISO/IEC 14496-12 (ISO base media file format), sections 4.2, 8.5.2 (``stsd``) and 8.7.5 (``stco``, ``co64``).
 """
@@ -15,7 +16,17 @@ from typing import BinaryIO
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["Box", "FileBox", "child", "children_of", "parse_movie", "serialize", "shift_offsets", "top_level_boxes"]
+__all__ = [
+    "Box",
+    "FileBox",
+    "child",
+    "children_of",
+    "mapped",
+    "parse_movie",
+    "serialize",
+    "shift_offsets",
+    "top_level_boxes",
+]
 
 LARGEST_MOVIE_BOX = 256 << 20
 """Bytes of ``moov`` that are read into memory; hours of video need a few of these megabytes."""
@@ -61,11 +72,7 @@ class Box:
 
 
 def top_level_boxes(path: Path) -> tuple[FileBox, ...]:
-    """The boxes of a file in order; only their headers are read.
-
-    Raises:
-        InputError: missing, not of this family, truncated, or with impossible sizes.
-    """
+    """The boxes of a file in order; only their headers are read."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, 2)
@@ -85,11 +92,7 @@ def broken(path: Path, what: str) -> InputError:
 
 
 def parse_movie(path: Path, boxes: tuple[FileBox, ...]) -> Box:
-    """The ``moov`` box of a file, opened down to the boxes inside the video sample entries.
-
-    Raises:
-        InputError: there is none or more than one, it is too large, fragmented, truncated or malformed.
-    """
+    """The ``moov`` box of a file, opened down to the boxes inside the video sample entries."""
     movies = [box for box in boxes if box.kind == b"moov"]
     if len(movies) != 1:
         raise broken(path, f"{len(movies)} moov boxes where there must be one")
@@ -111,11 +114,7 @@ def child(box: Box, kind: bytes) -> Box | None:
 
 
 def children_of(path: Path, data: bytes, head: int = 0) -> Box:
-    """``data`` as an anonymous box with children after ``head`` bytes, none of them opened.
-
-    Raises:
-        InputError: the sizes inside do not add up.
-    """
+    """``data`` as an anonymous box with children after ``head`` bytes, none of them opened."""
     if len(data) < head:
         raise broken(path, "a box too short for its fields")
     children: list[Box] = []
@@ -123,11 +122,7 @@ def children_of(path: Path, data: bytes, head: int = 0) -> Box:
     while len(data) - position >= 8:
         if len(children) >= MOST_BOXES:
             raise broken(path, f"more than {MOST_BOXES} boxes in one")
-        size, kind = struct.unpack_from(">I4s", data, position)
-        start = 8
-        if size == 1 and len(data) - position >= 16:
-            (size,) = struct.unpack_from(">Q", data, position + 8)
-            start = 16
+        kind, start, size = _header(data[position : position + 16])
         if size == 0 and not any(data[position:]):
             break
         if size < start or size > len(data) - position:
@@ -145,21 +140,21 @@ def serialize(box: Box) -> bytes:
     return struct.pack(">I4sQ", 1, box.kind, len(content) + 16) + content
 
 
+def mapped(box: Box, change: Callable[[Box], Box]) -> Box:
+    """A box with everything that is opened in it, and then itself, changed."""
+    if box.children is not None:
+        box = replace(box, children=tuple(mapped(each, change) for each in box.children))
+    return change(box)
+
+
 def shift_offsets(path: Path, movie: Box, moved: Callable[[int], int], *, wide: bool) -> Box:
-    """The movie box with every chunk offset mapped by ``moved``; ``wide`` writes 64-bit tables throughout.
+    """The movie box with every chunk offset mapped by ``moved``; ``wide`` writes 64-bit tables throughout."""
 
-    Raises:
-        InputError: a table is truncated.
-    """
+    def shifted(box: Box) -> Box:
+        is_table = box.kind in (b"stco", b"co64") and box.children is None
+        return _moved_table(path, box, moved, wide=wide) if is_table else box
 
-    def visit(box: Box) -> Box:
-        if box.kind in (b"stco", b"co64") and box.children is None:
-            return _moved_table(path, box, moved, wide=wide)
-        if box.children is None:
-            return box
-        return replace(box, children=tuple(map(visit, box.children)))
-
-    return visit(movie)
+    return mapped(movie, shifted)
 
 
 def _moved_table(path: Path, box: Box, moved: Callable[[int], int], *, wide: bool) -> Box:
@@ -172,6 +167,12 @@ def _moved_table(path: Path, box: Box, moved: Callable[[int], int], *, wide: boo
     return Box(kind, box.head[:8] + struct.pack(f">{count}{letter}", *offsets))
 
 
+def _header(data: bytes) -> tuple[bytes, int, int]:
+    """Kind, bytes before the content, and size of the box that begins with up to 16 bytes of ``data``."""
+    size, kind = struct.unpack_from(">I4s", data)
+    return (kind, 8, size) if size != 1 or len(data) < 16 else (kind, 16, *struct.unpack_from(">Q", data, 8))
+
+
 def _scan(path: Path, file: BinaryIO, file_size: int) -> Iterator[FileBox]:
     position = 0
     for _ in range(MOST_BOXES):
@@ -181,11 +182,8 @@ def _scan(path: Path, file: BinaryIO, file_size: int) -> Iterator[FileBox]:
         header = file.read(16)
         if len(header) < 8:
             raise broken(path, f"{file_size - position} stray bytes at its end")
-        size, kind = struct.unpack_from(">I4s", header)
-        content = position + 8
-        if size == 1 and len(header) == 16:
-            (size,) = struct.unpack_from(">Q", header, 8)
-            content = position + 16
+        kind, start, size = _header(header)
+        content = position + start
         end = file_size if size == 0 else position + size
         if end < content or end > file_size:
             raise broken(path, f"a box {kind!r} that ends at byte {end} of {file_size}")

@@ -1,13 +1,18 @@
 """Image files as they are: header and pixels, every sign of damage turned into an error.
 
 OpenImageIO decodes. What it does not say, because its libraries do not tell it, is checked here: a PNG that lost only
-its end marker, and a JPEG whose missing part has been painted grey.
+its end marker, and a JPEG whose missing part has been painted grey. What it does not read of a WebP file is read
+here: the GPano tags of its XMP packet.
 """
 
 from __future__ import annotations
 
+import html
 import math
-from collections.abc import Callable, Mapping
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +22,8 @@ import OpenImageIO
 from jaxtyping import Shaped
 
 from omnisyn_cli.errors import ImageError
-from omnisyn_cli.io.webp import panorama_tags
 
-__all__ = ["MAX_PIXELS", "ImageHeader", "check_pixel_count", "decode_image", "read_header"]
+__all__ = ["MAX_PIXELS", "ImageHeader", "check_is_file", "check_pixel_count", "decode_image", "read_header"]
 
 MAX_PIXELS = 2 * 16384 * 8192
 """Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
@@ -35,6 +39,20 @@ BELOW = (1, 3)
 
 HARMLESS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
+
+
+MOST_CHUNKS = 10_000
+"""A picture has a dozen; whoever writes more of them means to keep us busy."""
+
+LONGEST_XMP = 4 << 20
+"""Bytes that are looked at; cameras and stitchers write some kilobytes."""
+
+ATTRIBUTE = re.compile(r"\s(GPano:\w+)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
+
+ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")
+
+FLAGS = {"true": 1, "false": 0}
+"""XMP's words, as OpenImageIO tells them of other formats."""
 
 
 @dataclass(frozen=True)
@@ -84,19 +102,27 @@ class ImageHeader:
             return None
         return value if math.isfinite(value) else None
 
+    def degrees(self, name: str, negative: str) -> float | None:
+        """An EXIF angle of degrees, minutes and seconds, below zero where its ``Ref`` is ``negative``; None if missing.
+
+        Source: Exif 2.32, section 4.6.6.
+        """
+        try:
+            degrees, minutes, seconds = (float(part) for part in self.attributes[name])
+        except (KeyError, TypeError, ValueError):
+            return None
+        angle = degrees + minutes / 60.0 + seconds / 3600.0
+        is_negative = str(self.attributes.get(f"{name}Ref", "")).strip().upper().startswith(negative)
+        return -angle if is_negative else angle
+
 
 def read_header(path: Path | str) -> ImageHeader:
-    """Header of an image file; no pixels are decoded (but for WebP, whose reader knows no other way).
+    """Header of an image file, without decoding pixels (but of WebP, whose reader knows no other way).
 
-    Raises:
-        ImageError: missing, empty, or not an image.
+    ImageError: missing, empty, or not an image.
     """
-    source = Path(path)
-    reader = _open(source)
-    try:
-        return _header(source, reader)
-    finally:
-        reader.close()
+    with _opened(Path(path)) as (header, _):
+        return header
 
 
 def decode_image(
@@ -108,16 +134,17 @@ def decode_image(
         ImageError: missing, empty, not an image, larger than ``max_pixels``, truncated or damaged.
     """
     source = Path(path)
-    reader = _open(source)
-    try:
-        header = _header(source, reader)
+    with _opened(source) as (header, reader):
         check_pixel_count(source, header.full_height, header.full_width, max_pixels)
         check_pixel_count(source, header.height, header.width, max_pixels)
-        _check_sample_count(header, max_pixels)
+        samples, most = header.height * header.width * len(header.channels), MOST_SAMPLES_PER_PIXEL * max_pixels
+        if samples > most:  # small pictures with thousands of layers
+            raise ImageError(
+                f"{source}: expected at most {most:,} samples, got {len(header.channels)} channels of "
+                f"{header.width}×{header.height}; export the layer that is needed alone"
+            )
         pixels = reader.read_image(0, 0, 0, len(header.channels), reader.spec().format)
-        complaint = _complaint(_text_of(reader.geterror))
-    finally:
-        reader.close()
+        complaint = _complaint(reader.geterror)
     if pixels is None or complaint:
         raise damaged(source, complaint or "no pixels")
     if header.format == "png":
@@ -143,28 +170,22 @@ def check_pixel_count(path: Path, height: int, width: int, max_pixels: int) -> N
         )
 
 
-def _check_sample_count(header: ImageHeader, max_pixels: int) -> None:
-    """Refuse small pictures with thousands of layers."""
-    samples, most = header.height * header.width * len(header.channels), MOST_SAMPLES_PER_PIXEL * max_pixels
-    if samples > most:
-        raise ImageError(
-            f"{header.path}: expected at most {most:,} samples, got {len(header.channels)} channels of "
-            f"{header.width}×{header.height}; export the layer that is needed alone"
-        )
-
-
-def _open(path: Path) -> Any:
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[ImageHeader, Any]]:
     check_is_file(path)
     config = OpenImageIO.ImageSpec()
     config["oiio:UnassociatedAlpha"] = 1
     reader = OpenImageIO.ImageInput.open(str(path), config)
-    complaint = _complaint(_text_of(OpenImageIO.geterror))
+    complaint = _complaint(OpenImageIO.geterror)
     if reader is None:
         raise ImageError(
             f"{path}: expected an image (JPEG, PNG, TIFF, EXR, WebP), got '{complaint or 'unknown format'}'; "
             "check that this is the file you meant"
         )
-    return reader
+    try:
+        yield _header(path, reader), reader
+    finally:
+        reader.close()
 
 
 def check_is_file(path: Path) -> None:
@@ -218,17 +239,13 @@ def _attributes(path: Path, reader: Any) -> dict[str, Any]:
     return {**found, **panorama_tags(path)} if reader.format_name() == "webp" else found
 
 
-def _text_of(message: Callable[[], str]) -> str:
-    """What a decoder says, whatever bytes of the file it quotes."""
+def _complaint(message: Callable[[], str]) -> str:
+    """A decoder's words on one line, whatever bytes of the file it quotes, without those that mean no harm."""
     try:
-        return message()
+        text = message()
     except UnicodeDecodeError as error:
-        return error.object.decode("utf-8", "backslashreplace")
-
-
-def _complaint(message: str) -> str:
-    """The decoder's words on one line, without those that mean no harm."""
-    lines = [line.strip() for line in message.splitlines()]
+        text = error.object.decode("utf-8", "backslashreplace")
+    lines = [line.strip() for line in text.splitlines()]
     harmful = [line for line in lines if line and not any(harmless in line for harmless in HARMLESS)]
     told = (line for k, line in enumerate(harmful) if not any(line in other for other in harmful[k + 1 :]))
     return "; ".join(told)[:LONGEST_COMPLAINT]
@@ -248,3 +265,45 @@ def _check_png_is_complete(path: Path) -> None:
                 return
             file.seek(end)
     raise damaged(path, "PNG without its end marker")
+
+
+def panorama_tags(path: Path) -> dict[str, int | float | str]:
+    """GPano tags of a WebP file by OpenImageIO's names, e.g. ``GPano:FullPanoWidthPixels``; none without XMP.
+
+    They are found as attributes and as elements. Nothing in them is expanded but characters, so nothing in them can be
+    hostile, and a damaged file only has fewer of them.
+
+    Source: Google, "WebP Container Specification"; Google, "Photo Sphere XMP Metadata".
+    """
+    packet = _xmp(path)
+    attributes = {name: double or single for name, double, single in ATTRIBUTE.findall(packet)}
+    found = {**attributes, **dict(ELEMENT.findall(packet))}
+    return {name: _value(html.unescape(text).strip()) for name, text in found.items()}
+
+
+def _xmp(path: Path) -> str:
+    """The text of the chunk ``XMP `` as far as it lies in the file, else nothing."""
+    with path.open("rb") as file:
+        end = 8 + int.from_bytes(file.read(12)[4:8], "little")
+        for _ in range(MOST_CHUNKS):
+            head = file.read(8)
+            size = int.from_bytes(head[4:], "little")
+            if len(head) < 8 or file.tell() > end:
+                break
+            if head[:4] == b"XMP ":
+                return file.read(min(size, end - file.tell(), LONGEST_XMP)).decode("utf-8", "replace")
+            file.seek(size + size % 2, os.SEEK_CUR)
+    return ""
+
+
+def _value(text: str) -> int | float | str:
+    """A number where it is one."""
+    if text.lower() in FLAGS:
+        return FLAGS[text.lower()]
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    if not math.isfinite(number):
+        return text
+    return int(number) if number.is_integer() else number

@@ -9,7 +9,8 @@ import OpenImageIO
 from jaxtyping import Shaped
 
 from omnisyn_cli.errors import OutputPathError, WriteError
-from omnisyn_cli.io.paths import check_output, replaced_when_complete
+from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
+from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 
 __all__ = ["IMAGE_SUFFIXES", "image_suffix", "write_channels", "write_image"]
 
@@ -19,8 +20,6 @@ JPEG_QUALITY = 95
 
 PNG_LEVEL = 1
 """Ten times faster than zlib's default level, for files a few percent larger."""
-
-PEAKS = {"uint8": 255.0, "uint16": 65535.0}
 
 OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
 
@@ -51,11 +50,7 @@ def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *chann
 
 
 def image_suffix(path: Path) -> str:
-    """The lower-case ending of a name, if images can be written with it.
-
-    Raises:
-        OutputPathError: they cannot.
-    """
+    """The lower-case ending of a name; OutputPathError where images cannot be written with it."""
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
         raise OutputPathError(
@@ -65,27 +60,24 @@ def image_suffix(path: Path) -> str:
 
 
 def write_channels(temporary: Path, samples: np.ndarray, channels: tuple[str, ...], target: Path) -> None:
-    """Write samples as they are, with these channel names, by OpenImageIO; errors speak of ``target``.
-
-    Raises:
-        WriteError: anything the writer complains about.
-    """
+    """Write samples as they are, with these channel names, by OpenImageIO; errors speak of ``target``."""
     height, width = samples.shape[:2]
     spec = OpenImageIO.ImageSpec(width, height, len(channels), OIIO_TYPES[str(samples.dtype)])
     spec.channelnames = channels
     spec["png:compressionLevel"] = PNG_LEVEL
     spec["DateTime"] = ""  # OpenEXR would write the present time: equal pictures are equal files
     writer = OpenImageIO.ImageOutput.create(str(temporary))
-    if writer is None:
-        raise _write_error(target, OpenImageIO.geterror())
     contiguous = np.ascontiguousarray(samples.reshape(height, width, len(channels)))
-    is_written = writer.open(str(temporary), spec) and writer.write_image(contiguous)
-    is_closed = writer.close()
-    complaint = _complaint(writer.geterror())
-    if not is_written or not is_closed or complaint:
-        raise _write_error(target, complaint)
-    if temporary.suffix.lower() == ".exr" and not _is_readable(temporary):
-        raise _write_error(target, "the disk may be full")
+    is_written = writer is not None and writer.open(str(temporary), spec) and writer.write_image(contiguous)
+    is_closed = writer is not None and writer.close()
+    message = OpenImageIO.geterror() if writer is None else writer.geterror()
+    complaints = [line.strip() for line in message.splitlines() if line.strip() and UNRELATED not in line]
+    if is_written and is_closed and not complaints:
+        if temporary.suffix.lower() != ".exr" or _is_readable(temporary):
+            return
+        complaints = ["the disk may be full"]
+    reason = complaints[0] if complaints else "no reason given"
+    raise WriteError(f"{target}: expected to write it, got '{reason}'; check free space and permissions")
 
 
 def _is_readable(path: Path) -> bool:
@@ -100,16 +92,6 @@ def _is_readable(path: Path) -> bool:
     complaint = reader.geterror()
     reader.close()
     return last is not None and not complaint
-
-
-def _write_error(target: Path, complaint: str) -> WriteError:
-    reason = complaint or "no reason given"
-    return WriteError(f"{target}: expected to write it, got '{reason}'; check free space and permissions")
-
-
-def _complaint(message: str) -> str:
-    lines = [line.strip() for line in message.splitlines() if line.strip() and UNRELATED not in line]
-    return lines[0] if lines else ""
 
 
 def _write_jpeg(temporary: Path, samples: np.ndarray) -> None:

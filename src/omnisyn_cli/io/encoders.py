@@ -6,7 +6,7 @@ import functools
 import re
 import subprocess
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,9 @@ X26X_PRESETS = (
 
 PRORES_PROFILES = ("proxy", "lt", "standard", "hq")
 
+PLANAR = "yuv420p"
+"""What most encoders work on: frames are handed over like this where they are wanted like this."""
+
 
 @dataclass(frozen=True)
 class VideoCodec:
@@ -41,48 +44,33 @@ class VideoCodec:
 
     Attributes:
         encoders: ffmpeg's encoders for it, the best first.
-        suffixes: endings of the files that hold it.
-        presets: from fast to slow (ProRes: from small to large).
-        preset: the default.
         crf: the default constant quality, None where there is none; lower is better.
         largest_crf: the end of its scale.
+        preset: the default.
+        presets: from fast to slow (ProRes: from small to large).
+        suffixes: endings of the files that hold it.
         pixel_formats: ffmpeg's pixel format by the type of the frames.
         tag: the sample entry's name where ffmpeg's own choice is not played everywhere.
     """
 
     encoders: tuple[str, ...]
-    suffixes: tuple[str, ...]
-    presets: tuple[str, ...]
-    preset: str
     crf: int | None
-    largest_crf: int
-    pixel_formats: Mapping[str, str]
+    largest_crf: int = 51
+    preset: str = "medium"
+    presets: tuple[str, ...] = X26X_PRESETS
+    suffixes: tuple[str, ...] = (".mp4", ".mov", ".m4v")
+    pixel_formats: Mapping[str, str] = field(default_factory=lambda: {"uint8": PLANAR, "uint16": "yuv420p10le"})
     tag: str | None = None
 
 
 CODECS: Mapping[str, VideoCodec] = {
-    "h264": VideoCodec(("libx264",), (".mp4", ".mov", ".m4v"), X26X_PRESETS, "medium", 18, 51, {"uint8": "yuv420p"}),
-    "h265": VideoCodec(
-        ("libx265",),
-        (".mp4", ".mov", ".m4v"),
-        X26X_PRESETS,
-        "medium",
-        20,
-        51,
-        {"uint8": "yuv420p", "uint16": "yuv420p10le"},
-        tag="hvc1",
-    ),
+    "h264": VideoCodec(("libx264",), 18, pixel_formats={"uint8": PLANAR}),
+    "h265": VideoCodec(("libx265",), 20, tag="hvc1"),
     "av1": VideoCodec(
-        ("libsvtav1", "libaom-av1"),
-        (".mp4",),
-        tuple(str(speed) for speed in range(13, -1, -1)),
-        "8",
-        28,
-        63,
-        {"uint8": "yuv420p", "uint16": "yuv420p10le"},
+        ("libsvtav1", "libaom-av1"), 28, 63, "8", tuple(str(speed) for speed in range(13, -1, -1)), (".mp4",)
     ),
     "prores": VideoCodec(
-        ("prores_ks",), (".mov",), PRORES_PROFILES, "hq", None, 0, {"uint8": "yuv422p10le", "uint16": "yuv422p10le"}
+        ("prores_ks",), None, 0, "hq", PRORES_PROFILES, (".mov",), {"uint8": "yuv422p10le", "uint16": "yuv422p10le"}
     ),
 }
 
@@ -95,9 +83,6 @@ NTSC_RATES = tuple(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120)
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 """ffmpeg's names of the frames that are handed to it, where it converts them."""
 
-PLANAR = "yuv420p"
-"""What most encoders work on: frames are handed over like this where they are wanted like this."""
-
 WITHOUT_REMARKS = "filter_units=remove_types=6"
 """x264 writes its settings into the video, the number of threads among them: equal pictures shall be equal files."""
 
@@ -107,17 +92,7 @@ SLOWEST_AOM_SPEED = 8
 
 @dataclass(frozen=True)
 class EncoderSettings:
-    """How a video is encoded.
-
-    Attributes:
-        size: ``(height, width)`` in pixels, both even.
-        fps: frames per second, in (0, 1000].
-        codec: a key of :data:`CODECS`.
-        crf: constant quality, lower is better; None takes the codec's default.
-        preset: speed against size (ProRes: profile); None takes the codec's default.
-        threads: for the encoder; 0 takes all.
-        dtype: of the frames, ``uint8`` or (10-bit H.265, AV1 and ProRes) ``uint16``.
-    """
+    """How a video is encoded, see :class:`omnisyn_cli.io.video.Encoding`; None takes the codec's default."""
 
     size: tuple[int, int]
     fps: float | Fraction
@@ -144,22 +119,28 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
             f"{path}: expected a name ending in {' or '.join(codec.suffixes)} for {settings.codec}, got "
             f"'{path.suffix}'; change the name or the codec{folder}"
         )
-    check_frame_size(settings.size)
-    check_frame_rate(settings.fps)
-    _check_choices(settings, codec)
-
-
-def check_frame_size(size: tuple[int, int]) -> None:
-    """Refuse sizes that 4:2:0 video cannot have."""
-    height, width = size
+    height, width = settings.size
     if height < 2 or width < 2 or height % 2 or width % 2:
         raise InputError(f"expected an even width and height for video, got {width}×{height}; choose an even size")
-
-
-def check_frame_rate(fps: float | Fraction) -> None:
-    """Refuse rates that no player follows."""
-    if not (0 < fps <= 1000 and as_fraction(fps) > 0):
-        raise InputError(f"expected a frame rate from 0.001 to 1000 per second, got {fps}; choose another")
+    if not (0 < settings.fps <= 1000 and as_fraction(settings.fps) > 0):
+        raise InputError(f"expected a frame rate from 0.001 to 1000 per second, got {settings.fps}; choose another")
+    if settings.preset is not None and settings.preset not in codec.presets:
+        raise InputError(
+            f"expected a preset for {settings.codec} among {', '.join(codec.presets)}, got '{settings.preset}'; "
+            "choose one of them"
+        )
+    if settings.crf is not None and codec.crf is None:
+        raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
+    if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
+        raise InputError(
+            f"expected a quality from 0 (largest file) to {codec.largest_crf} for {settings.codec}, got "
+            f"{settings.crf}; choose one in between"
+        )
+    if settings.dtype not in codec.pixel_formats:
+        raise InputError(
+            f"expected {' or '.join(codec.pixel_formats)} frames for {settings.codec}, got {settings.dtype}; "
+            "convert the frames or choose another codec"
+        )
 
 
 def as_fraction(fps: float | Fraction) -> Fraction:
@@ -182,12 +163,9 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     RGB is converted to limited-range BT.709 with exact rounding, and tagged as that: left alone, ffmpeg converts to
     untagged BT.601, which a BT.709 player shows up to 28/255 wrong. The rate is said for the output too, because ffmpeg
     takes the input's for 120 where it is 120000/1001.
-
-    Raises:
-        EncodingError: this ffmpeg has no encoder for the codec.
     """
     codec = CODECS[settings.codec]
-    encoder = _available_encoder(settings.codec)
+    encoder = _available_encoder(settings.codec, ffmpeg_program())
     height, width = settings.size
     rate = str(as_fraction(settings.fps))
     expected = raw_format(settings)
@@ -209,11 +187,7 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
 
 @functools.cache
 def ffmpeg_program() -> str:
-    """Path of the ffmpeg program that comes with imageio-ffmpeg (or that ``IMAGEIO_FFMPEG_EXE`` names).
-
-    Raises:
-        EncodingError: there is none for this platform.
-    """
+    """Path of imageio-ffmpeg's program, or what ``IMAGEIO_FFMPEG_EXE`` names; EncodingError: none for this platform."""
     try:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
@@ -223,42 +197,19 @@ def ffmpeg_program() -> str:
 
 
 @functools.cache
-def _encoder_names(program: str) -> frozenset[str]:
+def _available_encoder(codec: str, program: str) -> str:
+    """The best of a codec's encoders that this ffmpeg has."""
     listing = subprocess.run(  # noqa: S603 - the program is imageio-ffmpeg's own
         [program, "-hide_banner", "-encoders"], capture_output=True, text=True, errors="replace", check=False
     )
-    return frozenset(re.findall(r"^ [VAS][A-Z.]{5} (\S+)", listing.stdout, re.MULTILINE))
-
-
-def _available_encoder(codec: str) -> str:
-    names = _encoder_names(ffmpeg_program())
+    names = re.findall(r"^ [VAS][A-Z.]{5} (\S+)", listing.stdout, re.MULTILINE)
     for encoder in CODECS[codec].encoders:
         if encoder in names:
             return encoder
     raise EncodingError(
-        f"expected an ffmpeg with {' or '.join(CODECS[codec].encoders)}, got {ffmpeg_program()} without; "
+        f"expected an ffmpeg with {' or '.join(CODECS[codec].encoders)}, got {program} without; "
         "choose another codec or set IMAGEIO_FFMPEG_EXE to a fuller ffmpeg"
     )
-
-
-def _check_choices(settings: EncoderSettings, codec: VideoCodec) -> None:
-    if settings.preset is not None and settings.preset not in codec.presets:
-        raise InputError(
-            f"expected a preset for {settings.codec} among {', '.join(codec.presets)}, got '{settings.preset}'; "
-            "choose one of them"
-        )
-    if settings.crf is not None and codec.crf is None:
-        raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
-    if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
-        raise InputError(
-            f"expected a quality from 0 (largest file) to {codec.largest_crf} for {settings.codec}, got "
-            f"{settings.crf}; choose one in between"
-        )
-    if settings.dtype not in codec.pixel_formats:
-        raise InputError(
-            f"expected {' or '.join(codec.pixel_formats)} frames for {settings.codec}, got {settings.dtype}; "
-            "convert the frames or choose another codec"
-        )
 
 
 def _quality_options(encoder: str, settings: EncoderSettings, codec: VideoCodec) -> dict[str, Any]:

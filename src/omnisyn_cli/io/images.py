@@ -1,18 +1,30 @@
-"""Panoramas and masks read from files: upright, complete spheres, RGB in [0, 1], W = 2H."""
+"""Panoramas and masks read from files: upright, complete spheres, RGB in [0, 1], W = 2H; what of them may be used."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from omnisyn_cli.errors import ImageError
+from omnisyn_cli.errors import ImageError, InputError
+from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
-from omnisyn_cli.io.placement import Placement, placement_of
+from omnisyn_cli.io.placement import TRANSPOSING_ORIENTATIONS, Placement, placement_of
 
-__all__ = ["INTEGER_PEAKS", "Panorama", "read_mask", "read_panorama", "sphere_size"]
+__all__ = [
+    "INTEGER_PEAKS",
+    "Panorama",
+    "check_mask_size",
+    "outside_nadir",
+    "read_mask",
+    "read_panorama",
+    "sphere_size",
+    "usable_part",
+]
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""
@@ -67,11 +79,7 @@ def read_panorama(path: Path | str, *, allow_aspect: bool = False, max_pixels: i
 
 
 def sphere_size(header: ImageHeader, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> tuple[int, int]:
-    """Height and width of the panorama that :func:`read_panorama` makes of a file.
-
-    Raises:
-        ImageError: too large or too small, not 2:1 where that is not allowed, or not equirectangular.
-    """
+    """Height and width of what :func:`read_panorama` makes of a file; ImageError: too large, too small, not 2:1."""
     placement = placement_of(header)
     height, width = placement.full_height, placement.full_width
     check_pixel_count(header.path, height, width, max_pixels)
@@ -95,17 +103,60 @@ def read_mask(
 ) -> Bool[np.ndarray, "height width"]:
     """Read a mask ``(height, width)``: True (usable) where the first channel is at least half of white.
 
-    Args:
-        path: as for :func:`read_panorama`.
-        allow_aspect: likewise.
-        max_pixels: likewise.
-
-    Raises:
-        ImageError: as :func:`read_panorama`.
+    Arguments and errors are those of :func:`read_panorama`.
     """
     panorama = read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
     bright = panorama.image[..., 0] >= 0.5
     return bright if panorama.mask is None else bright & panorama.mask
+
+
+def usable_part(
+    own: Bool[np.ndarray, "height width"] | None, size: tuple[int, ...], masks: Iterable[Path | None], nadir: float,
+    *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS,
+) -> Bool[np.ndarray, "height width"] | None:  # fmt: skip
+    """True where a panorama may be used; None where all of it may.
+
+    ``own`` is the mask that came with the picture of ``size`` (height, width), its alpha channel. Images of ``masks``
+    are black where it must not be used and read as :func:`read_mask` does; nor may what lies within ``nadir`` radians
+    around straight down.
+
+    Raises:
+        ImageError: a mask cannot be read.
+        InputError: it has another size, or forbids everything.
+    """
+    parts = [] if own is None else [own]
+    for path in (path for path in masks if path is not None):
+        mask = read_mask(path, allow_aspect=allow_aspect, max_pixels=max_pixels)
+        check_mask_size(path, mask.shape, size)
+        if not mask.any():
+            raise InputError(
+                f"{path}: expected white where the panorama may be used, got a mask that forbids all of it; brightness "
+                "goes from 0 to 255 or 65535, not from 0 to 1"
+            )
+        parts.append(mask)
+    if nadir > 0.0:
+        parts.append(outside_nadir((size[0], size[1]), nadir))
+    return np.logical_and.reduce(parts) if parts else None
+
+
+def check_mask_size(path: Path, size: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    """Refuse (InputError) a mask of another height and width than its panorama."""
+    if size != expected:
+        raise InputError(
+            f"{path}: expected a mask of {expected[1]}×{expected[0]} pixels, got {size[1]}×{size[0]}; "
+            "give it the size of its panorama"
+        )
+
+
+def outside_nadir(size: tuple[int, int], angle: float) -> Bool[np.ndarray, "height width"]:
+    """True where a panorama looks farther than ``angle`` radians away from its own straight down.
+
+    Its own: the last row of the image, whatever the pose says, because a tripod and the roof of a car turn with the
+    camera. With an angle of 0 it is True everywhere.
+    """
+    cos_polar = direction_tables(*size)[1]
+    rows = np.asarray(-cos_polar <= math.cos(angle)) if angle > 0.0 else np.ones(size[0], bool)
+    return np.repeat(rows[:, None], size[1], axis=1)
 
 
 def upright(samples: np.ndarray, orientation: int) -> np.ndarray:
@@ -113,30 +164,15 @@ def upright(samples: np.ndarray, orientation: int) -> np.ndarray:
 
     Source: Exif 2.32, tag 0x0112.
     """
-    match orientation:
-        case 2:
-            return samples[:, ::-1]
-        case 3:
-            return samples[::-1, ::-1]
-        case 4:
-            return samples[::-1]
-        case 5:
-            return samples.swapaxes(0, 1)
-        case 6:
-            return samples[::-1].swapaxes(0, 1)
-        case 7:
-            return samples[::-1, ::-1].swapaxes(0, 1)
-        case 8:
-            return samples[:, ::-1].swapaxes(0, 1)
-    return samples
+    if orientation in (3, 4, 6, 7):
+        samples = samples[::-1]
+    if orientation in (2, 3, 7, 8):
+        samples = samples[:, ::-1]
+    return samples.swapaxes(0, 1) if orientation in TRANSPOSING_ORIENTATIONS else samples
 
 
 def unit_range(samples: np.ndarray, path: Path) -> Float[np.ndarray, "*shape"]:
-    """Integer samples divided by their peak, floating-point samples kept; float32.
-
-    Raises:
-        ImageError: another sample type, or NaN or infinity among the samples.
-    """
+    """Integer samples divided by their peak, others kept, as float32; ImageError: of another type, NaN or infinite."""
     name = str(samples.dtype)
     if name in INTEGER_PEAKS:
         unit: np.ndarray = np.divide(samples, np.float32(INTEGER_PEAKS[name]), dtype=np.float32)
@@ -165,8 +201,7 @@ def _panorama(header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None,
             is_integer = False
     if not placement.is_whole:
         usable = placement.put(np.ones(colour.shape[:2], bool) if usable is None else usable)
-        image = placement.put(image)
-        colour = placement.put(colour)
+    image, colour = placement.put(image), placement.put(colour)
     return Panorama(
         image=np.ascontiguousarray(image),
         mask=None if usable is None or usable.all() else np.ascontiguousarray(usable),
@@ -177,17 +212,11 @@ def _panorama(header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None,
 
 def colour_and_alpha(header: ImageHeader, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Samples of three colour channels ``(height, width, 3)`` and of alpha ``(height, width)``."""
-    found = (_channel(header.channels, name) for name in "RGB")
-    red_green_blue = [index for index in found if index is not None]
-    alpha = header.alpha_channel if header.alpha_channel >= 0 else _channel(header.channels, "A")
-    colours = [index for index in range(len(header.channels)) if index != alpha]
-    if len(red_green_blue) == 3:
-        chosen = red_green_blue
-    elif len(colours) == 1:
-        chosen = colours * 3
-    elif len(colours) == 3:
-        chosen = colours
-    else:
+    red_green_blue = [index for name in "RGB" if (index := channel_of(header, name)) is not None]
+    alpha = header.alpha_channel if header.alpha_channel >= 0 else channel_of(header, "A")
+    others = [index for index in range(len(header.channels)) if index != alpha]
+    chosen = next((c for c in (red_green_blue, others * 3 if len(others) == 1 else others) if len(c) == 3), None)
+    if chosen is None:
         raise ImageError(
             f"{header.path}: expected grey or RGB channels, got {', '.join(header.channels)}; export an RGB image"
         )
@@ -195,11 +224,11 @@ def colour_and_alpha(header: ImageHeader, samples: np.ndarray) -> tuple[np.ndarr
     return colour, None if alpha is None else samples[..., alpha]
 
 
-def _channel(names: tuple[str, ...], wanted: str) -> int | None:
+def channel_of(header: ImageHeader, wanted: str) -> int | None:
     """Index of a channel by its name, or by the last part of a layered name such as ``ViewLayer.Combined.R``."""
-    if wanted in names:
-        return names.index(wanted)
-    return next((index for index, name in enumerate(names) if name.rpartition(".")[2] == wanted), None)
+    if wanted in header.channels:
+        return header.channels.index(wanted)
+    return next((index for index, name in enumerate(header.channels) if name.rpartition(".")[2] == wanted), None)
 
 
 def _resampled(panorama: Panorama, size: tuple[int, int]) -> Panorama:

@@ -25,8 +25,7 @@ MOST = 1000
 def list_photographs(folder: Path) -> list[Path]:
     """All photographs in a folder and below, in an order that depends on their names alone.
 
-    Raises:
-        InputError: there is no such folder, or no photograph in it, or too many.
+    InputError: there is no such folder, or no photograph in it, or too many.
     """
     if not folder.is_dir():
         raise InputError(f"expected a folder of photographs at {folder}, found none; check the name")

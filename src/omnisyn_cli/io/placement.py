@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Shaped
@@ -17,6 +16,9 @@ TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 
 MOST_TAGGED = 2**31
 """Pixels; no tag of a size means more, and what is made of it has to stay a number."""
+
+Crop = tuple[float, float, float, float, float, float]
+"""As :class:`Placement`, in pixels of the stitched panorama, before it was scaled."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Placement:
         self, samples: Shaped[np.ndarray, "height width *channels"]
     ) -> Shaped[np.ndarray, "full_height full_width *channels"]:
         """Samples in their place on the full sphere, zero elsewhere; what lies outside is cut off."""
+        if self.is_whole:
+            return samples
         full = np.zeros((self.full_height, self.full_width, *samples.shape[2:]), samples.dtype)
         top, left = max(self.top, 0), max(self.left, 0)
         bottom, right = min(self.top + self.height, self.full_height), min(self.left + self.width, self.full_width)
@@ -49,22 +53,10 @@ class Placement:
         return full
 
 
-class _Crop(NamedTuple):
-    """A :class:`Placement` in pixels of the stitched panorama, before it was scaled."""
-
-    height: float
-    width: float
-    top: float
-    left: float
-    full_height: float
-    full_width: float
-
-
 def placement_of(header: ImageHeader) -> Placement:
     """Where the upright image lies on the sphere: GPano tags first, then OpenEXR windows, else it is the whole.
 
-    Raises:
-        ImageError: the tags name another projection or contradict themselves.
+    ImageError: the tags name another projection or contradict themselves.
     """
     projection = header.attributes.get("GPano:ProjectionType", "equirectangular")
     if str(projection).strip().lower() != "equirectangular":
@@ -78,12 +70,9 @@ def placement_of(header: ImageHeader) -> Placement:
     cropped = _google_placement(header, height, width)
     if cropped is not None:
         return cropped
-    return Placement(height, width, header.top, header.left, *_full_size(header, height, width))
-
-
-def _full_size(header: ImageHeader, height: int, width: int) -> tuple[int, int]:
-    has_window = (header.full_height, header.full_width) != (header.height, header.width)
-    return (header.full_height, header.full_width) if has_window else (height, width)
+    full = header.full_height, header.full_width
+    full = (height, width) if full == (header.height, header.width) else full
+    return Placement(height, width, header.top, header.left, *full)
 
 
 def _google_placement(header: ImageHeader, height: int, width: int) -> Placement | None:
@@ -96,30 +85,25 @@ def _google_placement(header: ImageHeader, height: int, width: int) -> Placement
     crop = _tagged_crop(header, height, width)
     if crop is None:
         return None
-    across, down = width / crop.width, height / crop.height
-    is_even = abs(across - down) <= 1 / crop.width + 1 / crop.height
-    if is_even and crop.full_width == 2 * crop.full_height:
+    crop_height, crop_width, top, left, full_height, full_width = crop
+    across, down = width / crop_width, height / crop_height
+    is_even = abs(across - down) <= 1 / crop_width + 1 / crop_height
+    if is_even and full_width == 2 * full_height:
         return _evenly_scaled(crop, height, width)
-    return Placement(
-        height,
-        width,
-        round(crop.top * down),
-        round(crop.left * across),
-        max(round(crop.full_height * down), height),
-        max(round(crop.full_width * across), width),
-    )
+    full = max(round(full_height * down), height), max(round(full_width * across), width)
+    return Placement(height, width, round(top * down), round(left * across), *full)
 
 
-def _tagged_crop(header: ImageHeader, height: int, width: int) -> _Crop | None:
+def _tagged_crop(header: ImageHeader, height: int, width: int) -> Crop | None:
     """The rectangle that GPano tags speak of, or None where they speak of the whole sphere or of none."""
     full_width = header.number("GPano:FullPanoWidthPixels")
     full_height = header.number("GPano:FullPanoHeightPixels")
     if full_width is None or full_height is None:
         return None
-    crop_width = _number_or(header.number("GPano:CroppedAreaImageWidthPixels"), width)
-    crop_height = _number_or(header.number("GPano:CroppedAreaImageHeightPixels"), height)
-    left = _number_or(header.number("GPano:CroppedAreaLeftPixels"), 0)
-    top = _number_or(header.number("GPano:CroppedAreaTopPixels"), 0)
+    names = ("ImageHeight", "ImageWidth", "Top", "Left")
+    tagged = [header.number(f"GPano:CroppedArea{name}Pixels") for name in names]
+    defaults = (height, width, 0, 0)
+    crop_height, crop_width, top, left = (d if n is None else n for n, d in zip(tagged, defaults, strict=True))
     if (crop_width, crop_height) == (full_width, full_height):
         return None
     fits = 0 <= left <= full_width - crop_width and 0 <= top <= full_height - crop_height
@@ -128,29 +112,20 @@ def _tagged_crop(header: ImageHeader, height: int, width: int) -> _Crop | None:
             f"{header.path}: expected a GPano crop inside its full panorama, got {crop_width:g}×{crop_height:g} at "
             f"({left:g}, {top:g}) of {full_width:g}×{full_height:g}; correct or remove the GPano tags"
         )
-    return _Crop(crop_height, crop_width, top, left, full_height, full_width)
+    return crop_height, crop_width, top, left, full_height, full_width
 
 
-def _evenly_scaled(crop: _Crop, height: int, width: int) -> Placement:
+def _evenly_scaled(crop: Crop, height: int, width: int) -> Placement:
     """A crop of a 2:1 sphere, scaled by one factor to ``height × width``, in a sphere that is 2:1 again.
 
     Whoever scaled it rounded height and width, each on its own. The sphere is the one that explains both best (least
     squares) and holds them; the picture's centre lies where that of the tagged rectangle does.
     """
-    factor = (height * crop.height + width * crop.width) / (crop.height**2 + crop.width**2)
-    full_height = max(round(crop.full_height * factor), height, (width + 1) // 2)
-    scale = full_height / crop.full_height
-    top = round((crop.top + crop.height / 2) * scale - height / 2)
-    left = round((crop.left + crop.width / 2) * scale - width / 2)
-    return Placement(
-        height,
-        width,
-        min(max(top, 0), full_height - height),
-        min(max(left, 0), 2 * full_height - width),
-        full_height,
-        2 * full_height,
-    )
-
-
-def _number_or(number: float | None, default: float) -> float:
-    return default if number is None else number
+    crop_height, crop_width, crop_top, crop_left, crop_full_height, _ = crop
+    factor = (height * crop_height + width * crop_width) / (crop_height**2 + crop_width**2)
+    full_height = max(round(crop_full_height * factor), height, (width + 1) // 2)
+    scale = full_height / crop_full_height
+    top = round((crop_top + crop_height / 2) * scale - height / 2)
+    left = round((crop_left + crop_width / 2) * scale - width / 2)
+    top, left = min(max(top, 0), full_height - height), min(max(left, 0), 2 * full_height - width)
+    return Placement(height, width, top, left, full_height, 2 * full_height)

@@ -13,8 +13,7 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
-from omnisyn_cli.io.paths import check_folder, write_errors
-from omnisyn_cli.io.staging import hidden_folder
+from omnisyn_cli.io.outputs import check_staged_folder, hidden_folder, write_errors
 
 __all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_doubtful", "is_sequence", "open_sequence"]
 
@@ -46,15 +45,11 @@ class ImageSequence:
         return f"{self.before}{index:0{self.digits}d}{self.after}"
 
     def existing(self) -> list[Path]:
-        """Files in the folder that have names of this sequence."""
+        """Files in the folder that are called exactly as its frames: with as many zeros, not just with any number."""
         numbered = re.compile(re.escape(self.before) + r"(\d+)" + re.escape(self.after))
-        if not self.folder.is_dir():
-            return []
-        return [file for file in self.folder.iterdir() if self._has_name(file, numbered.fullmatch(file.name))]
-
-    def _has_name(self, file: Path, match: re.Match[str] | None) -> bool:
-        """Whether a file is called exactly as one of the frames: with as many zeros, not just with any number."""
-        return match is not None and self.name(int(match.group(1))) == file.name
+        files = self.folder.iterdir() if self.folder.is_dir() else ()
+        found = ((file, numbered.fullmatch(file.name)) for file in files)
+        return [file for file, match in found if match and self.name(int(match.group(1))) == file.name]
 
 
 class SequenceWriter:
@@ -67,12 +62,7 @@ class SequenceWriter:
         self._sequence = sequence
 
     def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
-        """Write one more frame, of any type that :func:`omnisyn_cli.io.write_image` takes.
-
-        Raises:
-            ValueError: another size than announced.
-            WriteError: the disk is full, or the folder went away.
-        """
+        """Write one more frame, of any type that :func:`omnisyn_cli.io.write_image` takes."""
         if frame.shape != (*self._size, 3):
             raise ValueError(f"expected a frame {(*self._size, 3)}, got {frame.shape}")
         write_image(self._folder / self._sequence.name(self.frame_count), frame)
@@ -98,12 +88,8 @@ def is_doubtful(path: Path) -> bool:
 def image_sequence(path: Path, suffix: str = ".png") -> ImageSequence:
     """The file names that a folder or a pattern such as ``frames/view_%04d.jpg`` stands for.
 
-    Args:
-        path: the folder or pattern.
-        suffix: ending of the images where ``path`` does not say it.
-
-    Raises:
-        OutputPathError: more than one number, a number in the folder's name, or an unknown kind of image.
+    Images end in ``suffix`` where ``path`` does not say it. OutputPathError: more than one number, a number in the
+    folder's name, or an unknown kind of image.
     """
     if path.is_dir() or not (NUMBER.search(path.name) or _is_known(path.suffix.lower())):
         path = path / f"{DEFAULT_NUMBER}{suffix}"
@@ -124,13 +110,9 @@ def _is_known(suffix: str) -> bool:
 
 
 def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
-    """Refuse a sequence that could not be written, before any work.
-
-    Raises:
-        OutputPathError: frames of it exist and ``overwrite`` is off, or there is no writable folder to put it in.
-    """
+    """Refuse a sequence that could not be written, before any work."""
     folder = sequence.folder
-    check_folder(folder if folder.exists() else folder.parent)
+    check_staged_folder(folder)
     if not overwrite and (existing := sequence.existing()):
         raise OutputPathError(
             f"{folder}: expected a folder without such frames, got {len(existing)} (e.g. {min(existing).name}); "
@@ -142,13 +124,7 @@ def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
 def open_sequence(
     sequence: ImageSequence, size: tuple[int, int], *, overwrite: bool = False
 ) -> Iterator[SequenceWriter]:
-    """A place for frames that appears in its folder when it is complete; former frames of it are removed then.
-
-    Raises:
-        OutputPathError: see :func:`check_sequence`.
-        EncodingError: no frame was written.
-        WriteError: the disk is full, or the folder went away.
-    """
+    """A place for frames that appears in its folder when it is complete; former frames of it are removed then."""
     check_sequence(sequence, overwrite)
     folder = sequence.folder
     with hidden_folder(folder) as temporary:
@@ -158,15 +134,10 @@ def open_sequence(
             raise EncodingError(f"{folder}: expected at least one frame to write, got none; check the trajectory")
         check_sequence(sequence, overwrite)  # somebody else may have made frames in the meantime
         with write_errors(folder):
-            _publish(temporary, sequence)
-
-
-def _publish(temporary: Path, sequence: ImageSequence) -> None:
-    sequence.folder.mkdir(exist_ok=True)
-    frames = sorted(temporary.iterdir())
-    for frame in frames:
-        frame.replace(sequence.folder / frame.name)
-    index = len(frames)  # what follows without a gap is the rest of a longer sequence that this one replaces
-    while (stale := sequence.folder / sequence.name(index)).exists():
-        stale.unlink()
-        index += 1
+            folder.mkdir(exist_ok=True)
+            for frame in sorted(temporary.iterdir()):
+                frame.replace(folder / frame.name)
+            index = writer.frame_count  # what follows without a gap is the rest of a longer sequence
+            while (stale := folder / sequence.name(index)).exists():
+                stale.unlink()
+                index += 1

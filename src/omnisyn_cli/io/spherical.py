@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import struct
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,12 +23,13 @@ from omnisyn_cli.io.boxes import (
     broken,
     child,
     children_of,
+    mapped,
     parse_movie,
     serialize,
     shift_offsets,
     top_level_boxes,
 )
-from omnisyn_cli.io.paths import replaced_when_complete
+from omnisyn_cli.io.outputs import replaced_when_complete
 
 __all__ = ["SphericalMetadata", "inject_spherical", "read_spherical"]
 
@@ -63,7 +64,6 @@ class SphericalMetadata:
         has_version_2: whether its sample entry carries ``sv3d``.
         projection: ``equirectangular``, ``cubemap``, ``mesh``; None where nothing is said.
         stereo_mode: ``mono``, ``top-bottom``, ``left-right``; None where nothing is said.
-        yaw, pitch, roll: initial orientation of version 2, degrees.
         software: who wrote the metadata.
     """
 
@@ -71,9 +71,6 @@ class SphericalMetadata:
     has_version_2: bool = False
     projection: str | None = None
     stereo_mode: str | None = None
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
     software: str | None = None
 
 
@@ -88,8 +85,11 @@ def inject_spherical(source: Path | str, target: Path | str) -> None:
         WriteError: the disk is full, or the folder went away.
     """
     origin, destination = Path(source), Path(target)
-    boxes = _movie_first(top_level_boxes(origin))
-    movie = _tagged_movie(origin, parse_movie(origin, boxes))
+    ranks = {b"ftyp": 0, b"moov": 1}  # then everything else in its order
+    boxes = tuple(sorted(top_level_boxes(origin), key=lambda box: ranks.get(box.kind, 2)))
+    movie = parse_movie(origin, boxes)
+    _first_video_track(origin, movie)  # without one there is nothing to tag
+    movie = mapped(movie, _tagged)
     # A table of offsets has the same size wherever it points, so the new movie's size is known before its content.
     wide = _is_wide(boxes, movie)
     new_size = len(serialize(shift_offsets(origin, movie, lambda offset: offset, wide=wide)))
@@ -100,13 +100,9 @@ def inject_spherical(source: Path | str, target: Path | str) -> None:
 
 
 def read_spherical(path: Path | str) -> SphericalMetadata:
-    """What the first video track of an MP4 or MOV file says about its projection.
-
-    Raises:
-        InputError: missing, truncated, fragmented, without video, or no MP4 or MOV file.
-    """
+    """What the first video track of an MP4 or MOV file says about its projection; InputError: missing or malformed."""
     source = Path(path)
-    track = next(_video_tracks(source, parse_movie(source, top_level_boxes(source))))
+    track = _first_video_track(source, parse_movie(source, top_level_boxes(source)))
     return _version_2(source, track, _version_1(track, SphericalMetadata()))
 
 
@@ -118,54 +114,30 @@ def video_sample_entries(track: Box) -> tuple[Box, ...]:
     return tuple(entry for entry in (box.children if box else None) or () if entry.children is not None)
 
 
-def _video_tracks(path: Path, movie: Box) -> Iterator[Box]:
-    tracks = [box for box in movie.children or () if box.kind == b"trak" and video_sample_entries(box)]
-    if not tracks:
+def _first_video_track(path: Path, movie: Box) -> Box:
+    track = next((box for box in movie.children or () if box.kind == b"trak" and video_sample_entries(box)), None)
+    if track is None:
         raise InputError(f"{path}: expected a file with a video track, got none; check that this is the file you meant")
-    return iter(tracks)
+    return track
 
 
-def _tagged_movie(path: Path, movie: Box) -> Box:
-    tracks = tuple(_video_tracks(path, movie))
-    tagged = tuple(_tagged_track(box) if box in tracks else box for box in movie.children or ())
-    return replace(movie, children=tagged)
-
-
-def _tagged_track(track: Box) -> Box:
-    """A track with both tags, former ones replaced."""
-    others = tuple(box for box in track.children or () if not _is_version_1(box))
-    version_1 = Box(b"uuid", SPHERICAL_UUID + SPHERICAL_XML.encode())
-    return _tagged_entries(replace(track, children=(*others, version_1)))
-
-
-def _tagged_entries(box: Box) -> Box:
-    if box.kind == b"stsd":
-        return replace(box, children=tuple(map(_tagged_entry, box.children or ())))
-    if box.children is None:
-        return box
-    return replace(box, children=tuple(map(_tagged_entries, box.children)))
+def _tagged(box: Box) -> Box:
+    """A video track with version 1, its sample entries with version 2; former tags are replaced."""
+    if box.kind == b"trak" and video_sample_entries(box):
+        others = (inner for inner in box.children or () if not _is_version_1(inner))
+        return replace(box, children=(*others, Box(b"uuid", SPHERICAL_UUID + SPHERICAL_XML.encode())))
+    if box.kind == b"stsd" and box.children is not None:
+        return replace(box, children=tuple(map(_tagged_entry, box.children)))
+    return box
 
 
 def _tagged_entry(entry: Box) -> Box:
-    others = tuple(box for box in entry.children or () if box.kind not in (b"st3d", b"sv3d"))
-    return replace(entry, children=(*others, _stereo_box(), _projection_box()))
-
-
-def _stereo_box() -> Box:
-    return Box(b"st3d", bytes(4) + b"\0")
-
-
-def _projection_box() -> Box:
+    others = (box for box in entry.children or () if box.kind not in (b"st3d", b"sv3d"))
     header = Box(b"svhd", bytes(4) + SOFTWARE.encode() + b"\0")
     orientation = Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))
     whole_sphere = Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))
-    return Box(b"sv3d", b"", (header, Box(b"proj", b"", (orientation, whole_sphere))))
-
-
-def _movie_first(boxes: tuple[FileBox, ...]) -> tuple[FileBox, ...]:
-    """``ftyp``, then ``moov``, then everything else in its order."""
-    ranks = {b"ftyp": 0, b"moov": 1}
-    return tuple(sorted(boxes, key=lambda box: ranks.get(box.kind, 2)))
+    projection = Box(b"sv3d", b"", (header, Box(b"proj", b"", (orientation, whole_sphere))))
+    return replace(entry, children=(*others, Box(b"st3d", bytes(4) + b"\0"), projection))
 
 
 def _is_wide(boxes: tuple[FileBox, ...], movie: Box) -> bool:
@@ -214,17 +186,17 @@ def _is_version_1(box: Box) -> bool:
 
 
 def _version_1(track: Box, known: SphericalMetadata) -> SphericalMetadata:
-    xml = next((box.head[16:] for box in track.children or () if _is_version_1(box)), None)
-    if xml is None:
-        return known
-    text = xml.decode("utf-8", "replace")
-    return replace(
-        known,
-        has_version_1=_xml_value(text, "Spherical") == "true",
-        projection=_xml_value(text, "ProjectionType"),
-        stereo_mode=_xml_value(text, "StereoMode") or "mono",
-        software=_xml_value(text, "StitchingSoftware"),
-    )
+    for box in track.children or ():
+        if _is_version_1(box):
+            text = box.head[16:].decode("utf-8", "replace")
+            return replace(
+                known,
+                has_version_1=_xml_value(text, "Spherical") == "true",
+                projection=_xml_value(text, "ProjectionType"),
+                stereo_mode=_xml_value(text, "StereoMode") or "mono",
+                software=_xml_value(text, "StitchingSoftware"),
+            )
+    return known
 
 
 def _xml_value(text: str, name: str) -> str | None:
@@ -240,16 +212,12 @@ def _version_2(path: Path, track: Box, known: SphericalMetadata) -> SphericalMet
         return known
     inside = children_of(path, spherical.head)
     projection = children_of(path, (child(inside, b"proj") or Box(b"proj", b"")).head)
-    header, pose = child(inside, b"svhd"), child(projection, b"prhd")
-    angles = struct.unpack_from(">iii", pose.head, 4) if pose and len(pose.head) >= 16 else (0, 0, 0)
+    header = child(inside, b"svhd")
     kinds = [PROJECTIONS[box.kind] for box in projection.children or () if box.kind in PROJECTIONS]
     return replace(
         known,
         has_version_2=True,
         projection=kinds[0] if kinds else known.projection,
         stereo_mode=STEREO_MODES.get(stereo.head[4], "unknown") if stereo and len(stereo.head) > 4 else "mono",
-        yaw=angles[0] / 65536,
-        pitch=angles[1] / 65536,
-        roll=angles[2] / 65536,
         software=header.head[4:].rstrip(b"\0").decode("utf-8", "replace") if header else known.software,
     )

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, Required, TypedDict, Unpack
 
 import numpy as np
 from jaxtyping import Shaped
 
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
-from omnisyn_cli.io.encoder_process import EncoderProcess, Packing
 from omnisyn_cli.io.encoders import CODECS, PLANAR, EncoderSettings, check_settings, encoder_command, raw_format
-from omnisyn_cli.io.paths import check_output, temporary_name
+from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
+from omnisyn_cli.io.outputs import check_output, temporary_name
 from omnisyn_cli.io.sequence import (
     ImageSequence,
     check_sequence,
@@ -50,74 +50,10 @@ def sample_type(path: Path | str, codec: str | None = None) -> str:
     return "uint16" if codec == "prores" else "uint8"
 
 
-def check_video(
-    path: Path | str,
-    *,
-    size: tuple[int, int],
-    fps: float | Fraction,
-    codec: str | None = None,
-    crf: float | None = None,
-    preset: str | None = None,
-    dtype: str = "uint8",
-    overwrite: bool = False,
-) -> None:
-    """Refuse everything that :func:`open_video` would refuse, before any work; same arguments.
+class Encoding(TypedDict, total=False):
+    """How frames become a video or images; keywords of :func:`open_video` and of what checks for it.
 
-    Raises:
-        OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with
-            the codec.
-        InputError: odd size, or a frame rate, quality, preset or sample type out of range.
-    """
-    target = Path(path)
-    check_encoding(target, size=size, fps=fps, codec=codec, crf=crf, preset=preset, dtype=dtype)
-    sequence = _sequence_of(target, codec)
-    if sequence is not None:
-        check_sequence(sequence, overwrite)
-    else:
-        check_output(target, overwrite)
-
-
-def check_encoding(
-    path: Path,
-    *,
-    size: tuple[int, int],
-    fps: float | Fraction,
-    codec: str | None = None,
-    crf: float | None = None,
-    preset: str | None = None,
-    dtype: str = "uint8",
-) -> None:
-    """Refuse what no encoder could do, whatever there is on the disk; arguments are those of :func:`open_video`.
-
-    Raises:
-        OutputPathError: the target's ending does not go with the codec.
-        InputError: odd size, or a frame rate, quality, preset or sample type out of range.
-    """
-    if _sequence_of(path, codec) is None:
-        check_settings(path, EncoderSettings(size, fps, _codec_of(path, codec), crf, preset, 0, dtype))
-    elif crf is not None or preset is not None:
-        raise OutputPathError(
-            f"{path}: expected no quality or encoder preset for a folder of frames, got one; leave it out"
-        )
-
-
-@contextmanager
-def open_video(
-    path: Path | str,
-    *,
-    size: tuple[int, int],
-    fps: float | Fraction,
-    codec: str | None = None,
-    crf: float | None = None,
-    preset: str | None = None,
-    threads: int = 0,
-    dtype: str = "uint8",
-    overwrite: bool = False,
-) -> Iterator[FrameSink]:
-    """A place for frames; the target appears under its name when it is complete, and not at all after a failure.
-
-    Args:
-        path: a video file (.mp4, .m4v, .mov), a folder, or a pattern such as ``frames/view_%05d.png``.
+    Attributes:
         size: ``(height, width)`` of the frames, both even for video.
         fps: frames per second.
         codec: ``h264`` (default), ``h265``, ``av1`` or ``prores``; for a folder ``png`` (default), ``jpg``, ``exr``
@@ -125,9 +61,41 @@ def open_video(
         crf: constant quality, lower is better (defaults: H.264 18, H.265 20, AV1 28; ProRes has none). 0 makes H.264
             lossless, which few players play.
         preset: x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``.
-        threads: for the encoder; 0 takes all.
-        dtype: of the frames, ``uint8`` or ``uint16`` (10 bits; not for H.264). Image sequences take any.
-        overwrite: replace an existing target.
+        threads: for the encoder; 0 (default) takes all.
+        dtype: of the frames, ``uint8`` (default) or ``uint16`` (10 bits; not for H.264). Image sequences take any.
+    """
+
+    size: Required[tuple[int, int]]
+    fps: Required[float | Fraction]
+    codec: str | None
+    crf: float | None
+    preset: str | None
+    threads: int
+    dtype: str
+
+
+def check_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> None:
+    """Refuse everything that :func:`open_video` would refuse, before any work; same arguments.
+
+    Raises:
+        OutputPathError: the target exists and ``overwrite`` is off, no folder for it, or its ending does not go with
+            the codec.
+        InputError: odd size, or a frame rate, quality, preset or sample type out of range.
+    """
+    _checked(Path(path), overwrite, encoding)
+
+
+def check_encoding(path: Path, **encoding: Unpack[Encoding]) -> None:
+    """As :func:`check_video`, whatever there is on the disk."""
+    _resolved(path, **encoding)
+
+
+@contextmanager
+def open_video(path: Path | str, *, overwrite: bool = False, **encoding: Unpack[Encoding]) -> Iterator[FrameSink]:
+    """A place for frames; the target appears under its name when it is complete, and not at all after a failure.
+
+    It is a video file (.mp4, .m4v, .mov), a folder, or a pattern such as ``frames/view_%05d.png``; an existing one is
+    replaced with ``overwrite``.
 
     Raises:
         OutputPathError, InputError: see :func:`check_video`.
@@ -135,15 +103,36 @@ def open_video(
         WriteError: the disk is full, or the folder went away.
     """
     target = Path(path)
-    check_video(target, size=size, fps=fps, codec=codec, crf=crf, preset=preset, dtype=dtype, overwrite=overwrite)
-    sequence = _sequence_of(target, codec)
-    if sequence is not None:
-        with open_sequence(sequence, size, overwrite=overwrite) as frames:
-            yield frames
-        return
-    settings = EncoderSettings(size, fps, _codec_of(target, codec), crf, preset, threads, dtype)
-    with _encoded(target, settings, overwrite=overwrite) as encoder:
-        yield encoder
+    resolved = _checked(target, overwrite, encoding)
+    if isinstance(resolved, EncoderSettings):
+        place: AbstractContextManager[FrameSink] = _encoded(target, resolved, overwrite=overwrite)
+    else:
+        place = open_sequence(resolved, encoding["size"], overwrite=overwrite)
+    with place as sink:
+        yield sink
+
+
+def _checked(path: Path, overwrite: bool, encoding: Encoding) -> ImageSequence | EncoderSettings:
+    resolved = _resolved(path, **encoding)
+    if isinstance(resolved, EncoderSettings):
+        check_output(path, overwrite)
+    else:
+        check_sequence(resolved, overwrite)
+    return resolved
+
+
+def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> ImageSequence | EncoderSettings:
+    """The image sequence that a path means, or how its video is encoded."""
+    sequence = _sequence_of(path, codec)
+    if sequence is None:
+        settings = EncoderSettings(codec=_codec_of(path, codec), **encoding)
+        check_settings(path, settings)
+        return settings
+    if encoding.get("crf") is not None or encoding.get("preset") is not None:
+        raise OutputPathError(
+            f"{path}: expected no quality or encoder preset for a folder of frames, got one; leave it out"
+        )
+    return sequence
 
 
 @contextmanager
@@ -151,22 +140,18 @@ def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Ite
     """An encoder to a hidden file, which becomes ``target``, tagged as spherical, when everything has gone well."""
     encoded = temporary_name(target.parent, target.suffix)
     command, shape = encoder_command(encoded, settings), (*settings.size, 3)
+    packed: Packing | None = None
+    if raw_format(settings) == PLANAR:
+        from omnisyn_cli.io.yuv import PlanarFrames  # a kernel, which a plan does without
+
+        packed = PlanarFrames(settings.size)
     try:
-        with EncoderProcess(command, target, shape, settings.dtype, _packing(settings)) as encoder:
+        with EncoderProcess(command, target, shape, settings.dtype, packed) as encoder:
             yield encoder
         check_output(target, overwrite)  # somebody else may have made one in the meantime
         inject_spherical(encoded, target)
     finally:
         encoded.unlink(missing_ok=True)
-
-
-def _packing(settings: EncoderSettings) -> Packing | None:
-    """What makes planes of frames, where the encoder takes them."""
-    if raw_format(settings) != PLANAR:
-        return None
-    from omnisyn_cli.io.yuv import PlanarFrames  # a kernel, which a plan does without
-
-    return PlanarFrames(settings.size)
 
 
 def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:

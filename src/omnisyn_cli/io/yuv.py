@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt8
 
-from omnisyn_cli.jit import fast_kernel
+from omnisyn_cli.runtime.jit import fast_kernel
 
 __all__ = ["PlanarFrames"]
 
@@ -38,21 +38,18 @@ CHANNEL = RUN + 1
 TWICE = np.float32(2.0)
 
 
-def _luma_shares() -> tuple[np.float32, np.float32, np.float32]:
-    """What a sample of each channel adds to the code of luma."""
-    red, green, blue = (np.float32(share * LUMA_RANGE / 255.0) for share in (RED, GREEN, BLUE))
+def _shares(of_channels: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
+    red, green, blue = of_channels.astype(np.float32)
     return red, green, blue
 
 
 def _chroma_shares(axis: int) -> tuple[np.float32, np.float32, np.float32]:
     """What a sample of each channel adds to the code of blue (2) or red (0) difference; weights sum up to eight."""
     luma = np.array((RED, GREEN, BLUE))
-    difference = (np.eye(3)[axis] - luma) * (0.5 * CHROMA_RANGE / 255.0 / (1.0 - luma[axis]) / 8.0)
-    red, green, blue = (np.float32(share) for share in difference)
-    return red, green, blue
+    return _shares((np.eye(3)[axis] - luma) * (0.5 * CHROMA_RANGE / 255.0 / (1.0 - luma[axis]) / 8.0))
 
 
-YR, YG, YB = _luma_shares()
+YR, YG, YB = _shares(np.array((RED, GREEN, BLUE)) * LUMA_RANGE / 255.0)
 UR, UG, UB = _chroma_shares(2)
 VR, VG, VB = _chroma_shares(0)
 LUMA_ZERO, CHROMA_ZERO = np.float32(BLACK + HALF), np.float32(GREY + HALF)

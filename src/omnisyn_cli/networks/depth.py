@@ -29,10 +29,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from omnisyn_cli.networks.depth_config import DepthConfig, level_roots
+from omnisyn_cli.networks.interface import DepthAnswer, PairNetwork
 from omnisyn_cli.networks.layers import (
     LEAK,
     ResidualBlock,
     WrappedConv,
+    at_least_single,
+    begin_small,
     convex_upsample,
     coordinate_channels,
     initialise,
@@ -43,7 +46,6 @@ from omnisyn_cli.networks.layers import (
     wrap_columns,
 )
 from omnisyn_cli.networks.sphere_volume import (
-    at_least_single,
     lookup,
     meridian_products,
     resampling_matrix,
@@ -63,25 +65,21 @@ REFINED_PATCH = 6
 
 
 @dataclass(frozen=True)
-class DepthPrediction:
+class DepthPrediction(DepthAnswer):
     """What the network says about the first panorama.
 
     Attributes:
         roots: estimates from coarse to fine, each ``(batch, 1, height, width)``, twice as fine as the one before; the
-            last has the size of the image. Slightly negative values mean "infinitely far".
+            last has the size of the image.
         confidence_logit: ``(batch, 1, height, width)``; its sigmoid is the probability that the depth is within 10 %.
     """
 
     roots: tuple[Tensor, ...]
     confidence_logit: Tensor
 
-    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
-        """Inverse depth × baseline: bounded, never negative, exactly 0 where nothing is there."""
-        return self.roots[-1].clamp(min=0.0).square()
-
-    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
-        """Probability that the depth is within 10 % of the truth."""
-        return self.confidence_logit.sigmoid()
+    def root(self) -> Float[Tensor, "batch 1 height width"]:
+        """The last estimate."""
+        return self.roots[-1]
 
 
 @lru_cache(maxsize=8)
@@ -89,11 +87,10 @@ def _resampling_tensor(config: DepthConfig, rows_first: int, rows_second: int) -
     return torch.from_numpy(resampling_matrix(level_roots(config), rows_first, rows_second))
 
 
-class DepthNetwork(nn.Module):
+class DepthNetwork(PairNetwork):
     """Two panoramas in, the root of the first one's ``inverse depth × baseline`` out; see the module's docstring."""
 
     frame = "epipole"
-    """How the panoramas are held, see :mod:`omnisyn_cli.geometry.sweep`."""
 
     def __init__(self, config: DepthConfig) -> None:
         super().__init__()
@@ -103,22 +100,14 @@ class DepthNetwork(nn.Module):
         strides = [config.coarse_stride >> (i + 1) for i in range(len(config.refined_widths))]
         self.refinements = nn.ModuleList(Refinement(config, index, stride) for index, stride in enumerate(strides))
         initialise(self)
-        self.coarse.start_flat()
+        begin_small(self.coarse.logits, self.coarse.upsample, std=0.02)  # even shares, even upsampling
         for stage in self.refinements:
-            stage.start_flat()  # type: ignore[operator]
+            begin_small(stage.choice, stage.upsample, stage.confidence)  # the estimate stays as it is
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
     ) -> DepthPrediction:
-        """Estimate the first panorama's depth.
-
-        Args:
-            first: colours in [0, 1], in the epipole frame, row 0 looking at the second camera.
-            second: the same for the other camera, in the same frame.
-
-        Raises:
-            ValueError: the size is not 1:2 or not a multiple of eight times the coarse stride.
-        """
+        """Estimate; ValueError for a size that is not 1:2 or no multiple of ``config.size_multiple``."""
         height, width = sizes(first)[-2:]
         multiple = self.config.size_multiple
         if height % multiple or width != 2 * height:
@@ -178,11 +167,6 @@ class CoarseMatcher(nn.Module):
         self.up = nn.ModuleList(ResidualBlock(hidden, hidden) for _ in range(3))
         self.logits = nn.Conv2d(hidden, config.levels, 1)
         self.upsample = nn.Conv2d(hidden, 36, 1)
-
-    def start_flat(self) -> None:
-        """Begin with an even distribution over the spheres and even upsampling."""
-        for layer in (self.logits, self.upsample):
-            nn.init.normal_(layer.weight, std=0.02)
 
     def forward(
         self, first: Tensor, second: Tensor, of_first: tuple[Tensor, ...], of_second: tuple[Tensor, ...]
@@ -287,11 +271,6 @@ class Refinement(nn.Module):
         self.choice = WrappedConv(width, candidates)
         self.upsample = WrappedConv(width, 36)
         self.confidence = WrappedConv(width, 1)
-
-    def start_flat(self) -> None:
-        """Begin by leaving the estimate as it is."""
-        for layer in (self.choice, self.upsample, self.confidence):
-            nn.init.normal_(layer.weight, std=0.01)
 
     def forward(
         self,

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.networks.config import NetworkConfig
+from omnisyn_cli.networks.interface import NetworkConfig
 
 __all__ = ["VARIANTS", "DepthConfig", "level_roots"]
 
 
 @dataclass(frozen=True)
 class DepthConfig(NetworkConfig):
-    """What makes one depth network differ from another.
+    """What makes one depth network differ from another; those of ``fast`` unless changed.
 
     Attributes:
         name: of the variant.
@@ -32,17 +32,17 @@ class DepthConfig(NetworkConfig):
     """
 
     name: str
-    size: tuple[int, int]
-    widths: tuple[int, ...]
-    coarse_stride: int
-    levels: int
-    greatest_root: float
-    match_channels: int
-    match_groups: int
-    hidden: int
-    volume_filters: int
-    refined_widths: tuple[int, ...]
-    reach: int
+    size: tuple[int, int] = (256, 512)
+    widths: tuple[int, ...] = (24, 48, 64, 96, 96)
+    coarse_stride: int = 8
+    levels: int = 48
+    greatest_root: float = 2.0
+    match_channels: int = 32
+    match_groups: int = 4
+    hidden: int = 96
+    volume_filters: int = 0
+    refined_widths: tuple[int, ...] = (48, 24)
+    reach: int = 4
 
     @property
     def size_multiple(self) -> int:
@@ -51,27 +51,12 @@ class DepthConfig(NetworkConfig):
 
 
 VARIANTS = {
-    "fast": DepthConfig(
-        name="fast",
-        size=(256, 512),
-        widths=(24, 48, 64, 96, 96),
-        coarse_stride=8,
-        levels=48,
-        greatest_root=2.0,
-        match_channels=32,
-        match_groups=4,
-        hidden=96,
-        volume_filters=0,
-        refined_widths=(48, 24),
-        reach=4,
-    ),
+    "fast": DepthConfig("fast"),
     "accurate": DepthConfig(
-        name="accurate",
+        "accurate",
         size=(512, 1024),
         widths=(24, 48, 80, 128, 128),
-        coarse_stride=8,
         levels=80,
-        greatest_root=2.0,
         match_channels=64,
         match_groups=8,
         hidden=128,

@@ -20,9 +20,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.config import NetworkConfig
-from omnisyn_cli.networks.layers import WrappedConv, initialise, wrap_columns
-from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
+from omnisyn_cli.networks.interface import Network, Ports, check_multiple
+from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
+from omnisyn_cli.networks.paper_layers import Block, enlarged
+from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
 __all__ = [
     "FUSION_VARIANTS",
@@ -31,7 +32,6 @@ __all__ = [
     "FusionNetwork",
     "PaintingNetwork",
     "build_fusion",
-    "upsample_bilinear",
 ]
 
 GREATEST_SHIFT = 8.0
@@ -43,25 +43,17 @@ LOG_RATIO_PLANE, GREATEST_LOG = 13, 8.0
 PACE = 8.0
 """Answers are this many times what the last convolution says, so that they leave zero soon."""
 
-PAPER_LEAK = 0.01
-
 
 @dataclass(frozen=True)
-class FusionConfig(NetworkConfig):
+class FusionConfig(CorrectingConfig):
     """What makes one fusion network differ from another.
 
     Attributes:
-        name: of the variant.
-        planes: input channels.
-        widths: channels, from fine to coarse; those of ``paints`` begin at full resolution and end in the middle, the
-            others begin at stride 2.
         fine: channels at full resolution of a network that does not paint.
-        paints: whether it answers with colours, as in the paper, or with corrections.
+        paints: whether it answers with colours, as in the paper, or with corrections; its widths then begin at full
+            resolution and end in the middle.
     """
 
-    name: str
-    planes: int
-    widths: tuple[int, ...]
     fine: int = 0
     paints: bool = False
 
@@ -91,55 +83,50 @@ class FusionCorrections:
     shift: Tensor
     colour: Tensor
 
+    def outputs(self) -> tuple[Tensor, ...]:
+        """What leaves the program."""
+        return self.shift, self.colour
+
 
 class FusionNetwork(CorrectingUNet):
     """Planes in, corrections out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: FusionConfig) -> None:
-        super().__init__(config.planes, config.widths, config.fine, answers=5)
-        self.config = config
+        super().__init__(config, answers=5)
         nn.init.zeros_(self.answer.weight)
 
-    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> FusionCorrections:
-        """Correct.
+    @property
+    def ports(self) -> Ports:
+        """Planes of any size."""
+        return Ports({"planes": self.config.planes}, ("shift", "colour"))
 
-        Raises:
-            ValueError: the size is not a multiple of ``config.size_multiple``.
-        """
-        check_multiple(planes, self.config.size_multiple)
+    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> FusionCorrections:
+        """Correct; see :meth:`answers`."""
         stretch, shift, colour = torch.split(self.answers(planes), [1, 1, 3], dim=1)
         log_ratio = GREATEST_LOG * planes[:, LOG_RATIO_PLANE : LOG_RATIO_PLANE + 1]
         shift = log_ratio * (torch.exp(PACE * stretch) - 1.0) + PACE * shift
         return FusionCorrections(GREATEST_SHIFT * torch.tanh(shift / GREATEST_SHIFT), colour)
 
 
-class PaintingBlock(nn.Module):
-    """Two times pad, convolution, LeakyReLU (paper, section 3.5)."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.first = WrappedConv(inputs, outputs)
-        self.second = WrappedConv(outputs, outputs)
-
-    def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Float[Tensor, "batch outputs height width"]:
-        """The same size."""
-        inner = functional.leaky_relu(self.first(x), PAPER_LEAK)
-        return functional.leaky_relu(self.second(inner), PAPER_LEAK)
-
-
-class PaintingNetwork(nn.Module):
+class PaintingNetwork(Network):
     """The UNet of the paper: colours of two renderings and two visibility masks in, colours out."""
 
     def __init__(self, config: FusionConfig) -> None:
         super().__init__()
         self.config = config
         *widths, middle = config.widths
-        self.down = nn.ModuleList(PaintingBlock(a, b) for a, b in itertools.pairwise([config.planes, *widths]))
-        self.middle = PaintingBlock(widths[-1], middle)
+        downwards = itertools.pairwise([config.planes, *widths])
+        self.down = nn.ModuleList(Block(a, b, has_row=False) for a, b in downwards)
+        self.middle = Block(widths[-1], middle, has_row=False)
         inputs, outputs = [middle, *(2 * width for width in widths[-2::-1])], [*widths[-2::-1], widths[0]]
-        self.up = nn.ModuleList(PaintingBlock(a, b) for a, b in zip(inputs, outputs, strict=True))
+        self.up = nn.ModuleList(Block(a, b, has_row=False) for a, b in zip(inputs, outputs, strict=True))
         self.answer = WrappedConv(widths[0], 3)
         initialise(self, gain=1.0)
+
+    @property
+    def ports(self) -> Ports:
+        """Planes of any size."""
+        return Ports({"planes": self.config.planes}, ("colour",))
 
     def forward(self, planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 3 height width"]:
         """Paint.
@@ -153,18 +140,12 @@ class PaintingNetwork(nn.Module):
             x = block(x)
             skips.append(x)
             x = functional.avg_pool2d(x, 2)
-        x = self.up[0](upsample_bilinear(self.middle(x)))
+        x = self.up[0](enlarged(self.middle(x), 2))
         for block, skip in zip(self.up[1:], skips[-2::-1], strict=True):
-            x = block(torch.cat([upsample_bilinear(x), skip], dim=1))
-        colours: Tensor = self.answer(x)
-        return colours
+            x = block(torch.cat([enlarged(x, 2), skip], dim=1))
+        return at_least_single(self.answer(x))
 
 
 def build_fusion(config: FusionConfig) -> FusionNetwork | PaintingNetwork:
     """A fresh network of a configuration."""
     return PaintingNetwork(config) if config.paints else FusionNetwork(config)
-
-
-def upsample_bilinear(x: Float[Tensor, "batch channels height width"]) -> Tensor:
-    """Twice the size, bilinear, across the seam as everywhere else; the first and last row repeat at the poles."""
-    return functional.interpolate(wrap_columns(x, 1, 1), scale_factor=2.0, mode="bilinear")[..., 2:-2]

@@ -8,6 +8,7 @@ coarsest stride rolls the output: nothing here knows where the seam is.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -20,6 +21,8 @@ __all__ = [
     "LEAK",
     "ResidualBlock",
     "WrappedConv",
+    "at_least_single",
+    "begin_small",
     "convex_upsample",
     "coordinate_channels",
     "initialise",
@@ -71,6 +74,11 @@ class ResidualBlock(nn.Module):
         return functional.leaky_relu(self.second(inner) + self.shortcut(x), LEAK)
 
 
+def at_least_single(x: Tensor) -> Tensor:
+    """The same values in single precision, where they came in half precision (autocast)."""
+    return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x
+
+
 def sizes(x: Tensor) -> tuple[int, ...]:
     """The shape as plain numbers, so that a traced network holds constants."""
     return tuple(int(size) for size in x.shape)
@@ -85,6 +93,12 @@ def initialise(module: nn.Module, gain: float = 0.7) -> None:
                 layer.weight.mul_(gain)
             if layer.bias is not None:
                 nn.init.zeros_(layer.bias)
+
+
+def begin_small(*layers: Any, std: float = 0.01) -> None:
+    """Random weights of a small standard deviation for last layers, so that answers begin near where they should."""
+    for layer in layers:
+        nn.init.normal_(layer.weight, std=std)
 
 
 def coordinate_channels(like: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 2 height width"]:

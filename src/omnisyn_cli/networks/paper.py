@@ -31,7 +31,7 @@ from torch.nn import functional
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.networks.config import NetworkConfig
+from omnisyn_cli.networks.interface import DepthAnswer, NetworkConfig, PairNetwork, check_multiple
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, enlarged
 
@@ -98,6 +98,11 @@ class PaperConfig(NetworkConfig):
         """Heights and widths have to be a multiple of this."""
         return max(int(2 ** (len(self.widths) - 1)), FEATURE_STRIDE * int(2 ** (len(self.volume_widths) - 1)))
 
+    @property
+    def greatest_root(self) -> float:
+        """Root of the largest answer."""
+        return float(NEAREST**0.5)
+
 
 PAPER_VARIANTS = {
     "paper": PaperConfig("paper", (256, 512)),
@@ -108,7 +113,7 @@ PAPER_VARIANTS = {
 
 
 @dataclass(frozen=True)
-class PaperPrediction:
+class PaperPrediction(DepthAnswer):
     """What the network says about the first panorama.
 
     Attributes:
@@ -191,11 +196,11 @@ def _mirrored(quarter: Tensor) -> Tensor:
     return torch.cat([upper, upper.flip(1) * quarter.new_tensor([1.0, -1.0])], dim=1)
 
 
-class PaperNetwork(nn.Module):
+class PaperNetwork(PairNetwork):
     """Two panoramas in, the first one's ``inverse depth · baseline`` out; see the module's docstring."""
 
     frame = "forward"
-    """How the panoramas are held, see :mod:`omnisyn_cli.geometry.sweep`."""
+    is_folded = False  # the sweep would be written out, and twice
 
     def __init__(self, config: PaperConfig) -> None:
         super().__init__()
@@ -239,19 +244,9 @@ class PaperNetwork(nn.Module):
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
     ) -> PaperPrediction:
-        """Estimate the first panorama's depth.
-
-        Args:
-            first: colours in [0, 1], in the forward frame, the centre looking at the second camera.
-            second: the same for the other camera, in the same frame.
-
-        Raises:
-            ValueError: the height or the width is not a multiple of 32.
-        """
+        """Estimate; ValueError for a size that is no multiple of ``config.size_multiple``."""
+        check_multiple(first, self.config.size_multiple)
         height, width = sizes(first)[-2:]
-        multiple = self.config.size_multiple
-        if height % multiple or width % multiple:
-            raise ValueError(f"expected images of multiples of {multiple} rows and columns, got {height}×{width}")
         of_first, of_second = self.features(torch.cat([first, second])).chunk(2)
         grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE, torch.zeros_like(first[0, 0, 0, 0]))
         spheres = self.volume(sweep_volume(of_first, of_second, grid)).squeeze(1)  # (batch, levels, height/4, width/4)

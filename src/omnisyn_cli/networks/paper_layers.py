@@ -73,19 +73,21 @@ class Block(nn.Module):
     Args:
         inputs: channels, without the row.
         outputs: channels.
+        has_row: whether the row is one more channel of the input.
         volumetric: volumes instead of images.
         enlarge: the input becomes twice as large first.
         leak: slope below zero; 1 leaves both convolutions linear.
     """
 
     def __init__(
-        self, inputs: int, outputs: int, *, volumetric: bool = False, enlarge: bool = False, leak: float = LEAK
-    ) -> None:
+        self, inputs: int, outputs: int, *, has_row: bool = True, volumetric: bool = False, enlarge: bool = False,
+        leak: float = LEAK,
+    ) -> None:  # fmt: skip
         super().__init__()
         convolution = nn.Conv3d if volumetric else nn.Conv2d
         padding = (1, 1, 0) if volumetric else (1, 0)
-        self.enlarge, self.leak = enlarge, leak
-        self.first = convolution(inputs + 1, outputs, 3, padding=padding)  # type: ignore[arg-type]
+        self.has_row, self.enlarge, self.leak = has_row, enlarge, leak
+        self.first = convolution(inputs + has_row, outputs, 3, padding=padding)  # type: ignore[arg-type]
         self.second = convolution(outputs, outputs, 3, padding=padding)  # type: ignore[arg-type]
 
     @torch.no_grad()
@@ -99,7 +101,8 @@ class Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """``(batch, outputs, *sizes)``."""
-        x = torch.cat([x, row_channel(x)], dim=1)
+        if self.has_row:
+            x = torch.cat([x, row_channel(x)], dim=1)
         if self.enlarge:
             x = enlarged(x, 2)
         for convolution in (self.first, self.second):

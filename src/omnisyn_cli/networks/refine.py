@@ -19,14 +19,24 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.networks.config import NetworkConfig
-from omnisyn_cli.networks.layers import sizes, wrap_columns
-from omnisyn_cli.networks.unet import CorrectingUNet, check_multiple
+from omnisyn_cli.networks.interface import DepthAnswer
+from omnisyn_cli.networks.layers import begin_small, sizes, wrap_columns
+from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
-__all__ = ["REFINE_VARIANTS", "RefineConfig", "RefineNetwork", "RefinePrediction", "candidates_of"]
+__all__ = [
+    "AGREED_PLANE",
+    "FILLED_PLANE",
+    "REFINE_VARIANTS",
+    "SKY_PLANE",
+    "RefineConfig",
+    "RefineNetwork",
+    "RefinePrediction",
+    "candidates_of",
+    "where_sure",
+]
 
 FILLED_PLANE, MATCHED_PLANE = 3, 4
 """Of the input: the roots that candidates come from."""
@@ -60,26 +70,8 @@ CORRECTION = 0.1
 """Scale of the correction, so that a fresh network leaves the candidates nearly as they are."""
 
 
-@dataclass(frozen=True)
-class RefineConfig(NetworkConfig):
-    """What makes one refinement network differ from another.
-
-    Attributes:
-        name: of the variant.
-        planes: input channels, the evidence.
-        widths: channels at strides 2, 4, 8, …
-        fine: channels at full resolution.
-    """
-
-    name: str
-    planes: int
-    widths: tuple[int, ...]
-    fine: int
-
-    @property
-    def size_multiple(self) -> int:
-        """Heights and widths have to be a multiple of this."""
-        return int(2 ** len(self.widths))
+class RefineConfig(CorrectingConfig):
+    """What makes one refinement network differ from another; its planes are the evidence."""
 
 
 REFINE_VARIANTS = {"balanced": RefineConfig("balanced", planes=19, widths=(32, 48, 80, 128, 192), fine=24)}
@@ -87,7 +79,7 @@ REFINE_VARIANTS = {"balanced": RefineConfig("balanced", planes=19, widths=(32, 4
 
 
 @dataclass(frozen=True)
-class RefinePrediction:
+class RefinePrediction(DepthAnswer):
     """Candidates for the root, a share for each, and how far the answer may be trusted.
 
     Attributes:
@@ -105,7 +97,7 @@ class RefinePrediction:
     sure: Tensor
 
     def root(self) -> Float[Tensor, "batch 1 height width"]:
-        """The candidate of least expected error, corrected; slightly negative values mean "infinitely far"."""
+        """The candidate of least expected error, corrected."""
         shares = (CAUTION * self.logits).softmax(dim=1)
         expected = torch.cat(
             [
@@ -118,14 +110,6 @@ class RefinePrediction:
         answer = (chosen * self.candidates).sum(dim=1, keepdim=True) + self.correction
         return torch.where(self.sure > 0, self.candidates[:, :1], answer)
 
-    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
-        """Inverse depth × baseline: never negative, exactly 0 where nothing is there."""
-        return self.root().clamp(min=0.0).square()
-
-    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
-        """Probability that the depth is within 10 % of the truth."""
-        return self.confidence_logit.sigmoid()
-
 
 def candidates_of(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch candidates height width"]:
     """The filled and the matched root, then the nearest and the farthest filled root within each window."""
@@ -134,6 +118,11 @@ def candidates_of(planes: Float[Tensor, "batch planes height width"]) -> Float[T
     for window in WINDOWS:
         found += [_greatest(filled, window), -_greatest(-filled, window)]
     return torch.cat(found, dim=1)
+
+
+def where_sure(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 1 height width"]:
+    """1 where matching is sure, else 0."""
+    return torch.maximum(planes[:, AGREED_PLANE : AGREED_PLANE + 1], planes[:, SKY_PLANE : SKY_PLANE + 1])
 
 
 def _greatest(x: Tensor, window: int) -> Tensor:
@@ -147,23 +136,17 @@ class RefineNetwork(CorrectingUNet):
     """Evidence planes in, a choice per pixel out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: RefineConfig) -> None:
-        super().__init__(config.planes + SUGGESTED - 2, config.widths, config.fine, answers=CANDIDATES + 3)
-        self.config = config
-        nn.init.normal_(self.answer.weight, std=0.01)
+        super().__init__(config, answers=CANDIDATES + 3, added=SUGGESTED - 2)
+        begin_small(self.answer)
         with torch.no_grad():
             self.answer.bias[0] = FIRST_CHOICE  # type: ignore[index]
 
     def forward(self, planes: Float[Tensor, "batch planes height width"]) -> RefinePrediction:
-        """Refine.
-
-        Raises:
-            ValueError: the size is not a multiple of ``config.size_multiple``.
-        """
-        check_multiple(planes, self.config.size_multiple)
+        """Refine; see :meth:`answers`."""
         candidates = candidates_of(planes)
         seen = torch.cat([planes, candidates[:, 2:] - candidates[:, :1]], dim=1)
         logits, free, correction, confidence = torch.split(self.answers(seen), [CANDIDATES, 1, 1, 1], dim=1)
-        sure = torch.maximum(planes[:, AGREED_PLANE : AGREED_PLANE + 1], planes[:, SKY_PLANE : SKY_PLANE + 1])
+        sure = where_sure(planes)
         candidates = torch.cat([candidates, candidates[:, :1] + free], dim=1)
         logits = torch.cat([logits[:, :1] + SURE * sure, logits[:, 1:]], dim=1)
         return RefinePrediction(candidates, logits, CORRECTION * correction * (1.0 - sure), confidence, sure)

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_to_angles
 from omnisyn_cli.geometry.sweep import parallax_from_inverse_depth
-from omnisyn_cli.networks.layers import sizes
+from omnisyn_cli.networks.layers import at_least_single, sizes
 
-__all__ = ["at_least_single", "lookup", "meridian_products", "resampling_matrix", "sphere_volume"]
+__all__ = ["lookup", "meridian_products", "resampling_matrix", "sphere_volume"]
 
 
 def resampling_matrix(
@@ -81,8 +81,3 @@ def lookup(
     above = products.gather(-1, index)
     below = products.gather(-1, (index + 1).clamp(max=rows_second - 1))
     return torch.lerp(above, below, share).permute(0, 1, 4, 3, 2)
-
-
-def at_least_single(x: Tensor) -> Tensor:
-    """The same values in single precision, where they came in half precision (autocast)."""
-    return x.float() if x.dtype in (torch.bfloat16, torch.float16) else x

@@ -23,8 +23,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.config import NetworkConfig
-from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes
+from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, begin_small, initialise
 from omnisyn_cli.networks.paper_layers import row_channel
 from omnisyn_cli.networks.unet import Hourglass
 
@@ -45,9 +45,6 @@ FIRST_ROOT = 0.4
 
 LEAST_OPACITY = 0.05
 """Colours of points are divided by their opacity, but not by less than this: what lies open stays dark."""
-
-SMALL = 0.01
-"""Standard deviation of the weights of a last convolution, so that answers begin near where they should."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +88,33 @@ def inverse_depth_of(root: Tensor, config: SynSinConfig) -> Tensor:
     return root.clamp(0.0, config.greatest_root).square()
 
 
-class MonocularNetwork(nn.Module):
-    """One upright panorama in, the root of its inverse depth (m^-½) out; a root below zero is infinitely far."""
+class SynSinPart(Network):
+    """One of the three.
+
+    Its file takes the configured size, and says in its metadata how wide points are, in rows, and how many a pixel is
+    made of.
+    """
+
+    taken, given = "image", "inverse_depth"
+    """Input and output of the file; inverse depth is in 1/m."""
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__()
-        self.config = config
+        self.config: SynSinConfig = config
+
+    @property
+    def ports(self) -> Ports:
+        """One map in, one out."""
+        channels = self.config.features + 1 if self.taken == "points" else COLOURS
+        notes = {"radius": repr(self.config.radius), "points": str(self.config.points)}
+        return Ports({self.taken: channels}, (self.given,), self.config.size, notes)
+
+
+class MonocularNetwork(SynSinPart):
+    """One upright panorama in, the root of its inverse depth (m^-½) out; a root below zero is infinitely far."""
+
+    def __init__(self, config: SynSinConfig) -> None:
+        super().__init__(config)
         self.body = Hourglass(16 * (COLOURS + 1), config.depth_widths)
         self.spread = nn.Conv2d(config.depth_widths[0], 4 * config.fine, 1)
         self.look = WrappedConv(4 * (COLOURS + 1), config.fine)
@@ -105,34 +123,40 @@ class MonocularNetwork(nn.Module):
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Estimate; ValueError for a size that is no multiple of ``config.size_multiple``."""
-        _check_size(image, self.config)
+        check_multiple(image, self.config.size_multiple)
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
         coarse = functional.pixel_shuffle(self.spread(self.body.around(functional.pixel_unshuffle(seen, 4))), 2)
         fine = functional.leaky_relu(coarse + self.look(functional.pixel_unshuffle(seen, 2)), LEAK)
-        return functional.pixel_shuffle(self.answer(self.fine(fine)), 2)
+        return functional.pixel_shuffle(at_least_single(self.answer(self.fine(fine))), 2)
+
+    def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Inverse depth."""
+        return (inverse_depth_of(self(*inputs), self.config),)
 
 
-class FeatureEncoder(nn.Module):
+class FeatureEncoder(SynSinPart):
     """One panorama in, the features of its pixels out: the colours, and what two convolutions see around them."""
 
+    given = "features"
+
     def __init__(self, config: SynSinConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         self.block = ResidualBlock(COLOURS + 1, config.features)
         self.answer = nn.Conv2d(config.features, config.features - COLOURS, 1)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch features height width"]:
         """Encode."""
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
-        return torch.cat([image, self.answer(self.block(seen))], dim=1)
+        return torch.cat([image, at_least_single(self.answer(self.block(seen)))], dim=1)
 
 
-class RefinementDecoder(nn.Module):
+class RefinementDecoder(SynSinPart):
     """Blended features and their opacity in, colours out: those of the points and a correction."""
 
+    taken, given = "points", "colour"
+
     def __init__(self, config: SynSinConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config)
         channels = config.features + 2
         self.body = Hourglass(4 * channels, config.decoder_widths)
         self.spread = nn.Conv2d(config.decoder_widths[0], 2 * config.fine, 1)
@@ -141,7 +165,7 @@ class RefinementDecoder(nn.Module):
 
     def forward(self, points: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 3 height width"]:
         """Decode; ValueError for a size that is no multiple of ``config.size_multiple``."""
-        _check_size(points, self.config)
+        check_multiple(points, self.config.size_multiple)
         seen = torch.cat([points, row_channel(points)], dim=1)
         coarse = functional.pixel_shuffle(self.spread(self.body.around(functional.pixel_unshuffle(seen, 2))), 2)
         correction = self.answer(functional.leaky_relu(coarse + self.look(seen), LEAK))
@@ -159,12 +183,5 @@ class SynSinNetwork(nn.Module):
         self.encoder = FeatureEncoder(config)
         self.decoder = RefinementDecoder(config)
         initialise(self)
-        for last in (self.depth.answer, self.decoder.answer):
-            nn.init.normal_(last.weight, std=SMALL)
+        begin_small(self.depth.answer, self.decoder.answer)
         nn.init.constant_(self.depth.answer.bias, FIRST_ROOT)  # type: ignore[arg-type]
-
-
-def _check_size(x: Tensor, config: SynSinConfig) -> None:
-    multiple, (height, width) = config.size_multiple, sizes(x)[-2:]
-    if height % multiple or width % multiple:
-        raise ValueError(f"expected a size of multiples of {multiple}, got {width}×{height}")

@@ -1,19 +1,51 @@
 """The UNet that corrects maps at full resolution: a wide look around at half the size, a narrow one at full size.
 
-Fusion and refinement are both one of these with planes of their own and answers of their own.
+Fusion, refinement and completion are each one of these with planes of their own and answers of their own.
 """
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, initialise, sizes, upsample_nearest
+from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
+from omnisyn_cli.networks.layers import (
+    LEAK,
+    ResidualBlock,
+    WrappedConv,
+    at_least_single,
+    initialise,
+    upsample_nearest,
+)
 
-__all__ = ["CorrectingUNet", "Hourglass", "check_multiple"]
+__all__ = ["CorrectingConfig", "CorrectingUNet", "Hourglass"]
+
+
+@dataclass(frozen=True)
+class CorrectingConfig(NetworkConfig):
+    """What makes one network of this kind differ from another.
+
+    Attributes:
+        name: of the variant.
+        planes: input channels.
+        widths: channels at strides 2, 4, 8, …
+        fine: channels at full resolution.
+    """
+
+    name: str
+    planes: int
+    widths: tuple[int, ...]
+    fine: int
+
+    @property
+    def size_multiple(self) -> int:
+        """Heights and widths have to be a multiple of this."""
+        return int(2 ** len(self.widths))
 
 
 class Hourglass(nn.Module):
@@ -28,7 +60,7 @@ class Hourglass(nn.Module):
         super().__init__()
         self.stem = ResidualBlock(inputs, widths[0])
         self.down = nn.ModuleList(ResidualBlock(a, b, (2, 2)) for a, b in itertools.pairwise(widths))
-        self.middle = ResidualBlock(widths[-1], widths[-1])
+        self.middle: nn.Module = ResidualBlock(widths[-1], widths[-1])
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
         self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
 
@@ -44,39 +76,43 @@ class Hourglass(nn.Module):
         return x
 
 
-class CorrectingUNet(Hourglass):
+class CorrectingUNet(Hourglass, Network):
     """Planes in, answers of the same size out; nothing knows where the seam is.
 
     Networks inherit its layers, so that checkpoints name them without a prefix, and give the last one, ``answer``, the
     weights that they want to begin with.
 
     Args:
-        planes: input channels.
-        widths: channels at strides 2, 4, 8, …
-        fine: channels at full resolution.
+        config: of the network.
         answers: output channels.
+        added: planes beside those of the input that the network makes for itself.
     """
 
-    def __init__(self, planes: int, widths: tuple[int, ...], fine: int, answers: int) -> None:
-        super().__init__(4 * planes, widths)
-        self.spread = nn.Conv2d(widths[0], 4 * fine, 1)
+    def __init__(self, config: CorrectingConfig, answers: int, added: int = 0) -> None:
+        planes, fine = config.planes + added, config.fine
+        super().__init__(4 * planes, config.widths)
+        self.config: Any = config
+        self.spread = nn.Conv2d(config.widths[0], 4 * fine, 1)
         self.look = WrappedConv(planes, fine)
         self.fine = ResidualBlock(fine, fine)
         self.answer = WrappedConv(fine, answers)
         initialise(self)
 
+    @property
+    def ports(self) -> Ports:
+        """Planes of any size."""
+        return Ports({"planes": self.config.planes})
+
     def answers(
         self, planes: Float[Tensor, "batch planes height width"]
     ) -> Float[Tensor, "batch answers height width"]:
-        """What the network says; height and width are multiples of ``2 ** len(widths)``."""
+        """What the network says, in single precision.
+
+        Raises:
+            ValueError: the size is not a multiple of ``config.size_multiple``.
+        """
+        check_multiple(planes, self.config.size_multiple)
         x = self.around(functional.pixel_unshuffle(planes, 2))
         x = functional.pixel_shuffle(self.spread(x), 2)
         x = self.fine(functional.leaky_relu(x + self.look(planes), LEAK))
-        answers: Tensor = self.answer(x)
-        return answers
-
-
-def check_multiple(planes: Tensor, multiple: int) -> None:
-    """ValueError unless height and width are multiples."""
-    if any(size % multiple for size in sizes(planes)[-2:]):
-        raise ValueError(f"expected a size of multiples of {multiple}, got {sizes(planes)[-2:]}")
+        return at_least_single(self.answer(x))

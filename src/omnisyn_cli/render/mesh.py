@@ -10,41 +10,50 @@ away: each corner keeps the quarter of the quad that belongs to its own pixel, a
 it was taken the mesh therefore has no holes, and a silhouette lies half way between the pixels of its two sides.
 
 Faces are numbered ``8·quad + k``: a whole quad has k = 0, 1; a cut quad has two triangles for each of its four corners,
-k = 2·corner + {0, 1}. The caps follow: ``8·quads + width·cap + col``, the north (cap 0) first.
+k = 2·corner + {0, 1}. The caps follow: ``8·quads + 2·(width·cap + col)``, the north (cap 0) first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int32, Integer, UInt8
+from array_api_compat import array_namespace, device
+from jaxtyping import Bool, Float, Integer, UInt8
 
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_direction
 from omnisyn_cli.render.quads import (
+    BLOCK,
     BOTTOM,
     CUT_EDGES,
     DIAGONAL,
-    DIRECTION_WEIGHTS,
     FACES_PER_QUAD,
-    INVERSE_DEPTH_WEIGHTS,
     LEFT,
+    NO_GAPS,
+    QUARTER_DIRECTIONS,
+    QUARTER_INVERSE_DEPTHS,
     REMOVED,
     RIGHT,
     TOP,
+    QuadBlocks,
+    in_blocks,
+    joined_blocks,
 )
 from omnisyn_cli.render.trust import trust_of_quarters
 
 __all__ = [
     "Cut",
-    "FaceCorners",
     "Mesh",
-    "Patches",
+    "Surface",
     "Triangles",
     "build_mesh",
     "mask_of_vertices",
 ]
+
+Array = Any  # numpy.ndarray or torch.Tensor
 
 NO_SURFACE = -1e-9
 """Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
@@ -72,15 +81,12 @@ class Mesh:
     Attributes:
         inverse_depth: ``(height, width)`` float32, 1/metre, of the vertices; negative where there is no surface.
         quads: ``(height - 1, width)`` one byte of flags per quad.
-        caps: ``(2, width, 3)`` float32: inverse depth of (pole, left, right) of each cap triangle, north then south;
-            negative where it is not drawn.
         trust: ``(height - 1, width, 4)`` float32 in (0, 1]: how much the colour seen on each quarter of each quad is
             worth in a blend; in a whole quad all four are equal.
     """
 
     inverse_depth: Float[np.ndarray, "height width"]
     quads: UInt8[np.ndarray, "height-1 width"]
-    caps: Float[np.ndarray, "2 width 3"]
     trust: Float[np.ndarray, "height-1 width 4"]
 
     @property
@@ -89,122 +95,161 @@ class Mesh:
         height, width = self.inverse_depth.shape
         return height, width
 
-    @cached_property
-    def patches(self) -> Patches:
-        """What of the mesh is no whole quad."""
-        return _patches(self)
+    @property
+    def is_whole(self) -> Bool[np.ndarray, "height-1 width"]:
+        """Quads that are drawn as they are."""
+        return np.asarray((self.quads & (CUT_EDGES | REMOVED)) == 0)
 
     @cached_property
     def cut_quads(self) -> Integer[np.ndarray, " cuts"]:
         """Flat indices of the drawn quads with at least one cut edge, ascending."""
         return np.flatnonzero(((self.quads & CUT_EDGES) != 0) & ((self.quads & REMOVED) == 0))
 
-    def faces(self) -> Integer[np.ndarray, " faces"]:
-        """The numbers of all faces that are drawn, ascending."""
-        flat = self.quads.ravel()
-        per_quad = np.where(flat & REMOVED, 0, np.where(flat & CUT_EDGES, FACES_PER_QUAD, 2))
-        kept = np.arange(FACES_PER_QUAD) < per_quad[:, None]
-        has_surface = self.inverse_depth.ravel()[self._quad_vertices(np.arange(flat.size))] >= 0
-        kept &= np.repeat(has_surface, 2, axis=1) | (per_quad[:, None] == 2)
-        caps = np.flatnonzero((self.caps >= 0).all(axis=-1))
-        return np.concatenate([np.flatnonzero(kept), FACES_PER_QUAD * flat.size + caps])
-
     def face_count(self) -> int:
-        """How many faces are drawn: the length of :meth:`faces`, which is not made for it."""
-        whole = np.count_nonzero((self.quads & (CUT_EDGES | REMOVED)) == 0)
-        quarters = np.count_nonzero(self.inverse_depth.ravel()[self._quad_vertices(self.cut_quads)] >= 0)
-        return int(2 * (whole + quarters) + np.count_nonzero((self.caps >= 0).all(axis=-1)))
+        """How many faces are drawn, without making them."""
+        quarters = np.count_nonzero(self.inverse_depth.ravel()[self.vertices_of(self.cut_quads)] >= 0)
+        is_used = self.inverse_depth[[0, -1]] >= 0
+        caps = np.count_nonzero(is_used & np.roll(is_used, -1, axis=1))
+        return int(2 * (np.count_nonzero(self.is_whole) + quarters) + caps)
 
-    def vertex_directions(self) -> Float[np.ndarray, "vertices 3"]:
-        """Unit vector of every vertex in the frame of the panorama, row after row, and of the two poles."""
-        return np.concatenate([pixel_directions(*self.size).reshape(-1, 3), _POLES])
+    def vertices_of(self, quads: Integer[np.ndarray, " quads"]) -> Integer[np.ndarray, "quads 4"]:
+        """Flat indices of the corners of quads."""
+        width = self.size[1]
+        right = np.where(quads % width == width - 1, quads - width + 1, quads + 1)
+        return np.stack([quads, right, quads + width, right + width], -1)
+
+    def directions_of(self, vertices: Integer[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 3"]:
+        """Unit vectors in the frame of the panorama; vertices are counted row after row."""
+        directions: np.ndarray = pixel_to_direction(*np.divmod(vertices, self.size[1]), self.size)
+        return directions
+
+    def piece_directions(self) -> Float[np.ndarray, "pieces 4 3"]:
+        """Of the points of pieces, which have points of their own: quarters of cut quads, then both caps.
+
+        The triangles of caps are quads with two points at the pole. Every piece is split from its first point to its
+        fourth.
+        """
+        corners = self.directions_of(self.vertices_of(self.cut_quads))
+        quarters = np.einsum("qpc,ncx->nqpx", QUARTER_DIRECTIONS, corners)
+        rings = self.directions_of(np.arange(self.inverse_depth.size).reshape(self.size)[[0, -1]])
+        caps = _around_poles(np.broadcast_to(np.stack([UP, -UP])[:, None], rings.shape), rings, np.roll(rings, -1, 1))
+        return np.concatenate([quarters.reshape(-1, 4, 3), *caps])
+
+    def piece_inverse_depths(self, vertices: Float[Array, "height width"]) -> Float[Array, "pieces 4"]:
+        """Of the same points, from those of the vertices: of numpy, or of torch with gradients.
+
+        A piece with a negative one is not drawn. The caps are a smooth fan where the ring around the pole is whole, and
+        flat wedges, each as far as the farther of its vertices, where it is cut.
+        """
+        xp = array_namespace(vertices)
+        weights = QUARTER_INVERSE_DEPTHS[self.quads.ravel()[self.cut_quads] & CUT_EDGES]
+        weights = xp.asarray(weights, dtype=vertices.dtype, device=device(vertices))
+        corners = xp.reshape(vertices, (-1,))[self.vertices_of(self.cut_quads)]
+        quarters = xp.reshape(xp.matmul(weights, corners[:, None, :, None]), (-1, 4))
+        caps: list[tuple[Array, Array, Array]] = []
+        for row, edge in ((0, TOP), (-1, BOTTOM)):
+            ring, following = vertices[row], xp.roll(vertices[row], -1)
+            ordered, middle = xp.sort(ring), self.size[1] // 2
+            pole = 0.5 * (ordered[middle] + ordered[(self.size[1] - 1) // 2]) + xp.zeros_like(ring)
+            if (self.quads[row] & edge).any():
+                ring = following = pole = xp.minimum(ring, following)
+            caps.append((pole, ring, following))
+        return xp.concat([quarters, *_around_poles(*zip(*caps, strict=True))])
+
+    @cached_property
+    def blocks(self) -> QuadBlocks:
+        """What is drawn, for :mod:`omnisyn_cli.render.rasterize`: rows of whole quads, then pieces."""
+        (height, width), across = self.size, -(-self.size[1] // BLOCK)
+        grid = np.empty((4, height, width + 1), np.float32)  # the first column comes again at the end
+        for row, vertices in enumerate(np.arange(height * width).reshape(height, width)):
+            grid[:3, row, :width] = self.directions_of(vertices).T
+        grid[3, :, :width] = self.inverse_depth
+        grid[..., width] = grid[..., 0]
+        begin = ((width + 1) * np.arange(height - 1)[:, None] + BLOCK * np.arange(across)).reshape(-1, 1)
+        codes = np.full((height - 1, across * BLOCK), REMOVED, np.uint8)
+        codes[:, :width] = np.where(self.is_whole, self.quads & DIAGONAL, REMOVED)
+        corners = begin + np.array([0, 1, width + 1, width + 2])
+        whole = QuadBlocks(grid.reshape(4, -1), corners, codes.reshape(-1, BLOCK), NO_GAPS)
+        return joined_blocks(whole, in_blocks(*self.pieces(np.float32)))
+
+    def pieces(self, dtype: type = np.float64) -> tuple[Float[np.ndarray, "pieces 4 4"], UInt8[np.ndarray, " pieces"]]:
+        """Directions and inverse depths of their points, and codes."""
+        depths = self.piece_inverse_depths(self.inverse_depth)
+        codes = np.where((depths < 0).any(axis=-1), np.uint8(REMOVED), np.uint8(0))
+        return np.concatenate([self.piece_directions(), depths[..., None]], axis=-1, dtype=dtype), codes
+
+    def piece_numbers(self) -> Integer[np.ndarray, " pieces"]:
+        """Half of the number of the first face of each."""
+        quarters = 4 * self.cut_quads[:, None] + np.arange(4)
+        return np.concatenate([quarters.ravel(), 4 * self.quads.size + np.arange(2 * self.size[1])])
+
+    def face_numbers(self, drawn: Integer[np.ndarray, "*pixels"]) -> Integer[np.ndarray, "*pixels"]:
+        """The faces that twice the places in :attr:`blocks`, plus one for second triangles, stand for."""
+        rows, width = self.quads.shape
+        place, across = drawn >> 1, -(-width // BLOCK) * BLOCK
+        whole = 4 * (place // across * width + place % across)
+        piece = np.append(self.piece_numbers(), 0)[np.clip(place - rows * across, -1, None)]
+        return np.where(drawn < 0, drawn, 2 * np.where(place < rows * across, whole, piece) + (drawn & 1))
+
+    @cached_property
+    def surface(self) -> Surface:
+        """What is drawn, point by point."""
+        whole = np.flatnonzero(self.is_whole)
+        corner = self.vertices_of(whole)
+        rising = (self.quads.ravel()[whole] & DIAGONAL) != 0
+        corner[rising] = corner[rising][:, [1, 3, 0, 2]]  # a quarter turn: split from first to fourth as well
+        points, codes = self.pieces()
+        drawn = np.flatnonzero(codes != REMOVED)
+        corner = np.concatenate([corner, self.inverse_depth.size + 4 * drawn[:, None] + np.arange(4)])
+        number = np.concatenate([4 * whole, self.piece_numbers()[drawn]])
+        order = np.argsort(number, kind="stable")
+        return Surface(
+            np.concatenate([pixel_directions(*self.size).reshape(-1, 3), points[..., :3].reshape(-1, 3)]),
+            np.concatenate([self.inverse_depth.ravel().astype(np.float64), points[..., 3].ravel()]),
+            corner[order], number[order],
+        )  # fmt: skip
 
     def triangles(self) -> Triangles:
         """Every face as an explicit triangle in the frame of the panorama, for the reference and for export."""
-        faces = self.faces()
-        corners = self.corners(faces)
-        directions = self.vertex_directions()
-        inverse_depth = np.concatenate([self.inverse_depth.reshape(-1).astype(np.float64), np.zeros(2)])
-        direction = np.einsum("fvk,fkx->fvx", corners.direction_weight, directions[corners.vertex])
-        rho = np.einsum("fvk,fk->fv", corners.inverse_depth_weight, inverse_depth[corners.vertex])
-        return Triangles(faces, direction, rho + corners.inverse_depth_offset)
+        surface = self.surface
+        face = (2 * surface.number[:, None] + [0, 1]).ravel()
+        corner = surface.corner[:, TRIANGLES].reshape(-1, 3)
+        kept = (face < FACES_PER_QUAD * self.quads.size) | (face % 2 == 0)  # caps have one
+        return Triangles(face[kept], surface.direction[corner[kept]], surface.inverse_depth[corner[kept]])
 
-    def corners(self, faces: Integer[np.ndarray, " faces"]) -> FaceCorners:
-        """How the corners of faces follow from the vertices of the mesh; linear, so gradients can flow through it."""
-        quad_count = self.quads.size
-        is_cap = faces >= FACES_PER_QUAD * quad_count
-        quad = np.where(is_cap, 0, faces // FACES_PER_QUAD)
-        vertex = self._quad_vertices(quad)
-        code = self.quads.ravel()[quad]
-        kind = np.where(code & CUT_EDGES, code & CUT_EDGES, code & DIAGONAL)
-        direction_weight = DIRECTION_WEIGHTS[kind, faces % FACES_PER_QUAD]
-        inverse_depth_weight = INVERSE_DEPTH_WEIGHTS[kind, faces % FACES_PER_QUAD]
-        offset = np.zeros((len(faces), 3))
-        cap = faces[is_cap] - FACES_PER_QUAD * quad_count
-        vertex[is_cap] = self._cap_vertices(cap)
-        direction_weight[is_cap] = _CAP_WEIGHTS
-        inverse_depth_weight[is_cap] = 0.0
-        offset[is_cap] = self._cap_inverse_depth(cap)
-        return FaceCorners(vertex, direction_weight, inverse_depth_weight, offset)
 
-    def _quad_vertices(self, quad: np.ndarray) -> np.ndarray:
-        width = self.size[1]
-        row, col = quad // width, quad % width
-        right, above, below = (col + 1) % width, row * width, (row + 1) * width
-        return np.stack([above + col, above + right, below + col, below + right], -1)
-
-    def _cap_vertices(self, cap: np.ndarray) -> np.ndarray:
-        height, width = self.size
-        south, col = cap // width, cap % width
-        ring = np.where(south == 1, (height - 1) * width, 0)
-        first, second = ring + col, ring + (col + 1) % width
-        left, right = np.where(south == 1, first, second), np.where(south == 1, second, first)
-        pole = height * width + south
-        return np.stack([pole, left, right, pole], -1)
-
-    def _cap_inverse_depth(self, cap: np.ndarray) -> np.ndarray:
-        south, col = cap // self.size[1], cap % self.size[1]
-        pole, first, second = np.moveaxis(self.caps[south, col].astype(np.float64), -1, 0)
-        return np.where(south[:, None] == 1, np.stack([pole, first, second], -1), np.stack([pole, second, first], -1))
+def _around_poles(poles: Iterable[Array], rings: Iterable[Array], following: Iterable[Array]) -> list[Array]:
+    """The four points of every triangle of the two caps: what is at the pole, left and right of it, north first."""
+    (top, bottom), (first, last), (after_first, after_last) = poles, rings, following
+    xp = array_namespace(top)
+    sides = ((top, first, after_first), (bottom, after_last, last))
+    return [xp.stack([pole, pole, left, right], axis=1) for pole, left, right in sides]
 
 
 @dataclass(frozen=True)
-class Patches:
-    """Quads with points of their own: four quarters of each cut quad, then the triangles of both caps, north first.
+class Surface:
+    """The drawn quads of a mesh and their points.
 
     Attributes:
-        face: number of the first triangle of each.
-        code: :data:`DIAGONAL` and :data:`REMOVED` as for quads.
+        direction: of all points: the vertices, then four for each piece; not all of length one.
+        inverse_depth: of the same; negative where there is no surface.
+        corner: indices of each quad's points; it is split from the first to the fourth, see :data:`TRIANGLES`.
+        number: half of the number of the first face of each quad, ascending.
     """
 
-    face: Int32[np.ndarray, " patches"]
-    code: UInt8[np.ndarray, " patches"]
+    direction: Float[np.ndarray, "points 3"]
+    inverse_depth: Float[np.ndarray, " points"]
+    corner: Integer[np.ndarray, "quads 4"]
+    number: Integer[np.ndarray, " quads"]
+
+    def corners_of(self, faces: Integer[np.ndarray, " faces"]) -> Integer[np.ndarray, "faces 3"]:
+        """Indices of the points of drawn faces."""
+        quad = np.searchsorted(self.number, faces // 2)
+        return np.asarray(np.take_along_axis(self.corner[quad], TRIANGLES[faces % 2], axis=1))
 
 
-def _patches(mesh: Mesh) -> Patches:
-    corner = np.arange(4)
-    quarters = (FACES_PER_QUAD * mesh.cut_quads[:, None] + 2 * corner).ravel()
-    is_masked = mesh.inverse_depth.ravel()[mesh._quad_vertices(mesh.cut_quads)] < 0
-    rising = _flag(DIAGONAL, (corner == 1) | (corner == 2))
-    caps = FACES_PER_QUAD * mesh.quads.size + np.arange(2 * mesh.size[1])
-    caps[mesh.size[1] :] -= 1  # a southern cap is the second triangle of its patch
-    code = np.concatenate([(rising | _flag(REMOVED, is_masked)).ravel(), _flag(REMOVED, mesh.caps[..., 0] < 0).ravel()])
-    return Patches(np.concatenate([quarters, caps]).astype(np.int32), code)
-
-
-@dataclass(frozen=True)
-class FaceCorners:
-    """Corners of faces as weighted sums over four vertices of the mesh.
-
-    ``direction = Σ direction_weight · direction[vertex]`` (not normalised) and
-    ``inverse_depth = Σ inverse_depth_weight · inverse_depth[vertex] + inverse_depth_offset``. Vertices
-    ``height·width`` and ``height·width + 1`` are the poles.
-    """
-
-    vertex: Integer[np.ndarray, "faces 4"]
-    direction_weight: Float[np.ndarray, "faces 3 4"]
-    inverse_depth_weight: Float[np.ndarray, "faces 3 4"]
-    inverse_depth_offset: Float[np.ndarray, "faces 3"]
+TRIANGLES = np.array([(0, 3, 2), (0, 1, 3)])
+"""Corners of the two triangles of a quad that is split from its first corner to its fourth."""
 
 
 @dataclass(frozen=True)
@@ -248,11 +293,10 @@ def build_mesh(
     right = np.roll(rho, -1, axis=1)
     falling, rising = np.abs(rho[:-1] - right[1:]), np.abs(rho[1:] - right[:-1])
     quads |= _flag(DIAGONAL, rising < falling)
-    caps = _caps(rho, beside, mask)
     if mask is not None:
         quads |= _flag(REMOVED, ~_any_corner(mask))
         rho = np.where(mask, rho, np.float32(NO_SURFACE))
-    return Mesh(rho, quads, caps, trust_of_quarters(rho, (quads & CUT_EDGES) != 0, confidence))
+    return Mesh(rho, quads, trust_of_quarters(rho, (quads & CUT_EDGES) != 0, confidence))
 
 
 def _flag(bit: int, where: np.ndarray) -> np.ndarray:
@@ -286,20 +330,3 @@ def _cut_edges(rho: np.ndarray, cut: Cut, axis: int) -> np.ndarray:
     if cut.metres is not None:
         is_cut |= np.abs(step) > cut.metres * rho * following
     return is_cut
-
-
-def _caps(rho: np.ndarray, beside: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """Cap triangles: a smooth fan where the ring is whole, a flat wedge of the farther side where it is cut."""
-    caps = np.empty((2, rho.shape[1], 3), np.float32)
-    for cap, row in enumerate((0, -1)):
-        first, second = rho[row], np.roll(rho[row], -1)
-        farther = np.minimum(first, second)
-        smooth = np.stack([np.full_like(first, np.median(first)), first, second], axis=-1)
-        caps[cap] = farther[:, None] if beside[row].any() else smooth
-        if mask is not None:
-            caps[cap, ~(mask[row] & np.roll(mask[row], -1))] = NO_SURFACE
-    return caps
-
-
-_POLES = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
-_CAP_WEIGHTS = np.eye(4)[:3]

@@ -20,7 +20,8 @@ from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.point_kernels import choose_points, find_nearest, project_points
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.trust import LEAST
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Rendering
 
 __all__ = ["PointRenderer", "render_points"]
 
@@ -87,12 +88,12 @@ class PointRenderer:
         self._inverse_depth = rasterize(build_mesh(inverse_depth, cut), Pose.identity(), full, threads).inverse_depth
         self._mask, self._size, self._threads = mask, size, threads
 
-    def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, target_from_source: Pose) -> Rendering:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
         fragments, colour = render_points(
             self._image, self._inverse_depth, target_from_source, self._size, mask=self._mask, threads=self._threads
         )
-        return fragments.inverse_depth, colour
+        return Rendering.of(fragments.inverse_depth, colour, target_from_source)
 
 
 def projected_points(

@@ -20,14 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear_at
 from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, linearised_arccos, pixel_directions
-from omnisyn_cli.render.mesh import Cut, FaceCorners, Mesh, build_mesh
-from omnisyn_cli.render.quads import BOTTOM, FACES_PER_QUAD, TOP
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 
 __all__ = ["Rendering", "rasterize_torch", "render_fragments"]
@@ -127,16 +126,16 @@ def _inverse_depth_seen(
     fragments: Fragments, mesh: Mesh, inverse_depth: Tensor, rays: np.ndarray, pose: Pose
 ) -> Float[Tensor, " pixels"]:
     """Inverse depth at each visible pixel, ``Σ e_i·ρ_i / Σ e_i·s_i``."""
-    corners = mesh.corners(fragments.face[fragments.visibility])
-    vertices = mesh.vertex_directions() @ pose.rotation.T
-    points = np.einsum("fck,fkx->fcx", corners.direction_weight, vertices[corners.vertex])
-    along, across = _split(points, rays[:, None])
+    surface = mesh.surface
+    corner = surface.corners_of(fragments.face[fragments.visibility])
+    along, across = _split(surface.direction[corner] @ pose.rotation.T, rays[:, None])
     along_t, across_t = _split(pose.position, rays)
 
     def tensor(array: np.ndarray) -> Tensor:
         return torch.as_tensor(array).to(inverse_depth)
 
-    rho = _corner_inverse_depths(inverse_depth, mesh, fragments.face[fragments.visibility], corners)
+    points = torch.cat([inverse_depth.reshape(-1), mesh.piece_inverse_depths(inverse_depth).reshape(-1)])
+    rho = points[torch.from_numpy(corner).to(inverse_depth.device)]
     u = tensor(across) + rho[..., None] * tensor(across_t)[:, None]
     s = tensor(along) + rho * tensor(along_t)[:, None]
     edges = (torch.linalg.cross(u.roll(-1, dims=1), u.roll(-2, dims=1)) * tensor(rays)[:, None]).sum(-1)
@@ -145,32 +144,6 @@ def _inverse_depth_seen(
     found = tensor(fragments.inverse_depth[fragments.visibility])
     ratio = (edges * rho).sum(-1) / torch.where(is_edge_on, torch.ones_like(determinant), determinant)
     return torch.where(is_edge_on, found, ratio)
-
-
-def _corner_inverse_depths(
-    inverse_depth: Tensor, mesh: Mesh, faces: Integer[np.ndarray, " faces"], corners: FaceCorners
-) -> Float[Tensor, "faces 3"]:
-    """Inverse depths of the corners of faces; those of caps follow from the rows around the poles."""
-    device = inverse_depth.device
-    padded = torch.cat([inverse_depth.reshape(-1), inverse_depth.new_zeros(2)])
-    weight = torch.as_tensor(corners.inverse_depth_weight).to(inverse_depth)
-    rho = (weight * padded[torch.from_numpy(corners.vertex).to(device)][:, None]).sum(-1)
-    cap = faces - FACES_PER_QUAD * mesh.quads.size
-    caps = _cap_inverse_depths(inverse_depth, mesh)[torch.from_numpy(np.maximum(cap, 0)).to(device).long()]
-    return torch.where(torch.from_numpy(cap >= 0).to(device)[:, None], caps, rho)
-
-
-def _cap_inverse_depths(inverse_depth: Float[Tensor, "rows cols"], mesh: Mesh) -> Float[Tensor, "caps 3"]:
-    """Inverse depths of (pole, left, right) of every cap, north first, as functions of the outermost rows."""
-    fans = []
-    for row, is_cut in ((0, mesh.quads[0] & TOP), (-1, mesh.quads[-1] & BOTTOM)):
-        first, second = inverse_depth[row], inverse_depth[row].roll(-1)
-        if is_cut.any():
-            fans.append(torch.minimum(first, second)[:, None].expand(-1, 3))
-        else:
-            ring = (second, first) if row == 0 else (first, second)
-            fans.append(torch.stack([first.quantile(0.5).expand_as(first), *ring], dim=-1))
-    return torch.cat(fans)
 
 
 def _split(vectors: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
@@ -20,9 +20,8 @@ from omnisyn_cli.render.rasterize import Rasterizer
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.tiles import TileRasterizer
 from omnisyn_cli.render.two_pass import TwoPassRenderer
-from omnisyn_cli.types import RowRendering
+from omnisyn_cli.types import Rendering
 
 __all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
 
@@ -35,13 +34,8 @@ Way = Float[np.ndarray, " 3"]
 class Renderer(Protocol):
     """A panorama with its depth, ready to be seen from any number of places."""
 
-    def __call__(
-        self, target_from_source: Pose
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width 4"]]:
-        """What the target sees: inverse depth (1/metre, negative where nothing is seen), and RGB with trust in [0, 1].
-
-        Both are buffers that the next call overwrites. Not to be called from two threads at once.
-        """
+    def __call__(self, target_from_source: Pose) -> Rendering:
+        """What the target sees, in buffers that the next call overwrites. Not to be called from two threads at once."""
         ...
 
 
@@ -67,25 +61,14 @@ class MeshRenderer:
         self._texture, self._shader = make_texture(image, mask), Shader(size, threads)
         self._trust = make_trust(mesh, self._texture)
         every = mesh.face_count()
-        self._see: Callable[[Pose], np.ndarray]
-        if way is None:
-            self.triangles = (every, every)
-            self._see = partial(Rasterizer(mesh.size, size, threads).inverse_depth, mesh)
-        else:
-            tiles = simplify(mesh, way, size[0], threads=threads)
-            self.triangles = (tiles.triangles, every)
-            self._see = partial(TileRasterizer(size, threads), tiles)
+        quads, drawn = (mesh.blocks, every) if way is None else simplify(mesh, way, size[0], threads=threads)
+        self.triangles, self._see = (drawn, every), partial(Rasterizer(size, threads), quads)
 
-    def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
-        """See :class:`Renderer`."""
-        seen = self._see(target_from_source)
-        return seen, self._shader(seen, self._trust, self._texture, target_from_source)
-
-    def by_rows(self, target_from_source: Pose) -> RowRendering:
-        """The same, with colours made as they are asked for: from any number of threads, until the next call."""
+    def __call__(self, target_from_source: Pose) -> Rendering:
+        """See :class:`Renderer`; colours are made as they are asked for."""
         seen = self._see(target_from_source)
         what = (seen, self._trust, self._texture, target_from_source)
-        return RowRendering(
+        return Rendering(
             seen, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source
         )
 

@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.render.texture import CHANNELS, Texture
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.runtime.threads import run_bands
 
 __all__ = ["Shader", "TrustMap", "make_trust", "shade"]
 

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.jit import fast_kernel, inlined
-from omnisyn_cli.render.simd import fourth_times, load_floats, pair, splat, store_half, swapped
+from omnisyn_cli.render.simd import fourth_times, load, pair, splat, store_half, swapped
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
+from omnisyn_cli.runtime.jit import fast_kernel, inlined
 
 __all__ = ["FINER", "SPECIAL", "shade_rows"]
 
@@ -160,10 +160,10 @@ def _bicubic(texels, stride, at, weights, col):
     u0, u1, u2, u3 = (
         splat(weights[0, col]), splat(weights[1, col]), splat(weights[2, col]), splat(weights[3, col])
     )  # fmt: skip
-    left = load_floats(texels, first) * u0 + load_floats(texels, second) * u1
-    left = left + load_floats(texels, third) * u2 + load_floats(texels, fourth) * u3
-    right = load_floats(texels, first + 8) * u0 + load_floats(texels, second + 8) * u1
-    right = right + load_floats(texels, third + 8) * u2 + load_floats(texels, fourth + 8) * u3
+    left = load(texels, first) * u0 + load(texels, second) * u1
+    left = left + load(texels, third) * u2 + load(texels, fourth) * u3
+    right = load(texels, first + 8) * u0 + load(texels, second + 8) * u1
+    right = right + load(texels, third + 8) * u2 + load(texels, fourth + 8) * u3
     mixed = left * pair(weights[4, col], weights[5, col])
     mixed = mixed + right * pair(weights[6, col], weights[7, col])
     return mixed + swapped(mixed)
@@ -211,6 +211,6 @@ def _find_bilinear(places, level, stride, factors, index, weights):
 def _level(texels, starts, strides, level, index, weights, col):
     """Two texels of a mip level side by side and those below them, as two summands with their weights."""
     at = starts[level] + 4 * np.int64(index[level, col])
-    above, below = load_floats(texels, at), load_floats(texels, at + strides[level])
+    above, below = load(texels, at), load(texels, at + strides[level])
     mixed = above + (below - above) * splat(weights[level, 0, col])
     return mixed * pair(weights[level, 1, col], weights[level, 2, col])

@@ -5,6 +5,10 @@ value holds eight neighbouring pixels or quads, or two texels of four channels, 
 processor has. Vectors are of float32, float64 or int32; ``+``, ``-``, ``*``, ``/`` take two of one kind of floats. A
 product and a sum become one instruction where there is one. Comparisons give masks for :func:`where`. No access checks
 bounds. After a change here the compiled kernels of other modules are stale: delete ``__pycache__``.
+
+Pointers carry the type that they point to here, as in llvmlite up to the version that ``pyproject.toml`` ends at. With
+opaque pointers alone only :func:`_address` and :func:`_load` change: the cast goes, ``gep`` is told the element's type
+(that of ``array.dtype``, no ``pointee``) and loads are told theirs (``typ=``); stores take it from what is stored.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, register_model
 
 __all__ = [
-    "LANES", "double", "fourth_times", "has_bits", "load", "load_floats", "load_halves", "pair", "single", "splat",
+    "LANES", "double", "fourth_times", "has_bits", "load", "load_halves", "pair", "single", "splat",
     "store", "store_half", "store_halves", "swapped", "where",
 ]  # fmt: skip
 
@@ -74,28 +78,17 @@ _define(operator.or_, lambda builder, a, b: builder.or_(a, b), (_mask8,))
 
 @intrinsic
 def load(typing_context: Any, array: Any, index: Any) -> Any:
-    """The eight numbers of a contiguous one-dimensional array from ``index`` on; bounds are not checked."""
+    """The eight numbers of a contiguous one-dimensional array from ``index`` on; bounds are not checked.
+
+    Samples of 8 bits become float32.
+    """
+    samples = array.dtype == types.uint8
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        address = _address(context, builder, array, arguments, signature_.return_type)
-        return builder.load(address, align=4)
+        vector = _load(context, builder, array, arguments[0], arguments[1])
+        return builder.uitofp(vector, context.get_value_type(_float32x8)) if samples else vector
 
-    return _VECTOR_OF[array.dtype](array, types.intp), generate
-
-
-@intrinsic
-def load_floats(typing_context: Any, array: Any, index: Any) -> Any:
-    """Eight numbers of an array of float32 or uint8 from ``index`` on, as float32; bounds are not checked."""
-
-    def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        vector = context.get_value_type(_float32x8)
-        if array.dtype == types.float32:
-            return builder.load(_address(context, builder, array, arguments, _float32x8), align=4)
-        element = builder.gep(context.make_array(array)(context, builder, arguments[0]).data, [arguments[1]])
-        samples = ir.VectorType(ir.IntType(8), LANES)
-        return builder.uitofp(builder.load(builder.bitcast(element, samples.as_pointer()), align=1), vector)
-
-    return _float32x8(array, types.intp), generate
+    return (_float32x8 if samples else _VECTOR_OF[array.dtype])(array, types.intp), generate
 
 
 class _WholeStore(instructions.StoreInstr):  # type: ignore[misc]
@@ -122,7 +115,7 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
     """Write eight numbers into a contiguous one-dimensional array from ``index`` on; bounds are not checked."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        _store_whole(builder, arguments[2], _address(context, builder, array, arguments, vector))
+        _store_whole(builder, arguments[2], _address(context, builder, array, arguments[0], arguments[1]))
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate
@@ -206,11 +199,9 @@ def has_bits(typing_context: Any, array: Any, index: Any, bits: Any) -> Any:
     """A mask of which of eight bytes of a contiguous one-dimensional array have at least one of ``bits`` set."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        data = context.make_array(array)(context, builder, arguments[0]).data
-        bytes_type = ir.VectorType(ir.IntType(8), LANES)
-        address = builder.bitcast(builder.gep(data, [arguments[1]]), bytes_type.as_pointer())
-        common = builder.and_(builder.load(address, align=1), _repeated(builder, arguments[2], LANES))
-        return builder.icmp_unsigned("!=", common, ir.Constant(bytes_type, None))
+        flags = _load(context, builder, array, arguments[0], arguments[1])
+        common = builder.and_(flags, _repeated(builder, arguments[2], LANES))
+        return builder.icmp_unsigned("!=", common, ir.Constant(common.type, None))
 
     return _mask8(array, types.intp, types.uint8), generate
 
@@ -220,10 +211,7 @@ def load_halves(typing_context: Any, array: Any, lower: Any, upper: Any) -> Any:
     """Four numbers from index ``lower`` on and four from ``upper`` on."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        halves = [
-            builder.load(_half_address(context, builder, array, arguments[0], index), align=4)
-            for index in arguments[1:]
-        ]
+        halves = [_load(context, builder, array, arguments[0], index, _HALF) for index in arguments[1:]]
         return builder.shuffle_vector(*halves, _mask_of(range(LANES)))
 
     return _VECTOR_OF[array.dtype](array, types.intp, types.intp), generate
@@ -235,7 +223,7 @@ def store_half(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         lower = builder.shuffle_vector(arguments[2], arguments[2], _mask_of(range(_HALF)))
-        builder.store(lower, _half_address(context, builder, array, arguments[0], arguments[1]), align=4)
+        builder.store(lower, _address(context, builder, array, arguments[0], arguments[1], _HALF), align=4)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, vector), generate
@@ -250,22 +238,21 @@ def store_halves(typing_context: Any, array: Any, lower: Any, upper: Any, vector
             numbers = builder.shuffle_vector(
                 arguments[3], arguments[3], _mask_of(range(_HALF * half, _HALF * (half + 1)))
             )
-            _store_whole(builder, numbers, _half_address(context, builder, array, arguments[0], index))
+            _store_whole(builder, numbers, _address(context, builder, array, arguments[0], index, _HALF))
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, vector), generate
 
 
-def _half_address(context: Any, builder: Any, array: Any, argument: Any, index: Any) -> Any:
-    """A pointer to half a vector that begins at an element of an array."""
+def _address(context: Any, builder: Any, array: Any, argument: Any, index: Any, count: int = LANES) -> Any:
+    """A pointer to the ``count`` numbers of an array that begin at an element."""
     element = builder.gep(context.make_array(array)(context, builder, argument).data, [index])
-    return builder.bitcast(element, ir.VectorType(element.type.pointee, _HALF).as_pointer())
+    return builder.bitcast(element, ir.VectorType(element.type.pointee, count).as_pointer())
 
 
-def _address(context: Any, builder: Any, array: Any, arguments: Any, vector: _Vector) -> Any:
-    """A pointer to a vector that begins at an element of an array."""
-    element = builder.gep(context.make_array(array)(context, builder, arguments[0]).data, [arguments[1]])
-    return builder.bitcast(element, context.get_value_type(vector).as_pointer())
+def _load(context: Any, builder: Any, array: Any, argument: Any, index: Any, count: int = LANES) -> Any:
+    """These numbers."""
+    return builder.load(_address(context, builder, array, argument, index, count), align=array.dtype.bitwidth // 8)
 
 
 def _repeated(builder: Any, number: Any, count: int) -> Any:

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.jit import inlined, kernel
 from omnisyn_cli.render.quads import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
+from omnisyn_cli.runtime.jit import inlined, kernel
 
 __all__ = ["APART", "COVERED", "TALL", "bound_errors", "mark_cuts", "measure_gaps", "merge_strips"]
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.jit import kernel
 from omnisyn_cli.render.point_kernels import disc_columns, disc_rows
+from omnisyn_cli.runtime.jit import kernel
 
 __all__ = ["NO_POINT", "composite", "list_points"]
 

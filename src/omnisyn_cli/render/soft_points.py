@@ -22,7 +22,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.points import projected_points
 from omnisyn_cli.render.soft_point_kernels import NO_POINT, composite, list_points
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.runtime.threads import run_bands
 
 __all__ = [
     "FLOOR",

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.jit import inlined
+from omnisyn_cli.runtime.jit import inlined
 
 __all__ = ["ATAN2_ERROR", "LOG2_ERROR", "atan2_fast", "log2_fast"]
 

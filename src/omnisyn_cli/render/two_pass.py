@@ -23,7 +23,8 @@ from omnisyn_cli.render.rasterize import NOTHING, Fragments
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles
-from omnisyn_cli.threads import run_bands
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Rendering
 
 __all__ = ["TwoPassRenderer", "rasterize_two_pass", "triangles_without_caps"]
 
@@ -84,7 +85,8 @@ class TwoPassRenderer:
         self._trust = make_trust(mesh, self._texture)
         self._shader = Shader(size, threads)
 
-    def __call__(self, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, target_from_source: Pose) -> Rendering:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
         seen = rasterize_two_pass(self._triangles, target_from_source, self._shader.size, self._shader.threads)
-        return seen.inverse_depth, self._shader(seen.inverse_depth, self._trust, self._texture, target_from_source)
+        colour = self._shader(seen.inverse_depth, self._trust, self._texture, target_from_source)
+        return Rendering.of(seen.inverse_depth, colour, target_from_source)

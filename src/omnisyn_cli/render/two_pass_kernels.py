@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.jit import kernel
+from omnisyn_cli.runtime.jit import kernel
 
 __all__ = ["draw_flat_triangles", "flatten_triangles"]
 

@@ -1,1 +1,1 @@
-"""Trained networks at work: ONNX Runtime and numpy only."""
+"""How work is run: compiled kernels, threads, and trained networks by ONNX Runtime (numpy only)."""

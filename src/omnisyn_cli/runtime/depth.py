@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest, turned_directions, turned_image
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import (
     epipole_frame,
@@ -21,7 +21,6 @@ from omnisyn_cli.geometry.sweep import (
     forward_frame,
     free_space_agreement,
 )
-from omnisyn_cli.geometry.turning import turned_directions, turned_image
 from omnisyn_cli.runtime.session import run_depth_network
 from omnisyn_cli.types import DepthEstimate, View
 

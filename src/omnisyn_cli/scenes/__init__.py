@@ -1,4 +1,4 @@
-"""Procedural streets and rooms with exact depth, for training and tests.
+"""Procedural places with exact depth, for training and tests.
 
 ``generate_scene`` makes a :class:`Scene`, ``sample_path`` cameras in it, ``render_panorama`` and ``render_views``
 their pictures.
@@ -7,6 +7,8 @@ their pictures.
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
+from omnisyn_cli.scenes.home import home
+from omnisyn_cli.scenes.jumble import jumble, yard
 from omnisyn_cli.scenes.panorama import distances, render_panorama, render_views
 from omnisyn_cli.scenes.paths import clearance, sample_path
 from omnisyn_cli.scenes.photos import Photos, pack_photos, with_photos
@@ -30,7 +32,9 @@ __all__ = [
     "sample_path",
 ]
 
-GENERATORS: Mapping[str, Callable[[int], Scene]] = MappingProxyType({"street": street, "room": room})
+GENERATORS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
+    {"street": street, "room": room, "home": home, "jumble": jumble, "yard": yard}
+)
 """Generators by the name of what they make."""
 
 

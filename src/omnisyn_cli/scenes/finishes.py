@@ -1,6 +1,8 @@
-"""What the walls and floors of rooms are made of."""
+"""What walls, floors and things are made of."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -8,7 +10,15 @@ from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 
-__all__ = ["floor_finish", "wall_finish"]
+__all__ = ["any_finish", "faint_finish", "floor_finish", "wall_finish"]
+
+EVERYWHERE = (
+    Pattern.PLAIN, Pattern.PLAIN, Pattern.BRICK, Pattern.TILES, Pattern.CHECKER, Pattern.PLANKS, Pattern.STRIPES,
+    Pattern.COLLAGE, Pattern.COLLAGE, Pattern.GRASS, Pattern.WALLPAPER, Pattern.RIBS, Pattern.CARTON, Pattern.RUG,
+)  # fmt: skip
+"""Patterns that anything can be covered with."""
+
+COLOURS = (*palette.INTERIOR, *palette.CLOTH, *palette.SIGN, *palette.WOOD, *palette.BRICK, *palette.METAL)
 
 
 def wall_finish(rng: np.random.Generator, use: str) -> Material:
@@ -133,4 +143,42 @@ def floor_finish(rng: np.random.Generator, use: str) -> Material:
         grain_size=rng.choice([0.05, 0.3]),
         detail=0.4,
         seed=seed,
+    )
+
+
+def any_finish(rng: np.random.Generator, size: float) -> Material:
+    """Draw any pattern of any colours at any scale up to ``size`` metres; every fifth is dark, every fourth shines."""
+    first, second, third = (pick(rng, COLOURS, 0.12) for _ in range(3))
+    if rng.random() < 0.2:
+        first, second, third = (palette.darker(colour, rng.uniform(0.1, 0.5)) for colour in (first, second, third))
+    cell = size * math.exp(rng.uniform(math.log(0.03), 0.0))
+    return Material(
+        EVERYWHERE[rng.integers(len(EVERYWHERE))],
+        first,
+        second,
+        third,
+        cell=(cell, cell * rng.uniform(0.3, 1.5)),
+        line=cell * rng.uniform(0.02, 0.2),
+        grain=math.exp(rng.uniform(math.log(0.005), math.log(0.4))),
+        grain_size=size * math.exp(rng.uniform(math.log(0.05), 0.0)),
+        detail=rng.uniform(0.0, 1.0),
+        gloss=rng.uniform(0.2, 1.0) if rng.random() < 0.25 else 0.0,
+        seed=int(rng.integers(1, 10000)),
+    )
+
+
+def faint_finish(rng: np.random.Generator, use: str) -> Material:
+    """Draw paint in which hardly anything can be found again, for most walls; arguments as of :func:`wall_finish`."""
+    if rng.random() < 0.3:
+        return wall_finish(rng, use)
+    tone = pick(rng, palette.INTERIOR)
+    return Material(
+        Pattern.PLAIN,
+        tone,
+        palette.darker(tone, rng.uniform(0.96, 1.0)),
+        grain=rng.uniform(0.0, 0.015),
+        grain_size=rng.uniform(0.3, 4.0),
+        detail=rng.uniform(0.0, 0.4),
+        gloss=rng.uniform(0.05, 0.3) if rng.random() < 0.3 else 0.0,
+        seed=int(rng.integers(1, 1000)),
     )

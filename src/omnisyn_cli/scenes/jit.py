@@ -2,8 +2,8 @@
 
 from functools import partial
 
-from omnisyn_cli import jit
-from omnisyn_cli.jit import Decorator
+from omnisyn_cli.runtime import jit
+from omnisyn_cli.runtime.jit import Decorator
 
 __all__ = ["inlined", "kernel"]
 

@@ -8,12 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.scenes.panorama import distances
 from omnisyn_cli.scenes.scene import Scene, Walkway
 
 __all__ = ["clearance", "sample_path"]
 
 _ATTEMPTS = 400
 _HIGHEST_CLIMB = 2.0  # metres, of a path that goes straight up, unless more is asked for
+_SHORTER = 0.985  # factor on a baseline at every attempt, where it may be shortened
+_LOOK, _NEAR = (8, 16), 0.04  # rays cast, and the quantile of their lengths that is called the distance of what is near
 
 
 def clearance(scene: Scene, positions: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
@@ -60,22 +64,42 @@ def sample_path(
         raise ValueError(f"expected at least 1 frame, got {frames}")
     rng = np.random.default_rng([11, seed])
     heading = rng.uniform(-math.pi, math.pi)
+    share = np.random.default_rng([12, seed]).random()
     for attempt in range(_ATTEMPTS):
         walkway = scene.walkways[rng.integers(len(scene.walkways))]
         keep = walkway.clearance * max(0.3, 1.0 - attempt / _ATTEMPTS)
-        length = baseline if baseline is not None else rng.uniform(*walkway.baselines)
+        length = baseline if baseline is not None else _usual_length(rng, walkway, attempt, share)
         if baseline is None and attempt > _ATTEMPTS // 2:
             length = walkway.baselines[0]
         is_upright = rng.random() < vertical
         if is_upright and baseline is None:
             length = min(length, _HIGHEST_CLIMB)
         start, end = _line(rng, scene, walkway, length, upright=is_upright, strict=attempt < _ATTEMPTS // 2)
-        if _is_free(scene, start, end, keep) and (any(walkway.heading) or _is_indoors(scene, end)):
+        if _is_free(scene, start, end, keep) and (_may_leave(walkway) or _is_indoors(scene, end)):
+            if baseline is None and _is_too_near(scene, walkway, start, end):
+                continue
             shares = np.linspace(0.0, 1.0, frames)[:, None]
             return [Pose(_attitude(rng, heading, tilt), position) for position in start + shares * (end - start)]
     raise ValueError(
         f"expected room for a path of {frames} frames, found none in {_ATTEMPTS} attempts: try a shorter baseline"
     )
+
+
+def _usual_length(rng: np.random.Generator, walkway: Walkway, attempt: int, share: float) -> float:
+    """Of an attempt; ``share`` says where between the shortest and the longest it begins."""
+    low, high = walkway.baselines
+    if walkway.nearness is None:
+        return rng.uniform(low, high)
+    return max(low, low * math.exp(share * math.log(high / low)) * math.exp(attempt * math.log(_SHORTER)))
+
+
+def _is_too_near(scene: Scene, walkway: Walkway, start: Float[np.ndarray, 3], end: Float[np.ndarray, 3]) -> bool:
+    """Whether a path is too long for what is beside its ends."""
+    if walkway.nearness is None:
+        return False
+    directions = pixel_directions(*_LOOK).reshape(-1, 3)
+    nearest = min(float(np.quantile(distances(scene, place, directions)[0], _NEAR)) for place in (start, end))
+    return float(np.linalg.norm(end - start)) > walkway.nearness * nearest
 
 
 def _is_free(scene: Scene, start: Float[np.ndarray, 3], end: Float[np.ndarray, 3], keep: float) -> bool:
@@ -88,6 +112,11 @@ def _is_free(scene: Scene, start: Float[np.ndarray, 3], end: Float[np.ndarray, 3
     middle, reach = -local / step, (scene.half + keep) / np.abs(step)
     enters, leaves = (middle - reach).max(axis=1), (middle + reach).min(axis=1)
     return not np.any((enters < leaves) & (leaves > 0.0) & (enters < 1.0))
+
+
+def _may_leave(walkway: Walkway) -> bool:
+    """Whether paths may end beyond all walkways, as streets go on."""
+    return any(walkway.heading) and walkway.nearness is None
 
 
 def _is_indoors(scene: Scene, point: Float[np.ndarray, 3]) -> bool:
@@ -110,7 +139,7 @@ def _line(
         if ahead.any() and (strict or rng.random() < 0.7):
             sign = 1.0 if rng.random() < 0.5 else -1.0
             bearing = math.atan2(sign * ahead[0], sign * ahead[2]) + rng.normal(0.0, 0.15)
-        climb = rng.normal(0.0, 0.02) if rng.random() < 0.5 else 0.0
+        climb = rng.normal(0.0, walkway.slope) if rng.random() < 0.5 else 0.0
         step = length * np.array([math.sin(bearing), climb, math.cos(bearing)])
     end = start + step
     for point in (start, end):

@@ -77,6 +77,9 @@ class Walkway:
         heading: direction of motion in the horizontal plane (x, z), unit length; (0, 0) = any.
         baselines: shortest and longest usual distance between the first and the last camera.
         clearance: distance that cameras keep from everything, metres.
+        nearness: longest usual baseline in distances of what is nearest to the ends; baselines are then drawn evenly in
+            their logarithm and shortened until they fit. None = drawn evenly.
+        slope: standard deviation of the climb of those paths that are not level, a tangent.
     """
 
     low: tuple[float, float, float]
@@ -84,6 +87,8 @@ class Walkway:
     heading: tuple[float, float]
     baselines: tuple[float, float]
     clearance: float
+    nearness: float | None = None
+    slope: float = 0.02
 
 
 @dataclass(frozen=True)

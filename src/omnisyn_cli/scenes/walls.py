@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +44,15 @@ Openings = dict[str, list[Opening]]
 """By wall: west and east (low and high x), south and north (low and high z)."""
 
 
-def enclose(build: SceneBuilder, cell: Cell, openings: Openings, use: str, *, casts_shadow: bool) -> None:
+def enclose(
+    build: SceneBuilder,
+    cell: Cell,
+    openings: Openings,
+    use: str,
+    *,
+    casts_shadow: bool,
+    finish: Callable[[np.random.Generator, str], Material] = wall_finish,
+) -> None:
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
     Args:
@@ -53,10 +61,11 @@ def enclose(build: SceneBuilder, cell: Cell, openings: Openings, use: str, *, ca
         openings: windows and doors.
         use: "home", "office" or "hall".
         casts_shadow: whether the ceiling stops the light from above.
+        finish: draws what walls are made of, see :func:`omnisyn_cli.scenes.finishes.wall_finish`.
     """
     rng = build.rng
-    paint = wall_finish(rng, use)
-    accent = wall_finish(rng, use) if rng.random() < 0.35 else paint
+    paint = finish(rng, use)
+    accent = finish(rng, use) if rng.random() < 0.35 else paint
     (x0, z0), (x1, z1) = cell.low, cell.high
     build.box((x0, -0.3, z0), (x1, 0.0, z1), floor_finish(rng, use), casts_shadow=False)
     _ceiling(build, cell, use, casts_shadow)

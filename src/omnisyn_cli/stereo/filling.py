@@ -17,9 +17,9 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from omnisyn_cli.geometry.border import add_border, filter_across_seam
+from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
-from omnisyn_cli.jit import parallel_kernel
+from omnisyn_cli.runtime.jit import parallel_kernel
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 __all__ = ["fill", "median_around", "remove_speckles", "upsample"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from omnisyn_cli.jit import kernel
+from omnisyn_cli.runtime.jit import kernel
 
 __all__ = ["fitted_values", "normal_equations"]
 

@@ -17,15 +17,15 @@ from jaxtyping import Bool
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.stereo.evidence import Evidence
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
-from omnisyn_cli.thread_limit import both, limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["SPECKLE", "MatchingDepthEstimator", "MatchingOptions", "agreeing", "is_measurable"]
+__all__ = ["HINT", "SPECKLE", "MatchingDepthEstimator", "MatchingOptions", "agreeing", "is_measurable"]
 
 HINT = 0.002
 """Weight of a disparity that only one direction believes, against 1 for what both agree on."""

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnisyn_cli.jit import parallel_kernel
+from omnisyn_cli.runtime.jit import parallel_kernel
 
 __all__ = ["find_planes"]
 

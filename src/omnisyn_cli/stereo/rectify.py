@@ -13,11 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest, turned_directions
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
-from omnisyn_cli.geometry.turning import turned_directions
-from omnisyn_cli.thread_limit import both
+from omnisyn_cli.runtime.thread_limit import both
 from omnisyn_cli.types import View
 
 __all__ = ["RectifiedPair", "rectify", "resize_area", "usable_pixels"]

@@ -10,13 +10,13 @@ from jaxtyping import Float32
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sweep import free_space_agreement
+from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
 from omnisyn_cli.stereo.filling import median_around
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator
 from omnisyn_cli.stereo.rectify import usable_pixels
 from omnisyn_cli.stereo.sharpening import Answer, sharpened
 from omnisyn_cli.stereo.sizes import doubled_sizes
-from omnisyn_cli.thread_limit import both, limited_threads
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["RefinedDepthEstimator", "Refinement"]
@@ -45,12 +45,12 @@ class RefinedDepthEstimator:
 
     Attributes:
         matching: finds the evidence.
-        refinement: the network.
+        refinement: the network; None leaves it out, to see what it is worth: what matching filled is taken as it is.
         rows: that depth is looked for at, see :func:`omnisyn_cli.stereo.sizes.estimate_sizes`.
     """
 
     matching: MatchingDepthEstimator
-    refinement: Refinement
+    refinement: Refinement | None
     rows: int
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
@@ -62,8 +62,7 @@ class RefinedDepthEstimator:
 
     def _estimates(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         there, back = self.matching.evidence(first, second)
-        planes = both(lambda: evidence_planes(there, back), lambda: evidence_planes(back, there))
-        answers = self._refined(there, planes[0]), self._refined(back, planes[1])
+        answers = self._answers(there, back)
         picture_rows = max(view.image.shape[0] for view in (first, second))
         for size in doubled_sizes(there.filled.shape[0], self.rows // 2, picture_rows)[1:]:
             answers = sharpened(first, second, answers, size, self.matching.options_for(first, second))
@@ -74,9 +73,20 @@ class RefinedDepthEstimator:
             lambda: _estimate(second, first, (other, back_trust), one, baseline),
         )
 
-    def _refined(self, evidence: Evidence, planes: np.ndarray) -> Answer:
-        inverse_depth, confidence = self.refinement(planes)
-        return np.where(evidence.agreed | evidence.sky, inverse_depth, median_around(inverse_depth)), confidence
+    def _answers(self, there: Evidence, back: Evidence) -> tuple[Answer, Answer]:
+        if self.refinement is None:
+            return _filled(there), _filled(back)
+        planes = both(lambda: evidence_planes(there, back), lambda: evidence_planes(back, there))
+        return _refined(there, *self.refinement(planes[0])), _refined(back, *self.refinement(planes[1]))
+
+
+def _filled(evidence: Evidence) -> Answer:
+    """What matching alone says, believed where it is sure."""
+    return evidence.filled.astype(np.float32), (evidence.agreed | evidence.sky).astype(np.float32)
+
+
+def _refined(evidence: Evidence, inverse_depth: np.ndarray, confidence: np.ndarray) -> Answer:
+    return np.where(evidence.agreed | evidence.sky, inverse_depth, median_around(inverse_depth)), confidence
 
 
 def _estimate(view: View, other: View, answer: Answer, back: np.ndarray, baseline: float) -> DepthEstimate:

@@ -12,15 +12,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.geometry.border import filter_across_seam
-from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.turning import turned_directions
-from omnisyn_cli.stereo.band import Bands, aggregate_bands, band_cost, choose_in_bands
+from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest, turned_directions
+from omnisyn_cli.runtime.thread_limit import both
+from omnisyn_cli.stereo.costs import sweep_cost
 from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample
 from omnisyn_cli.stereo.matching import SPECKLE, agreeing, is_measurable
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians
-from omnisyn_cli.thread_limit import both
 from omnisyn_cli.types import View
 
 __all__ = ["Answer", "sharpened"]
@@ -85,9 +84,9 @@ def _in_pair(inverse_depth: np.ndarray, view: View, pair: RectifiedPair) -> np.n
 def _match(pair: RectifiedPair, grid: Meridians, known: np.ndarray, options: MatchingOptions) -> Matches:
     """The best disparities among those around what is known."""
     bands = _bands(grid.disparity(known))
-    cost = band_cost(pair.first, pair.second, pair.second_usable, bands, options.colour_share, options.truncation)
-    total = aggregate_bands(cost, bands, pair.first.mean(-1), options.step, options.jump, options.contrast)
-    disparity, margin = choose_in_bands(total, bands)
+    cost = sweep_cost(pair.first, pair.second, pair.second_usable, bands, options.colour_share, options.truncation)
+    total = aggregate(cost, bands, pair.first.mean(-1), options.step, options.jump, options.contrast)
+    disparity, margin = choose(total, bands, is_all=False)
     return Matches(disparity, (margin > options.margin) & pair.first_usable)
 
 

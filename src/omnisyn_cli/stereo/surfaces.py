@@ -16,12 +16,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.border import filter_across_seam
+from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_angles
 from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
+from omnisyn_cli.stereo.costs import FORBIDDEN, census, sweep_cost, warp_cost
 from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair
-from omnisyn_cli.stereo.semi_global import aggregate, census, choose, sweep_cost, warp_cost
+from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
 
 __all__ = ["Matches", "MatchingOptions", "Meridians", "assign_surfaces", "match_freely"]
 
@@ -136,11 +137,11 @@ def match_freely(pair: RectifiedPair, grid: Meridians, options: MatchingOptions)
     """Semi-global matching over all disparities, without planes."""
     lowest = _lowest(grid, options)
     levels = max(2, math.ceil(options.widest_parallax / math.pi * grid.height))
-    cost = sweep_cost(
-        pair.first, pair.second, pair.second_usable, lowest, levels, options.colour_share, options.truncation
-    )
-    total = aggregate(cost, pair.first.mean(-1), options.step, options.jump, options.contrast)
-    disparity, margin = choose(total)
+    bands = Bands.between(np.zeros(pair.size, np.int32), levels - 1)
+    cost = sweep_cost(pair.first, pair.second, pair.second_usable, bands, options.colour_share, options.truncation)
+    cost.reshape(*pair.size, levels)[np.arange(levels) < lowest[..., None]] = FORBIDDEN
+    total = aggregate(cost, bands, pair.first.mean(-1), options.step, options.jump, options.contrast)
+    disparity, margin = choose(total, bands, is_all=True)
     at_bound = (lowest > 0) & (disparity <= lowest + 1.5)
     return Matches(disparity, (margin > options.margin) & ~at_bound & pair.first_usable)
 
@@ -156,7 +157,10 @@ def assign_surfaces(pair: RectifiedPair, grid: Meridians, free: Matches, options
     cost += options.under_floor * (surfaces < _under_floor(grid, planes)[..., None])
     cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
     cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
-    total = aggregate(cost, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast)
+    labels = Bands.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
+    total = aggregate(
+        cost.ravel(), labels, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast
+    ).reshape(cost.shape)
     total[surfaces < 0] = np.inf
     label = total.argmin(axis=-1)
     disparity = np.take_along_axis(surfaces, label[..., None], axis=-1)[..., 0]

@@ -1,30 +1,35 @@
-"""A generator and its opponent: hinge losses, matching of features, and what of the opponent a checkpoint holds.
+"""What tells true pictures from made ones while a generator learns: a discriminator, its losses, those it teaches by.
 
-Source: Wiles et al., SynSin, section 3.4; Lim and Ye, Geometric GAN (2017) for the hinge.
+Source: Wiles et al., SynSin, section 3.4; Lim and Ye, Geometric GAN (2017) for the hinge; Wang et al., pix2pixHD (CVPR
+2018), section 3.2, for patches at several scales, here on the sphere and with spectral norms instead of instance norms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
-from torch.nn import Module
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.parametrizations import spectral_norm
+
+from omnisyn_cli.networks.layers import WrappedConv
+from omnisyn_cli.networks.paper_layers import row_channel
 
 __all__ = [
-    "Contest",
-    "Opponent",
+    "Discriminator",
+    "PatchDiscriminator",
     "adversarial_loss",
     "adversarial_weight",
+    "discriminator_loss",
     "feature_loss",
-    "opposing_loss",
 ]
 
 ALONE, RAMP = 400, 200
-"""Steps in which the opponent only watches, and over which its say rises to the whole weight after them."""
+"""Steps in which the discriminator only watches, and over which its say rises to the whole weight after them."""
 
 WEIGHT = 0.01
 """Of the adversarial loss beside an absolute error of colours in [0, 1]."""
@@ -33,29 +38,48 @@ FEATURE_WEIGHT = 10.0
 """Of the matching of features, times :data:`WEIGHT`."""
 
 RATE_SHARE = 0.5
-"""Learning rate of the opponent in that of the generator."""
+"""Learning rate of the discriminator in that of the generator."""
 
 BETAS = (0.5, 0.99)
 
+LEAK, COLOURS = 0.2, 3
+
 Answers = Sequence[Sequence[Tensor]]
-"""Of an opponent: for each scale the features of its layers and last its verdicts."""
+"""Of a discriminator: for each scale the features of its layers and last its verdicts."""
 
 
-@dataclass(frozen=True)
-class Contest:
-    """How a network learns against an opponent.
+class PatchDiscriminator(nn.Module):
+    """Panoramas in, for each scale the features of every layer and last the verdicts on patches (positive: true).
 
-    Attributes:
-        build: a fresh opponent.
-        losses: of a network, an opponent, a pool, a generator of random numbers, a configuration and the number of
-            steps that the opponent has seen: the network's loss, and the opponent's.
+    Args:
+        widths: channels of the layers, each half as high and wide as the one before.
+        scales: how often it is asked, each time about a picture of half the size.
     """
 
-    build: Callable[[], Module]
-    losses: Callable[..., tuple[Tensor, Tensor]]
+    def __init__(self, widths: tuple[int, ...] = (24, 48, 96), scales: int = 2) -> None:
+        super().__init__()
+        self.scales = nn.ModuleList(_scale(widths) for _ in range(scales))
+
+    def forward(self, image: Float[Tensor, "batch 3 height width"]) -> list[list[Tensor]]:
+        """Look at pictures whose height and width can be halved often enough."""
+        answers = []
+        for layers in self.scales:
+            x, seen = torch.cat([image - 0.5, row_channel(image)], dim=1), []
+            for layer in layers:  # type: ignore[attr-defined]
+                x = layer(x)
+                seen.append(x)
+                x = functional.leaky_relu(x, LEAK)
+            answers.append(seen)
+            image = functional.avg_pool2d(image, 2)
+        return answers
 
 
-class Opponent:
+def _scale(widths: tuple[int, ...]) -> nn.ModuleList:
+    halving = [WrappedConv(a, b, (2, 2)) for a, b in itertools.pairwise((COLOURS + 1, *widths))]
+    return nn.ModuleList(spectral_norm(layer) for layer in (*halving, WrappedConv(widths[-1], 1)))
+
+
+class Discriminator:
     """A discriminator with its optimiser.
 
     Args:
@@ -66,7 +90,7 @@ class Opponent:
         begun: step of the run that it was fresh at.
     """
 
-    def __init__(self, network: Module, weight_decay: float) -> None:
+    def __init__(self, network: nn.Module, weight_decay: float) -> None:
         self.network, self.begun, self._weight_decay = network, 0, weight_decay
         self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay, betas=BETAS)
 
@@ -97,11 +121,11 @@ class Opponent:
 
 
 def adversarial_weight(step: int) -> float:
-    """How much the opponent counts after so many steps of its own: nothing at first, then more and more."""
+    """How much the discriminator counts after so many steps of its own: nothing at first, then more and more."""
     return WEIGHT * min(1.0, max(0.0, (step - ALONE) / RAMP))
 
 
-def opposing_loss(made: Answers, true: Answers) -> Tensor:
+def discriminator_loss(made: Answers, true: Answers) -> Tensor:
     """Hinge: true patches should be called more than 1, made ones less than −1."""
     terms = [
         (1.0 - there[-1].float()).clamp(min=0.0).mean() + (1.0 + here[-1].float()).clamp(min=0.0).mean()

@@ -15,31 +15,38 @@ A batch depends on the seed, the step and the pool alone, so a run can stop and 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, Shaped, UInt8
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.border import add_border
-from omnisyn_cli.io.paths import write_errors
+from omnisyn_cli.geometry.sampling import add_border
+from omnisyn_cli.io.outputs import write_errors
 
 __all__ = [
     "Augmentation",
     "Batch",
+    "EvidenceBatch",
     "PoolScene",
+    "as_tensor",
     "check_height",
     "draw_batch",
+    "draw_way",
     "list_pool",
+    "load_samples",
     "load_scene",
     "save_arrays",
+    "save_samples",
     "save_scene",
+    "stacked",
 ]
 
 TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0"}
@@ -76,6 +83,31 @@ class Batch:
     second: Float[Tensor, "batch 3 height width"]
     root: Float[Tensor, "batch 1 height width"]
     baseline: Float[Tensor, " batch"]
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What a network sees."""
+        return self.first, self.second
+
+
+@dataclass(frozen=True)
+class EvidenceBatch:
+    """Panoramas with what matching made of them, or might have made.
+
+    Attributes:
+        planes: ``(batch, planes, height, width)``, see :func:`omnisyn_cli.stereo.evidence.evidence_planes`.
+        root: ``(batch, 1, height, width)`` true square root of inverse depth × baseline; NaN where it is not known.
+        baseline: ``(batch,)`` metres.
+    """
+
+    planes: Float[Tensor, "batch planes height width"]
+    root: Float[Tensor, "batch 1 height width"]
+    baseline: Float[Tensor, " batch"]
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What a network sees."""
+        return (self.planes,)
 
 
 @dataclass(frozen=True)
@@ -125,6 +157,36 @@ def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             partial.replace(path)
         finally:
             partial.unlink(missing_ok=True)
+
+
+def save_samples(path: Path, samples: Sequence[Any]) -> None:
+    """Write dataclasses of arrays and numbers; the file has a ``NAME_k`` for every field of the one at ``k``.
+
+    Arrays are in half precision.
+    """
+    arrays = {
+        f"{name}_{k}": np.asarray(value, np.float16 if np.ndim(value) else np.float32)
+        for k, sample in enumerate(samples)
+        for name, value in vars(sample).items()
+    }
+    save_arrays(path, arrays)
+
+
+def load_samples(path: Path, kind: type[Any], which: int | None = None) -> list[Any]:
+    """All samples of a file, or the one at ``which``, counted on beyond the last from the first again."""
+    names = [entry.name for entry in fields(kind)]
+    with np.load(path) as file:
+        count = len(file.files) // len(names)
+        return [
+            kind(*(file[f"{name}_{k}"].astype(np.float32) for name in names))
+            for k in (range(count) if which is None else (which % count,))
+        ]
+
+
+def stacked(samples: Sequence[Any]) -> list[Tensor]:
+    """Each field of all samples, as tensors."""
+    columns = zip(*(vars(sample).values() for sample in samples), strict=True)
+    return [torch.from_numpy(np.stack(column)) for column in columns]
 
 
 def load_scene(path: Path) -> PoolScene:
@@ -195,11 +257,11 @@ def draw_batch(
         InputError: the pool's size is not a multiple of ``size``.
     """
     pairs = [_draw_pair(load_scene(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(batch)]
-    first, second, inverse_depth, baseline = (np.stack(column) for column in zip(*pairs, strict=True))
+    colours, inverse_depth, baseline = (np.stack(column) for column in zip(*pairs, strict=True))
     root = np.sqrt(inverse_depth * baseline[:, None, None]).clip(max=greatest_root)
     return Batch(
-        first=torch.from_numpy(first).permute(0, 3, 1, 2).contiguous(),
-        second=torch.from_numpy(second).permute(0, 3, 1, 2).contiguous(),
+        first=as_tensor(colours[:, 0]),
+        second=as_tensor(colours[:, 1]),
         root=torch.from_numpy(root.astype(np.float32)).unsqueeze(1),
         baseline=torch.from_numpy(baseline),
     )
@@ -207,19 +269,25 @@ def draw_batch(
 
 def _draw_pair(
     scene: PoolScene, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.float32]:
+) -> tuple[np.ndarray, np.ndarray, np.float32]:
+    """Colours of both, inverse depth of the first, metres."""
     check_pool_size(scene, size)
-    near, far = sorted(rng.choice(len(scene.along), 2, replace=False))
-    baseline = np.float32(scene.along[far] - scene.along[near])
-    first, second, inverse_depth = scene.images[near], scene.images[far], scene.inverse_depth[near]
-    if rng.random() < 0.5:  # from the other end: the frame turned by 180° about the azimuth of the ground
-        first, second, inverse_depth = (x[::-1, ::-1] for x in (second, first, scene.inverse_depth[far]))
-    if rng.random() < 0.5:
-        first, second, inverse_depth = (x[:, ::-1] for x in (first, second, inverse_depth))
-    colours = np.stack([_shrink(first, size), _shrink(second, size)])
+    images, inverse_depths, along = draw_way(scene, 2, rng)
+    colours = np.stack([reduced(image, size).astype(np.float32) for image in images]) / np.float32(255.0)
     if augmentation is not None:
         colours = vary_colours(colours, rng, augmentation)
-    return colours[0], colours[1], at_block_centres(inverse_depth, size), baseline
+    return colours, at_block_centres(inverse_depths[0], size), np.float32(abs(along[1] - along[0]))
+
+
+def draw_way(scene: PoolScene, views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Images, inverse depths and places of some views, in order from either end, mirrored or not."""
+    chosen = np.sort(rng.choice(len(scene.along), views, replace=False))
+    images, inverse_depths, along = scene.images[chosen], scene.inverse_depth[chosen], scene.along[chosen]
+    if rng.random() < 0.5:  # from the other end: the frame turned by 180° about the azimuth of the ground
+        images, inverse_depths, along = images[::-1, ::-1, ::-1], inverse_depths[::-1, ::-1, ::-1], along[::-1]
+    if rng.random() < 0.5:
+        images, inverse_depths = images[:, :, ::-1], inverse_depths[:, :, ::-1]
+    return images, inverse_depths, along
 
 
 def check_pool_size(scene: PoolScene, size: tuple[int, int]) -> None:
@@ -229,15 +297,20 @@ def check_pool_size(scene: PoolScene, size: tuple[int, int]) -> None:
         raise InputError(f"expected a pool of a multiple of {size[0]} rows, got {rows}; render another")
 
 
-def _shrink(image: UInt8[np.ndarray, "height width 3"], size: tuple[int, int]) -> Float32[np.ndarray, "h w 3"]:
-    """Mean over blocks, in [0, 1]."""
-    if image.shape[0] != size[0]:
-        image = cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(image, dtype=np.float32) / np.float32(255.0)
+def reduced(image: Shaped[np.ndarray, "rows cols 3"], size: tuple[int, int]) -> Shaped[np.ndarray, "height width 3"]:
+    """Means over blocks."""
+    if image.shape[:2] == size:
+        return image
+    return np.asarray(cv2.resize(np.ascontiguousarray(image), size[::-1], interpolation=cv2.INTER_AREA))
+
+
+def as_tensor(images: Float32[np.ndarray, "batch height width 3"]) -> Float32[Tensor, "batch 3 height width"]:
+    """Colours first, as networks see them."""
+    return torch.from_numpy(np.ascontiguousarray(images)).permute(0, 3, 1, 2).contiguous()
 
 
 def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tuple[int, int]) -> np.ndarray:
-    """Values at the centres of the blocks that :func:`_shrink` averages over.
+    """Values at the centres of the blocks that :func:`reduced` averages over.
 
     The centre of an even block lies between four pixels: it has their mean if they are of one surface, else the
     nearest of them, because a mean of two surfaces lies on neither.

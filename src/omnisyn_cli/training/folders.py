@@ -14,11 +14,10 @@ from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions, turned_image
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame
-from omnisyn_cli.geometry.turning import turned_directions, turned_image
-from omnisyn_cli.io.paths import write_errors
+from omnisyn_cli.io.outputs import write_errors
 from omnisyn_cli.training.data import PoolScene, save_scene
 from omnisyn_cli.types import View
 

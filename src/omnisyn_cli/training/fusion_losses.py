@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -12,7 +10,7 @@ from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 
-__all__ = ["FusionScores", "corrected", "fused_by", "fusion_loss", "fusion_scores", "inputs_of"]
+__all__ = ["corrected", "fused_by", "fusion_loss", "fusion_scores", "inputs_of"]
 
 SQUARED_WEIGHT = 4.0
 """Of squared errors beside absolute ones: both count alike at an error of a quarter."""
@@ -54,39 +52,32 @@ def corrected(
 def fusion_loss(picture: Float[Tensor, "batch 3 height width"], truth: Tensor) -> Tensor:
     """Absolute and squared differences from the truth, weighted by the sine of the polar angle; a scalar.
 
-    Source: OmniSyn, section 3.6; the squares, which large mistakes are made dear by, are ours.
+    Source: OmniSyn, section 3.6; the squares, which make large errors dear, are ours.
     """
     error = (picture - truth).abs()
     return ((error + SQUARED_WEIGHT * error.square()) * polar_weights(truth)).mean()
 
 
-@dataclass(frozen=True)
-class FusionScores:
-    """Figures of one picture.
-
-    Attributes:
-        ws_psnr: dB.
-        gain: dB more than the geometric fusion.
-        hole_error: mean absolute error in holes; NaN where there are none.
-        hole_gain: by how much it is less than that of the geometric fusion.
-    """
-
-    ws_psnr: float
-    gain: float
-    hole_error: float
-    hole_gain: float
-
-
 @torch.no_grad()
 def fusion_scores(
     picture: Float[Tensor, "1 3 height width"], planes: Float[Tensor, "1 planes height width"], truth: Tensor
-) -> FusionScores:
-    """Compare a picture, and the geometric fusion, with the truth."""
+) -> dict[str, float]:
+    """Compare a picture, and the geometric fusion, with the truth.
+
+    Returns:
+        ``ws_psnr`` in dB; ``gain``, dB more than the geometric fusion; ``hole_error``, the mean absolute error in
+        holes, NaN where there are none; ``hole_gain``, by how much it is less than that of the geometric fusion.
+    """
     geometric = planes[:, plane.FUSED : plane.FUSED + 3]
     hole = (planes[:, plane.SEEN : plane.SEEN + 2].sum(dim=1, keepdim=True) == 0).expand_as(truth)
     ours, theirs = (_decibels(x, truth) for x in (picture, geometric))
     errors = [float((x - truth).abs()[hole].mean()) for x in (picture, geometric)]
-    return FusionScores(ours, ours - theirs, errors[0], errors[1] - errors[0])
+    return {
+        "ws_psnr": ours,
+        "gain": ours - theirs,
+        "hole_error": errors[0],
+        "hole_gain": errors[1] - errors[0],
+    }
 
 
 def _decibels(picture: Tensor, truth: Tensor) -> float:

@@ -14,37 +14,131 @@ Source: OmniSyn, section 3.6.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.planes import fusion_planes
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.networks.depth import DepthPrediction
-from omnisyn_cli.networks.joint import JointNetwork, PairPrediction
+from omnisyn_cli.networks.depth import DepthNetwork, DepthPrediction
+from omnisyn_cli.networks.depth_config import DepthConfig
+from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
+from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork, PaperPrediction
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
-from omnisyn_cli.training.checkpoint import load_checkpoint
-from omnisyn_cli.training.frames import EPIPOLE_FROM_FORWARD
-from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss
-from omnisyn_cli.training.joint_planes import Seen, fusion_planes
-from omnisyn_cli.training.losses import depth_loss, paper_loss
+from omnisyn_cli.training.frame_samples import EPIPOLE_FROM_FORWARD, exchanged_panoramas
+from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss
+from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
 from omnisyn_cli.training.triples import Triples
 
-__all__ = ["JointAnswer", "Part", "joint_answer", "joint_loss", "part_of", "parts_of", "planes_between", "view_between"]
+__all__ = [
+    "JointAnswer",
+    "JointConfig",
+    "JointNetwork",
+    "PairPrediction",
+    "filled",
+    "joint_answer",
+    "joint_loss",
+    "joint_pictures",
+    "joint_scores",
+    "planes_between",
+    "view_between",
+]
 
 FUSION_WEIGHT = 1.0
 """Of the loss of the picture beside that of the depth."""
 
 ALONG = np.array([0.0, 0.0, -1.0])
 """From the first to the second camera in the forward frame."""
+
+
+@dataclass(frozen=True)
+class JointConfig:
+    """Which networks; a depth network of either kind, and any fusion network."""
+
+    depth: DepthConfig | PaperConfig
+    fusion: FusionConfig
+
+    @property
+    def name(self) -> str:
+        """Of both variants."""
+        return f"{self.depth.name}-{self.fusion.name}"
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """``(height, width)`` that the depth network is exported at."""
+        return self.depth.size
+
+    @property
+    def size_multiple(self) -> int:
+        """Heights and widths have to be a multiple of this."""
+        return math.lcm(self.depth.size_multiple, self.fusion.size_multiple)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint; the depth network is under the kind that its own checkpoints name."""
+        kind = "paper" if isinstance(self.depth, PaperConfig) else "depth"
+        return {kind: self.depth.as_dict(), "fusion": self.fusion.as_dict()}
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> JointConfig:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        fusion = FusionConfig.from_dict(values["fusion"])
+        if "paper" in values:
+            return JointConfig(PaperConfig.from_dict(values["paper"]), fusion)
+        return JointConfig(DepthConfig.from_dict(values["depth"]), fusion)
+
+
+@dataclass(frozen=True)
+class PairPrediction:
+    """What the depth network says about both panoramas of each pair.
+
+    Attributes:
+        stacked: the network's own answer: all first panoramas, then all second ones as they look with the roles of both
+            exchanged (:func:`exchanged_panoramas`).
+        inverse_depth: ``(2, batch, height, width)`` × baseline of the first and of the second, in the pair's frame.
+        confidence: the same of the confidence, without gradients.
+    """
+
+    stacked: DepthPrediction | PaperPrediction
+    inverse_depth: Float[Tensor, "2 batch height width"]
+    confidence: Float[Tensor, "2 batch height width"]
+
+
+class JointNetwork(nn.Module):
+    """Both networks; called with pairs it answers with the depth of both panoramas."""
+
+    def __init__(self, config: JointConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.depth: DepthNetwork | PaperNetwork = (
+            PaperNetwork(config.depth) if isinstance(config.depth, PaperConfig) else DepthNetwork(config.depth)
+        )
+        self.fusion = build_fusion(config.fusion)
+
+    def forward(
+        self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
+    ) -> PairPrediction:
+        """Estimate the depth of both panoramas, called like the depth network."""
+        frame = self.depth.frame
+        other_way = [exchanged_panoramas(x, frame) for x in (second, first)]
+        stacked = self.depth(torch.cat([first, other_way[0]]), torch.cat([second, other_way[1]]))
+        both = [_in_one_frame(x, frame) for x in (stacked.inverse_depth(), stacked.confidence().detach())]
+        return PairPrediction(stacked, *both)
+
+
+def _in_one_frame(stacked: Tensor, frame: str) -> Float[Tensor, "2 batch height width"]:
+    first, second = stacked.squeeze(1).chunk(2)
+    return torch.stack([first, exchanged_panoramas(second, frame)])
 
 
 @dataclass(frozen=True)
@@ -83,6 +177,19 @@ def depth_part(prediction: PairPrediction, triples: Triples) -> Tensor:
     return paper_loss(prediction.stacked, roots)
 
 
+def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:
+    """Figures of both panoramas' depth and of the picture."""
+    depths = depth_scores(answer.prediction.stacked, triples.roots.flatten(0, 1), triples.baseline.repeat(2))
+    return depths | fusion_scores(answer.picture, answer.planes, triples.middle)
+
+
+def joint_pictures(answer: JointAnswer, triples: Triples) -> dict[str, np.ndarray]:
+    """The first panorama's depth, both renderings, and the picture made of them."""
+    root = answer.prediction.inverse_depth[0, 0].sqrt()
+    shown = depth_pictures(*(as_array(x) for x in (triples.first[0], root, triples.roots[0, 0, 0])))
+    return shown | fused_pictures(answer.planes[0], answer.picture[0], triples.middle[0])
+
+
 def planes_between(
     inverse_depth: Float[Tensor, "2 batch rows cols"],
     confidence: Float[Tensor, "2 batch rows cols"],
@@ -104,8 +211,16 @@ def planes_between(
         first, second = (
             view_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i, frame) for i in range(2)
         )
-        planes.append(fusion_planes(first, second, t))
+        planes.append(fusion_planes(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled).planes)
     return torch.stack(planes)
+
+
+def filled(image: Float[Tensor, "height width 3"], weight: Float[Tensor, "height width"]) -> Tensor:
+    """The picture with constants in its holes, where ``weight`` is 0; see :mod:`omnisyn_cli.fusion.fill`."""
+    with torch.no_grad():
+        numbers, weights = (values.float().cpu().numpy().copy() for values in (image, weight))
+        HoleFiller(weights.shape, threads=1)(numbers, weights)
+    return torch.where((weight == 0.0)[..., None], torch.from_numpy(numbers).to(image), image)
 
 
 def view_between(
@@ -114,7 +229,7 @@ def view_between(
     texture: Float[Tensor, "3 rows cols"],
     ahead: float,
     frame: str,
-) -> Seen:
+) -> Shown:
     """One panorama as it is seen, in the forward frame, from ``ahead`` baselines further on, at its own size."""
     surface = inverse_depth.detach().cpu().numpy()
     mesh = build_mesh(surface, confidence=confidence.cpu().numpy())
@@ -122,55 +237,12 @@ def view_between(
     pose = Pose(rotation, -ahead * ALONG)
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
-    return Seen(shown.colour, shown.inverse_depth, _worth(fragments, mesh).to(inverse_depth), pose.position)
+    weight = _weight(fragments, mesh).to(inverse_depth)
+    return Shown(shown.colour, weight, shown.inverse_depth, torch.as_tensor(pose.position).to(inverse_depth))
 
 
-def _worth(fragments: Fragments, mesh: Mesh) -> Float[Tensor, "height width"]:
+def _weight(fragments: Fragments, mesh: Mesh) -> Float[Tensor, "height width"]:
     """Trust in the quarters of quads that are seen; all of it in the caps."""
     trust = np.append(mesh.trust.ravel(), np.float32(1.0))
     quarter = np.minimum(fragments.face // FACES_PER_QUARTER, mesh.trust.size)
     return torch.from_numpy(np.where(fragments.visibility, trust[quarter], np.float32(0.0)))
-
-
-@dataclass(frozen=True)
-class Part:
-    """One network of a checkpoint.
-
-    Attributes:
-        kind: ``depth``, ``paper``, ``fusion``, …
-        config: as a checkpoint holds it.
-        average: its averaged weights.
-    """
-
-    kind: str
-    config: dict[str, Any]
-    average: dict[str, Tensor]
-
-
-def parts_of(state: dict[str, Any]) -> list[Part]:
-    """The networks in a checkpoint: both of a joint one, the one of any other."""
-    if state["kind"] != "joint":
-        return [Part(state["kind"], state["network"], state["average"])]
-    return [
-        Part(kind, config, _below(state["average"], "fusion." if kind == "fusion" else "depth."))
-        for kind, config in state["network"].items()
-    ]
-
-
-def part_of(path: Path, kinds: tuple[str, ...]) -> Part:
-    """The network of one of these kinds in a checkpoint, joint or not.
-
-    Raises:
-        InputError: no checkpoint, or it has none.
-    """
-    state = load_checkpoint(path)
-    found = parts_of(state)
-    for part in found:
-        if part.kind in kinds:
-            return part
-    held = " and ".join(part.kind for part in found) or "none"
-    raise InputError(f"expected a {' or '.join(kinds)} network in {path}, got {held}; name another checkpoint")
-
-
-def _below(weights: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in weights.items() if name.startswith(prefix)}

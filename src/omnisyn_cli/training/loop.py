@@ -12,6 +12,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,22 +23,22 @@ from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
-from omnisyn_cli.io.paths import make_folder, write_errors
-from omnisyn_cli.training.adversarial import Opponent
+from omnisyn_cli.io.outputs import make_folder, write_errors
+from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
 from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
-from omnisyn_cli.training.data import check_height, list_pool
-from omnisyn_cli.training.pictures import contact_sheet
+from omnisyn_cli.training.data import Augmentation, check_height, list_pool
+from omnisyn_cli.training.pictures import Board, contact_sheet
 from omnisyn_cli.training.precision import Precision
-from omnisyn_cli.training.tasks import TASKS, NetworkConfig, Task, TrainConfig, task_named, task_of
-from omnisyn_cli.training.tensorboard import Board
+from omnisyn_cli.training.task import Task, TrainConfig, on_device
+from omnisyn_cli.training.tasks import TASKS, NetworkConfig, parts_of, task_named, task_of
 
-__all__ = ["TrainConfig", "Trainer", "load_network", "train"]
+__all__ = ["TrainConfig", "Trainer", "load_network", "part_of", "train"]
 
 PROCESSOR = Precision(torch.device("cpu"))
 
 
 class Trainer:
-    """Network, average, optimiser, opponent if there is one, and step: what a checkpoint holds."""
+    """Network, average, optimiser, discriminator if there is one, and step: what a checkpoint holds."""
 
     def __init__(self, network: NetworkConfig, config: TrainConfig, precision: Precision = PROCESSOR) -> None:
         torch.manual_seed(config.seed)
@@ -50,15 +51,18 @@ class Trainer:
             self.network.parameters(), lr=config.rate, weight_decay=config.weight_decay, betas=(0.9, 0.99)
         )
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
-        contest = self.task.contest
-        self.opponent = Opponent(contest.build().to(precision.device), config.weight_decay) if contest else None
+        self.discriminator: Discriminator | None = None
+        if self.task.adversarial is not None:
+            self.discriminator = Discriminator(PatchDiscriminator().to(precision.device), config.weight_decay)
         self.scores: dict[str, float] = {}
+        self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
+        self.drawn: tuple[int, Future[Any]] | None = None
         self.step = 0
         self.cooldown_start: int | None = None
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
-        opponent = {} if self.opponent is None else {"opponent": self.opponent.state()}
+        discriminator = {} if self.discriminator is None else {"opponent": self.discriminator.state()}
         return {
             "kind": self.kind,
             "network": self.network.config.as_dict(),
@@ -69,21 +73,21 @@ class Trainer:
             "weights": self.network.state_dict(),
             "average": self.average,
             "optimizer": self.optimizer.state_dict(),
-            **opponent,
+            **discriminator,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint, whole or compact; the rates come from this trainer's own configuration.
 
-        A compact one has no opponent: a fresh one then watches first, as at the beginning of a run.
+        A compact one has no discriminator: a fresh one then watches first, as at the beginning of a run.
         """
         self.network.load_state_dict(state.get("weights", state["average"]))
         own = self.network.state_dict()
         self.average = {name: value.to(own[name], copy=True) for name, value in state["average"].items()}
         if "optimizer" in state:
             self.optimizer.load_state_dict(state["optimizer"])
-        if self.opponent is not None:
-            self.opponent.restore(state.get("opponent", {"begun": state["step"]}))
+        if self.discriminator is not None:
+            self.discriminator.restore(state.get("opponent", {"begun": state["step"]}))
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
@@ -115,28 +119,40 @@ class Trainer:
     def advance(self, pool: list[Path]) -> float:
         """One step; returns the loss. The batch depends on the seed and the step alone."""
         config = self.config
-        rng = np.random.default_rng([config.seed, self.step])
         for group in self.optimizer.param_groups:
             group.update(lr=self.rate(), weight_decay=config.weight_decay)
+        batch = on_device(self._batch(pool), self.precision.device)
         with self.precision.autocast():
-            loss, opposing = self._losses(pool, rng)
+            loss, verdict = self._losses(batch)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
         if torch.isfinite(norm):
             self.optimizer.step()
-        if self.opponent is not None and opposing is not None:
-            self.opponent.learn(opposing, self.rate(), config.clip)
+        if self.discriminator is not None and verdict is not None:
+            self.discriminator.learn(verdict, self.rate(), config.clip)
         self.step += 1
         self._follow()
         return float(loss.detach())
 
-    def _losses(self, pool: list[Path], rng: np.random.Generator) -> tuple[Tensor, Tensor | None]:
-        """The network's loss, and that of its opponent."""
-        if self.opponent is None or self.task.contest is None:
-            return self.task.loss(self.network, pool, rng, self.config), None
-        watched = self.step - self.opponent.begun
-        return self.task.contest.losses(self.network, self.opponent.network, pool, rng, self.config, watched)
+    def _losses(self, batch: Any) -> tuple[Tensor, Tensor | None]:
+        """The network's loss, and that of its discriminator."""
+        if self.discriminator is None or self.task.adversarial is None:
+            return self.task.loss(self.task.answer_of(self.network, batch), batch), None
+        watched = self.step - self.discriminator.begun
+        return self.task.adversarial(self.network, self.discriminator.network, batch, watched)
+
+    def _batch(self, pool: list[Path]) -> Any:
+        """The batch of this step; that of the next one is begun, so that it is there when it is wanted."""
+        if self.drawn is None or self.drawn[0] != self.step:
+            self.drawn = self._begin_batch(self.step, pool)
+        batch = self.drawn[1].result()
+        self.drawn = self._begin_batch(self.step + 1, pool)
+        return batch
+
+    def _begin_batch(self, step: int, pool: list[Path]) -> tuple[int, Future[Any]]:
+        rng = np.random.default_rng([self.config.seed, step])
+        return step, self.ahead.submit(self.task.draw, pool, rng, self.config, self.network, Augmentation())
 
     @torch.no_grad()
     def _follow(self) -> None:
@@ -163,6 +179,20 @@ def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
         network = task.build(task.config.from_dict(state["network"]))
         network.load_state_dict(state["average"])
     return network.eval(), state
+
+
+def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
+    """The averaged network of one of these kinds in a checkpoint, joint or not.
+
+    Raises:
+        InputError: no checkpoint of this version, or it has none.
+    """
+    held = parts_of(load_network(path)[0])
+    found = [part for kind, part in held.items() if kind in kinds]
+    if not found:
+        expected, got = " or ".join(kinds), " and ".join(held)
+        raise InputError(f"expected a {expected} network in {path}, got {got}; name another checkpoint")
+    return found[0]
 
 
 def train(
@@ -268,7 +298,7 @@ def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> tuple[dic
     scores = task.validate(network, trainer.config)
     trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
     row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate(), "loss": float(np.mean(losses))}
-    return row | trainer.scores, task.pictures(network, trainer.config) if task.pictures else {}
+    return row | trainer.scores, task.show(network, trainer.config)
 
 
 def _keep_pictures(folder: Path, step: int, pictures: dict[str, np.ndarray]) -> None:

@@ -8,8 +8,7 @@ judged there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
@@ -17,13 +16,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_angles
+from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.networks.refine import RefinePrediction
 
 __all__ = [
-    "DepthScores",
-    "Prediction",
+    "completion_loss",
+    "completion_scores",
     "depth_loss",
     "depth_scores",
     "paper_loss",
@@ -64,17 +65,18 @@ EASY = 0.02
 
 REFINED_CONFIDENCE_WEIGHT = 0.02
 
+COMPLETED_WEIGHT = 3.0
+"""How much more the answer counts where matching is not sure."""
 
-class Prediction(Protocol):
-    """What every depth network answers."""
+MODE_SCALE = 0.03
+"""Error of a root that makes a mode e times less likely."""
 
-    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
-        """Inverse depth × baseline."""
-        ...
+MODE_WEIGHT = 0.02
 
-    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
-        """Probability that the depth is within 10 %."""
-        ...
+JUMP = 0.1
+"""Difference of neighbouring true roots that is called an edge."""
+
+EDGE_WEIGHT = 0.25
 
 
 def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
@@ -99,9 +101,7 @@ def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 heigh
         stride = target.shape[-1] // root.shape[-1]
         thin = (..., slice(stride // 2, None, stride), slice(stride // 2, None, stride))
         loss = loss + STAGE_WEIGHT / len(coarse) * _mean_of(_root_error(root, target[thin]), known[thin])
-    right = _is_right(prediction.inverse_depth(), target.square())
-    confidence = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
-    return loss + CONFIDENCE_WEIGHT * _mean_of(confidence * polar_weights(target), known)
+    return loss + CONFIDENCE_WEIGHT * _mean_of(_doubt(prediction, target) * polar_weights(target), known)
 
 
 def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
@@ -151,14 +151,38 @@ def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 hei
     surprise = torch.logsumexp(-errors / CHOICE_SCALE, dim=1, keepdim=True) - likelihood
     expected = (shares.exp() * errors).sum(dim=1, keepdim=True)
     answer = _beyond_zero(prediction.root(), target)
-    right = _is_right(prediction.inverse_depth(), target.square())
     area = polar_weights(target)
-    doubt = functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
     difficulty = (errors[:, :1] * area).mean(dim=(1, 2, 3), keepdim=True)
     weight = area * EASY / (EASY + difficulty)
     own = FREE_WEIGHT * (1.0 - prediction.sure) * errors[:, -1:]
     weighted = (expected + answer + CHOICE_WEIGHT * surprise + own) * weight
-    return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * (doubt * area).mean()
+    return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
+
+
+def completion_loss(
+    prediction: CompletionPrediction,
+    target: Float[Tensor, "batch 1 height width"],
+    sure: Float[Tensor, "batch 1 height width"],
+) -> Tensor:
+    """Expected L1 of both modes, L1 of the likelier one, their log-loss, gradients, edges, log-loss of the confidence.
+
+    Args:
+        prediction: of the completion network.
+        target: true roots; NaN where they are not known.
+        sure: 1 where matching is sure, else 0; there everything but the gradients counts less.
+    """
+    known, target = _known(target)
+    area = polar_weights(target) * known
+    weight = area * (1.0 + COMPLETED_WEIGHT * (1.0 - sure))
+    shares = torch.cat([functional.logsigmoid(prediction.logit), functional.logsigmoid(-prediction.logit)], dim=1)
+    errors = _beyond_zero(prediction.roots, target)
+    surprise = -torch.logsumexp(shares - errors / MODE_SCALE, dim=1, keepdim=True)
+    expected = (shares.exp() * errors).sum(dim=1, keepdim=True)
+    root = prediction.root()
+    answer = _beyond_zero(root, target)
+    told = (expected + answer + MODE_WEIGHT * surprise) * weight
+    shape = GRADIENT_WEIGHT * _gradient_error(root, target, known) + EDGE_WEIGHT * _edge_error(root, target, known)
+    return told.mean() + shape + CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
 
 
 def _beyond_zero(root: Tensor, target: Tensor) -> Tensor:
@@ -172,55 +196,62 @@ def _root_error(root: Tensor, target: Tensor) -> Tensor:
 
 
 def _gradient_error(root: Tensor, target: Tensor, known: Tensor) -> Tensor:
-    """L1 of the difference to the right (over the seam) and downward neighbour, with edges of the target forgiven.
+    """L1 of the differences of neighbours, with edges of the target forgiven.
 
     Where the target jumps by more than a tenth the position of the edge is left to the plain L1.
     """
+    steps = _step_errors(root, target, known)
+    return torch.stack([_mean_of(error * ~is_edge, both_known) for error, is_edge, both_known in steps]).sum()
+
+
+def _edge_error(root: Tensor, target: Tensor, known: Tensor) -> Tensor:
+    """L1 of the differences of neighbours where the target jumps, over all pixels."""
+    steps = _step_errors(root, target, known)
+    return torch.stack([(error * is_edge * both_known).mean() for error, is_edge, both_known in steps]).sum()
+
+
+def _step_errors(root: Tensor, target: Tensor, known: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Of the differences to the right neighbour (over the seam) and to the one below.
+
+    Each with its weighted error, whether the target jumps there, and whether both are known.
+    """
     weights = polar_weights(target)
-    total = torch.zeros((), dtype=root.dtype, device=root.device)
-    for dimension in (-1, -2):
-        step = root.roll(-1, dimension) - root
-        true_step = target.roll(-1, dimension) - target
-        both_known = known * known.roll(-1, dimension)
-        error = (step - true_step).abs() * (true_step.abs() < 0.1) * weights
-        kept = slice(None) if dimension == -1 else slice(-1)
-        total = total + _mean_of(error[..., kept, :], both_known[..., kept, :])
-    return total
+    for dimension, kept in ((-1, slice(None)), (-2, slice(-1))):
+        step, true_step = (x.roll(-1, dimension) - x for x in (root, target))
+        error, both_known = (step - true_step).abs() * weights, known * known.roll(-1, dimension)
+        yield error[..., kept, :], true_step.abs()[..., kept, :] >= JUMP, both_known[..., kept, :]
 
 
-def _is_right(inverse_depth: Tensor, target: Tensor) -> Tensor:
+def _doubt(prediction: DepthAnswer, target: Tensor) -> Tensor:
+    """Log-loss of the confidence, pixel by pixel."""
+    right = _is_right(prediction.inverse_depth(), target.square())
+    return functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
+
+
+def _is_right(inverse_depth: Tensor, target: Tensor, factor: float = RIGHT_WITHIN) -> Tensor:
     with torch.no_grad():
         larger = torch.maximum(inverse_depth, target).clamp(min=FARTHEST)
         smaller = torch.minimum(inverse_depth, target).clamp(min=FARTHEST)
-        return (larger < RIGHT_WITHIN * smaller).to(inverse_depth.dtype)
-
-
-@dataclass(frozen=True)
-class DepthScores:
-    """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m.
-
-    Attributes:
-        imae: mean absolute error of inverse depth, 1/m.
-        delta_5: share of pixels whose depth is within a factor of 1.05.
-        delta_10: the same for 1.10.
-        delta_25: the same for 1.25.
-        confidence_error: mean of |confidence − (within a factor of 1.1)|.
-        sky_zero: share of the pixels at infinity that are predicted below 1e-3 (times baseline); NaN without sky.
-    """
-
-    imae: float
-    delta_5: float
-    delta_10: float
-    delta_25: float
-    confidence_error: float
-    sky_zero: float
+        return (larger < factor * smaller).to(inverse_depth.dtype)
 
 
 @torch.no_grad()
 def depth_scores(
-    prediction: Prediction, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
-) -> DepthScores:
-    """Compare an estimate with true roots; ``baseline`` in metres."""
+    prediction: DepthAnswer, target: Float[Tensor, "batch 1 height width"], baseline: Float[Tensor, " batch"]
+) -> dict[str, float]:
+    """Figures of the paper's depth table on pixels with 1 m < true depth < 50 m.
+
+    Args:
+        prediction: of a depth network.
+        target: true roots.
+        baseline: metres.
+
+    Returns:
+        ``imae``, the mean absolute error of inverse depth, 1/m; ``delta_5``, the share of pixels whose depth is within
+        a factor of 1.05, ``delta_10`` and ``delta_25``; ``confidence_error``, the mean of |confidence − (within a
+        factor of 1.1)|; ``sky_zero``, the share of the pixels at infinity that are predicted below 1e-3 (times
+        baseline), NaN without sky.
+    """
     scale = baseline.view(-1, 1, 1, 1)
     estimate, truth = prediction.inverse_depth() / scale, target.square() / scale
     scored = (truth < 1.0 / SCORED_DEPTH[0]) & (truth > 1.0 / SCORED_DEPTH[1])
@@ -228,11 +259,57 @@ def depth_scores(
     known = torch.isfinite(target)
     right = _is_right(prediction.inverse_depth(), target.square())
     sky = target == 0
-    return DepthScores(
-        imae=float((estimate - truth).abs()[scored].mean()),
-        delta_5=float((ratio < 1.05).float().mean()),
-        delta_10=float((ratio < 1.10).float().mean()),
-        delta_25=float((ratio < 1.25).float().mean()),
-        confidence_error=float((prediction.confidence() - right).abs()[known].mean()),
-        sky_zero=float((prediction.inverse_depth()[sky] < FARTHEST).float().mean()),
-    )
+    return {
+        "imae": float((estimate - truth).abs()[scored].mean()),
+        "delta_5": float((ratio < 1.05).float().mean()),
+        "delta_10": float((ratio < 1.10).float().mean()),
+        "delta_25": float((ratio < 1.25).float().mean()),
+        "confidence_error": float((prediction.confidence() - right).abs()[known].mean()),
+        "sky_zero": float((prediction.inverse_depth()[sky] < FARTHEST).float().mean()),
+    }
+
+
+@torch.no_grad()
+def completion_scores(
+    prediction: DepthAnswer,
+    filled: Float[Tensor, "batch 1 height width"],
+    target: Float[Tensor, "batch 1 height width"],
+    sure: Float[Tensor, "batch 1 height width"],
+) -> dict[str, float]:
+    """How well is answered where matching is not sure, and elsewhere; means weigh pixels by solid angle.
+
+    Args:
+        prediction: of a depth network.
+        filled: roots of the map that it began with; what is said of it ends with ``_filled``.
+        target: true roots; NaN where they are not known.
+        sure: 1 where matching is sure, else 0.
+
+    Returns:
+        ``unsure``, the share of the sphere; over that ``error``, the mean absolute error of the root, ``within_5`` and
+        ``within_25``, the shares whose depth is within a factor of 1.05 and 1.25, and ``confidence_error``, the mean of
+        |confidence − (within a factor of 1.1)|; over the rest ``error_sure``.
+    """
+    known, target = _known(target)
+    area = polar_weights(target) * known
+    unsure = area * (1.0 - sure)
+    answer = prediction.inverse_depth()
+    right = _is_right(answer, target.square())
+
+    def mean(values: Tensor, weights: Tensor) -> float:
+        return float((values * weights).sum() / weights.sum())
+
+    def within(inverse_depth: Tensor, factor: float) -> float:
+        return mean(_is_right(inverse_depth, target.square(), factor), unsure)
+
+    return {
+        "unsure": mean(1.0 - sure, area),
+        "error": mean((answer.sqrt() - target).abs(), unsure),
+        "error_filled": mean((filled - target).abs(), unsure),
+        "within_5": within(answer, 1.05),
+        "within_5_filled": within(filled.square(), 1.05),
+        "within_25": within(answer, 1.25),
+        "within_25_filled": within(filled.square(), 1.25),
+        "error_sure": mean((answer.sqrt() - target).abs(), area * sure),
+        "error_sure_filled": mean((filled - target).abs(), area * sure),
+        "confidence_error": mean((prediction.confidence() - right).abs(), unsure),
+    }

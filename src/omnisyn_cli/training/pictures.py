@@ -1,15 +1,20 @@
-"""What networks say, to look at while they learn: the picture, the answer, the truth, and the error."""
+"""What networks say, to look at while they learn: the picture, the answer, the truth, and the error; TensorBoard."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.io.outputs import write_errors
 
-__all__ = ["contact_sheet", "depth_pictures", "fused_pictures"]
+__all__ = ["Board", "as_array", "contact_sheet", "depth_pictures", "fused_pictures"]
 
 LARGEST_ERROR = 0.25
 """Difference of roots that has the brightest colour; fixed, so that pictures of different steps can be compared."""
@@ -47,6 +52,11 @@ def depth_pictures(
     }
 
 
+def as_array(x: Float[Tensor, "*channels height width"]) -> Float32[np.ndarray, "height width *channels"]:
+    """What is to be seen, for the functions here."""
+    return np.ascontiguousarray((x.movedim(0, -1) if x.ndim == 3 else x).cpu().numpy(), np.float32)
+
+
 def fused_pictures(
     planes: Float[Tensor, "planes height width"],
     picture: Float[Tensor, "3 height width"],
@@ -59,10 +69,7 @@ def fused_pictures(
         "fused": picture,
         "between": truth,
     }
-    return {
-        name: np.ascontiguousarray(colours.permute(1, 2, 0).clamp(0.0, 1.0).cpu().numpy(), np.float32)
-        for name, colours in shown.items()
-    }
+    return {name: as_array(colours.clamp(0.0, 1.0)) for name, colours in shown.items()}
 
 
 def contact_sheet(pictures: dict[str, Float32[np.ndarray, "height width 3"]]) -> Float32[np.ndarray, "rows cols 3"]:
@@ -81,3 +88,48 @@ def _coloured(share: np.ndarray, colours: int) -> Float32[np.ndarray, "height wi
     """RGB of values in [0, 1]; beyond, the last colour."""
     level = np.rint(np.clip(np.nan_to_num(share), 0.0, 1.0) * 255.0).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(level, colours)[..., ::-1], np.float32) / np.float32(255.0)
+
+
+class Board:
+    """What a run logs, as event files for TensorBoard: figures as curves, pictures beside them.
+
+    Args:
+        folder: that ``tensorboard --logdir`` is pointed at; made if it is not there.
+
+    Raises:
+        InputError: TensorBoard is not installed.
+        WriteError: the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError as error:
+            raise InputError(
+                "expected the package tensorboard for --tensorboard, found none; pip install tensorboard"
+            ) from error
+        self._folder = folder
+        with write_errors(folder):
+            self._writer = SummaryWriter(str(folder))
+
+    def add(
+        self, row: Mapping[str, float], pictures: Mapping[str, Float32[np.ndarray, "height width 3"]] | None = None
+    ) -> None:
+        """Add a row of the log at its ``step``, and pictures by name; they have reached the disk when this returns.
+
+        Args:
+            row: of the log, with ``step``.
+            pictures: RGB in [0, 1].
+        """
+        step = int(row["step"])
+        with write_errors(self._folder):
+            for name, value in row.items():
+                if name != "step":
+                    self._writer.add_scalar(name, value, step)
+            for name, picture in (pictures or {}).items():
+                self._writer.add_image(name, picture, step, dataformats="HWC")
+            self._writer.flush()
+
+    def close(self) -> None:
+        """Close the event file."""
+        self._writer.close()

@@ -16,47 +16,92 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from omnisyn_cli.errors import OmnisynError
-from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import read_photographs
-from omnisyn_cli.io.paths import make_folder
+from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
-__all__ = ["STOPS", "PoolConfig", "fill_pool", "photos_in", "render_to_pool", "scene_path"]
+__all__ = [
+    "STOPS",
+    "PoolConfig",
+    "SceneConfig",
+    "TiltedConfig",
+    "as_told",
+    "fill_pool",
+    "held_askew",
+    "render_to_pool",
+    "scene_path",
+]
 
 STOPS = 9
 """Positions along a path that views are chosen from; the ends are always taken."""
 
 
 @dataclass(frozen=True)
-class PoolConfig:
-    """How a pool is rendered.
+class SceneConfig:
+    """The scenes of a pool, of any kind.
 
     Attributes:
-        size: ``(height, width)`` of every view.
-        views: per scene; n views make n·(n−1) training pairs.
+        size: ``(height, width)`` of what is stored.
         kinds: of scenes, in turn by seed.
-        turned: share of scenes whose views have pose errors.
+        turned: share of scenes with pose errors.
         turned_by: standard deviation of those, radians.
-        supersample: colour samples per pixel along each axis.
         textures: folder of photographs that become materials; None leaves all of them procedural.
     """
 
     size: tuple[int, int] = (256, 512)
-    views: int = 3
     kinds: tuple[str, ...] = ("room", "street")
     turned: float = 0.3
-    turned_by: float = 0.0015
-    supersample: int = 2
+    turned_by: float = 0.002
     textures: str | None = None
+
+    def scene(self, seed: int, stops: int) -> tuple[Scene, list[Pose]] | None:
+        """The scene of a seed, and places on a straight way through it; None if it has no room for one."""
+        scene = generate_scene(self.kinds[seed % len(self.kinds)], seed, _photos_in(self.textures))
+        try:
+            return scene, sample_path(scene, seed, stops)
+        except ValueError:
+            return None
+
+    def pose_error(self, rng: np.random.Generator) -> float:
+        """Standard deviation of the pose errors of a scene, radians."""
+        return self.turned_by if rng.random() < self.turned else 0.0
+
+
+@dataclass(frozen=True)
+class TiltedConfig(SceneConfig):
+    """Scenes that are photographed with cameras held nearly upright, with a heading of their own.
+
+    Attributes:
+        tilts: standard deviations of pitch and roll that a scene draws one of, radians.
+    """
+
+    tilts: tuple[float, ...] = (0.0, 0.0, 0.0, 0.02, 0.02, 0.1)
+
+
+@dataclass(frozen=True)
+class PoolConfig(SceneConfig):
+    """How a pool is rendered.
+
+    Attributes:
+        views: per scene; n views make n·(n−1) training pairs.
+        supersample: colour samples per pixel along each axis.
+    """
+
+    kinds: tuple[str, ...] = ("room", "street", "home", "jumble", "yard")
+    turned_by: float = 0.0015
+    views: int = 3
+    supersample: int = 2
 
 
 @lru_cache(maxsize=1)
-def photos_in(folder: str | None) -> Photos | None:
+def _photos_in(folder: str | None) -> Photos | None:
     """The photographs of a folder, read once in a process.
 
     Raises:
@@ -70,7 +115,7 @@ def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolCon
     between = np.sort(rng.choice(np.arange(1, STOPS - 1), config.views - 2, replace=False))
     chosen = [path[0], *(path[i] for i in between), path[-1]]
     frame = epipole_frame(path[0], path[-1])[0].rotation
-    spread = config.turned_by if rng.random() < config.turned else 0.0
+    spread = config.pose_error(rng)
     images, depths = [], []
     for pose in chosen:
         turned = rotation_from_rotation_vector(spread * rng.standard_normal(3)) @ frame
@@ -134,11 +179,19 @@ def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
 
     Equal seeds make equal files.
     """
-    scene = generate_scene(config.kinds[seed % len(config.kinds)], seed, photos_in(config.textures))
-    try:
-        path = sample_path(scene, seed, STOPS)
-    except ValueError:  # no room
+    found = config.scene(seed, STOPS)
+    if found is None:
         return None
     file = scene_path(folder, seed)
-    save_scene(file, _render_along(scene, path, seed, config))
+    save_scene(file, _render_along(*found, seed, config))
     return file
+
+
+def held_askew(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
+    """How a camera is held with any heading, and pitch and roll of a standard deviation in radians."""
+    return rotation_from_heading(rng.uniform(-np.pi, np.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
+
+
+def as_told(pose: Pose, error: float, rng: np.random.Generator) -> Pose:
+    """A pose as it is said to be, wrong by rotations of a standard deviation in radians."""
+    return Pose(pose.rotation @ rotation_from_rotation_vector(error * rng.standard_normal(3)), pose.position)

@@ -3,51 +3,32 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.io.paths import check_output, make_folder, replaced_when_complete
-from omnisyn_cli.networks.depth_config import DepthConfig
-from omnisyn_cli.networks.export import (
-    PARITY,
-    export_depth,
-    export_fusion,
-    export_refine,
-    export_synsin,
-    largest_difference,
-)
-from omnisyn_cli.networks.fusion import FusionConfig
-from omnisyn_cli.networks.paper import PaperConfig
-from omnisyn_cli.networks.refine import RefineConfig
+from omnisyn_cli.io.outputs import check_output, make_folder, replaced_when_complete
+from omnisyn_cli.networks.export import PARITY, export_network, largest_difference
+from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
-from omnisyn_cli.training.data import draw_batch, list_pool
-from omnisyn_cli.training.evidence import draw_evidence
-from omnisyn_cli.training.frames import forward_batch
-from omnisyn_cli.training.fusion import draw_fusion
-from omnisyn_cli.training.fusion_losses import inputs_of
-from omnisyn_cli.training.joint import Part, parts_of
-from omnisyn_cli.training.lessons import draw_lessons
+from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.loop import load_network
 from omnisyn_cli.training.synsin import blend_points
-from omnisyn_cli.training.tasks import TASKS
+from omnisyn_cli.training.task import Task, TrainConfig
+from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
+from omnisyn_cli.training.view_samples import draw_views
 
 __all__ = ["publish", "write_manifest"]
 
-ROLES: Mapping[str, str] = MappingProxyType({"paper": "depth"})
-"""What a model is for, by the kind of its network, where that is not the kind itself."""
-
-COLOURS = 3
-"""Channels of a panorama."""
-
 COMPARED = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
+
+Examples = Iterator[tuple[np.ndarray, ...]]
 
 
 @dataclass(frozen=True)
@@ -56,21 +37,19 @@ class _Part:
 
     name: str
     role: str
-    variant: str
-    network: Any
+    network: Network
     size: tuple[int, int]
-    export: Callable[[Any, Path], None]
-    examples: Iterator[tuple[np.ndarray, ...]]
+    examples: Examples
 
 
 def publish(
     checkpoint: Path,
     folder: Path,
     *,
-    name: str | None,
-    pool: Path | None,
-    training: str,
-    licence: str,
+    name: str | None = None,
+    pool: Path | None = None,
+    training: str = "",
+    licence: str = "Apache-2.0",
     overwrite: bool = False,
 ) -> list[tuple[ModelEntry, float]]:
     """Write the averaged networks of a checkpoint into a folder of models: one, two trained jointly, or SynSin's three.
@@ -122,7 +101,7 @@ def _entry(part: _Part, path: Path, state: Mapping[str, Any], training: str, lic
     return ModelEntry(
         name=part.name,
         role=part.role,
-        variant=part.variant,
+        variant=part.network.config.name,
         file=path.name,
         sha256=sha256_of(path),
         size=part.size,
@@ -134,57 +113,51 @@ def _entry(part: _Part, path: Path, state: Mapping[str, Any], training: str, lic
 
 
 def _exported(part: _Part, path: Path) -> float:
-    part.export(part.network, path)
+    export_network(part.network, path)
     return largest_difference(part.network, path, part.examples)
 
 
 def _parts(network: Any, state: Mapping[str, Any], name: str | None, pool: Path | None) -> list[_Part]:
-    if state["kind"] == "synsin":
-        return _synsin_parts(network, name or "synsin", pool)
-    held, size = parts_of(dict(state)), tuple(state["training"]["size"])
-    if len(held) == 1:
-        return [_part(held[0], name, size, pool)]
-    roles = [ROLES.get(part.kind, part.kind) for part in held]
-    return [
-        _part(part, name and f"{name}-{role}", size, pool if role == "depth" else None)
-        for part, role in zip(held, roles, strict=True)
-    ]
+    held: dict[str, Any]
+    if isinstance(network, SynSinNetwork):
+        held, size = dict(network.named_children()), network.config.size
+        return [
+            _Part(f"{name or 'synsin'}-{word}", f"synsin-{word}", part, size, _views(network, part, pool))
+            for word, part in held.items()
+        ]
+    held, parts = parts_of(network), []
+    for kind, part in held.items():
+        role, size = role_of(kind), part.ports.size or tuple(state["training"]["size"])
+        own = f"{name}-{role}" if name and len(held) > 1 else name
+        shown = _examples(TASKS[kind], part, size, pool if len(held) == 1 or role == "depth" else None)
+        parts.append(_Part(own or f"{role}-{part.config.name}", role, part, size, shown))
+    return parts
 
 
-def _part(held: Part, name: str | None, size: tuple[int, int], pool: Path | None) -> _Part:
-    """One network, with its averaged weights."""
-    task, role = TASKS[held.kind], ROLES.get(held.kind, held.kind)
-    network = task.build(task.config.from_dict(held.config))
-    network.load_state_dict(held.average)
-    network.eval()
-    config = network.config
-    height, width = config.size if role == "depth" else size
-    export, examples = EXPORTS[held.kind]
-    made = examples(config, (height, width), pool)
-    return _Part(name or f"{role}-{config.name}", role, config.name, network, (height, width), export, made)
+def _examples(task: Task, network: Network, size: tuple[int, int], pool: Path | None) -> Examples:
+    """Noise, and what the network would be judged by in a pool."""
+    yield from _noise(network, size)
+    if pool is not None:
+        stage = TrainConfig(str(pool), str(pool), size=size, validation_pairs=COMPARED)
+        for batch in task.validation(network, stage):
+            yield tuple(value[:1].numpy() for value in task.inputs(network, batch))
 
 
-def _synsin_parts(network: SynSinNetwork, name: str, pool: Path | None) -> list[_Part]:
-    """Depth, encoder and decoder."""
-    config = network.config
-    inputs = {"depth": 3, "encoder": 3, "decoder": config.features + 1}
-    return [
-        _Part(
-            f"{name}-{part}", f"synsin-{part}", config.name, getattr(network, part), config.size, export_synsin,
-            _synsin_examples(network, channels, pool),
-        )
-        for part, channels in inputs.items()
-    ]  # fmt: skip
-
-
-def _synsin_examples(network: SynSinNetwork, channels: int, pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
+def _views(network: SynSinNetwork, part: Network, pool: Path | None) -> Examples:
     """Noise, and panoramas of a pool or what the decoder would see of them."""
-    rng, size = np.random.default_rng(0), network.config.size
-    for _ in range(COMPARED):
-        yield (rng.random((1, channels, *size), dtype=np.float32),)
-    lessons = draw_lessons(list_pool(pool), rng, COMPARED, size) if pool is not None else []
-    for lesson in lessons:
-        yield (lesson.images[:1].numpy() if channels == COLOURS else blend_points(network, lesson)[None].numpy(),)
+    yield from _noise(part, network.config.size)
+    samples = draw_views(list_pool(pool), np.random.default_rng(0), COMPARED, network.config.size) if pool else []
+    for sample in samples:
+        yield (blend_points(network, sample)[None].numpy() if part is network.decoder else sample.images[:1].numpy(),)
+
+
+def _noise(network: Network, size: tuple[int, int]) -> Examples:
+    """Of the trained size; where the file takes any, of half of it and a little more as well."""
+    rng, height, multiple = np.random.default_rng(0), size[0], network.config.size_multiple
+    half, more = max(multiple, height // 2 // multiple * multiple), height + multiple
+    free = [(rows, 2 * rows) for rows in (height, half, more)]
+    for shape in free if network.ports.size is None else [size] * COMPARED:
+        yield tuple(rng.random((1, channels, *shape), dtype=np.float32) for channels in network.ports.inputs.values())
 
 
 def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
@@ -198,50 +171,3 @@ def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
             lines += ["", "[models.metrics]", *(f"{key} = {value!r}" for key, value in entry.metrics.items())]
     with replaced_when_complete(folder / MANIFEST) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _pairs(_config: DepthConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
-    rng = np.random.default_rng(0)
-    for _ in range(COMPARED):
-        yield tuple(rng.random((2, 1, 3, *size), dtype=np.float32))
-    for _ in range(COMPARED if pool is not None else 0):
-        batch = draw_batch(list_pool(pool or Path()), rng, 1, size)
-        yield batch.first.numpy(), batch.second.numpy()
-
-
-def _paper_pairs(_config: PaperConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
-    rng = np.random.default_rng(0)
-    for _ in range(COMPARED):
-        yield tuple(rng.random((2, 1, 3, *size), dtype=np.float32))
-    for _ in range(COMPARED if pool is not None else 0):
-        batch = forward_batch(draw_batch(list_pool(pool or Path()), rng, 1, (size[0], 2 * size[0])), size)
-        yield batch.first.numpy(), batch.second.numpy()
-
-
-def _planes(config: RefineConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
-    rng = np.random.default_rng(0)
-    for _ in range(COMPARED):
-        yield (rng.random((1, config.planes, *size), dtype=np.float32),)
-    for _ in range(COMPARED if pool is not None else 0):
-        yield (draw_evidence(list_pool(pool or Path(), "evidence"), rng, 1).planes[:1].numpy(),)
-
-
-def _fusion_planes(config: FusionConfig, size: tuple[int, int], pool: Path | None) -> Iterator[tuple[np.ndarray, ...]]:
-    rng = np.random.default_rng(0)
-    for _ in range(COMPARED):
-        yield (rng.random((1, config.planes, *size), dtype=np.float32),)
-    for _ in range(COMPARED if pool is not None else 0):
-        yield (inputs_of(config, draw_fusion(list_pool(pool or Path(), "fusion-pool"), rng, 1).planes).numpy(),)
-
-
-EXPORTS: Mapping[str, tuple[Callable[[Any, Path], None], Callable[..., Iterator[tuple[np.ndarray, ...]]]]] = (
-    MappingProxyType(
-        {
-            "depth": (export_depth, _pairs),
-            "paper": (export_depth, _paper_pairs),
-            "refine": (export_refine, _planes),
-            "fusion": (export_fusion, _fusion_planes),
-        }
-    )
-)
-"""By the kind of network: how it is written, and what it is compared on."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -17,87 +16,73 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import Module
 
+from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.metrics import ws_psnr
+from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
 from omnisyn_cli.render.soft_points_torch import splat_torch
-from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, feature_loss, opposing_loss
-from omnisyn_cli.training.data import list_pool, load_scene
-from omnisyn_cli.training.lessons import Lesson, draw_lessons, make_lesson
+from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, discriminator_loss, feature_loss
+from omnisyn_cli.training.data import load_scene
 from omnisyn_cli.training.losses import depth_scores, polar_weights, root_loss
-from omnisyn_cli.training.pictures import depth_pictures
+from omnisyn_cli.training.pictures import as_array, depth_pictures
+from omnisyn_cli.training.view_samples import ViewSample, view_sample
 
 __all__ = [
     "Made",
-    "Stage",
+    "adversarial_losses",
     "blend_points",
-    "contest_losses",
     "make_pictures",
     "own_loss",
-    "show_synsin",
-    "validate_synsin",
+    "stored_views",
+    "synsin_pictures",
+    "synsin_scores",
 ]
 
 DEPTH_WEIGHT = 0.5
 """Of the absolute error of roots beside that of colours."""
 
 
-class Stage(Protocol):
-    """What is looked at of :class:`omnisyn_cli.training.tasks.TrainConfig`."""
-
-    @property
-    def batch(self) -> int:
-        """Lessons of a step."""
-        ...
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width of all pictures."""
-        ...
-
-    @property
-    def validation_pool(self) -> str:
-        """Folder of held-out scenes."""
-        ...
-
-    @property
-    def validation_pairs(self) -> int:
-        """How many of them are looked at."""
-        ...
-
-
 @dataclass(frozen=True)
-class Made:
-    """What the networks make of lessons.
+class Made(DepthAnswer):
+    """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure.
 
     Attributes:
-        pictures: one for each lesson.
-        roots: of the inverse depth of all panoramas of all lessons, in their order.
+        pictures: one for each sample.
+        roots: of the inverse depth of all panoramas of all samples, in their order.
+        config: of the networks.
     """
 
-    pictures: Float[Tensor, "lessons 3 height width"]
+    pictures: Float[Tensor, "samples 3 height width"]
     roots: Float[Tensor, "views 1 height width"]
+    config: SynSinConfig
+
+    def inverse_depth(self) -> Float[Tensor, "views 1 height width"]:
+        """1/metre."""
+        return inverse_depth_of(self.roots, self.config)
+
+    def confidence(self) -> Float[Tensor, "views 1 height width"]:
+        """One everywhere."""
+        return torch.ones_like(self.roots)
 
 
-def make_pictures(network: SynSinNetwork, lessons: Sequence[Lesson]) -> Made:
-    """Encode all panoramas, blend the points of each lesson, decode all of them at once."""
-    device, config = next(network.parameters()).device, network.config
-    images = torch.cat([lesson.images for lesson in lessons]).to(device)
+def make_pictures(network: SynSinNetwork, samples: Sequence[ViewSample]) -> Made:
+    """Encode all panoramas, blend the points of each sample, decode all of them at once."""
+    images = torch.cat([sample.images for sample in samples])
     roots, features = network.depth(images).float(), network.encoder(images).float()
-    inverse_depth = inverse_depth_of(roots, config)[:, 0]
+    inverse_depth = inverse_depth_of(roots, network.config)[:, 0]
     blended, begin = [], 0
-    for lesson in lessons:
-        views = slice(begin, begin + len(lesson.images))
-        blended.append(_blended(config, features[views], inverse_depth[views], lesson.target_from_sources))
+    for sample in samples:
+        views = slice(begin, begin + len(sample.images))
+        blended.append(_blended(network.config, features[views], inverse_depth[views], sample.target_from_sources))
         begin = views.stop
-    return Made(network.decoder(torch.stack(blended)).float(), roots)
+    return Made(network.decoder(torch.stack(blended)).float(), roots, network.config)
 
 
 @torch.no_grad()
-def blend_points(network: SynSinNetwork, lesson: Lesson) -> Float[Tensor, "channels height width"]:
-    """What the decoder is shown of a lesson: blended features, and their opacity."""
-    inverse_depth = inverse_depth_of(network.depth(lesson.images), network.config)[:, 0]
-    return _blended(network.config, network.encoder(lesson.images), inverse_depth, lesson.target_from_sources)
+def blend_points(network: SynSinNetwork, sample: ViewSample) -> Float[Tensor, "channels height width"]:
+    """What the decoder is shown of a sample: blended features, and their opacity."""
+    inverse_depth = inverse_depth_of(network.depth(sample.images), network.config)[:, 0]
+    return _blended(network.config, network.encoder(sample.images), inverse_depth, sample.target_from_sources)
 
 
 def _blended(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses: Sequence[Pose]) -> Tensor:
@@ -105,90 +90,66 @@ def _blended(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, pose
     return splat_torch(list(features), list(inverse_depth), poses, size, radius=config.radius, most=config.points)
 
 
-def own_loss(made: Made, lessons: Sequence[Lesson]) -> Tensor:
+def own_loss(made: Made, samples: Sequence[ViewSample]) -> Tensor:
     """Absolute error of colours, and that of roots of inverse depth; both weighted by solid angle."""
-    truth, roots = _truths(made, lessons)
+    truth = _truth(samples)
     colours = ((made.pictures - truth).abs() * polar_weights(truth)).mean()
-    return colours + DEPTH_WEIGHT * root_loss(made.roots, roots)
+    return colours + DEPTH_WEIGHT * root_loss(made.roots, _roots(samples))
 
 
-def _truths(made: Made, lessons: Sequence[Lesson]) -> tuple[Tensor, Tensor]:
-    truth, roots = torch.stack([lesson.truth for lesson in lessons]), torch.cat([lesson.roots for lesson in lessons])
-    return truth.to(made.pictures.device), roots.to(made.pictures.device)
+def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height width"]:
+    return torch.stack([sample.truth for sample in samples])
 
 
-def contest_losses(
-    network: SynSinNetwork, opponent: Module, pool: list[Path], rng: np.random.Generator, config: Stage, step: int
+def _roots(samples: Sequence[ViewSample]) -> Float[Tensor, "views 1 height width"]:
+    return torch.cat([sample.roots for sample in samples])
+
+
+def adversarial_losses(
+    network: SynSinNetwork, discriminator: Module, samples: Sequence[ViewSample], step: int
 ) -> tuple[Tensor, Tensor]:
-    """The loss of the networks and that of their opponent, on lessons drawn from a pool."""
-    lessons = draw_lessons(pool, rng, config.batch, config.size)
-    made = make_pictures(network, lessons)
-    truth, _ = _truths(made, lessons)
-    loss, weight = own_loss(made, lessons), adversarial_weight(step)
-    true = opponent(truth)
-    opposing = opposing_loss(opponent(made.pictures.detach()), true)
+    """The loss of the networks and that of their discriminator after so many steps of its own."""
+    made = make_pictures(network, samples)
+    loss, weight = own_loss(made, samples), adversarial_weight(step)
+    true = discriminator(_truth(samples))
+    verdict = discriminator_loss(discriminator(made.pictures.detach()), true)
     if weight > 0.0:
-        seen = opponent(made.pictures)
+        seen = discriminator(made.pictures)
         loss = loss + weight * (adversarial_loss(seen) + feature_loss(seen, true))
-    return loss, opposing
+    return loss, verdict
 
 
-@dataclass(frozen=True)
-class _InMetres:
-    """A :class:`omnisyn_cli.training.losses.Prediction` of one baseline length; sure of everything."""
-
-    estimate: Tensor
-
-    def inverse_depth(self) -> Tensor:
-        """1/metre."""
-        return self.estimate
-
-    def confidence(self) -> Tensor:
-        """One everywhere."""
-        return torch.ones_like(self.estimate)
-
-
-@torch.no_grad()
-def validate_synsin(network: SynSinNetwork, config: Stage) -> dict[str, float]:
-    """Mean figures over held-out scenes: WS-PSNR from the first panorama and from both, depth of both."""
-    rows = []
-    for index in range(min(config.validation_pairs, len(list_pool(Path(config.validation_pool))))):
-        lessons = _validation_lessons(config, index)
-        made = make_pictures(network, lessons)
-        one, two = (_score(picture, lesson) for picture, lesson in zip(made.pictures, lessons, strict=True))
-        truth = _truths(made, lessons)[1][1:]
-        estimate = _InMetres(inverse_depth_of(made.roots[1:], network.config))
-        depths = depth_scores(estimate, truth, torch.ones(len(truth), device=truth.device))
-        rows.append((one, two, depths.imae, depths.delta_25))
-    means = np.nanmean(rows, axis=0).tolist()
-    return dict(zip(("ws_psnr_one_view", "ws_psnr_two_views", "imae", "delta_25"), means, strict=True))
-
-
-def _validation_lessons(config: Stage, index: int) -> tuple[Lesson, Lesson]:
+def stored_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:
     """The middle of a scene from its first view, and from its first and last; the last of two from the first, twice."""
-    pool = list_pool(Path(config.validation_pool))
-    scene = load_scene(pool[index % len(pool)])
+    scene = load_scene(path)
     middle, last = len(scene.along) // 2, len(scene.along) - 1
     both = (0, last) if last > middle else (0,)
-    return make_lesson(scene, middle, (0,), config.size), make_lesson(scene, middle, both, config.size)
+    return [view_sample(scene, middle, sources, size) for sources in ((0,), both)]
 
 
-def _score(picture: Tensor, lesson: Lesson) -> float:
-    made, truth = (x.permute(1, 2, 0).cpu().numpy() for x in (picture.clamp(0.0, 1.0), lesson.truth))
-    return float(ws_psnr(made, truth))
+def synsin_scores(made: Made, samples: Sequence[ViewSample]) -> dict[str, float]:
+    """WS-PSNR from the first panorama and from both, depth of both, of :func:`stored_views`."""
+    one, two = (
+        float(ws_psnr(as_array(picture.clamp(0.0, 1.0)), as_array(sample.truth)))
+        for picture, sample in zip(made.pictures, samples, strict=True)
+    )
+    both = Made(made.pictures[1:], made.roots[1:], made.config)
+    truth = samples[1].roots
+    depths = depth_scores(both, truth, torch.ones(len(truth), device=truth.device))
+    return {"ws_psnr_one_view": one, "ws_psnr_two_views": two, "imae": depths["imae"], "delta_25": depths["delta_25"]}
 
 
-@torch.no_grad()
-def show_synsin(network: SynSinNetwork, config: Stage) -> dict[str, np.ndarray]:
-    """The first held-out lesson: the truth, the pictures from one panorama and from both, the depth of the first."""
-    lessons = _validation_lessons(config, 0)
-    made = make_pictures(network, lessons)
-    picture = {
-        name: image.clamp(0.0, 1.0).permute(1, 2, 0).cpu().numpy()
-        for name, image in (("one view", made.pictures[0]), ("two views", made.pictures[1]), ("aim", lessons[0].truth))
+def synsin_pictures(made: Made, samples: Sequence[ViewSample]) -> dict[str, np.ndarray]:
+    """The truth, the pictures from one panorama and from both, the depth of the first, of :func:`stored_views`."""
+    one, two = (as_array(picture.clamp(0.0, 1.0)) for picture in made.pictures)
+    first = samples[0]
+    found = made.inverse_depth()[0, 0].sqrt()
+    depth = depth_pictures(as_array(first.images[0]), as_array(found), as_array(first.roots[0, 0]))
+    return {
+        "input": depth["input"],
+        "aim": as_array(first.truth),
+        "one view": one,
+        "two views": two,
+        "depth": depth["prediction"],
+        "true depth": depth["truth"],
     }
-    first = lessons[0].images[0].permute(1, 2, 0).numpy()
-    root = inverse_depth_of(made.roots[0, 0], network.config).sqrt().cpu().numpy()
-    depth = depth_pictures(first, root, lessons[0].roots[0, 0].numpy())
-    return {"input": depth["input"], "aim": picture["aim"], "one view": picture["one view"],
-            "two views": picture["two views"], "depth": depth["prediction"], "true depth": depth["truth"]}  # fmt: skip

@@ -1,258 +1,154 @@
-"""What each kind of network is taught, and how it is judged: all that the training loop needs to know of it."""
+"""All kinds of networks, and what each is taught."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
-from torch.nn import Module
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.networks.completion import (
+    COMPLETION_VARIANTS,
+    CompletionConfig,
+    CompletionNetwork,
+    CompletionPrediction,
+)
 from omnisyn_cli.networks.depth import DepthNetwork
-from omnisyn_cli.networks.depth_config import DepthConfig
-from omnisyn_cli.networks.discriminator import PatchDiscriminator
-from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork, build_fusion
-from omnisyn_cli.networks.joint import JointConfig, JointNetwork
-from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork
-from omnisyn_cli.networks.refine import RefineConfig, RefineNetwork
-from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork
-from omnisyn_cli.training.adversarial import Contest
-from omnisyn_cli.training.data import Augmentation, Batch, draw_batch, list_pool
-from omnisyn_cli.training.evidence import draw_evidence, load_evidence
-from omnisyn_cli.training.frames import forward_batch
-from omnisyn_cli.training.fusion import draw_fusion, load_fusion
-from omnisyn_cli.training.fusion_losses import FusionScores, fused_by, fusion_loss, fusion_scores
-from omnisyn_cli.training.joint import joint_answer, joint_loss
-from omnisyn_cli.training.lessons import draw_lessons
-from omnisyn_cli.training.losses import DepthScores, depth_loss, depth_scores, paper_loss, refine_loss
-from omnisyn_cli.training.pictures import depth_pictures, fused_pictures
-from omnisyn_cli.training.synsin import contest_losses, make_pictures, own_loss, show_synsin, validate_synsin
-from omnisyn_cli.training.triples import Triples, draw_triples
+from omnisyn_cli.networks.depth_config import VARIANTS, DepthConfig
+from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
+from omnisyn_cli.networks.interface import DepthAnswer
+from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
+from omnisyn_cli.networks.refine import FILLED_PLANE, REFINE_VARIANTS, RefineConfig, RefineNetwork, where_sure
+from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
+from omnisyn_cli.training import fusion_losses, joint, losses, synsin
+from omnisyn_cli.training.completion import draw_completion
+from omnisyn_cli.training.data import Batch, EvidenceBatch
+from omnisyn_cli.training.evidence_pool import draw_evidence, stored_evidence
+from omnisyn_cli.training.frame_samples import draw_pairs
+from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
+from omnisyn_cli.training.pictures import as_array, depth_pictures
+from omnisyn_cli.training.task import Task
+from omnisyn_cli.training.triples import draw_triples
+from omnisyn_cli.training.view_samples import draw_views
 
-__all__ = ["TASKS", "NetworkConfig", "Task", "TrainConfig", "task_named", "task_of"]
+__all__ = ["TASKS", "NetworkConfig", "kinds_for", "parts_of", "role_of", "task_named", "task_of"]
 
-VALIDATION_SEED = 1
-
-NetworkConfig = DepthConfig | PaperConfig | RefineConfig | FusionConfig | JointConfig | SynSinConfig
+NetworkConfig = (
+    DepthConfig | PaperConfig | RefineConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
+)
 
 
-@dataclass(frozen=True)
-class TrainConfig:
-    """One stage of training; a later stage may change any of it.
-
-    Attributes:
-        pool, validation_pool: folders of scenes, see :mod:`omnisyn_cli.training.data` and
-            :mod:`omnisyn_cli.training.evidence`.
-        size: of the images, a whole fraction of the pool's.
-        batch: pairs per step.
-        rate: learning rate after the warm-up.
-        warmup_steps: steps over which the rate rises from zero.
-        cooldown_steps: 0, or the number of steps over which the rate falls to zero, counted from the first step of this
-            call; then training ends.
-        weight_decay, clip: of AdamW, and the greatest norm of a gradient.
-        ema: decay of the average per step (smaller at the beginning).
-        seed: of the weights and of all batches.
-        validate_every, save_every: in steps.
-        validation_pairs: how many pairs are scored.
-    """
-
-    pool: str
-    validation_pool: str
-    size: tuple[int, int] = (256, 512)
-    batch: int = 4
-    rate: float = 6e-4
-    warmup_steps: int = 200
-    cooldown_steps: int = 0
-    weight_decay: float = 1e-4
-    clip: float = 1.0
-    ema: float = 0.998
-    seed: int = 0
-    validate_every: int = 250
-    save_every: int = 50
-    validation_pairs: int = 32
+def _depth_scores(answer: DepthAnswer, batch: Batch | EvidenceBatch) -> dict[str, float]:
+    return losses.depth_scores(answer, batch.root, batch.baseline)
 
 
-@dataclass(frozen=True)
-class Task:
-    """A kind of network.
-
-    Attributes:
-        config: class of its configuration, with ``as_dict`` and ``from_dict``.
-        build: a fresh network of a configuration.
-        loss: of a network on a batch drawn from a pool, a scalar.
-        validate: figures of a network on fixed pairs without augmentation, the mean over pairs.
-        pictures: what a network makes of the first of these pairs, RGB in [0, 1] by name; None where nobody looks.
-        contest: how it learns against an opponent, instead of by ``loss`` alone; None where it has none.
-        pool: command that makes what it learns from, see :func:`omnisyn_cli.training.data.list_pool`.
-    """
-
-    config: type[Any]
-    build: Callable[[Any], Any]
-    loss: Callable[[Any, list[Path], np.random.Generator, TrainConfig], Tensor]
-    validate: Callable[[Any, TrainConfig], dict[str, float]]
-    pictures: Callable[[Any, TrainConfig], dict[str, np.ndarray]] | None = None
-    contest: Contest | None = None
-    pool: str = "pool"
+def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
+    found = answer.inverse_depth().sqrt()
+    return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
 
 
-def on_device(network: Module, *tensors: Tensor) -> list[Tensor]:
-    """The tensors where the network's weights are."""
-    device = next(network.parameters()).device
-    return [tensor.to(device) for tensor in tensors]
+def _completion_loss(answer: CompletionPrediction, batch: EvidenceBatch) -> Tensor:
+    return losses.completion_loss(answer, batch.root, where_sure(batch.planes))
 
 
-def _depth_loss(network: DepthNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
-    batch = draw_batch(pool, rng, config.batch, config.size, Augmentation(), network.config.greatest_root)
-    first, second, root = on_device(network, batch.first, batch.second, batch.root)
-    return depth_loss(network(first, second), root)
+def _completion_scores(answer: CompletionPrediction, batch: EvidenceBatch) -> dict[str, float]:
+    filled = batch.planes[:, FILLED_PLANE : FILLED_PLANE + 1]
+    return losses.completion_scores(answer, filled, batch.root, where_sure(batch.planes))
 
 
-def _paper_loss(network: PaperNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
-    height = config.size[0]
-    drawn = draw_batch(pool, rng, config.batch, (height, 2 * height), Augmentation())
-    batch = forward_batch(drawn, config.size)
-    first, second, root = on_device(network, batch.first, batch.second, batch.root)
-    return paper_loss(network(first, second), root)
+def _completion_pictures(answer: CompletionPrediction, batch: EvidenceBatch) -> dict[str, np.ndarray]:
+    """With what matching was sure of, and the map that was filled from there."""
+    planes, found = batch.planes[0], answer.inverse_depth().sqrt()[0, 0]
+    image, truth = as_array(planes[:3]), as_array(batch.root[0, 0])
+    shown, given = (depth_pictures(image, as_array(root), truth) for root in (found, planes[FILLED_PLANE]))
+    is_sure = as_array(where_sure(batch.planes)[0]) > 0
+    return shown | {"filled": given["prediction"], "known": np.where(is_sure, given["truth"], np.float32(0.0))}
 
 
-@torch.no_grad()
-def _validate_depth(network: DepthNetwork | PaperNetwork, config: TrainConfig) -> dict[str, float]:
-    scores = []
-    for index in range(config.validation_pairs):
-        batch = _validation_batch(network, config, index)
-        first, second, root, baseline = on_device(network, batch.first, batch.second, batch.root, batch.baseline)
-        scores.append(depth_scores(network(first, second), root, baseline))
-    return _mean(scores)
-
-
-def _validation_batch(network: DepthNetwork | PaperNetwork, config: TrainConfig, index: int) -> Batch:
-    """A pair of the scene at ``index``, always the same, in the network's frame."""
-    pool, height = list_pool(Path(config.validation_pool)), config.size[0]
-    rng, scenes = np.random.default_rng([VALIDATION_SEED, index]), [pool[index % len(pool)]]
-    if isinstance(network, PaperNetwork):
-        return forward_batch(draw_batch(scenes, rng, 1, (height, 2 * height)), config.size)
-    return draw_batch(scenes, rng, 1, config.size, greatest_root=network.config.greatest_root)
-
-
-@torch.no_grad()
-def _show_depth(network: DepthNetwork | PaperNetwork, config: TrainConfig) -> dict[str, np.ndarray]:
-    batch = _validation_batch(network, config, 0)
-    found = network(*on_device(network, batch.first, batch.second)).inverse_depth().sqrt().cpu()
-    return depth_pictures(batch.first[0].permute(1, 2, 0).numpy(), found[0, 0].numpy(), batch.root[0, 0].numpy())
-
-
-def _refine_loss(network: RefineNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
-    batch = draw_evidence(pool, rng, config.batch)
-    planes, root = on_device(network, batch.planes, batch.root)
-    return refine_loss(network(planes), root)
-
-
-@torch.no_grad()
-def _validate_refine(network: RefineNetwork, config: TrainConfig) -> dict[str, float]:
-    pool = list_pool(Path(config.validation_pool), "evidence")
-    scores = []
-    for index in range(config.validation_pairs):
-        pair = load_evidence(pool[index % len(pool)])[index // len(pool) % 2]
-        plain = torch.from_numpy(pair.planes)[None], torch.from_numpy(pair.root)[None, None]
-        planes, root, baseline = on_device(network, *plain, torch.tensor([pair.baseline]))
-        scores.append(depth_scores(network(planes), root, baseline))
-    return _mean(scores)
-
-
-def _fusion_loss(
-    network: FusionNetwork | PaintingNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig
-) -> Tensor:
-    batch = draw_fusion(pool, rng, config.batch)
-    planes, truth = on_device(network, batch.planes, batch.truth)
-    return fusion_loss(fused_by(network, planes), truth)
-
-
-@torch.no_grad()
-def _validate_fusion(network: FusionNetwork | PaintingNetwork, config: TrainConfig) -> dict[str, float]:
-    pool = list_pool(Path(config.validation_pool), "fusion-pool")
-    scores = []
-    for index in range(config.validation_pairs):
-        sample = load_fusion(pool[index % len(pool)], index // len(pool))[0]
-        planes, truth = on_device(network, torch.from_numpy(sample.planes)[None], torch.from_numpy(sample.truth)[None])
-        scores.append(fusion_scores(fused_by(network, planes), planes, truth))
-    return _mean(scores)
-
-
-def _joint_loss(network: JointNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
-    drawn = _triples(network, pool, rng, config.batch, config.size, Augmentation())
-    return joint_loss(joint_answer(network, drawn), drawn)
-
-
-def _triples(
-    network: JointNetwork, pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
-    augmentation: Augmentation | None = None,
-) -> Triples:  # fmt: skip
-    """As the depth network wants them, where the weights are."""
-    depth = network.config.depth
-    greatest = {"greatest_root": depth.greatest_root} if isinstance(depth, DepthConfig) else {}
-    drawn = draw_triples(pool, rng, batch, size, network.depth.frame, augmentation, **greatest)
-    return drawn.to(next(network.parameters()).device)
-
-
-def _joint_validation(network: JointNetwork, config: TrainConfig, index: int) -> Triples:
-    """Views of the scene at ``index``, always the same."""
-    pool, rng = list_pool(Path(config.validation_pool)), np.random.default_rng([VALIDATION_SEED, index])
-    return _triples(network, [pool[index % len(pool)]], rng, 1, config.size)
-
-
-@torch.no_grad()
-def _validate_joint(network: JointNetwork, config: TrainConfig) -> dict[str, float]:
-    depths, pictures = [], []
-    for index in range(config.validation_pairs):
-        drawn = _joint_validation(network, config, index)
-        answer = joint_answer(network, drawn)
-        depths.append(depth_scores(answer.prediction.stacked, drawn.roots.flatten(0, 1), drawn.baseline.repeat(2)))
-        pictures.append(fusion_scores(answer.picture, answer.planes, drawn.middle))
-    return _mean(depths) | _mean(pictures)
-
-
-@torch.no_grad()
-def _show_joint(network: JointNetwork, config: TrainConfig) -> dict[str, np.ndarray]:
-    drawn = _joint_validation(network, config, 0)
-    answer = joint_answer(network, drawn)
-    image, root, truth = (
-        x[0].cpu().numpy() for x in (drawn.first, answer.prediction.inverse_depth[0].sqrt(), drawn.roots[0, :, 0])
-    )
-    shown = depth_pictures(image.transpose(1, 2, 0), root, truth)
-    return shown | fused_pictures(answer.planes[0], answer.picture[0], drawn.middle[0])
-
-
-def _synsin_loss(network: SynSinNetwork, pool: list[Path], rng: np.random.Generator, config: TrainConfig) -> Tensor:
-    lessons = draw_lessons(pool, rng, config.batch, config.size)
-    return own_loss(make_pictures(network, lessons), lessons)
-
-
-def _mean(scores: Sequence[DepthScores | FusionScores]) -> dict[str, float]:
-    """Over pairs; NaN, as of pairs without sky, is left out."""
-    rows = torch.tensor([list(asdict(score).values()) for score in scores])
-    return dict(zip(asdict(scores[0]), rows.nanmean(dim=0).tolist(), strict=True))
-
+_STEREO = Task(
+    DepthConfig,
+    VARIANTS,
+    DepthNetwork,
+    draw=lambda pool, rng, stage, network, varied: draw_pairs(
+        pool, rng, stage.batch, stage.size, network.frame, varied, network.config.greatest_root
+    ),
+    loss=lambda answer, batch: losses.depth_loss(answer, batch.root),
+    scores=_depth_scores,
+    pictures=_depth_pictures,
+)
 
 TASKS: Mapping[str, Task] = MappingProxyType(
     {
-        "depth": Task(DepthConfig, DepthNetwork, _depth_loss, _validate_depth, _show_depth),
-        "paper": Task(PaperConfig, PaperNetwork, _paper_loss, _validate_depth, _show_depth),
-        "refine": Task(RefineConfig, RefineNetwork, _refine_loss, _validate_refine, pool="evidence"),
-        "fusion": Task(FusionConfig, build_fusion, _fusion_loss, _validate_fusion, pool="fusion-pool"),
-        "joint": Task(JointConfig, JointNetwork, _joint_loss, _validate_joint, _show_joint),
+        "depth": _STEREO,
+        "paper": replace(
+            _STEREO,
+            config=PaperConfig,
+            variants=PAPER_VARIANTS,
+            build=PaperNetwork,
+            loss=lambda answer, batch: losses.paper_loss(answer, batch.root),
+            role="depth",
+            rate=1e-4,  # the authors'
+        ),
+        "refine": Task(
+            RefineConfig,
+            REFINE_VARIANTS,
+            RefineNetwork,
+            draw=lambda pool, rng, stage, *_: draw_evidence(pool, rng, stage.batch),
+            loss=lambda answer, batch: losses.refine_loss(answer, batch.root),
+            scores=_depth_scores,
+            held_out=lambda path, turn, _: stored_evidence(path, turn),
+            pool="evidence",
+        ),
+        "completion": Task(
+            CompletionConfig,
+            COMPLETION_VARIANTS,
+            CompletionNetwork,
+            draw=lambda pool, rng, stage, _, varied: draw_completion(pool, rng, stage.batch, stage.size, varied),
+            loss=_completion_loss,
+            scores=_completion_scores,
+            pictures=_completion_pictures,
+        ),
+        "fusion": Task(
+            FusionConfig,
+            FUSION_VARIANTS,
+            build_fusion,
+            draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
+            inputs=lambda network, batch: (fusion_losses.inputs_of(network.config, batch.planes),),
+            answer=lambda network, batch: fusion_losses.fused_by(network, batch.planes),
+            loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth),
+            scores=lambda answer, batch: fusion_losses.fusion_scores(answer, batch.planes, batch.truth),
+            held_out=lambda path, turn, _: stored_fusion(path, turn),
+            pool="fusion-pool",
+        ),
+        "joint": Task(
+            joint.JointConfig,
+            {},
+            joint.JointNetwork,
+            draw=lambda pool, rng, stage, network, varied: draw_triples(
+                pool, rng, stage.batch, stage.size, network.depth.frame, varied, network.depth.config.greatest_root
+            ),
+            answer=joint.joint_answer,
+            loss=joint.joint_loss,
+            scores=joint.joint_scores,
+            pictures=joint.joint_pictures,
+        ),
         "synsin": Task(
             SynSinConfig,
+            SYNSIN_VARIANTS,
             SynSinNetwork,
-            _synsin_loss,
-            validate_synsin,
-            show_synsin,
-            Contest(PatchDiscriminator, contest_losses),
+            draw=lambda pool, rng, stage, *_: draw_views(pool, rng, stage.batch, stage.size),
+            answer=synsin.make_pictures,
+            loss=synsin.own_loss,
+            scores=synsin.synsin_scores,
+            pictures=synsin.synsin_pictures,
+            adversarial=synsin.adversarial_losses,
+            held_out=lambda path, _, stage: synsin.stored_views(path, stage.size),
+            is_repeated=False,
         ),
     }
 )
@@ -264,6 +160,16 @@ def task_of(config: NetworkConfig) -> str:
     return next(kind for kind, task in TASKS.items() if isinstance(config, task.config))
 
 
+def role_of(kind: str) -> str:
+    """What a kind of network is for: there may be several for one role."""
+    return TASKS[kind].role or kind
+
+
+def kinds_for(role: str) -> tuple[str, ...]:
+    """The kinds of network for a role."""
+    return tuple(kind for kind in TASKS if role_of(kind) == role)
+
+
 def task_named(kind: object, path: Path) -> Task:
     """The task of a checkpoint.
 
@@ -273,3 +179,9 @@ def task_named(kind: object, path: Path) -> Task:
     if kind not in TASKS:
         raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {kind!r}")
     return TASKS[str(kind)]
+
+
+def parts_of(network: Any) -> dict[str, Any]:
+    """The networks by kind that one consists of: both of a joint one, itself otherwise."""
+    held = (network.depth, network.fusion) if isinstance(network, joint.JointNetwork) else (network,)
+    return {task_of(part.config): part for part in held}

@@ -6,26 +6,17 @@ from pathlib import Path
 from types import MappingProxyType
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets import carla, habitat, own, zind
-from omnisyn_cli.evaluation.datasets.pairs import Pair, PairChooser, choose_pairs
-from omnisyn_cli.evaluation.datasets.scene import NoScaleError, Scene, SceneFrame, SceneSource
+from omnisyn_cli.evaluation.datasets.carla import carla_scenes
+from omnisyn_cli.evaluation.datasets.layouts import habitat_scenes, own_scenes, zind_scenes
+from omnisyn_cli.evaluation.datasets.pairs import Pair, choose_pairs
+from omnisyn_cli.evaluation.datasets.sources import NoScaleError, Scene, SceneFrame, SceneSource
 
-__all__ = [
-    "FORMATS",
-    "NoScaleError",
-    "Pair",
-    "PairChooser",
-    "Scene",
-    "SceneFrame",
-    "SceneSource",
-    "choose_pairs",
-    "find_scenes",
-]
+__all__ = ["FORMATS", "NoScaleError", "Pair", "Scene", "SceneFrame", "SceneSource", "choose_pairs", "find_scenes"]
 
 Finder = Callable[[Path], list[SceneSource]]
 
 FORMATS: Mapping[str, Finder] = MappingProxyType(
-    {"omnisyn": own.find_scenes, "carla": carla.find_scenes, "m3d": habitat.find_scenes, "zind": zind.find_scenes}
+    {"omnisyn": own_scenes, "carla": carla_scenes, "m3d": habitat_scenes, "zind": zind_scenes}
 )
 """What finds the scenes of a folder, by the name of the layout; tried in this order."""
 
@@ -45,7 +36,7 @@ def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = Fal
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got none; check the name")
-    finders: dict[str, Finder] = {**FORMATS, "omnisyn": partial(own.find_scenes, allow_outside=allow_outside)}
+    finders: dict[str, Finder] = {**FORMATS, "omnisyn": partial(own_scenes, allow_outside=allow_outside)}
     for name in finders if layout == "auto" else (layout,):
         if scenes := finders[name](folder):
             return scenes

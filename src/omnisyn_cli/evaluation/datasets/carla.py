@@ -20,20 +20,20 @@ Frames without both pictures are left out, as the authors do. Every run is one s
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.evaluation.datasets.scene import Scene, SceneFrame, SceneSource
+from omnisyn_cli.evaluation.datasets.sources import SceneFrame, SceneSource
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth
-from omnisyn_cli.io.pose_formats.text import ForeignModel, read_json
-from omnisyn_cli.io.pose_models import validated
+from omnisyn_cli.io.documents import ForeignModel, read_json, validated
 
-__all__ = ["find_scenes", "read_face_depth"]
+__all__ = ["carla_scenes", "read_face_depth"]
 
 POSES = "gnss_data.json"
 
@@ -68,30 +68,24 @@ class _Run(ForeignModel):
     frames: list[_Entry]
 
 
-def find_scenes(folder: Path) -> list[SceneSource]:
+def carla_scenes(folder: Path) -> list[SceneSource]:
     """The runs of all towns of a folder, of one town, or a single run; none where nothing has this layout."""
     pattern = next((p for p in (POSES, f"*/{POSES}", f"*/*/{POSES}") if any(folder.glob(p))), POSES)
     runs = sorted(path.parent for path in folder.glob(pattern))
     names = [run.relative_to(folder).as_posix() if run != folder else folder.resolve().name for run in runs]
-    return [SceneSource(name, partial(_read, name, run)) for name, run in zip(names, runs, strict=True)]
+    return [SceneSource(name, partial(_frames, run)) for name, run in zip(names, runs, strict=True)]
 
 
-def _read(name: str, run: Path) -> Scene:
-    entries = [entry for entry in _read_run(run / POSES) if all(p.is_file() for p in _files(run, entry))]
-    positions = _scaled(
-        np.array([[e.location.y, e.location.z, -e.location.x] for e in entries]).reshape(-1, 3), entries
-    )
-    frames = []
+def _frames(run: Path) -> Iterator[SceneFrame]:
+    listed = validated(run / POSES, _Run, {"frames": read_json(run / POSES)}).frames
+    entries = [entry for entry in listed if all(path.is_file() for path in _files(run, entry))]
+    locations = [[entry.location.y, entry.location.z, -entry.location.x] for entry in entries]
+    positions = _scaled(np.array(locations).reshape(-1, 3), entries)
     for entry, position in zip(entries, positions, strict=True):
         turn = entry.rotation
         rotation = rotation_from_heading(*map(math.radians, (turn.yaw, turn.pitch, turn.roll)))
         image, depth = _files(run, entry)
-        frames.append(SceneFrame(image.name, image, Pose(rotation, position), depth, None, read_face_depth))
-    return Scene(name, tuple(frames))
-
-
-def _read_run(path: Path) -> list[_Entry]:
-    return validated(path, _Run, {"frames": read_json(path)}).frames
+        yield SceneFrame(image.name, image, Pose(rotation, position), depth, None, read_face_depth)
 
 
 def _files(run: Path, entry: _Entry) -> tuple[Path, Path]:

@@ -8,14 +8,16 @@ a comment. Scenes that such a file does not name are not evaluated.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets.scene import Scene, SceneFrame
+from omnisyn_cli.evaluation.datasets.sources import Scene, SceneFrame
+from omnisyn_cli.io.documents import read_text
 
-__all__ = ["Pair", "PairChooser", "choose_pairs"]
+__all__ = ["Pair", "choose_pairs"]
 
 
 @dataclass(frozen=True)
@@ -26,11 +28,6 @@ class Pair:
     first: SceneFrame
     second: SceneFrame
     between: tuple[SceneFrame, ...]
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Everything that is read of it."""
-        return tuple(path for frame in (self.first, self.second, *self.between) for path in frame.files)
 
 
 PairChooser = Callable[[Scene], list[Pair]]
@@ -45,28 +42,18 @@ def choose_pairs(text: str | None) -> PairChooser:
     """
     if text is None:
         return lambda scene: [_pair(scene, 0, len(scene.frames) - 1)] if len(scene.frames) > 1 else []
-    if text.startswith("every:"):
-        step = _index(text.removeprefix("every:"), text)
-        if step < 1:
-            raise InputError(f"expected a step of at least 1 in {text!r}; write every:4, for example")
-        return lambda scene: [_pair(scene, at, at + step) for at in range(0, len(scene.frames) - step, step)]
     if Path(text).is_file():
         return _from_file(Path(text))
-    wanted = list(dict.fromkeys(_indices(part, text) for part in text.split(",")))
-    return lambda scene: [_pair(scene, first, second) for first, second in wanted]
-
-
-def _indices(part: str, text: str) -> tuple[int, int]:
-    first, _, second = part.partition(":")
-    return _index(first, text), _index(second, text)
-
-
-def _index(word: str, text: str) -> int:
-    if not word.strip().isdecimal():
+    plain = "".join(text.split())
+    if match := re.fullmatch(r"every:0*([1-9]\d*)", plain):
+        step = int(match[1])
+        return lambda scene: [_pair(scene, at, at + step) for at in range(0, len(scene.frames) - step, step)]
+    if not re.fullmatch(r"\d+:\d+(,\d+:\d+)*", plain):
         raise InputError(
             f"expected pairs such as 0:4,1:3, or every:4, or the name of a file with pairs, got {text!r}; correct it"
         )
-    return int(word)
+    wanted = list(dict.fromkeys((int(first), int(second)) for first, second in re.findall(r"(\d+):(\d+)", plain)))
+    return lambda scene: [_pair(scene, first, second) for first, second in wanted]
 
 
 def _from_file(path: Path) -> PairChooser:
@@ -84,11 +71,8 @@ def _from_file(path: Path) -> PairChooser:
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str, str]]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected a text file with pairs, got '{error}'; check the file") from error
-    for number, line in enumerate(lines, start=1):
+    text = read_text(path, "a text file with pairs", error=InputError)
+    for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         if words and len(words) != 3:
             raise InputError(

@@ -1,0 +1,225 @@
+"""A batch from its manifest to its records: what ``omnisyn batch`` does, as a library.
+
+:func:`run_batch` compares the manifest with what former runs left behind and does what is missing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from omnisyn_cli import __version__
+from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
+from omnisyn_cli.batch.folder import is_as_measured, open_workshop, prepare_folder, unpack
+from omnisyn_cli.batch.interpolations import Settings
+from omnisyn_cli.batch.local_executor import LocalExecutor
+from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
+from omnisyn_cli.batch.provenance import files_of, has_same_sources, sources
+from omnisyn_cli.batch.records import Records
+from omnisyn_cli.errors import InputError, OmnisynError
+from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
+from omnisyn_cli.io import read_header
+from omnisyn_cli.runtime.threads import available_threads
+
+__all__ = ["BatchOptions", "BatchReport", "Progress", "make_executor", "run_batch"]
+
+FRAMES_PER_DEPTH = 12.0
+"""Finding the depth of a pair of 2048×1024 takes as long as making so many frames; see docs/batch.md."""
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """How a batch is done; none of it changes a result but for ``threads`` (encoders work differently with more).
+
+    Attributes:
+        engine: ``local`` (processes of this machine) or ``ray``.
+        workers: how many; None is one per core or, with Ray, what the cluster has room for.
+        threads: of each worker; None divides the cores of this machine among the workers and is 1 with Ray.
+        gpus: GPUs, or a share of one, for each worker; only with Ray.
+        ray_address: of the cluster; None is what Ray takes by default.
+        retry_failed: try jobs again that failed in a former run.
+        overwrite: replace files that no batch has written.
+    """
+
+    engine: Literal["local", "ray"] = "local"
+    workers: int | None = None
+    threads: int | None = None
+    gpus: float = 0.0
+    ray_address: str | None = None
+    retry_failed: bool = False
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a batch is; costs are in the unit of :attr:`~omnisyn_cli.batch.executor.Job.cost`."""
+
+    done: int
+    failed: int
+    jobs: int
+    cost_done: float
+    cost: float
+
+    def after(self, outcome: Outcome, *, is_failed: bool) -> Progress:
+        """One job later."""
+        return replace(
+            self, done=self.done + (not is_failed), failed=self.failed + is_failed,
+            cost_done=self.cost_done + outcome.job.cost,
+        )  # fmt: skip
+
+
+@dataclass
+class BatchReport:
+    """What became of the jobs of a manifest.
+
+    Attributes:
+        done: jobs that this run has done: of their records only what is told at the end.
+        kept: jobs that were done already.
+        failed: jobs that failed, now or before.
+        seconds: wall time of this run.
+    """
+
+    done: list[dict[str, Any]] = field(default_factory=list)
+    kept: list[dict[str, Any]] = field(default_factory=list)
+    failed: list[dict[str, Any]] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def describe(self) -> dict[str, Any]:
+        """The report as plain values, for JSON; records of jobs that went well are in the file of records."""
+        versions = sorted({str(record.get("version", "unknown")) for record in self.kept} - {__version__})
+        return {
+            "done": len(self.done),
+            "kept": len(self.kept),
+            "failed": len(self.failed),
+            "seconds": round(self.seconds, 3),
+            "job_seconds": round(sum(record["seconds"] for record in self.done), 3),
+            "kept_from_versions": versions,
+            "failures": [{key: record.get(key) for key in ("id", "error", "attempts")} for record in self.failed],
+        }
+
+
+def run_batch(
+    manifest: Manifest, folder: Path, options: BatchOptions, on_progress: Callable[[Progress], None] | None = None
+) -> BatchReport:
+    """Do what is missing or has changed, and nothing else.
+
+    Args:
+        manifest: without problems.
+        folder: for all outputs and ``results.jsonl``; it is made if only its parent exists.
+        options: see there.
+        on_progress: called at the beginning and after each job.
+
+    Raises:
+        InputError: the manifest has problems, or the workers that were asked for cannot be had.
+        OutputPathError: outputs would replace what is not theirs, or another batch is at work in the folder.
+        WriteError: the disk is full.
+    """
+    begin = time.perf_counter()
+    if manifest.problems:
+        raise InputError(f"{manifest.path}: expected lines without problems, got {len(manifest.problems)}; mend them")
+    places = [place for job in manifest.jobs for place in job.places]
+    inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
+    prepare_folder(folder, places, inputs, overwrite=options.overwrite)
+    report = BatchReport()
+    with Records(folder / RECORDS) as records, open_workshop(folder) as token:
+        todo = [job for job in manifest.jobs if _is_open(job, folder, records, report, options.retry_failed)]
+        jobs = [Job(job.id, job, _cost(job), job.group) for job in todo]
+        tell = on_progress or (lambda _: None)
+        tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
+        executor = make_executor(
+            "omnisyn_cli.batch.interpolations:make_interpolator",
+            lambda threads: Settings(folder.absolute(), token, threads), options, len(jobs),
+        )  # fmt: skip
+        with closing(run_jobs(jobs, executor)) as outcomes:
+            for outcome in outcomes:
+                record = _record(outcome, folder)
+                records.append(record)
+                is_failed = record["status"] == "failed"
+                (report.failed if is_failed else report.done).append(_short(record))
+                tell(progress := progress.after(outcome, is_failed=is_failed))
+    report.seconds = time.perf_counter() - begin
+    return report
+
+
+def make_executor(factory: str, settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> Executor:
+    """The workers that options ask for, none of them without a job.
+
+    Args:
+        factory: of the :class:`~omnisyn_cli.batch.executor.Work` that they do.
+        settings: called with the threads of each worker, makes the settings of the work.
+        options: see there.
+        jobs: how many there will be.
+
+    Raises:
+        InputError: Ray is not installed, or an option does not go with the engine.
+    """
+    if options.engine == "ray":
+        from omnisyn_cli.batch.ray_executor import RayExecutor
+
+        threads = options.threads or 1
+        work = Work(factory, settings(threads))
+        return RayExecutor(work, options.workers, threads, options.gpus, options.ray_address)
+    if options.gpus or options.ray_address:
+        raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
+    cores = available_threads()
+    workers = options.workers or cores
+    threads = options.threads or max(1, cores // workers)
+    return LocalExecutor(Work(factory, settings(threads)), max(1, min(workers, jobs)), threads)
+
+
+def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport, retry_failed: bool) -> bool:
+    """Whether a job is to be done; if not, its former record goes into the report."""
+    record = records.last(job.id)
+    if record is None or not has_same_sources(job, record.get("sources")):
+        return True
+    if record.get("status") == "failed":
+        if not retry_failed:
+            report.failed.append(_short(record))
+        return retry_failed
+    if not is_as_measured(folder, job.places, record.get("outputs", {})):
+        return True
+    report.kept.append(_short(record))
+    return False
+
+
+def _record(outcome: Outcome, folder: Path) -> dict[str, Any]:
+    """The line for ``results.jsonl``; files that a worker sent are written here."""
+    job, answer = outcome.job.payload, outcome.answer
+    value, error = dict(answer.value or {}), answer.error
+    files = value.pop("files", None)
+    if files is not None:
+        unpack(files, folder, job.places)
+    about = {"id": job.id, "status": "done" if error is None else "failed", "version": __version__,
+             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "worker": answer.worker,
+             "attempts": outcome.attempts}  # fmt: skip
+    if error is None:
+        return {**about, **value}
+    trace = {} if answer.trace is None else {"traceback": answer.trace}
+    return {**about, "error": error, **trace, "sources": sources(job)}
+
+
+def _short(record: dict[str, Any]) -> dict[str, Any]:
+    return {key: record[key] for key in ("id", "version", "seconds", "attempts", "error") if key in record}
+
+
+def _cost(job: BatchJob) -> float:
+    """Pixels to be made, with those that take as long as depth: enough to tell long jobs from short ones."""
+    pairs = len(job.images) - 1
+    options = job.options
+    seconds = options.get("duration", SECONDS_PER_PAIR * pairs)
+    frames = options.get("frames") or seconds * options.get("fps", 30.0)
+    width = int(options["size"].partition("x")[0]) if "size" in options else _width(job.images[0])
+    return float(width * width / 2 * frames + FRAMES_PER_DEPTH * pairs * 1024 * 2048)
+
+
+@lru_cache(maxsize=65536)
+def _width(image: Path) -> int:
+    try:
+        return read_header(image).width
+    except OmnisynError:
+        return 1  # such a job will not take long

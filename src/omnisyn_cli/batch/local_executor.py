@@ -1,0 +1,129 @@
+"""Workers that are processes of this machine.
+
+Each is started afresh (spawn), so that none inherits threads or locks, and ends by itself when this process is gone.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Self
+
+from omnisyn_cli.batch.executor import Job, Report, Work, Worker
+
+__all__ = ["LocalExecutor", "end_with_parent"]
+
+SECONDS_TO_LEAVE = 10
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class _Hired:
+    process: SpawnProcess
+    connection: Connection
+
+
+class LocalExecutor:
+    """An :class:`~omnisyn_cli.batch.executor.Executor` of processes; each is started when its first job is given.
+
+    Args:
+        work: what to do.
+        workers: how many.
+        threads: of each worker's libraries.
+    """
+
+    def __init__(self, work: Work, workers: int, threads: int) -> None:
+        self._work, self._size, self._threads = work, workers, threads
+        self._workers: dict[int, _Hired] = {}
+        self._busy: set[int] = set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        for hired in self._workers.values():
+            hired.connection.close()
+            if kind is not None:
+                hired.process.kill()
+        for hired in self._workers.values():
+            hired.process.join(SECONDS_TO_LEAVE)
+            if hired.process.is_alive():
+                hired.process.kill()
+                hired.process.join()
+        self._workers.clear()
+
+    def ready(self) -> list[int]:
+        """Those without a job."""
+        return [worker for worker in range(self._size) if worker not in self._busy]
+
+    def give(self, worker: int, job: Job) -> None:
+        """Start a job; a process that died while it had nothing to do is replaced."""
+        hired = self._workers.get(worker)
+        if hired is None or not hired.process.is_alive():
+            hired = self._workers[worker] = self._hire()
+        self._busy.add(worker)
+        try:
+            hired.connection.send(job)
+        except BrokenPipeError:
+            return  # it died just now, which wait() will report
+
+    def wait(self) -> list[Report]:
+        """Reports of all that have ended a job, or died, by now; waits for the first."""
+        connections = {self._workers[worker].connection: worker for worker in self._busy}
+        return [self._report(connections[ended]) for ended in wait(list(connections)) if isinstance(ended, Connection)]
+
+    def _report(self, worker: int) -> Report:
+        hired = self._workers[worker]
+        self._busy.discard(worker)
+        try:
+            return Report(worker, hired.connection.recv())
+        except (EOFError, OSError):
+            hired.process.join()
+            hired.connection.close()
+            del self._workers[worker]
+            return Report(worker, None, _death(hired.process.exitcode))
+
+    def _hire(self) -> _Hired:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs, self._work, self._threads), daemon=True)
+        process.start()
+        theirs.close()
+        return _Hired(process, ours)
+
+
+def _death(code: int | None) -> str:
+    return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+
+
+def _serve(connection: Connection, work: Work, threads: int) -> None:
+    """Do what comes until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
+    for name in THREAD_VARIABLES:  # libraries read them when they are loaded, which they are not yet
+        os.environ.setdefault(name, str(threads))
+    end_with_parent()
+    worker = Worker(work)
+    while True:
+        try:
+            job = connection.recv()
+            connection.send(worker.perform(job.payload))
+        except (EOFError, OSError):
+            return
+
+
+def end_with_parent() -> None:
+    """End this process with the one that started it, in the middle of whatever is done: nobody wants it any more."""
+    threading.Thread(target=_outlive_nobody, daemon=True).start()
+
+
+def _outlive_nobody() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,103 @@
+"""What options take: numbers that are finite and within their range, names of files, sizes."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    SizeType = click.ParamType[tuple[int, int]]
+else:
+    SizeType = click.ParamType  # older releases of click have no generic one
+
+__all__ = [
+    "FilePath",
+    "FiniteRange",
+    "FramePlace",
+    "FrameRate",
+    "Size",
+    "WholeRange",
+]
+
+SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
+
+
+class FiniteRange(click.FloatRange):
+    """A range without NaN, which compares with nothing and so lies in all of click's, and without infinity."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """A finite number in the range."""
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"expected a finite number, got {value}", param, ctx)
+        return number
+
+
+class WholeRange(click.IntRange):
+    """A range of integers, called by what is in it: click says of a word that it is no valid integer range."""
+
+    name = "integer"
+
+
+class FrameRate(FiniteRange):
+    """Frames per second, at most 1000, as a number or, as television has them, as a fraction: ``30000/1001``."""
+
+    name = "rate"
+
+    def __init__(self) -> None:
+        super().__init__(0, 1000, min_open=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The rate as a number."""
+        if not isinstance(value, str) or "/" not in value:
+            return super().convert(value, param, ctx)
+        try:
+            frames, seconds = (int(part) for part in value.split("/"))
+            rate = frames / seconds
+        except (ValueError, ArithmeticError):
+            self.fail(f"expected frames per second such as 30 or 30000/1001, got {value!r:.40}", param, ctx)
+        return super().convert(rate, param, ctx)
+
+
+class FilePath(click.Path):
+    """A file or folder. ``Path`` takes an empty name, as of a variable that the shell has not set, for this folder."""
+
+    def __init__(self, *, exists: bool = False, file_okay: bool = True, dir_okay: bool = True) -> None:
+        super().__init__(exists, file_okay, dir_okay, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path."""
+        if os.fsdecode(value) == "":
+            self.fail("expected the name of a file or folder, got an empty one", param, ctx)
+        return Path(os.fsdecode(super().convert(value, param, ctx)))
+
+
+class FramePlace(FilePath):
+    """A video, a folder or a pattern. ``Path`` drops the slash of ``walk.final/``, without which that is a file."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """The path; for a folder with a dot in its name, the pattern of what comes into it."""
+        path = super().convert(value, param, ctx)
+        is_folder = str(value).endswith(SEPARATORS) and path.suffix != ""
+        return path / "%06d" if is_folder else path
+
+
+class Size(SizeType):
+    """``WIDTHxHEIGHT`` on the command line, ``(height, width)`` in the program."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Two positive numbers, twice as wide as high."""
+        if isinstance(value, tuple):
+            return value
+        width, _, height = str(value).lower().partition("x")
+        if not (width.isdecimal() and height.isdecimal()) or int(width) == 0 or int(width) != 2 * int(height):
+            self.fail(f"expected WIDTHxHEIGHT, twice as wide as high, such as 2048x1024, got {value!r}", param, ctx)
+        return int(height), int(width)

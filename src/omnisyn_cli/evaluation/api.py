@@ -1,0 +1,47 @@
+"""The verbs of ``import omnisyn_cli`` that compare; the others are in :mod:`omnisyn_cli.interpolation.api`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.evaluation import engine
+from omnisyn_cli.evaluation.measure import frame_scores
+from omnisyn_cli.evaluation.results import UnitRecord
+
+__all__ = ["evaluate", "score"]
+
+
+def evaluate(
+    dataset: Path | str, methods: str = "all", report: Path | str | None = None, **options: Any
+) -> list[UnitRecord]:
+    """Compare methods with true frames and true depth, as ``omnisyn eval`` does.
+
+    Args:
+        dataset: folder of scenes, or a scene.
+        methods: ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
+        report: folder for results and pictures; None keeps nothing.
+        options: of :class:`omnisyn_cli.evaluation.engine.EvaluationJob`.
+
+    Returns:
+        One record for every method on every pair, with the scores of its frames.
+
+    Raises:
+        OmnisynError: no scenes, no such method, or a folder that cannot be written.
+    """
+    if report is not None:
+        return engine.evaluate(
+            engine.plan_evaluation(engine.EvaluationJob(Path(dataset), Path(report), methods, **options))
+        )
+    with tempfile.TemporaryDirectory(prefix="omnisyn-eval-") as folder:
+        job = engine.EvaluationJob(Path(dataset), Path(folder), methods, **{"pictures": False, **options})
+        return engine.run_evaluation(engine.plan_evaluation(job))
+
+
+def score(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> dict[str, float]:
+    """How near a frame is to the true one: ``ws_psnr`` (dB), ``ws_ssim`` and others."""
+    return frame_scores(np.asarray(np.clip(image, 0.0, 1.0)), truth)

@@ -1,0 +1,6 @@
+"""How good pictures, depth and video are; ``temporal`` and ``lpips`` are modules of their own."""
+
+from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pixels
+from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, row_weights, ssim, ws_psnr, ws_ssim
+
+__all__ = ["depth_metrics", "end_psnr", "lrce", "psnr", "row_weights", "scored_pixels", "ssim", "ws_psnr", "ws_ssim"]

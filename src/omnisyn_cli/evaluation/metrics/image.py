@@ -1,0 +1,137 @@
+"""How close two pictures are: signal-to-noise ratio, structural similarity and the seam, plain and on the sphere.
+
+Pictures are RGB in [0, 1], both of one size, and at least 11×11 pixels for structural similarity; ValueError for
+others. The names with ``ws_`` weight every pixel by its share of the sphere.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.geometry.sampling import add_border
+from omnisyn_cli.geometry.sphere import pixel_to_angles
+
+__all__ = ["check_same_size", "end_psnr", "lrce", "psnr", "row_weights", "ssim", "ws_psnr", "ws_ssim"]
+
+Picture = Float[np.ndarray, "height width 3"]
+
+PEAK = 1.0
+
+WINDOW = 11
+SIGMA = 1.5
+"""Pixels: the Gaussian window of Wang et al., 2004."""
+
+LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
+CONTRAST_FLOOR = (0.03 * PEAK) ** 2
+"""C1 and C2 of Wang et al., 2004."""
+
+
+def row_weights(height: int) -> Float[np.ndarray, " height"]:
+    """Sine of the polar angle of every row's centre: what a pixel of that row covers of the sphere, up to a factor."""
+    _, polar_angle = pixel_to_angles(np.arange(height), np.zeros(height), (height, 2 * height))
+    return np.asarray(np.sin(polar_angle))
+
+
+def psnr(image: Picture, truth: Picture) -> float:
+    """Peak signal-to-noise ratio in dB for values in [0, 1]; infinite where both are the same."""
+    return _decibels(float(_squared_error(image, truth).mean()))
+
+
+def end_psnr(image: Picture, truth: Picture, *, is_bottom: bool) -> float:
+    """PSNR in dB of the top or the bottom eighth of the rows, where WS-PSNR looks away: every pixel counts alike."""
+    rows = max(1, len(truth) // 8)
+    end = slice(-rows, None) if is_bottom else slice(rows)
+    return psnr(image[end], truth[end])
+
+
+def ws_psnr(image: Picture, truth: Picture) -> float:
+    """PSNR in dB with every pixel weighted by its share of the sphere.
+
+    Source: Sun, Lu and Yu, Weighted-to-spherically-uniform quality evaluation for omnidirectional video, 2017.
+    """
+    return _decibels(_mean_over_sphere(_squared_error(image, truth)))
+
+
+def ssim(image: Picture, truth: Picture) -> float:
+    """Mean structural similarity, 1 for equal pictures, over the pixels whose whole window lies in the picture.
+
+    The picture is taken as flat. Channels are compared one by one and averaged; variances are those of the population.
+
+    Source: Wang, Bovik, Sheikh and Simoncelli, Image quality assessment: from error visibility to structural
+    similarity, 2004.
+    """
+    _check_window(image, truth)
+    return float(_similarity(image, truth).mean())
+
+
+def ws_ssim(image: Picture, truth: Picture) -> float:
+    """SSIM of every pixel of the panorama, weighted by its share of the sphere.
+
+    Windows reach across the seam, and over a pole into the columns on the other side.
+
+    Source: Zhou, Yu, Ma, Shao and Jiang, Weighted-to-spherically-uniform SSIM objective quality evaluation for
+    panoramic video, 2018; continued over the borders instead of cropped.
+    """
+    _check_window(image, truth)
+    return _mean_over_sphere(_similarity(add_border(image, WINDOW // 2), add_border(truth, WINDOW // 2)))
+
+
+def lrce(image: Picture, truth: Picture) -> float:
+    """Left-right consistency error: how much the step across the seam differs from the true one; 0 is perfect.
+
+    ``mean |(image_first − image_last) − (truth_first − truth_last)|`` over rows and channels, where ``first`` and
+    ``last`` are the first and the last column. The true step is subtracted, so a real edge at the seam is no error.
+
+    Source: the metric of Shen et al., PanoFormer: panorama transformer for indoor 360° depth estimation, 2022, there
+    of depth, here of colour, as an absolute mean.
+    """
+    check_same_size(image, truth)
+    error = image.astype(np.float64) - truth
+    return float(np.abs(error[:, 0] - error[:, -1]).mean())
+
+
+def check_same_size(image: np.ndarray, truth: np.ndarray) -> None:
+    """ValueError unless both arrays have one shape."""
+    if image.shape != truth.shape:
+        raise ValueError(f"expected two pictures of one size, got {image.shape} and {truth.shape}; resize one of them")
+
+
+def _check_window(image: np.ndarray, truth: np.ndarray) -> None:
+    check_same_size(image, truth)
+    if min(image.shape[:2]) < WINDOW:
+        height, width = image.shape[:2]
+        raise ValueError(f"expected pictures of at least {WINDOW}×{WINDOW} pixels, got {width}×{height}; use PSNR")
+
+
+def _squared_error(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    check_same_size(image, truth)
+    return np.asarray((image.astype(np.float64) - truth) ** 2)
+
+
+def _mean_over_sphere(values: Picture) -> float:
+    rows = values.mean(axis=(1, 2))
+    return float(np.average(rows, weights=row_weights(len(rows))))
+
+
+def _decibels(mean_squared_error: float) -> float:
+    return math.inf if mean_squared_error == 0 else 10.0 * math.log10(PEAK**2 / mean_squared_error)
+
+
+def _similarity(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "inner_height inner_width 3"]:
+    """SSIM of every window that lies in the picture; 5 pixels less on each side."""
+    x, y = image.astype(np.float64), truth.astype(np.float64)
+    mean_x, mean_y = _blurred(x), _blurred(y)
+    variances = _blurred(x * x + y * y) - mean_x**2 - mean_y**2
+    covariance = _blurred(x * y) - mean_x * mean_y
+    luminance = (2 * mean_x * mean_y + LUMINANCE_FLOOR) / (mean_x**2 + mean_y**2 + LUMINANCE_FLOOR)
+    return np.asarray(luminance * (2 * covariance + CONTRAST_FLOOR) / (variances + CONTRAST_FLOOR))
+
+
+def _blurred(values: np.ndarray) -> np.ndarray:
+    """Means under the Gaussian window wherever it fits."""
+    reach = WINDOW // 2
+    return np.asarray(cv2.GaussianBlur(values, (WINDOW, WINDOW), SIGMA))[reach:-reach, reach:-reach]

@@ -1,0 +1,103 @@
+"""How steady a video of a static scene is, followed along the geometry it was made with.
+
+A point that is seen in one frame is found in another by its inverse depth and both poses; nothing is estimated from
+the pictures. Pictures are RGB in [0, 1], errors are in the same unit, means are weighted by solid angle.
+
+Frames are of one size. Each has an inverse depth in this size (1/m; 0 is infinitely far, negative or NaN unknown) and a
+pose, world-from-camera. ValueError for too few frames, numbers or sizes that do not agree, or neighbours that see
+nothing in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.evaluation.metrics.image import row_weights
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import sweep_directions
+
+__all__ = ["flicker", "warping_error"]
+
+TOLERANCE = 0.05
+"""Relative difference in inverse depth up to which two frames see the same point."""
+
+INFINITE = 1e-3
+"""Inverse depth, 1/m, below which two values need not agree: beyond a kilometre all is equally far."""
+
+Frames = Sequence[Float[np.ndarray, "height width 3"]]
+InverseDepths = Sequence[Float[np.ndarray, "height width"]]
+
+
+def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
+    """Mean absolute difference between a frame and the next one warped into it, where both see the same point.
+
+    The mean of the pairs of neighbouring frames, each over its commonly visible pixels and the three channels. What
+    rightly changes with the position (reflections) counts as an error, and so does what interpolation blurs. At least
+    two frames.
+
+    Source: the warping error of Lai et al., Learning blind video temporal consistency, 2018, with geometry in the place
+    of optical flow and absolute differences.
+    """
+    _check(frames, inverse_depths, poses, least=2)
+    errors = []
+    for here in range(len(frames) - 1):
+        warped, visible = _followed(here, here + 1, frames, inverse_depths, poses)
+        errors.append(_mean(np.abs(warped - frames[here]), visible))
+    return float(np.mean(errors))
+
+
+def flicker(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:
+    """Mean absolute second difference in time, ``|before − 2·now + after|``, of every point that three frames see.
+
+    The points are those of the middle frame's pixels, found in its neighbours. A steady change, such as a slow
+    cross-fade, is no flicker; a point that lights up for one frame by e counts 2·e. At least three frames.
+    """
+    _check(frames, inverse_depths, poses, least=3)
+    errors = []
+    for now in range(1, len(frames) - 1):
+        before, visible_before = _followed(now, now - 1, frames, inverse_depths, poses)
+        after, visible_after = _followed(now, now + 1, frames, inverse_depths, poses)
+        errors.append(_mean(np.abs(before - 2.0 * frames[now] + after), visible_before & visible_after))
+    return float(np.mean(errors))
+
+
+def _followed(
+    here: int, there: int, frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]
+) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
+    """Colours in frame ``there`` of the points that the pixels of frame ``here`` show, and which of them it sees."""
+    rho = inverse_depths[here].astype(np.float64)
+    known = rho >= 0
+    there_from_here = poses[there].inverse() @ poses[here]
+    rays = sweep_directions(pixel_directions(*rho.shape), np.where(known, rho, 0.0), there_from_here)
+    length = np.linalg.norm(rays, axis=-1)
+    reached = known & (length > 0)
+    expected = rho / np.where(reached, length, 1.0)
+    seen = sample_nearest(inverse_depths[there], rays)
+    agreeing = np.abs(expected - seen) <= np.maximum(TOLERANCE * expected, INFINITE)
+    return sample_bicubic(frames[there].astype(np.float64), rays), reached & (seen >= 0) & agreeing
+
+
+def _mean(error: Float[np.ndarray, "height width 3"], visible: Bool[np.ndarray, "height width"]) -> float:
+    weights = row_weights(len(error))[:, None] * visible
+    if not weights.any():
+        raise ValueError("expected neighbouring frames with something in common, got none; take smaller steps")
+    return float(np.average(error.mean(axis=-1), weights=weights))
+
+
+def _check(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose], least: int) -> None:
+    if len(frames) < least:
+        raise ValueError(f"expected at least {least} frames, got {len(frames)}; take smaller steps")
+    if not len(frames) == len(inverse_depths) == len(poses):
+        counts = f"{len(frames)} frames, {len(inverse_depths)} inverse depths and {len(poses)} poses"
+        raise ValueError(f"expected one inverse depth and one pose for every frame, got {counts}")
+    size = frames[0].shape[:2]
+    for frame, rho in zip(frames, inverse_depths, strict=True):
+        if frame.shape != (*size, 3) or rho.shape != size:
+            raise ValueError(
+                f"expected frames and inverse depths of the size {size}, got {frame.shape} and {rho.shape}"
+            )

@@ -1,0 +1,219 @@
+"""What was measured, as values that a line of JSON can hold: the only thing that the engine and the report share.
+
+``results.jsonl`` in the folder of a report has one line for each finished unit of work, which is one method on one pair
+of panoramas. A line is appended when a unit is finished and never changed; a later line about the same unit replaces
+the earlier one. A last line that was cut short by an interruption does not count.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ConfigDict, TypeAdapter
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.io.outputs import write_errors
+
+__all__ = [
+    "RESULTS_NAME",
+    "DepthRecord",
+    "FrameRecord",
+    "Status",
+    "UnitRecord",
+    "append_record",
+    "json_values",
+    "latest_records",
+    "mean",
+    "read_records",
+]
+
+RESULTS_NAME = "results.jsonl"
+
+Status = Literal["done", "unavailable", "skipped", "failed"]
+"""``done``: measured. ``unavailable``: the method cannot work on this pair. ``skipped``: there is no true frame to
+compare with. ``failed``: a file is damaged, or the method broke. All but ``done`` have a ``reason``."""
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One frame between two panoramas, compared with the truth.
+
+    Attributes:
+        name: of the true frame, as the data set calls it.
+        t: share of the way from the first panorama to the second, by distance, in (0, 1).
+        distance: metres to the nearer of the two panoramas.
+        scores: ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``,
+            ``lrce``, and ``lpips`` if a network for it was given.
+        pictures: ``frame``, ``truth``, ``error`` -> file, relative to the folder of the report, with "/"; may be empty.
+    """
+
+    name: str
+    t: float
+    distance: float
+    scores: Mapping[str, float]
+    pictures: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DepthRecord:
+    """The depth that a method found for one of the two panoramas, compared with the truth where there is one.
+
+    Attributes:
+        view: name of the panorama.
+        plain: what :func:`omnisyn_cli.evaluation.metrics.depth_metrics` says with every pixel counting alike; empty
+            without truth.
+        weighted: the same, pixels weighted by solid angle.
+        pictures: ``depth`` and ``truth`` -> file in the Turbo colours, relative to the folder of the report.
+    """
+
+    view: str
+    plain: Mapping[str, float] = field(default_factory=dict)
+    weighted: Mapping[str, float] = field(default_factory=dict)
+    pictures: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class UnitRecord:
+    """What became of one method on one pair of panoramas.
+
+    Attributes:
+        key: hash of everything the result depends on: files, poses, method, options, program.
+        scene: name of the scene.
+        first, second: names of the two panoramas; empty where the scene could not be read.
+        method: name of the method; empty where the scene itself was skipped or is broken.
+        status: see :data:`Status`.
+        reason: one line; empty if done.
+        baseline: metres from the first to the second panorama; NaN where the scene could not be read.
+        size: height and width of the frames that were compared, (0, 0) where there are none.
+        frames: one for every true frame between, in walking order.
+        depths: of the first and of the second panorama; empty for methods without depth.
+        temporal: ``warping_error``, ``flicker`` (see :mod:`omnisyn_cli.evaluation.metrics.temporal`), and
+            ``end_first``, ``end_second``: root mean square difference, weighted by solid angle, between what the method
+            makes at the place of a panorama and that panorama. Measures that a method does not allow are missing.
+        seconds: wall time by stage: ``depth``, ``mesh``, ``render``, ``fuse`` and the like; ``total`` is their sum.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    key: str
+    scene: str
+    first: str
+    second: str
+    method: str
+    status: Status
+    reason: str = ""
+    baseline: float = math.nan
+    size: tuple[int, int] = (0, 0)
+    frames: tuple[FrameRecord, ...] = ()
+    depths: tuple[DepthRecord, ...] = ()
+    temporal: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def pair(self) -> tuple[str, str, str]:
+        """Scene, first and second panorama."""
+        return self.scene, self.first, self.second
+
+    @property
+    def unit(self) -> tuple[str, str, str, str]:
+        """What the record is about: scene, both panoramas, method."""
+        return self.scene, self.first, self.second, self.method
+
+    def mean(self, score: str) -> float:
+        """Mean of a score over the frames that have it; NaN if none has."""
+        return mean(frame.scores[score] for frame in self.frames if score in frame.scores)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values for strict JSON, see :func:`json_values`."""
+        values: dict[str, Any] = json_values(asdict(self))
+        return values
+
+    @staticmethod
+    def from_json(values: Any) -> UnitRecord:
+        """The record that :meth:`to_json` made plain values of; ValueError where it did not make them."""
+        return RECORD.validate_python(values)
+
+
+RECORD = TypeAdapter(UnitRecord)
+
+
+def mean(values: Iterable[float]) -> float:
+    """Arithmetic mean; NaN of nothing, infinite if one value is."""
+    listed = list(values)
+    return math.fsum(listed) / len(listed) if listed else math.nan
+
+
+def json_values(value: Any) -> Any:
+    """Plain values for strict JSON; infinite and undefined numbers become the strings "inf", "-inf" and "nan"."""
+    if isinstance(value, Mapping):
+        return {key: json_values(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [json_values(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def append_record(folder: Path, record: UnitRecord) -> None:
+    """Add a line to ``folder/results.jsonl`` that has reached the disk when this returns.
+
+    What an interrupted run left of a line is removed first.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
+    path = folder / RESULTS_NAME
+    line = json.dumps(record.to_json(), ensure_ascii=False, allow_nan=False) + "\n"
+    with write_errors(path), path.open("a+b") as file:
+        _drop_unfinished_line(file)
+        file.write(line.encode("utf-8", "backslashreplace"))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_records(folder: Path) -> list[UnitRecord]:
+    """All complete lines of ``folder/results.jsonl``, in their order; none where there is no such file.
+
+    Raises:
+        InputError: the file cannot be read, or a line but the last is not a record.
+    """
+    path = folder / RESULTS_NAME
+    if not path.exists():
+        return []
+    try:
+        complete, _, _ = path.read_bytes().rpartition(b"\n")  # what was cut short may end inside a character
+        lines = complete.decode("utf-8").split("\n") if complete else []
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
+    return [_record(path, number, line) for number, line in enumerate(lines, start=1)]
+
+
+def latest_records(records: Iterable[UnitRecord]) -> list[UnitRecord]:
+    """One record for each unit, the last one, in the order in which the units first appeared."""
+    latest = {record.unit: record for record in records}
+    return list(latest.values())
+
+
+def _record(path: Path, number: int, line: str) -> UnitRecord:
+    try:
+        return UnitRecord.from_json(json.loads(line))
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: expected a record in line {number}, got '{error!s:.200}'; remove the file or name another folder"
+        ) from error
+
+
+def _drop_unfinished_line(file: Any) -> None:
+    """Cut a binary file after its last newline."""
+    end = file.seek(0, os.SEEK_END)
+    if end == 0:
+        return
+    file.seek(end - 1)
+    if file.read(1) != b"\n":
+        file.seek(0)
+        file.truncate(file.read().rfind(b"\n") + 1)
+        file.seek(0, os.SEEK_END)

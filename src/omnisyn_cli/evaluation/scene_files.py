@@ -1,0 +1,93 @@
+"""Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from omnisyn_cli import scenes
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
+from omnisyn_cli.scenes import Scene, generate_scene
+from omnisyn_cli.scenes.suite import FRAMES, SEEDS, STANDARD_KINDS, SuiteScene, suite_of
+
+__all__ = ["POSES_NAME", "depth_name", "suite_files", "suite_scenes", "write_scene", "write_suite_scene"]
+
+POSES_NAME = "poses.json"
+
+NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES))
+"""Of the panoramas of every scene of the standard set."""
+
+SUPERSAMPLE = 3
+"""Samples per pixel along each axis of the standard set."""
+
+
+def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = SEEDS) -> Iterator[SuiteScene]:
+    """All walks of the standard set; those that a scene has no room for have an empty path."""
+    for kind in kinds:
+        for seed in seeds:
+            yield from suite_of(kind, seed, generate_scene(kind, seed))
+
+
+def suite_files() -> list[str]:
+    """Names of the files of every scene of the standard set."""
+    return [*NAMES, *map(depth_name, NAMES), POSES_NAME]
+
+
+def write_suite_scene(folder: Path, walk: SuiteScene, size: tuple[int, int], threads: int | None = None) -> None:
+    """Write one scene of the standard set into a folder.
+
+    Args:
+        folder: exists.
+        walk: one that there is room for.
+        size: height and width.
+        threads: at most this many; the result does not depend on it.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
+    scene = generate_scene(walk.kind, walk.seed)
+    write_scene(folder, scene, walk.path, NAMES, size, SUPERSAMPLE, threads)
+
+
+def write_scene(
+    folder: Path,
+    scene: Scene,
+    path: Sequence[Pose],
+    names: Sequence[str],
+    size: tuple[int, int],
+    supersample: int,
+    threads: int | None = None,
+    *,
+    with_depth: bool = True,
+) -> None:
+    """Write the panoramas along a path, their depth (EXR, metres) and their poses.
+
+    Args:
+        folder: exists.
+        scene: what to render.
+        path: a pose for every panorama.
+        names: image files of the panoramas.
+        size: height and width.
+        supersample: samples per pixel along each axis.
+        threads: at most this many; the result does not depend on it.
+        with_depth: whether to write depth as well.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
+    panoramas = {}
+    for name, pose in zip(names, path, strict=True):
+        image, depth = scenes.render_panorama(scene, pose, size, supersample=supersample, threads=threads)
+        write_image(folder / name, image)
+        depth_file = folder / depth_name(name) if with_depth else None
+        if depth_file is not None:
+            write_depth(depth_file, depth)
+        panoramas[name] = PosedPanorama(pose, depth=depth_file)
+    write_poses(folder / POSES_NAME, panoramas)
+
+
+def depth_name(name: str) -> str:
+    """File name of the depth of a panorama."""
+    return f"{Path(name).stem}_depth.exr"

@@ -1,0 +1,102 @@
+"""Two renderings of a frame, some rows at a time: what is done to their colours before they are blended, in order.
+
+A rendering gives its colours, exposed by then (:mod:`omnisyn_cli.fusion.photometry`). Confidence is judged by what both
+show; then ghosts are suppressed (:mod:`omnisyn_cli.fusion.ghosts`). What is left is blended, and stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import ColourStep, Rendering
+
+__all__ = ["ROWS", "BandRunner", "Views"]
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+ROWS = 32
+"""Of a band: that are coloured and blended together; an even number."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """Both renderings of a frame.
+
+    Attributes:
+        first: of the first view.
+        second: of the second view.
+        steps: what changes or judges the colours of both before they are blended, in order.
+    """
+
+    first: Rendering
+    second: Rendering
+    steps: tuple[ColourStep, ...] = ()
+
+    def then(self, step: ColourStep | None) -> Views:
+        """With one step more, if there is one."""
+        return self if step is None else replace(self, steps=(*self.steps, step))
+
+    def colour(self, top: int, bottom: int, out: Float32[Array, "views rows width 4"]) -> None:
+        """Write the colours of rows ``top`` to ``bottom`` of both, as they are blended."""
+        self.first.colour_rows(top, bottom, out[0])
+        self.second.colour_rows(top, bottom, out[1])
+        for step in self.steps:
+            step(out[0], out[1], top)
+
+
+class BandRunner:
+    """Memory for the colours of bands, one for each thread, and of whole pictures; reused from frame to frame."""
+
+    def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
+        self.size, self.threads = size, threads
+        self._rooms: list[np.ndarray] = []
+        self._held: np.ndarray | None = None
+
+    def __call__(
+        self, views: Views, use: Callable[[int, int, np.ndarray, np.ndarray], None], edges: Sequence[int] | None = None
+    ) -> None:
+        """Call ``use`` with first row, row after the last and both views' colours ``(rows, width, 4)``, for all bands.
+
+        Args:
+            views: what is coloured.
+            use: called from several threads.
+            edges: first rows of bands and, last, the height; by default every :data:`ROWS` rows.
+        """
+        between = list(pairwise([*range(0, self.size[0], ROWS), self.size[0]] if edges is None else edges))
+        most = max(bottom - top for top, bottom in between)
+
+        def some(begin: int, end: int) -> None:
+            room = self._room(most)
+            for top, bottom in between[begin:end]:
+                views.colour(top, bottom, room[:, : bottom - top])
+                use(top, bottom, room[0, : bottom - top], room[1, : bottom - top])
+            self._rooms.append(room)
+
+        run_bands(some, len(between), self.threads)
+
+    def held(self, first: Rendering, second: Rendering) -> tuple[Rendering, Rendering]:
+        """Both with all of their colours at hand, for whoever looks at them more than once."""
+        if first.held is not None and second.held is not None:
+            return first, second
+        if self._held is None:
+            self._held = np.empty((2, *self.size, 4), np.float32)
+        for view, colour in zip((first, second), self._held, strict=True):
+            run_bands(lambda begin, end: view.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
+        one, other = (Rendering.of(v.inverse_depth, c, v.target_from_source)
+                      for v, c in zip((first, second), self._held, strict=True))  # fmt: skip
+        return one, other
+
+    def _room(self, rows: int) -> Float32[np.ndarray, "views rows width 4"]:
+        """Used by one thread at a time."""
+        while self._rooms:
+            room = self._rooms.pop()
+            if room.shape[1] >= rows:
+                return room
+        return np.empty((2, rows, self.size[1], 4), np.float32)

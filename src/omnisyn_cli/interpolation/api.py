@@ -1,0 +1,190 @@
+"""The library in a few verbs, for notebooks and scripts: what ``import omnisyn_cli`` offers.
+
+Read panoramas and poses, estimate depth, make frames, write a video; :mod:`omnisyn_cli.evaluation.api` evaluates. An
+estimator of depth or a fuser of your own is any callable with the signature of
+:class:`~omnisyn_cli.types.DepthEstimator` or :class:`~omnisyn_cli.types.Fuser`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Shaped
+
+from omnisyn_cli.errors import ImageError
+from omnisyn_cli.fusion.photometry import equalized
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.interpolation.summary import Summary
+from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
+from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
+from omnisyn_cli.poses.file import read_poses
+from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.making import make_estimator, make_method
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
+from omnisyn_cli.synthesis.trajectory import Ease, Heading, plan_path
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
+
+__all__ = [
+    "PRESETS",
+    "DepthEstimate",
+    "DepthEstimator",
+    "DepthSource",
+    "Fuser",
+    "Pose",
+    "Recipe",
+    "Rendering",
+    "View",
+    "estimate_depth",
+    "interpolate",
+    "make_frames",
+    "read_views",
+    "write_video",
+]
+
+
+def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: float = 0.0) -> list[View]:
+    """Panoramas with their poses, masks and, where the pose file names them, their depth.
+
+    Args:
+        images: two or more panoramas, in walking order.
+        poses: pose file (``poses.json``) that names them all.
+        nadir_deg: degrees around straight down that are not used: tripod, roof of a car.
+
+    Raises:
+        InputError: a file is missing or damaged, or the pose file does not name a panorama.
+    """
+    file = read_poses(poses)
+    views = []
+    for path in map(Path, images):
+        panorama, entry = read_panorama(path), file.of(path)
+        mask = usable_part(
+            panorama.mask, panorama.image.shape[:2], (entry.mask,), math.radians(nadir_deg),
+            allow_aspect=False, max_pixels=MAX_PIXELS,
+        )  # fmt: skip
+        known = None
+        if entry.depth is not None:
+            inverse_depth = read_inverse_depth(entry.depth)
+            known = DepthEstimate(inverse_depth, np.ones_like(inverse_depth))
+        views.append(View(panorama.image, entry.pose, mask, known))
+    return views
+
+
+def estimate_depth(
+    first: View, second: View, recipe: Recipe | str = DEFAULT_PRESET, *, threads: int | None = None
+) -> tuple[DepthEstimate, DepthEstimate]:
+    """Inverse depth (1/metre) and confidence of both panoramas of a pair, each in its own frame.
+
+    Args:
+        first: a panorama with its pose.
+        second: its neighbour.
+        recipe: name of a preset, or a recipe; only its depth and device matter.
+        threads: at most this many; None is one per core.
+
+    Raises:
+        InputError: a network is missing, or there is no such device.
+    """
+    recipe = _recipe(recipe)
+    estimator = make_estimator(recipe.depth, device=recipe.device, threads=threads)
+    return estimator(*equalized(first, second, threads))
+
+
+def make_frames(
+    views: Sequence[View],
+    frames: int,
+    recipe: Recipe | str = DEFAULT_PRESET,
+    *,
+    size: tuple[int, int] | None = None,
+    ease: Ease = "linear",
+    heading: Heading = "panoramas",
+    estimator: DepthEstimator | None = None,
+    fuser: Fuser | None = None,
+    threads: int | None = None,
+) -> Iterator[Float32[np.ndarray, "height width 3"]]:
+    """Frames from the first to the last panorama: RGB in [0, 1], one at a time, in memory of their own.
+
+    Args:
+        views: two or more panoramas.
+        frames: at least one per panorama.
+        recipe: name of a preset, or a recipe. A preset takes the depth of the views where all of them have some.
+        size: height and width of the frames; that of the first panorama by default.
+        ease: ``linear`` or ``smooth``, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        heading: which way frames look, likewise.
+        estimator: finds depth in place of the recipe's.
+        fuser: joins both renderings in place of the recipe's; for frames of this size.
+        threads: at most this many; None is one per core.
+
+    Raises:
+        InputError: a network is missing, or there is no such device.
+        ValueError: fewer than two views, or fewer frames than views.
+    """
+    path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
+    is_known = estimator is None and all(view.known_depth is not None for view in views)
+    chosen = _recipe(recipe).of_known_depth() if is_known and isinstance(recipe, str) else _recipe(recipe)
+    height, width = size or views[0].image.shape[:2]
+    method = make_method(chosen, (height, width), threads=threads, estimator=estimator, fuser=fuser)
+    for frame in synthesize(views, path, method):
+        yield np.array(np.clip(frame.image, 0.0, 1.0), np.float32)
+
+
+def write_video(
+    path: Path | str, frames: Iterable[Float[np.ndarray, "height width 3"]], *, fps: float = 30.0, **options: Any
+) -> None:
+    """Write frames as a 360° video, or as numbered images into a folder.
+
+    Args:
+        path: see :func:`omnisyn_cli.io.open_video`.
+        frames: RGB in [0, 1], all of one size.
+        fps: frames per second.
+        options: ``codec``, ``crf``, ``preset``, ``overwrite`` of :func:`omnisyn_cli.io.open_video`.
+
+    Raises:
+        ImageError: there are no frames.
+        InputError, OutputPathError: the size, the place or an option cannot be used.
+        EncodingError, WriteError: the encoder stopped, or the disk is full.
+    """
+    waiting = iter(frames)
+    if (first := next(waiting, None)) is None:
+        raise ImageError(f"{path}: expected one frame or more, got none")
+    kind = sample_type(Path(path), options.get("codec"))
+    with open_video(path, size=first.shape[:2], fps=fps, dtype=kind, **options) as sink:
+        for frame in chain([first], waiting):
+            sink.write(_samples(frame, kind))
+
+
+def _samples(frame: np.ndarray, kind: str) -> Shaped[np.ndarray, "height width 3"]:
+    if kind not in INTEGER_PEAKS:
+        return frame.astype(kind)
+    return np.asarray(np.rint(np.clip(frame, 0.0, 1.0) * INTEGER_PEAKS[kind]), kind)
+
+
+def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | str, **options: Any) -> Summary:
+    """From files to a video, as ``omnisyn interpolate`` does it.
+
+    Args:
+        images: two or more panoramas, in walking order.
+        poses: pose file that names them all, or ``auto`` to find them in the pictures.
+        output: video file, folder or file name pattern.
+        options: of :class:`omnisyn_cli.interpolation.job.InterpolationJob`.
+
+    Raises:
+        OmnisynError: something that was given cannot be used, or writing failed.
+    """
+    job = InterpolationJob(tuple(map(Path, images)), Path(poses), Path(output), **options)
+    return run_interpolation(plan_interpolation(job))
+
+
+def _recipe(recipe: Recipe | str) -> Recipe:
+    if isinstance(recipe, Recipe):
+        return recipe
+    if recipe not in PRESETS:
+        raise ValueError(f"expected a recipe or a preset of {', '.join(PRESETS)}, got {recipe!r}")
+    return PRESETS[recipe].recipe

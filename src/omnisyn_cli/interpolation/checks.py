@@ -1,0 +1,178 @@
+"""What can be refused for a job's own words and for what the headers of its files say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, depth_files, targets
+from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
+from omnisyn_cli.io.depth_files import check_depth_header
+from omnisyn_cli.io.images import check_mask_size, sphere_size
+from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder
+from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
+from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.synthesis.recipe import OMNISYN
+
+__all__ = [
+    "check_choices",
+    "check_companions",
+    "check_inputs_survive",
+    "check_names",
+    "check_outputs",
+    "source_size",
+]
+
+OF_OWN_FRAMES = (
+    "preset", "depth", "model", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback", "save_confidence",
+    "save_depth",
+)  # fmt: skip
+"""Fields of a job that mean nothing to the methods that it is compared with."""
+
+MOST_NADIR = math.radians(90.0)
+"""A cap that is no hemisphere yet."""
+
+
+def check_names(job: InterpolationJob) -> None:
+    """Refuse names that cannot be used.
+
+    File names that are not text (bytes from another encoding) cannot be handed to the image libraries.
+
+    Raises:
+        InputError: one is no UTF-8.
+        OutputPathError: the system cannot give it to anything.
+    """
+    for path in (*job.images, *job.masks, job.poses, job.output, job.save_depth, job.save_frames, job.save_confidence):
+        name = str(path)
+        if name.encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
+            raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
+    for target in (job.output, job.save_depth, job.save_frames, job.save_confidence):
+        if target is not None:
+            check_name(target)
+
+
+def check_choices(job: InterpolationJob) -> None:
+    """Refuse what the command line does not offer as a choice, for those who call the library.
+
+    Raises:
+        InputError: an unknown name, two rules for cuts, another number of masks than of panoramas, or a cap of a
+            hemisphere or more.
+    """
+    for name, known in CHOICES.items():
+        if (value := getattr(job, name)) not in known:
+            raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
+    if job.cut is not None and job.cut_metres is not None:
+        raise InputError("expected either cut or cut_metres, got both; name one")
+    if job.method != OMNISYN:
+        _check_is_plain(job)
+    if job.masks and len(job.masks) != len(job.images):
+        raise InputError(
+            f"expected one mask for each of {len(job.images)} panoramas, got {len(job.masks)}; name them in the order "
+            "of the panoramas, or in the pose file"
+        )
+    if not 0.0 <= job.nadir < MOST_NADIR:
+        raise InputError(
+            f"expected a cap around the nadir of at least 0 and less than {math.degrees(MOST_NADIR):g} degrees, got "
+            f"{math.degrees(job.nadir):g}; give the angle from straight down to its edge"
+        )
+
+
+def _check_is_plain(job: InterpolationJob) -> None:
+    """Refuse options that only say how this program's own frames are made.
+
+    Raises:
+        InputError: there is one.
+    """
+    usual = InterpolationJob(job.images, job.poses, job.output)
+    for name in OF_OWN_FRAMES:
+        chosen = getattr(job, name)
+        if chosen != getattr(usual, name):
+            raise InputError(
+                f"expected no {name.replace('_', '-')} with the method {job.method}, which leaves none to choose, got "
+                f"{chosen}; leave it out, or take the method {OMNISYN}"
+            )
+
+
+def source_size(job: InterpolationJob, image: Path) -> tuple[int, int]:
+    """Height and width of the panorama that a file becomes.
+
+    Raises:
+        ImageError: there is none.
+    """
+    return sphere_size(read_header(image), allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
+
+
+def check_companions(
+    job: InterpolationJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], depth: str
+) -> None:
+    """Refuse masks of other sizes than their panoramas, and depth files, if they are used, that are none.
+
+    Raises:
+        ImageError: one is missing or unreadable, or is no depth.
+        InputError: a mask has another size.
+    """
+    for k, (entry, size) in enumerate(zip(entries, sizes, strict=True)):
+        for mask in (entry.mask, *job.masks[k : k + 1]):
+            if mask is not None:
+                check_mask_size(mask, source_size(job, mask), size)
+        if entry.depth is not None and depth == "file":
+            check_depth_header(read_header(entry.depth))
+
+
+def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
+    """Refuse places and sizes that nothing could be written to or in.
+
+    Raises:
+        InputError: the size is not 2:1 or too large, or nothing that the encoder can do.
+        OutputPathError: a place exists already, cannot be written to, or is that of another output.
+    """
+    if size[1] != 2 * size[0]:
+        raise InputError(f"expected a size twice as wide as high, got {size[1]}x{size[0]}; try {2 * size[0]}x{size[0]}")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise InputError(f"expected a size of at most {MAX_PIXELS:,} pixels, got {size[1]}x{size[0]}; ask for less")
+    if job.save_frames is not None and not is_sequence(job.save_frames):
+        raise OutputPathError(
+            f"{job.save_frames}: expected a folder or a pattern such as frames/%05d.png, got a file name"
+        )
+    for place, encoding in targets(job).items():
+        check_video(place, size=size, overwrite=job.overwrite, **encoding)
+    if job.save_confidence is not None:
+        check_video(job.save_confidence, size=size, fps=job.fps, overwrite=job.overwrite)
+    _check_distinct(path for path in (job.output, job.save_frames, job.save_confidence) if path is not None)
+    if job.save_depth is not None:
+        check_staged_folder(job.save_depth)
+        for file in depth_files(job):
+            if file.exists():
+                check_output(file, job.overwrite)
+
+
+def _check_distinct(targets: Iterable[Path]) -> None:
+    """Refuse two targets that are one file, or one row of numbered images."""
+    taken: set[Path | ImageSequence] = set()
+    for target in targets:
+        place: Path | ImageSequence = target.resolve()
+        if is_sequence(target):
+            images = image_sequence(target)
+            place = replace(images, folder=images.folder.resolve())
+        if place in taken:
+            raise OutputPathError(f"{target}: expected a place of its own, got that of another output; name another")
+        taken.add(place)
+
+
+def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> None:
+    """Refuse outputs that would overwrite what the video is made of.
+
+    Raises:
+        OutputPathError: one would.
+    """
+    outputs = [job.output, *depth_files(job)]
+    if job.save_confidence is not None:
+        outputs.append(job.save_confidence)
+    for place in (job.output, job.save_frames, job.save_confidence):
+        if place is not None and is_sequence(place):
+            outputs.extend(image_sequence(place).existing())
+    companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
+    check_kept(outputs, (*job.images, *job.masks, job.poses, *companions))

@@ -1,0 +1,178 @@
+"""What the program sees in a file: panorama, depth, pose file or video, as plain values that JSON can hold."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omnisyn_cli.errors import ImageError, InputError
+from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_is_file, read_header
+from omnisyn_cli.io.depth_files import is_depth_header, read_depth
+from omnisyn_cli.io.encoders import ffmpeg_program
+from omnisyn_cli.io.images import read_panorama
+from omnisyn_cli.io.spherical import read_spherical
+from omnisyn_cli.poses.file import read_poses
+
+__all__ = ["describe_file"]
+
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+
+BOXED_SUFFIXES = (".mp4", ".m4v", ".mov")
+
+PROBE_SECONDS = 60
+
+VIDEO_STREAM = re.compile(
+    r"Stream #\S+ Video: (?P<codec>\w+).*?, (?P<pixel_format>[a-z]\w+)(?:\((?P<colour>[^)]*)\))?"
+    r".*?, (?P<width>\d+)x(?P<height>\d+)(?:.*?, (?P<fps>[\d.]+k?) fps)?"
+)
+
+DURATION = re.compile(r"Duration: (\d+):(\d+):(\d+(?:\.\d+)?)")
+
+
+def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outside: bool = False) -> dict[str, Any]:
+    """Describe a file by its kind, which is told by its ending (and, for images, by its channels).
+
+    Images of more than ``max_pixels`` are not decoded; with ``allow_outside`` depth and masks may lie outside of a pose
+    file's folder.
+
+    Returns:
+        ``kind`` (``panorama``, ``depth``, ``poses`` or ``video``) and what belongs to it.
+
+    Raises:
+        InputError: missing, damaged, or a video without a video stream.
+        PoseError: a pose file that cannot be used.
+    """
+    source = Path(path)
+    suffix = source.suffix.lower()
+    if suffix == ".json":
+        return _describe_poses(source, allow_outside)
+    if suffix in VIDEO_SUFFIXES:
+        return _describe_video(source)
+    header = read_header(source)
+    return _describe_depth(source, max_pixels) if is_depth_header(header) else _describe_panorama(header, max_pixels)
+
+
+def _describe_panorama(header: ImageHeader, max_pixels: int) -> dict[str, Any]:
+    description: dict[str, Any] = {
+        "kind": "panorama",
+        "format": header.format,
+        "width": header.width,
+        "height": header.height,
+        "samples": header.dtype,
+        "channels": list(header.channels),
+        "has_alpha": header.alpha_channel >= 0,
+        "orientation": header.orientation,
+        "gpano": {
+            name.removeprefix("GPano:"): value if isinstance(value, int | float) else str(value)
+            for name, value in header.attributes.items()
+            if name.startswith("GPano:")
+        },
+        "gps": geographic_place(header),
+    }
+    try:
+        panorama = read_panorama(header.path, max_pixels=max_pixels)
+    except ImageError as error:
+        return {**description, "usable": False, "problem": str(error)}
+    seen = 1.0 if panorama.mask is None else float(panorama.mask.mean())
+    height, width = panorama.image.shape[:2]
+    if seen == 0.0:
+        return {**description, "usable": False, "problem": "no pixel may be used: all of it is transparent or left out"}
+    return {**description, "usable": True, "sphere_width": width, "sphere_height": height, "usable_share": seen}
+
+
+def geographic_place(header: ImageHeader) -> dict[str, float] | None:
+    """Latitude and longitude in degrees, altitude in metres where it is known; None without EXIF GPS tags."""
+    latitude = header.degrees("GPS:Latitude", "S")
+    longitude = header.degrees("GPS:Longitude", "W")
+    if latitude is None or longitude is None:
+        return None
+    place = {"latitude": latitude, "longitude": longitude}
+    return place if header.altitude is None else {**place, "altitude": header.altitude}
+
+
+def _describe_depth(path: Path, max_pixels: int) -> dict[str, Any]:
+    depth = read_depth(path, max_pixels=max_pixels)
+    finite = depth[np.isfinite(depth)]
+    height, width = depth.shape
+    return {
+        "kind": "depth",
+        "width": width,
+        "height": height,
+        "nearest_metres": float(finite.min()) if finite.size else None,
+        "median_metres": float(np.median(finite)) if finite.size else None,
+        "farthest_metres": float(finite.max()) if finite.size else None,
+        "infinite_share": 1.0 - finite.size / depth.size,
+    }
+
+
+def _describe_poses(path: Path, allow_outside: bool) -> dict[str, Any]:
+    file = read_poses(path, allow_outside=allow_outside)
+    positions = np.array([panorama.pose.position for panorama in file.panoramas.values()])
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
+    names = list(file.panoramas)
+    return {
+        "kind": "poses",
+        "panoramas": [
+            {
+                "name": name,
+                "position": panorama.pose.position.tolist(),
+                "image_exists": (path.parent / name).is_file(),
+                "depth_exists": None if panorama.depth is None else panorama.depth.is_file(),
+                "mask_exists": None if panorama.mask is None else panorama.mask.is_file(),
+            }
+            for name, panorama in file.panoramas.items()
+        ],
+        "steps_metres": steps.tolist(),
+        "equal_positions": [f"{names[i]} and {names[i + 1]}" for i in np.flatnonzero(steps == 0).tolist()],
+    }
+
+
+def _describe_video(path: Path) -> dict[str, Any]:
+    check_is_file(path)
+    report = _ffmpeg_report(path)
+    stream = VIDEO_STREAM.search(report)
+    if stream is None:
+        words = report.strip().splitlines()[-1:] or ["nothing"]
+        raise InputError(f"{path}: expected a video, got '{words[0]}' from ffmpeg; check that the file is complete")
+    fps, duration = stream["fps"], DURATION.search(report)
+    hours, minutes, seconds = map(float, duration.groups()) if duration else (0.0, 0.0, 0.0)
+    return {
+        "kind": "video",
+        "codec": stream["codec"],
+        "pixel_format": stream["pixel_format"],
+        "width": int(stream["width"]),
+        "height": int(stream["height"]),
+        "fps": float(fps.replace("k", "e3")) if fps else None,
+        "duration_seconds": hours * 3600 + minutes * 60 + seconds if duration else None,
+        "colour": [part.strip() for part in (stream["colour"] or "").split(",") if part.strip()],
+        "spherical": _describe_spherical(path),
+    }
+
+
+def _describe_spherical(path: Path) -> dict[str, Any] | None:
+    if path.suffix.lower() not in BOXED_SUFFIXES:
+        return None
+    metadata = read_spherical(path)
+    return {
+        "version_1": metadata.has_version_1,
+        "version_2": metadata.has_version_2,
+        "projection": metadata.projection,
+        "stereo_mode": metadata.stereo_mode,
+        "software": metadata.software,
+    }
+
+
+def _ffmpeg_report(path: Path) -> str:
+    """What ``ffmpeg -i`` says; only this one file is opened, whatever playlists it may hold."""
+    command = [ffmpeg_program(), "-hide_banner", "-nostdin", "-protocol_whitelist", "file", "-i"]
+    try:
+        finished = subprocess.run(  # noqa: S603 - a list, no shell; the file name is prefixed
+            [*command, f"file:{path.absolute()}"], capture_output=True, timeout=PROBE_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise InputError(f"{path}: expected ffmpeg to describe it, got no answer; encode the file anew") from error
+    return finished.stderr.decode("utf-8", "replace").replace("At least one output file must be specified", "")

@@ -1,0 +1,169 @@
+"""What a user asks for, and what follows from that alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any
+
+from annotated_types import Ge, Gt, Interval
+
+from omnisyn_cli.io import MAX_PIXELS, sample_type
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, DEVICES, FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
+from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
+
+__all__ = [
+    "CHOICES",
+    "POSES_FROM_PICTURES",
+    "InterpolationJob",
+    "depth_files",
+    "depth_name",
+    "is_rounded",
+    "sample_types",
+    "targets",
+]
+
+Positive = Annotated[float, Gt(0)]
+
+POSES_FROM_PICTURES = Path("auto")
+"""Stands for a pose file where there is none."""
+
+CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "method": METHODS,
+        "preset": tuple(PRESETS),
+        "depth": ("auto", *DEPTH_SOURCES),
+        "renderer": ("auto", *RENDERERS),
+        "fusion": ("auto", *FUSIONS),
+        "ease": EASES,
+        "heading": HEADINGS,
+        "device": DEVICES,
+        "fallback": FALLBACKS,
+    }
+)
+"""Names that fields of a job take."""
+
+
+@dataclass(frozen=True)
+class InterpolationJob:
+    """What a user asks for.
+
+    Attributes:
+        images: two or more panoramas, in walking order.
+        poses: pose file that names them all, or :data:`POSES_FROM_PICTURES` to find them in the pictures.
+        output: video file, folder or file name pattern.
+        frames: number of frames; None follows from ``duration`` and ``fps``.
+        duration: seconds; None means three per pair.
+        fps: frames per second.
+        size: (height, width) of the video; None means that of the largest panorama.
+        method: one of :data:`omnisyn_cli.synthesis.recipe.METHODS`; those that are there to be compared with leave
+            nothing to choose about depth, surfaces and fusion.
+        preset: one of :data:`omnisyn_cli.synthesis.presets.PRESETS`, for what is left open.
+        depth: one of :data:`omnisyn_cli.synthesis.recipe.DEPTH_SOURCES`, or ``auto``: files where every panorama has
+            one, else what the preset says.
+        model: the network of the depth: an ONNX file, or a name in the manifest; None is the preset's.
+        device: where networks run: ``auto``, ``cpu`` or ``cuda``, with which the GPU makes the frames as well if it can
+            (:mod:`omnisyn_cli.interpolation.recipes`). Poses and matching are found on the processor.
+        renderer: one of :data:`omnisyn_cli.synthesis.recipe.RENDERERS`, or ``auto``: what the preset says.
+        cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.synthesis.recipe.Recipe`; at most one of them,
+            neither is the preset's.
+        fusion: one of :data:`omnisyn_cli.synthesis.recipe.FUSIONS`, or ``auto``: what the preset says where depth is
+            estimated, ``geometric`` where it comes from files.
+        ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
+        save_depth: folder for the depth of every panorama, as EXR; None saves none.
+        masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
+        nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
+        fallback: one of :data:`omnisyn_cli.synthesis.recipe.FALLBACKS`.
+        save_confidence: video or folder for the confidence of every pixel, in grey; None saves none.
+        save_frames: folder or pattern for the frames as images besides the video; None saves none.
+        threads: at most this many; None is one per core.
+        overwrite: replace what exists.
+        allow_aspect: resample panoramas that are not 2:1.
+        max_pixels: refuse panoramas, masks and depth files with more pixels, before they are decoded.
+        allow_outside: accept depth and masks that the pose file names outside of its folder.
+        baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
+        refine: correct rotations and directions of the given poses where the pictures fit better then.
+        adaptive: draw flat surfaces with fewer triangles.
+    """
+
+    images: tuple[Path, ...]
+    poses: Path
+    output: Path
+    frames: Annotated[int, Ge(2)] | None = None
+    duration: Positive | None = None
+    fps: Annotated[float, Interval(gt=0, le=1000)] = 30.0
+    size: tuple[int, int] | None = None
+    method: str = OMNISYN
+    preset: str = DEFAULT_PRESET
+    depth: str = "auto"
+    model: str | None = None
+    device: str = "auto"
+    renderer: str = "auto"
+    cut: Annotated[float, Interval(gt=0, le=1)] | None = None
+    cut_metres: Positive | None = None
+    fusion: str = "auto"
+    ease: Ease = "linear"
+    heading: Heading = "panoramas"
+    codec: str | None = None
+    crf: float | None = None
+    encoder_preset: str | None = None
+    save_depth: Path | None = None
+    masks: tuple[Path, ...] = ()
+    nadir: float = 0.0
+    fallback: str = "none"
+    save_confidence: Path | None = None
+    save_frames: Path | None = None
+    threads: int | None = None
+    overwrite: bool = False
+    allow_aspect: bool = False
+    max_pixels: Annotated[int, Ge(1)] = MAX_PIXELS
+    allow_outside: bool = False
+    baseline: Positive | None = None
+    refine: bool = False
+    adaptive: bool = False
+
+
+def targets(job: InterpolationJob) -> dict[Path, dict[str, Any]]:
+    """Everything that takes frames, with what :func:`omnisyn_cli.io.open_video` is told about it.
+
+    The video comes last, so that it is finished first: if that fails, no images are kept either.
+    """
+    places: dict[Path, dict[str, Any]] = {}
+    if job.save_frames is not None:
+        places[job.save_frames] = {"fps": job.fps, "dtype": sample_type(job.save_frames)}
+    places[job.output] = {
+        "fps": job.fps, "codec": job.codec, "crf": job.crf, "preset": job.encoder_preset,
+        "dtype": sample_type(job.output, job.codec),
+    }  # fmt: skip
+    return places
+
+
+def sample_types(job: InterpolationJob) -> list[str]:
+    """The type of the samples that each of :func:`targets` takes."""
+    return [encoding["dtype"] for encoding in targets(job).values()]
+
+
+def is_rounded(job: InterpolationJob) -> bool:
+    """Whether frames are wanted as samples of 8 bits and in no other way."""
+    return set(sample_types(job)) == {"uint8"}
+
+
+def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
+    """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each pair.
+
+    Where only their endings tell the pair's panoramas apart, those are part of it.
+    """
+    first, second = images[pair : pair + 2]
+    return f"{pair:04d}_{images[index].name if first.stem == second.stem else images[index].stem}_depth.exr"
+
+
+def depth_files(job: InterpolationJob) -> Iterator[Path]:
+    """Where the depth of every panorama of every pair is saved, if it is."""
+    if job.save_depth is not None:
+        for pair in range(len(job.images) - 1):
+            for index in (pair, pair + 1):
+                yield job.save_depth / depth_name(job.images, pair, index)

@@ -1,0 +1,120 @@
+"""The memory that a job will take, estimated from the sizes of what is held at its three peaks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from omnisyn_cli.fusion.cells import step_in_cells
+from omnisyn_cli.interpolation.job import InterpolationJob, is_rounded, sample_types
+from omnisyn_cli.io import read_header
+from omnisyn_cli.io.background import frames_in_queue
+from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
+
+__all__ = ["estimated_memory"]
+
+PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
+"""Bytes of the interpreter, its libraries and kernels, and where depth is from files or SynSin's networks take part."""
+
+BYTES_PER_PIXEL_OF_NETWORK = {"refined": 1100, "network": 3200}
+"""What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
+
+FINDING = 80e6
+"""Bytes that are given back when depth has been found."""
+
+PAINTING, PAINTED_ROWS = 230, 1024
+"""Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
+
+CORRECTING = 90e6
+"""Bytes that a network which corrects the blend takes, which looks at one size, whatever that of the frames."""
+
+BYTES_PER_VERTEX = {"mesh": 57, "points": 24, "two-pass": 660}
+"""While surfaces are made: mesh with buffers; splats; explicit triangles."""
+
+MOST_PER_VERTEX = max(BYTES_PER_VERTEX.values())
+"""For renderers that were not measured."""
+
+BYTES_PER_KEPT_VERTEX = {**BYTES_PER_VERTEX, "two-pass": 150}
+"""While frames are made."""
+
+SPLATTING = 36
+"""Bytes of each pixel of a frame in which points are collected."""
+
+PASSING, PASSING_ROUNDED = 18, 10
+"""Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
+samples of 8 bits."""
+
+CONFIDENCE = 12
+"""Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
+
+BYTES_PER_SHARPENED_PIXEL = 400
+"""Of an estimate while it is sharpened: the costs of some thirty disparities twice, and maps of both panoramas."""
+
+MIP_LEVELS = 4 / 3
+"""Pixels of a texture with its mip levels, in those of the picture."""
+
+
+def estimated_memory(
+    job: InterpolationJob,
+    recipe: Recipe,
+    size: tuple[int, int],
+    sources: Sequence[tuple[int, int]],
+    depths: Sequence[tuple[int, int]],
+) -> int:
+    """Bytes, estimated: the most of what is held while depth is sharpened, surfaces are made, and frames are.
+
+    Args:
+        job: what is asked for.
+        recipe: what frames are made with.
+        size: height and width of the frames.
+        sources: those of the panoramas.
+        depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
+            to their size by :mod:`omnisyn_cli.stereo.sharpening`.
+
+    Raises:
+        ImageError: a panorama is missing or unreadable.
+    """
+    largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
+    has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
+    is_kept_as_samples = has_samples and recipe.renderer == "mesh"
+    kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
+    numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
+    kind = recipe.depth.kind
+    network = BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * depths[0][0] * depths[0][1]
+    program = PROGRAM_BY_DEPTH.get(kind, PROGRAM) + network
+    frames = _bytes_of_frames(job, recipe, size) + numbers * largest
+    if recipe.method != OMNISYN:
+        return int(program + 2 * kept * largest + frames)
+    finding = 0 if kind == "file" else FINDING
+    if kind == "refined" and len(depths) > 1:
+        finding += 2 * numbers * largest + BYTES_PER_SHARPENED_PIXEL * vertices
+    making, keeping = (
+        table.get(recipe.renderer, MOST_PER_VERTEX) for table in (BYTES_PER_VERTEX, BYTES_PER_KEPT_VERTEX)
+    )
+    texturing_surfaces = 2 * making * vertices + 2 * (numbers + texturing) * largest
+    frames += 2 * keeping * vertices
+    return int(program + 2 * kept * largest + max(finding, texturing_surfaces, frames))
+
+
+def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int]) -> float:
+    """What making frames takes: two surfaces as seen, the pyramid that fills holes, frames on their way out."""
+    pixels = size[0] * size[1]
+    waiting = frames_in_queue(size) + 2
+    largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
+    if recipe.method != OMNISYN:
+        return pixels * (16 + 12 + 3 * largest_sample * waiting + 1.5)
+    pyramid, planes = 16 / 3, 1.5
+    painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if recipe.fusion == "painting" else 0
+    corrected = CORRECTING if recipe.fusion == "network" else 0
+    collected = SPLATTING if recipe.renderer == "points" else 0
+    seen = 4 if recipe.renderer == "mesh" else 8  # the others know which point or face it is, too
+    is_held = (
+        recipe.renderer != "mesh"
+        or recipe.fusion == "network"
+        or (recipe.fusion == "geometric" and step_in_cells(size) == 1)
+    )
+    is_judged = recipe.fallback == "crossfade" or recipe.confidence
+    frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING
+    whole = 2 * (seen + (16 if is_held else 0)) + 1 + frame + collected + (CONFIDENCE if is_judged else 0)
+    return painted + corrected + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

@@ -1,0 +1,235 @@
+"""A job that has been checked: its poses and path, where its depth comes from, what there is to say about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.pose import STILL
+from omnisyn_cli.interpolation.checks import (
+    check_choices,
+    check_companions,
+    check_inputs_survive,
+    check_names,
+    check_outputs,
+    source_size,
+)
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
+from omnisyn_cli.interpolation.memory import estimated_memory
+from omnisyn_cli.interpolation.recipes import notes_about_gpu, recipe_of
+from omnisyn_cli.io import read_header
+from omnisyn_cli.io.depth_files import depth_size
+from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.io.sequence import image_sequence, is_sequence
+from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, read_poses
+from omnisyn_cli.runtime.models import find_model
+from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
+from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
+from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
+
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpolation", "with_preset"]
+
+SECONDS_PER_PAIR = 3.0
+"""Length of the video between two panoramas unless the user says otherwise."""
+
+MOST_FRAMES = 1_000_000
+"""Nine hours; more is taken for a mistake."""
+
+
+@dataclass(frozen=True)
+class InterpolationPlan:
+    """A job that has been checked.
+
+    Attributes:
+        job: what was asked for.
+        entries: the pose file's entry of every panorama.
+        source_sizes: (height, width) of every panorama.
+        size: (height, width) of the video.
+        path: a waypoint for every frame.
+        recipe: what its frames are made with.
+        length: metres from the first panorama to the last.
+        memory: bytes that the pictures and buffers will take, estimated.
+        notes: what the user should know.
+    """
+
+    job: InterpolationJob
+    entries: tuple[PosedPanorama, ...]
+    source_sizes: tuple[tuple[int, int], ...]
+    size: tuple[int, int]
+    path: tuple[Waypoint, ...]
+    recipe: Recipe
+    length: float
+    memory: int
+    notes: tuple[str, ...]
+
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        (height, width), recipe = self.size, self.recipe
+        is_own = recipe.method == OMNISYN
+        return {
+            "inputs": [str(image) for image in self.job.images],
+            "output": str(self.job.output),
+            "frames": len(self.path),
+            "fps": self.job.fps,
+            "seconds_of_video": round(len(self.path) / self.job.fps, 3),
+            "size": f"{width}x{height}",
+            "encoder": _encoder(self.job),
+            "method": recipe.method,
+            "preset": self.job.preset if is_own else "",
+            "depth": recipe.depth.kind,
+            "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
+            "renderer": recipe.renderer if is_own else "soft points",
+            "fusion": recipe.fusion if is_own else "",
+            "path_metres": round(self.length, 4),
+            "memory_mib": round(self.memory / 2**20),
+            "notes": list(self.notes),
+        }
+
+
+def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
+    """Check a job without writing anything; pictures are decoded only to find or to refine poses.
+
+    Raises:
+        InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
+    """
+    if len(job.images) < 2:
+        raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
+    check_names(job)
+    check_names_tell_apart(job.images)
+    check_choices(job)
+    pose_file, remarks = _poses(job)
+    entries = tuple(pose_file.of(image) for image in job.images)
+    source_sizes = tuple(source_size(job, image) for image in job.images)
+    recipe = _installed_recipe(job, entries)
+    check_companions(job, entries, source_sizes, recipe.depth.kind)
+    size = job.size or _even(max(source_sizes))
+    check_outputs(job, size)
+    check_inputs_survive(job, entries)
+    poses = [entry.pose for entry in entries]
+    path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
+    return InterpolationPlan(
+        job, entries, source_sizes, size, path, recipe, path_length(poses),
+        estimated_memory(job, recipe, size, source_sizes, _surface_sizes(recipe, source_sizes, entries)),
+        (*remarks, *_notes(job, entries, recipe), *notes_about_gpu(recipe)),
+    )  # fmt: skip
+
+
+def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
+    """The plan with another preset; its poses are not looked for again.
+
+    Raises:
+        InputError: the preset's network is not installed.
+    """
+    job = replace(plan.job, preset=preset)
+    recipe = _installed_recipe(job, plan.entries)
+    surfaces = _surface_sizes(recipe, plan.source_sizes, plan.entries)
+    former = notes_about_gpu(plan.recipe)
+    return replace(
+        plan, job=job, recipe=recipe,
+        memory=estimated_memory(job, recipe, plan.size, plan.source_sizes, surfaces),
+        notes=(*(note for note in plan.notes if note not in former), *notes_about_gpu(recipe)),
+    )  # fmt: skip
+
+
+def _installed_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:
+    """What the frames are made with; its networks are there."""
+    recipe = recipe_of(job, entries)
+    for network in recipe.networks:
+        find_model(network)
+    return recipe
+
+
+def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
+    """The poses, read, refined or found, and what there is to say about them."""
+    is_found = job.poses == POSES_FROM_PICTURES
+    if job.baseline is not None and not is_found:
+        raise InputError(
+            f"expected a baseline only where poses are found in the pictures (--poses auto), got {job.baseline:g} m "
+            f"and {job.poses}; leave out one of them"
+        )
+    if job.refine and is_found:
+        raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
+    if not (is_found or job.refine):
+        return read_poses(job.poses, allow_outside=job.allow_outside), ()
+    # OpenCV takes a while to import and is needed for poses from pictures only.
+    from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
+
+    options = PictureOptions(job.allow_aspect, job.threads, job.max_pixels, job.masks, job.nadir)
+    if is_found:
+        found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
+    else:
+        found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
+    return PoseFile(job.poses, found.panoramas), found.notes
+
+
+def _even(size: tuple[int, int]) -> tuple[int, int]:
+    """The 2:1 size with an even height that is closest to an image of this height."""
+    height = size[0] + size[0] % 2
+    return height, 2 * height
+
+
+def frame_count(job: InterpolationJob) -> int:
+    """Frames of the video.
+
+    Raises:
+        InputError: fewer than there are panoramas, more than anybody wants, or said twice.
+    """
+    if job.frames is not None and job.duration is not None:
+        raise InputError(
+            f"expected either frames or a duration, got {job.frames} frames and {job.duration:g} s; name one, and the "
+            "frames per second"
+        )
+    seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
+    count = job.frames if job.frames is not None else seconds * job.fps
+    if not math.isfinite(count) or count > MOST_FRAMES:
+        raise InputError(f"expected at most {MOST_FRAMES:,} frames, got {count:g}; ask for fewer")
+    if round(count) < len(job.images):
+        raise InputError(
+            f"expected at least {len(job.images)} frames, one for each panorama, got {round(count)}; "
+            "ask for more frames or a longer duration"
+        )
+    return round(count)
+
+
+def _surface_sizes(
+    recipe: Recipe, sources: Sequence[tuple[int, int]], entries: Sequence[PosedPanorama]
+) -> list[tuple[int, int]]:
+    """Height and width of surfaces, from coarse to fine; a network alone is taken to answer in the size of matching."""
+    rows = recipe.depth.rows
+    if recipe.depth.kind == "file":
+        return [depth_size(read_header(entry.depth)) for entry in entries if entry.depth is not None]
+    if recipe.depth.kind == "refined":
+        return list(estimate_sizes(rows, max(height for height, _ in sources)))
+    return [(coarse_rows(rows), 2 * coarse_rows(rows))]
+
+
+def _encoder(job: InterpolationJob) -> str:
+    """The codec and its settings in a few words."""
+    if is_sequence(job.output):
+        sequence = image_sequence(job.output, f".{job.codec or 'png'}")
+        return f"{Path(sequence.after).suffix.lstrip('.') or sequence.after.lstrip('.')} images"
+    codec = CODECS[job.codec or "h264"]
+    crf = codec.crf if job.crf is None else job.crf
+    quality = "" if crf is None else f" crf {crf:g}"
+    return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
+
+
+def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
+    if job.method != OMNISYN:
+        yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
+    named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
+    if job.method == OMNISYN and job.depth == "auto" and recipe.depth.kind != "file" and named:
+        why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
+        yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
+    for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
+        if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
+            same = second.pose.almost_equals(first.pose)
+            how = "cross-fades" if same else "turns in place and cross-fades"
+            yield f"{a.name} and {b.name} have the same position: there is no parallax to follow, the video {how}"

@@ -1,0 +1,109 @@
+"""What frames are made with: where a job leaves it open, its preset and the pose file decide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.poses.file import PosedPanorama
+from omnisyn_cli.runtime.session import check_device_of_networks
+from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.synthesis.recipe import DEPTH_MODELS, NETWORKED_DEPTH, OMNISYN, DepthSource, Recipe
+
+__all__ = ["check_device", "notes_about_gpu", "recipe_of"]
+
+
+def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:
+    """What the frames of a job are made with: what it says, else its preset.
+
+    Args:
+        job: what is asked for.
+        entries: the pose file's entry of every panorama.
+
+    Raises:
+        PoseError: depth is to come from files, and the pose file does not name one for every panorama.
+        InputError: a network where none has a part, or none where one has.
+    """
+    if job.method != OMNISYN:
+        return Recipe(DepthSource("monocular", model=DEPTH_MODELS["monocular"]), job.method, device=job.device)
+    usual = PRESETS[job.preset].recipe
+    kind = _depth_kind(job, entries, usual)
+    usual = usual.of_known_depth() if kind == "file" else usual
+    is_cut_as_usual = job.cut is None and job.cut_metres is None
+    recipe = Recipe(
+        DepthSource(kind, usual.depth.rows, _model(job, kind, usual)),
+        renderer=usual.renderer if job.renderer == "auto" else job.renderer,
+        cut=usual.cut if is_cut_as_usual else job.cut,
+        cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
+        adaptive=job.adaptive, fusion=usual.fusion if job.fusion == "auto" else job.fusion,
+        fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
+    )  # fmt: skip
+    return replace(recipe, is_on_gpu=job.device == "cuda" and not _against_gpu(recipe))
+
+
+def _depth_kind(job: InterpolationJob, entries: Sequence[PosedPanorama], usual: Recipe) -> str:
+    without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
+    if job.depth == "auto":
+        return usual.depth.kind if without or job.model is not None else "file"
+    if job.depth == "file" and without:
+        raise PoseError(
+            f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
+            "name one or choose another depth method"
+        )
+    return job.depth
+
+
+def _model(job: InterpolationJob, kind: str, usual: Recipe) -> str | None:
+    """The network that finds or refines depth, if one does."""
+    if kind not in NETWORKED_DEPTH:
+        if job.model is not None:
+            raise InputError(
+                f"expected a model only for depth {' or '.join(NETWORKED_DEPTH)}, got depth {kind!r} and model "
+                f"{job.model!r}; leave one of them out"
+            )
+        return None
+    model = job.model or {**DEPTH_MODELS, usual.depth.kind: usual.depth.model}.get(kind)
+    if model is None:
+        raise InputError(f"expected a model for depth {kind!r}, got none; name one (--model)")
+    return model
+
+
+def _against_gpu(recipe: Recipe) -> list[str]:
+    """What a GPU does not do."""
+    wanted = {
+        f"the renderer {recipe.renderer}": recipe.renderer != "mesh",
+        f"the fusion {recipe.fusion}": recipe.fusion != "geometric",
+        "confidence maps (--save-confidence)": recipe.confidence,
+        "cross-fades (--fallback crossfade)": recipe.fallback == "crossfade",
+    }
+    return [what for what, is_wanted in wanted.items() if is_wanted]
+
+
+def notes_about_gpu(recipe: Recipe) -> tuple[str, ...]:
+    """What a user who asked for CUDA should know."""
+    if recipe.device != "cuda" or recipe.method != OMNISYN:
+        return ()
+    if not recipe.is_on_gpu:
+        return (
+            "frames are made on the processor: the GPU makes them only with the renderer mesh and the fusion "
+            f"geometric, without confidence maps and cross-fades; this job has {', '.join(_against_gpu(recipe))}",
+        )
+    return ("on the GPU every triangle is drawn, --adaptive changes nothing",) if recipe.adaptive else ()
+
+
+def check_device(recipe: Recipe) -> None:
+    """Refuse a device that this machine does not have; a plan alone may be for another one.
+
+    Raises:
+        InputError: there is no such device here.
+    """
+    if recipe.device != "cuda":
+        return
+    if recipe.is_on_gpu:
+        from omnisyn_cli.synthesis.device.device import open_device  # torch takes seconds to import
+
+        open_device(recipe.device)
+    if recipe.networks:
+        check_device_of_networks(recipe.device)

@@ -1,0 +1,158 @@
+"""Text and JSON files that users and other programs write, read whole, and what is wrong with them said in one line."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Never, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from omnisyn_cli.errors import InputError, PoseError
+
+__all__ = ["ForeignModel", "listed", "parse_json", "place_of", "read_json", "read_text", "sentence", "validated"]
+
+Model = TypeVar("Model", bound=BaseModel)
+
+LARGEST_FILE = 1 << 30
+"""Bytes; reconstructions carry their point clouds along."""
+
+LONGEST_SHOWN = 60
+
+MOST_LISTED = 20
+"""Keys of a model that a message names when another came."""
+
+PYDANTICS_OWN = (
+    r"^(Input|List|Dictionary|String) should (be|have) | after validation, .*|, unable to .*"
+    r"|, got a number with a fractional part"
+)
+"""What its messages have besides what was expected."""
+
+
+class ForeignModel(BaseModel):
+    """Part of another program's file: what is not needed here is ignored."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False, frozen=True)
+
+
+class _DisagreementError(Exception):
+    """What JSON readers disagree on; no ``ValueError``, which the reader takes for its own."""
+
+
+def read_text(
+    path: Path, what: str = "a readable file", largest: int = LARGEST_FILE, error: type[InputError] = PoseError
+) -> str:
+    """The text of a file that users write, in UTF-8 with or without a byte order mark.
+
+    What is missing, unreadable, larger than ``largest`` bytes or no UTF-8 raises ``error``, which expects ``what``.
+    """
+    try:
+        size = path.stat().st_size
+        if size > largest:
+            raise error(f"{path}: expected at most {largest:,} bytes, got {size:,}; split the file")
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as failure:
+        raise error(f"{path}: expected {what}, got '{failure.strerror}'; check the name") from failure
+    except ValueError as failure:
+        raise error(f"{path}: expected UTF-8 text, got '{failure}'; save the file as UTF-8") from failure
+
+
+def read_json(path: Path, what: str = "a readable file", largest: int = LARGEST_FILE) -> Any:
+    """The JSON of a file; PoseError: as :func:`read_text`, and what :func:`parse_json` refuses."""
+    try:
+        return parse_json(read_text(path, what, largest, PoseError))
+    except ValueError as error:
+        raise PoseError(f"{path}: {error}") from error
+
+
+def parse_json(text: str) -> Any:
+    """The value that a text says, without repeated keys, NaN and infinity, of which readers make different things.
+
+    A ValueError says what was expected, what came and what to do.
+    """
+    try:
+        return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse)
+    except _DisagreementError as error:
+        raise ValueError(str(error)) from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"expected JSON, got '{error}'; correct it there") from error
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    seen: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in seen:
+            raise _DisagreementError(
+                f"expected every key once, got '{key:.60}' twice in one object; remove one of them"
+            )
+        seen[key] = value
+    return seen
+
+
+def _refuse(constant: str) -> Never:
+    raise _DisagreementError(f"expected finite numbers, got {constant}; write a number")
+
+
+def validated(path: Path, model: type[Model], value: Any, where: tuple[str, ...] = (), **context: Any) -> Model:
+    """What a file says below the keys ``where`` as a ``model``, in a context of the validation.
+
+    A PoseError says the first thing that is wrong, with its place in the file, and how many more there are.
+    """
+    try:
+        return model.model_validate(value, context=context)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        place = place_of((*where, *problems[0]["loc"]))
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise PoseError(f"{path}: {place}: {sentence(problems[0], model)}{more}") from error
+
+
+def place_of(parts: tuple[str | int, ...]) -> str:
+    """A JSON path such as ``panoramas.'a.jpg'.position[1]``."""
+    text = ""
+    for part in parts:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            name = part if part.isidentifier() and len(part) <= LONGEST_SHOWN else f"'{part:.{LONGEST_SHOWN}}'"
+            text += f".{name}" if text else name
+    return text or "top level"
+
+
+def sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+    """What was expected, what came and what to do about one of pydantic's problems."""
+    key = problem["loc"][-1] if problem["loc"] else ""
+    match problem["type"]:
+        case "extra_forbidden":
+            near = difflib.get_close_matches(str(key), model.model_fields, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else "remove it"
+            known = (
+                f"one of the keys {', '.join(model.model_fields)}"
+                if len(model.model_fields) <= MOST_LISTED
+                else "a known key"
+            )
+            return f"expected {known}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
+        case "missing":
+            return f"expected the key '{key}', got none; add it"
+        case "value_error":
+            return f"expected {problem['ctx']['error']}, got {_shown(problem['input'])}; correct it"
+        case "dict_type" | "model_type":
+            return f"expected an object in braces, got {_shown(problem['input'])}; correct it"
+        case "bool_parsing":
+            return f"expected true or false, got {_shown(problem['input'])}; correct it"
+    wanted = re.sub(r"^(?=greater|less)", "a number ", re.sub(PYDANTICS_OWN, "", problem["msg"]))
+    return f"expected {wanted}, got {_shown(problem['input'])}; correct it"
+
+
+def listed(names: Iterable[str], most: int = 5) -> str:
+    """Some names for a message."""
+    quoted = [f"'{name:.{LONGEST_SHOWN}}'" for name in names]
+    return ", ".join(quoted[:most]) + (f" and {len(quoted) - most} more" if len(quoted) > most else "")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"

@@ -1,0 +1,181 @@
+"""ffmpeg as a process of ours: frames go in or come out, its last words are heard, nothing stays behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Self
+
+import numpy as np
+from jaxtyping import Shaped, UInt8
+
+from omnisyn_cli.errors import EncodingError, WriteError
+from omnisyn_cli.io.encoders import ffmpeg_program
+
+__all__ = ["EncoderProcess", "Packing", "read_frames"]
+
+LAST_LINES = 12
+
+SECONDS_TO_DIE = 10
+
+PIPE_BYTES = 1 << 20
+"""Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes."""
+
+FULL_DISK = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
+
+TOO_LARGE = "SIGXFSZ"
+"""Ends a process that writes a larger file than its user may."""
+
+CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
+
+
+Packing = Callable[[np.ndarray], np.ndarray]
+
+
+class EncoderProcess:
+    """A running encoder that takes raw frames.
+
+    As a context manager it is finished on a regular exit and killed on any exception, KeyboardInterrupt included.
+
+    Args:
+        command: reads raw frames from standard input.
+        target: what error messages call the output.
+        shape: of a frame, ``(height, width, 3)``.
+        dtype: of a frame, ``uint8`` or ``uint16``.
+        packed: makes of a contiguous frame what the command reads; by default it reads the frame as it is.
+    """
+
+    def __init__(
+        self, command: list[str], target: Path, shape: tuple[int, int, int], dtype: str, packed: Packing | None = None
+    ) -> None:
+        self.frame_count = 0
+        self._packed = packed
+        self._target = target
+        self._shape = shape
+        self._dtype = np.dtype(dtype).newbyteorder("<")
+        self._words: deque[str] = deque(maxlen=LAST_LINES)
+        self._process = self._started(command)
+        self._stdin: IO[bytes] = self._process.stdin  # type: ignore[assignment]  # a pipe was asked for
+        _widen(self._stdin)
+        # A session of its own keeps Ctrl-C from reaching ffmpeg before us. stderr is drained all the time: a full pipe
+        # would stop ffmpeg for ever.
+        self._listener = threading.Thread(target=self._listen, daemon=True, name="ffmpeg-stderr")
+        self._listener.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            self._kill()
+
+    def write(self, frame: Shaped[np.ndarray, "height width 3"]) -> None:
+        """Encode one more frame, of the announced shape and type."""
+        if frame.shape != self._shape or frame.dtype != self._dtype:
+            raise ValueError(f"expected a frame {self._shape} {self._dtype}, got {frame.shape} {frame.dtype}")
+        samples = np.ascontiguousarray(frame, self._dtype)
+        samples = samples if self._packed is None else self._packed(samples)
+        try:
+            self._stdin.write(samples.data)
+        except OSError:
+            raise self._failure() from None
+        self.frame_count += 1
+
+    def _started(self, command: list[str]) -> subprocess.Popen[bytes]:
+        try:
+            return subprocess.Popen(  # noqa: S603 - a list, no shell; every file name is prefixed
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                env={**os.environ, "SVT_LOG": "1", "AV_LOG_FORCE_NOCOLOR": "1"},
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise EncodingError(
+                f"{self._target}: expected to start ffmpeg, got '{error}'; check {command[0]}"
+            ) from error
+
+    def _listen(self) -> None:
+        for line in self._process.stderr or ():
+            text = line.decode("utf-8", "replace").strip()
+            if text and not text.startswith(CHATTER):
+                self._words.append(text)
+
+    def _finish(self) -> None:
+        """Close the input and wait until ffmpeg has written everything."""
+        if self.frame_count == 0:
+            raise EncodingError(
+                f"{self._target}: expected at least one frame to encode, got none; check the trajectory"
+            )
+        try:
+            self._stdin.close()
+        except OSError:
+            raise self._failure() from None
+        if self._process.wait() != 0:
+            raise self._failure()
+
+    def _failure(self) -> EncodingError | WriteError:
+        """What ffmpeg died of, in its own words."""
+        try:
+            code: int | str = self._process.wait(SECONDS_TO_DIE)
+        except subprocess.TimeoutExpired:
+            code = "no exit"
+        self._listener.join(SECONDS_TO_DIE)
+        words = " | ".join(self._words) or "no word"
+        ended_by = signal.Signals(-code).name if isinstance(code, int) and code < 0 else ""
+        if ended_by == TOO_LARGE:
+            return WriteError(
+                f"{self._target}: expected room for the video, got a limit on files; raise it (ulimit -f)"
+            )
+        if not ended_by and any(sign in words for sign in FULL_DISK):
+            return WriteError(f"{self._target}: expected room for the video, got '{words}'; free some space")
+        expected = f"{self._target}: expected ffmpeg to encode {self.frame_count} frames, got"
+        if ended_by:  # without last words
+            return EncodingError(
+                f"{expected} it ended by {ended_by}; where memory is short a smaller --size helps, else choose another "
+                "codec"
+            )
+        return EncodingError(
+            f"{expected} exit code {code}: '{words}'; change the setting it names or choose another codec"
+        )
+
+    def _kill(self) -> None:
+        """Leave no process, thread or pipe behind; harmless after a regular end."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._listener.join(SECONDS_TO_DIE)
+        for pipe in (self._process.stdin, self._process.stderr):
+            with suppress(OSError):  # closing flushes; to a dead process that fails and does not matter
+                if pipe is not None:
+                    pipe.close()
+
+
+def _widen(pipe: IO[bytes]) -> None:
+    with suppress(ImportError, AttributeError, OSError):  # only Linux lets us, and it may allow less
+        import fcntl
+
+        fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+
+
+def read_frames(path: Path, size: tuple[int, int], count: int) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """The first ``count`` frames of a BT.709 video of ``size`` (height, width) as RGB; fewer if it is shorter."""
+    scale = "scale=in_color_matrix=bt709:in_range=tv:flags=accurate_rnd+full_chroma_int"
+    command = [ffmpeg_program(), "-v", "error", "-i", f"file:{path.absolute()}", "-frames:v", str(count)]
+    done = subprocess.run(  # noqa: S603 - a list, no shell; the file name is prefixed
+        [*command, "-vf", scale, "-pix_fmt", "rgb24", "-f", "rawvideo", "-"], capture_output=True, check=False
+    )
+    if done.returncode != 0:
+        words = " | ".join(done.stderr.decode("utf-8", "replace").split("\n")[:3])
+        raise EncodingError(f"{path}: expected a video that ffmpeg can read, got '{words}'; make it again")
+    yield from np.frombuffer(done.stdout, np.uint8).reshape(-1, *size, 3)

@@ -1,0 +1,159 @@
+"""Where files go: checks before any work begins, and writing that is seen whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from omnisyn_cli.errors import OutputPathError, WriteError
+
+__all__ = [
+    "check_folder",
+    "check_kept",
+    "check_name",
+    "check_output",
+    "check_staged_folder",
+    "hidden_folder",
+    "make_folder",
+    "replaced_when_complete",
+    "staged_folder",
+    "temporary_name",
+    "write_errors",
+]
+
+
+def make_folder(folder: Path, what: str) -> None:
+    """Make a folder for ``what``, and those above it, unless it is there; OutputPathError where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputPathError(
+            f"{folder}: expected a folder for {what}, got '{error.strerror}'; choose another place"
+        ) from error
+
+
+def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders: bool = False) -> None:
+    """Refuse outputs that would overwrite what they are made of.
+
+    With ``whole_folders`` outputs that are folders are replaced with everything in them, not added to.
+
+    Raises:
+        OutputPathError: one would.
+    """
+    replaced = {output.resolve() for output in outputs}
+    for path in inputs:
+        source = path.resolve()
+        if source in replaced or (whole_folders and not replaced.isdisjoint(source.parents)):
+            raise OutputPathError(f"{path}: expected inputs that are not overwritten, got this one; write elsewhere")
+
+
+def check_output(path: Path | str, overwrite: bool = False) -> None:
+    """Refuse a file that could not be written, before any work is done for it.
+
+    Raises:
+        OutputPathError: it exists and ``overwrite`` is off, it is a folder, or its folder is missing or read-only.
+    """
+    target = Path(path)
+    check_name(target)
+    check_folder(target.parent)
+    is_folder, exists = target.is_dir(), target.exists() or target.is_symlink()
+    if is_folder:
+        raise OutputPathError(f"{target}: expected a file name, got a folder; add a file name to it")
+    if exists and not overwrite:
+        raise OutputPathError(
+            f"{target}: expected a new file, got one that exists; choose another or allow overwriting (--overwrite)"
+        )
+
+
+def check_name(path: Path) -> None:
+    """Refuse (OutputPathError) a name that the system cannot give to anything: too long, or with unknown characters."""
+    try:
+        path.is_symlink()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputPathError(f"{path!s:.200}: expected a name for a file, got '{reason}'; choose another") from error
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse (OutputPathError) a folder that new files cannot be put into: missing, no folder, or not writable."""
+    if not folder.exists():
+        raise OutputPathError(f"{folder}: expected an existing folder to write into, got none; create it first")
+    if not folder.is_dir():
+        raise OutputPathError(f"{folder}: expected a folder to write into, got a file; choose another output path")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputPathError(
+            f"{folder}: expected a writable folder, got a read-only one; choose another or change its permissions"
+        )
+
+
+def temporary_name(folder: Path, suffix: str = "") -> Path:
+    """A new hidden name inside ``folder``; nothing is created."""
+    return folder / f".omnisyn-{secrets.token_hex(8)}{suffix}"
+
+
+@contextmanager
+def replaced_when_complete(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside ``path``; rename it to ``path`` at the end, remove it after any (write) failure."""
+    temporary = temporary_name(path.parent, path.suffix)
+    try:
+        with write_errors(path):
+            yield temporary
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def write_errors(path: Path) -> Iterator[None]:
+    """Turn the system's errors into :class:`WriteError` about ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(
+            f"{path}: expected to write it, got '{error.strerror or error}'; check free space and permissions"
+        ) from error
+
+
+def check_staged_folder(folder: Path) -> None:
+    """Refuse (OutputPathError) what :func:`staged_folder` could not fill, before any work; its parent has to exist."""
+    check_folder(folder if folder.exists() else folder.parent)
+
+
+@contextmanager
+def hidden_folder(folder: Path) -> Iterator[Path]:
+    """Give a hidden folder on the same disk as ``folder``; it is gone afterwards, whatever happens."""
+    temporary = temporary_name(folder if folder.is_dir() else folder.parent)
+    try:
+        with write_errors(folder):
+            temporary.mkdir()
+        yield temporary
+    except WriteError as error:
+        raise WriteError(str(error).replace(str(temporary), str(folder))) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
+    """Give a hidden folder to write into; its files move into ``folder`` at the end, and are gone after any failure.
+
+    The folder need not exist; its parent must. With ``overwrite`` files of the same names are replaced, those included
+    that appeared during the work.
+
+    Raises:
+        OutputPathError: there is a file of one of the names, and ``overwrite`` is off.
+        WriteError: the disk is full, or the folder went away.
+    """
+    with hidden_folder(folder) as temporary:
+        yield temporary
+        with write_errors(folder):
+            folder.mkdir(exist_ok=True)
+            files = sorted(temporary.iterdir())
+            for file in files:
+                check_output(folder / file.name, overwrite)
+            for file in files:
+                file.replace(folder / file.name)

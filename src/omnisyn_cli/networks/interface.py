@@ -1,0 +1,116 @@
+"""What all networks have in common: a configuration, an answer, and what goes in and out of their files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Self
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from omnisyn_cli.networks.layers import sizes
+
+__all__ = ["DepthAnswer", "Network", "NetworkConfig", "PairNetwork", "Ports", "check_multiple"]
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """What makes one network differ from another: plain values and tuples of them."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Self:
+        """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
+        return cls(**{key: tuple(v) if isinstance(v, list) else v for key, v in values.items()})
+
+
+@dataclass(frozen=True)
+class Ports:
+    """What goes in and out of a network's file, all of it ``(1, channels, height, width)``.
+
+    Attributes:
+        inputs: channels by name.
+        outputs: names.
+        size: ``(height, width)`` that it takes; None for all multiples of its configuration's ``size_multiple``.
+        notes: for the metadata.
+        is_folded: whether constants are computed when the file is written.
+    """
+
+    inputs: Mapping[str, int]
+    outputs: tuple[str, ...] = ("inverse_depth", "confidence")
+    size: tuple[int, int] | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+    is_folded: bool = True
+
+
+class Network(nn.Module):
+    """A network that becomes a file of its own; ``config`` says what it is made of."""
+
+    config: Any
+
+    @property
+    def ports(self) -> Ports:
+        """What goes in and out."""
+        raise NotImplementedError
+
+    def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """What leaves the program, in the order of ``ports.outputs``."""
+        answer = self(*inputs)
+        return (answer,) if isinstance(answer, Tensor) else answer.outputs()
+
+
+class PairNetwork(Network):
+    """Two panoramas in, the ``inverse depth · baseline`` of the first one out.
+
+    It is called with the colours of both in [0, 1], held in one frame.
+
+    Attributes:
+        frame: ``epipole`` or ``forward``, see :mod:`omnisyn_cli.geometry.sweep`.
+        is_folded: see :class:`Ports`.
+    """
+
+    frame: str
+    is_folded = True
+
+    @property
+    def ports(self) -> Ports:
+        """Both panoramas at the configured size, as the sweep is a constant."""
+        both = {"first": 3, "second": 3}
+        return Ports(both, size=self.config.size, notes={"frame": self.frame}, is_folded=self.is_folded)
+
+
+class DepthAnswer:
+    """What a depth network says about a panorama.
+
+    Most estimate the root of inverse depth × baseline, slightly negative where nothing is there, with a
+    ``confidence_logit`` beside it; others say otherwise how deep it is and how sure they are.
+    """
+
+    confidence_logit: Tensor
+
+    def root(self) -> Float[Tensor, "batch 1 height width"]:
+        """The estimate."""
+        raise NotImplementedError
+
+    def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
+        """Inverse depth × baseline: bounded, never negative, exactly 0 where nothing is there."""
+        return self.root().clamp(min=0.0).square()
+
+    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
+        """Probability that the depth is within 10 % of the truth."""
+        return self.confidence_logit.sigmoid()
+
+    def outputs(self) -> tuple[Tensor, ...]:
+        """What leaves the program."""
+        return self.inverse_depth(), self.confidence()
+
+
+def check_multiple(x: Tensor, multiple: int) -> None:
+    """ValueError unless height and width are multiples."""
+    height, width = sizes(x)[-2:]
+    if height % multiple or width % multiple:
+        raise ValueError(f"expected a size of multiples of {multiple}, got {width}×{height}")

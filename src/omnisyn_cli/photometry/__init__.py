@@ -1,7 +1,0 @@
-"""Pictures taken with different exposure or white balance, brought to one that changes steadily along the way."""
-
-from omnisyn_cli.photometry.curve import ExposureCurve, estimate_curve
-from omnisyn_cli.photometry.equalize import equalized
-from omnisyn_cli.photometry.matching import ExposureMatcher
-
-__all__ = ["ExposureCurve", "ExposureMatcher", "equalized", "estimate_curve"]

@@ -1,0 +1,235 @@
+"""The entries of ``poses.json``, of either kind, as pydantic models, and the pose that one means."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import (
+    Pose,
+    enu_from_geographic,
+    nearest_rotation,
+    rotation_from_heading,
+    rotation_from_quaternion,
+)
+
+__all__ = [
+    "GEOGRAPHIC_KEYS",
+    "RIGID_KEYS",
+    "GeographicEntry",
+    "PoseDocument",
+    "RigidEntry",
+    "checked_quaternion",
+    "checked_rotation",
+    "origin_of",
+    "path_problem",
+    "pose_of",
+    "rigid_rotation",
+]
+
+UNIT_TOLERANCE = 1e-3
+"""How far from unit length a quaternion, and from orthonormal a matrix, may be written."""
+
+POSITION_TOLERANCE = 1e-6
+
+EARTH = 1e8
+"""Metres; coordinates beyond are a mistake in units."""
+
+Metres = Annotated[float, Field(ge=-EARTH, le=EARTH)]
+
+Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
+
+
+def path_problem(name: str, *, allow_outside: bool = False) -> str | None:
+    """What keeps a name from being a file inside the pose file's folder (or anywhere, if allowed), or None."""
+    if not name or name in (".", ".."):
+        return "empty"
+    if re.search(r"[\0-\x1f\\]", name):
+        return "with a backslash or control character"
+    if allow_outside:
+        return None
+    if PurePosixPath(name).is_absolute() or PureWindowsPath(name).drive:
+        return "absolute"
+    return "leading out of the folder" if ".." in PurePosixPath(name).parts else None
+
+
+def _inside_folder(name: str, info: ValidationInfo) -> str:
+    if problem := path_problem(name, allow_outside=(info.context or {}).get("allow_outside", False)):
+        hint = "" if path_problem(name, allow_outside=True) else "; commands with --allow-outside accept it"
+        raise ValueError(f"a file name relative to the pose file and inside its folder (this is {problem}{hint})")
+    return name
+
+
+def _square(matrix: list[list[float]]) -> list[list[float]]:
+    lengths = {len(row) for row in matrix}
+    if lengths != {len(matrix)} or len(matrix) not in (3, 4):
+        raise ValueError("a 3×3 or 4×4 matrix as a list of rows")
+    return matrix
+
+
+def _quaternion(numbers: list[float]) -> list[float]:
+    if len(numbers) != 4:
+        raise ValueError("a unit quaternion [w, x, y, z]")
+    return numbers
+
+
+def _first_version(version: Any) -> int:
+    if type(version) is not int or version != 1:
+        raise ValueError("1, the only version there is")
+    return version
+
+
+File = Annotated[str, AfterValidator(_inside_folder)]
+
+Matrix = Annotated[list[list[Metres]], AfterValidator(_square)]
+
+Quaternion = Annotated[list[float], AfterValidator(_quaternion)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class PoseDocument(_Model):
+    """The whole file; entries are checked one by one, by the kind their keys announce."""
+
+    version: Annotated[Any, AfterValidator(_first_version)]
+    panoramas: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
+
+
+class RigidEntry(_Model):
+    """A pose in metres."""
+
+    position: Vector | None = None
+    rotation: Quaternion | None = None
+    matrix: Matrix | None = None
+    depth: File | None = None
+    mask: File | None = None
+
+
+class GeographicEntry(_Model):
+    """A place on earth; degrees, metres, and the compass heading of the image centre."""
+
+    latitude: Annotated[float, Field(ge=-90, le=90)]
+    longitude: Annotated[float, Field(ge=-180, le=180)]
+    altitude: Annotated[float, Field(ge=-1e6, le=1e6)]
+    heading: Annotated[float, Field(ge=-360, le=360)]
+    pitch: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    roll: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    depth: File | None = None
+    mask: File | None = None
+
+
+FILE_KEYS = frozenset({"depth", "mask"})
+
+RIGID_KEYS = frozenset(RigidEntry.model_fields) - FILE_KEYS
+
+GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - FILE_KEYS
+
+
+def pose_of(entry: RigidEntry | GeographicEntry, where: str, origin: tuple[float, float, float] | None) -> Pose:
+    """Camera-to-world, metres, in the world that begins at ``origin``, else at the entry; ``where`` begins errors."""
+    if isinstance(entry, RigidEntry):
+        return _rigid_pose(where, entry)
+    # Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
+    east, north, up = enu_from_geographic(entry.latitude, entry.longitude, entry.altitude, origin or origin_of(entry))
+    angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
+    return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
+
+
+def origin_of(entry: GeographicEntry) -> tuple[float, float, float]:
+    """Latitude and longitude in degrees and altitude in metres: where a world may begin."""
+    return entry.latitude, entry.longitude, entry.altitude
+
+
+def _rigid_pose(where: str, entry: RigidEntry) -> Pose:
+    if (entry.rotation is None) == (entry.matrix is None):
+        found = "both" if entry.rotation else "neither"
+        raise PoseError(f"{where}: expected either rotation or matrix, got {found}; write one of them")
+    if entry.matrix is not None:
+        return _matrix_pose(where, np.array(entry.matrix), entry.position)
+    rotation = checked_quaternion(
+        f"{where}.rotation", np.array(entry.rotation), "a unit quaternion [w, x, y, z]", "divide it by its length"
+    )
+    return Pose(rotation, _position(where, entry.position))
+
+
+def _position(where: str, position: list[float] | None) -> np.ndarray:
+    if position is None:
+        raise PoseError(f"{where}: expected the key 'position', got none; add it as [x, y, z] in metres")
+    return np.array(position, float)
+
+
+def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -> Pose:
+    """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
+    if len(matrix) == 4:
+        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
+            raise PoseError(
+                f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; "
+                "write it row by row, not transposed"
+            )
+        translation = matrix[:3, 3]
+        if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
+            raise PoseError(
+                f"{where}: expected position to agree with the 4×4 matrix, got {position} and "
+                f"{translation.tolist()}; remove position"
+            )
+        position = translation.tolist()
+    return Pose(rigid_rotation(where, matrix[:3, :3]), _position(where, position))
+
+
+def rigid_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """As :func:`checked_rotation`, for whoever writes a pose file."""
+    return checked_rotation(
+        f"{where}.matrix",
+        matrix,
+        kind="a rigid rotation",
+        unscaled="remove scale and shear",
+        unmirrored="the axes are x right, y up, −z forward: flip two axes, not one",
+    )
+
+
+def checked_rotation(
+    where: str,
+    matrix: Float[np.ndarray, "3 3"],
+    *,
+    kind: str = "a rotation",
+    unscaled: str = "check the format, or remove scale and shear",
+    unmirrored: str = "check the format",
+) -> Float[np.ndarray, "3 3"]:
+    """The rotation that a matrix of limited precision stands for.
+
+    Messages begin with ``where``, call it ``kind`` and end with what to do about scale and shear, or a mirror image.
+
+    Raises:
+        PoseError: scale, shear, a mirror image, NaN.
+    """
+    deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
+    if not deviation <= UNIT_TOLERANCE:
+        raise PoseError(
+            f"{where}: expected {kind} (RᵀR = 1 within {UNIT_TOLERANCE:g}), got a deviation of {deviation:.3g}; "
+            f"{unscaled}"
+        )
+    if np.linalg.det(matrix) < 0:
+        raise PoseError(f"{where}: expected a rotation (determinant +1), got a mirror image (−1); {unmirrored}")
+    return nearest_rotation(matrix)
+
+
+def checked_quaternion(
+    where: str,
+    quaternion: Float[np.ndarray, " 4"],
+    kind: str = "a unit quaternion",
+    remedy: str = "check the order of the columns",
+) -> Float[np.ndarray, "3 3"]:
+    """Rotation of a quaternion ``[w, x, y, z]`` of about unit length; else a PoseError that begins with ``where``."""
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise PoseError(f"{where}: expected {kind}, got length {length:.6g}; {remedy}")
+    return rotation_from_quaternion(quaternion)

@@ -1,0 +1,149 @@
+"""Trajectories without names: TUM (time stamp, position, quaternion) and KITTI (3×4 matrices), both camera-to-world.
+
+TUM lines are ``timestamp tx ty tz qx qy qz qw``, KITTI lines the twelve numbers of ``[R | t]`` row by row. Neither says
+what the axes are: usually OpenCV's (x right, y down, z forward) in the world of the first camera, which
+``--camera-axes`` and ``--up`` overrule. Panoramas are matched by time stamp or by the order of their names.
+
+Source: TUM RGB-D benchmark, "File Formats"; KITTI odometry benchmark, development kit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
+from omnisyn_cli.io.documents import read_text
+from omnisyn_cli.poses.entries import checked_quaternion, checked_rotation
+from omnisyn_cli.poses.formats.files import data_lines, find_view, images_in, numbers, usual_folder
+from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, foreign_from_pose, noted
+
+__all__ = ["read_kitti", "read_tum", "tum_text"]
+
+NAME_COMMENT = "# image "
+"""How :func:`tum_text` keeps names, which the format has no place for: ``# image TIMESTAMP NAME``."""
+
+
+def read_tum(source: Path, options: ImportOptions) -> ImportedPoses:
+    """Poses of a TUM trajectory."""
+    stamped: dict[float, Pose] = {}
+    for number, line in data_lines(source):
+        where = f"{source}:{number}"
+        values = numbers(where, line.replace(",", " ").split(), 8, "timestamp tx ty tz qx qy qz qw")
+        if values[0] in stamped:
+            raise PoseError(f"{where}: expected every time stamp once, got {values[0]!r} again; remove one line")
+        foreign = Pose(checked_quaternion(where, values[[7, 4, 5, 6]]), values[1:4])
+        stamped[float(values[0])] = options.pose(foreign, camera="opencv", up="-y")
+    _check_any(source, stamped)
+    return _named_by_time(source, stamped, options)
+
+
+def read_kitti(source: Path, options: ImportOptions) -> ImportedPoses:
+    """Poses of a KITTI trajectory, for the panoramas of a folder in natural order of their names."""
+    poses = []
+    for number, line in data_lines(source):
+        where = f"{source}:{number}"
+        matrix = numbers(where, line.split(), 12, "the rows of a 3×4 matrix").reshape(3, 4)
+        foreign = Pose(checked_rotation(where, matrix[:, :3]), matrix[:, 3])
+        poses.append(options.pose(foreign, camera="opencv", up="-y"))
+    _check_any(source, poses)
+    return _named_in_order(source, poses, options)
+
+
+def tum_text(poses: Mapping[str, Pose]) -> str:
+    """A TUM trajectory in OpenCV axes with the numbers of the panoramas as time stamps, their names in comments."""
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    for number, (name, pose) in enumerate(poses.items()):
+        foreign = foreign_from_pose(pose, camera="opencv", up="-y")
+        w, x, y, z = quaternion_from_rotation(foreign.rotation).tolist()
+        values = [*foreign.position.tolist(), x, y, z, w]
+        lines += [f"{NAME_COMMENT}{number} {name}", " ".join([str(number), *map(repr, values)])]
+    return "\n".join(lines) + "\n"
+
+
+def _check_any(source: Path, poses: Sequence[Pose] | Mapping[float, Pose]) -> None:
+    if not poses:
+        raise PoseError(f"{source}: expected at least one pose, got none; check the file")
+
+
+def _named_by_time(source: Path, stamped: Mapping[float, Pose], options: ImportOptions) -> ImportedPoses:
+    """Names by what the file or a ``rgb.txt`` beside it says, by file names that are time stamps, or by order."""
+    association = _associations(source)
+    if association:
+        note = "images: named by the time stamps that the trajectory, or rgb.txt beside it, lists"
+    else:
+        stamps = {path.name: _stamp(path.stem) for path in images_in(usual_folder(source.parent, options))}
+        association = {stamp: name for name, stamp in stamps.items() if stamp is not None}
+        note = f"images: named by time stamp, within {options.time_tolerance:g} s"
+    pairs = _matched(stamped, association, options.time_tolerance)
+    if pairs is None:
+        return _named_in_order(source, list(stamped.values()), options)
+    folders = [source.parent, usual_folder(source.parent, options)]
+    views = tuple(find_view(str(source), name, stamped[stamp], folders, options) for stamp, name in pairs)
+    without = len(stamped) - len(views)
+    return ImportedPoses(
+        views, _notes(options, note, f"left out: {without} poses without a panorama" if without else "")
+    )
+
+
+def _associations(source: Path) -> dict[float, str]:
+    """Time stamps and names from comments of the trajectory, or from the benchmark's ``rgb.txt``."""
+    lines = enumerate(read_text(source).splitlines(), start=1)
+    pairs = [(f"{source}:{at}", line[len(NAME_COMMENT) :]) for at, line in lines if line.startswith(NAME_COMMENT)]
+    table = source.parent / "rgb.txt"
+    if not pairs and table.is_file() and table != source:
+        pairs = [(f"{table}:{at}", line) for at, line in data_lines(table)]
+    found = {}
+    for where, pair in pairs:
+        first, _, name = pair.partition(" ")
+        stamp = _stamp(first)
+        if stamp is None or not name.strip():
+            raise PoseError(f"{where}: expected a time stamp and a file name, got '{pair:.60}'; correct the line")
+        found[stamp] = name.strip()
+    return found
+
+
+def _stamp(text: str) -> float | None:
+    try:
+        stamp = float(text)
+    except ValueError:
+        return None
+    return stamp if math.isfinite(stamp) else None
+
+
+def _matched(
+    stamped: Mapping[float, Pose], association: Mapping[float, str], tolerance: float
+) -> list[tuple[float, str]] | None:
+    """Pairs of the nearest time stamps, if all poses or all images find a partner of their own; else None."""
+    if not association:
+        return None
+    stamps, pairs = np.array(list(stamped)), {}
+    for stamp, name in association.items():
+        nearest = float(stamps[np.argmin(np.abs(stamps - stamp))])
+        if abs(nearest - stamp) <= tolerance and nearest not in pairs:
+            pairs[nearest] = name
+    is_whole = len(pairs) in (len(stamped), len(association))
+    return [(stamp, pairs[stamp]) for stamp in stamped if stamp in pairs] if is_whole else None
+
+
+def _named_in_order(source: Path, poses: Sequence[Pose], options: ImportOptions) -> ImportedPoses:
+    folder = usual_folder(source.parent, options)
+    paths = images_in(folder)
+    if len(paths) != len(poses):
+        raise PoseError(
+            f"{source}: expected as many panoramas as poses ({len(poses)}), got {len(paths)} in '{folder}'; "
+            "name the folder with --images, or name the panoramas by their time stamps"
+        )
+    views = tuple(ImportedView(path.name, pose, path) for path, pose in zip(paths, poses, strict=True))
+    return ImportedPoses(views, _notes(options, "images: named in the natural order of their file names"))
+
+
+def _notes(options: ImportOptions, *of_names: str) -> tuple[str, ...]:
+    axes = "cameras: taken to have x right, y down, z forward (OpenCV); --camera-axes says otherwise"
+    up = "world: y is taken to point down, as in the world of a first camera; --up says otherwise"
+    distances = "distances: as the trajectory has them, taken as metres"
+    return noted({distances: True, axes: options.camera is None, up: options.up is None, **{n: n for n in of_names}})

@@ -1,0 +1,167 @@
+"""Imported poses written as ``poses.json``, and our poses written for other programs."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.io.decode import read_header
+from omnisyn_cli.io.documents import listed
+from omnisyn_cli.io.outputs import (
+    check_output,
+    check_staged_folder,
+    replaced_when_complete,
+    staged_folder,
+    write_errors,
+)
+from omnisyn_cli.io.placement import placement_of
+from omnisyn_cli.poses.file import PosedPanorama, PoseFile, write_poses
+from omnisyn_cli.poses.formats.colmap import colmap_files
+from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, noted
+from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text
+from omnisyn_cli.poses.formats.trajectories import tum_text
+
+__all__ = ["EXPORT_FORMATS", "export_poses", "write_imported"]
+
+EXPORT_FORMATS = ("colmap", "nerfstudio", "tum")
+
+
+def export_poses(
+    poses: PoseFile, output: Path, format_name: str,
+    *, images: Path | None = None, size: tuple[int, int] | None = None, overwrite: bool = False,
+) -> tuple[str, ...]:  # fmt: skip
+    """Write poses as a COLMAP text model (a folder), a ``transforms.json`` or a TUM trajectory.
+
+    The panoramas lie in the folder ``images`` (None: that of the pose file). All have ``size`` (height, width; None
+    reads it from their files). Files that exist are replaced with ``overwrite``. Notes for the user come back.
+
+    Raises:
+        PoseError: a panorama whose size is needed was not found, or a name that the format cannot hold.
+        ImageError: a panorama that is no image.
+        OutputPathError: a file exists, or there is no folder to write into.
+        WriteError: the disk is full, or the folder went away.
+    """
+    if format_name not in EXPORT_FORMATS:
+        raise ValueError(f"expected one of {', '.join(EXPORT_FORMATS)}, got {format_name!r}")
+    if format_name == "colmap":
+        check_staged_folder(output)
+    else:
+        check_output(output, overwrite)
+    for name in colmap_files({}, {}) if format_name == "colmap" and output.is_dir() else ():
+        check_output(output / name, overwrite)
+    chosen = {name: panorama.pose for name, panorama in poses.panoramas.items()}
+    if format_name == "tum":
+        with replaced_when_complete(output) as temporary:
+            temporary.write_text(tum_text(chosen), encoding="utf-8")
+        return ("time stamps: the numbers of the panoramas; their names are in comments",)
+    folder = images or poses.path.parent
+    files = {name: folder / name if (folder / name).is_file() else None for name in chosen}
+    sizes = {name: size or _size(poses.path, name, folder, file) for name, file in files.items()}
+    if format_name == "nerfstudio":
+        with replaced_when_complete(output) as temporary:
+            temporary.write_text(nerfstudio_text(chosen, sizes, files, output.parent), encoding="utf-8")
+        return ("world: z up; depth and masks are not written",)
+    with staged_folder(output, overwrite=overwrite) as staged, write_errors(output):
+        for name, text in colmap_files(chosen, sizes).items():
+            (staged / name).write_text(text, encoding="utf-8")
+    return ("world: y down; cameras are EQUIRECTANGULAR, which older versions of COLMAP do not know; no points",)
+
+
+def _size(path: Path, name: str, folder: Path, file: Path | None) -> tuple[int, int]:
+    """``(height, width)`` of the whole sphere of a panorama."""
+    if file is None:
+        raise PoseError(
+            f"{path}: expected the panorama '{name}' in '{folder}', for its size, got none; "
+            "name the folder (--images) or the size (--size)"
+        )
+    placement = placement_of(read_header(file))
+    return placement.full_height, placement.full_width
+
+
+def write_imported(
+    output: Path, imported: ImportedPoses, *, copy_images: bool = False, overwrite: bool = False
+) -> tuple[str, ...]:
+    """Write a pose file for what was imported, and copies of the panoramas beside it if asked for.
+
+    Everything appears at once or not at all. Entries are named after the image files; depth files are referred to where
+    they lie in the folder of the pose file, or are copied too.
+
+    With ``copy_images`` panoramas and depth files are copied into the folder of ``output``, under names that differ.
+    The answer tells the user what was left out, or is not where it will be looked for.
+
+    Raises:
+        PoseError: image files of one name without ``copy_images``, or panoramas that were not found with it.
+        OutputPathError: a file exists, or there is no folder to write into.
+        WriteError: the disk is full, or the folder went away.
+    """
+    check_output(output, overwrite)
+    missing = [view.name for view in imported.views if view.image is None]
+    if copy_images:
+        if missing:
+            raise PoseError(
+                f"{output}: expected all panoramas, to copy them, got no {listed(missing)}; name their folder"
+            )
+        return _write_copies(output, _named(output, imported.views, may_join=True), overwrite)
+    views, folder = _named(output, imported.views, may_join=False), output.parent.absolute()
+    within = {
+        name: view.depth.absolute()
+        for name, view in views.items()
+        if view.depth is not None and view.depth.absolute().is_relative_to(folder)
+    }
+    write_poses(output, {name: PosedPanorama(view.pose, within.get(name)) for name, view in views.items()})
+    elsewhere = sum(view.image is not None and view.image.absolute().parent != folder for view in views.values())
+    unreachable = [view.name for name, view in views.items() if view.depth is not None and name not in within]
+    return noted(
+        {
+            f"images: {listed(missing)} not found, the names are taken as they are": missing,
+            f"images: {elsewhere} are not in the folder of the pose file; give interpolate their paths": elsewhere,
+            f"depth: left out for {listed(unreachable)}, outside the folder of the pose file (--copy-images)": (
+                unreachable
+            ),
+        }
+    )
+
+
+def _named(output: Path, views: Sequence[ImportedView], *, may_join: bool) -> dict[str, ImportedView]:
+    """Views by the names of their files, or, where these are equal and may be, by their paths with ``_`` for ``/``."""
+    names = [PurePosixPath(view.name).name if view.image is None else view.image.name for view in views]
+    if may_join and len(set(names)) < len(names):
+        parents = (PurePosixPath(view.name).parent.parts for view in views)
+        above = ([part for part in parts if part not in ("..", "/")] for parts in parents)
+        names = ["_".join([*parts, name]) for parts, name in zip(above, names, strict=True)]
+    named: dict[str, ImportedView] = {}
+    for name, view in zip(names, views, strict=True):
+        first = named.setdefault(name, view)
+        if first is not view:
+            raise PoseError(
+                f"{output}: expected image files of different names, got '{first.name}' and '{view.name}'; "
+                "let them be copied under names that differ (--copy-images)"
+            )
+    return named
+
+
+def _write_copies(output: Path, views: Mapping[str, ImportedView], overwrite: bool) -> tuple[str, ...]:
+    depths = {
+        name: f"{PurePosixPath(name).stem}_depth{view.depth.suffix}" for name, view in views.items() if view.depth
+    }
+    if both := set(views) & set(depths.values()):
+        raise PoseError(f"{output}: expected no panorama named as the depth of another, got '{both.pop()}'; rename it")
+    copies: dict[str, Path] = {}
+    for name, view in views.items():
+        for copy, file in ((name, view.image), (depths.get(name), view.depth)):
+            target = output.parent / (copy or "")
+            if copy is not None and file is not None and not (target.exists() and target.samefile(file)):
+                check_output(target, overwrite)
+                copies[copy] = file
+    with staged_folder(output.parent, overwrite=overwrite) as staged:
+        for copy, file in copies.items():
+            with write_errors(output.parent / copy):
+                shutil.copyfile(file, staged / copy)
+        entries = {
+            name: PosedPanorama(view.pose, staged / depths[name] if name in depths else None)
+            for name, view in views.items()
+        }
+        write_poses(staged / output.name, entries)
+    return (f"copied: {len(copies)} files into '{output.parent}'",)

@@ -1,0 +1,266 @@
+"""Convention hypotheses: what commonly goes wrong when poses are written down, each with the correction that undoes it.
+
+A correction takes both camera-to-world poses as they were given to what they were meant to be. Hypotheses are tried
+alone and then in pairs, in the order of their stages: numbers are read before transforms are inverted, axes come last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from omnisyn_cli.geometry.pose import (
+    Pose,
+    quaternion_from_rotation,
+    rotation_angle,
+    rotation_from_heading,
+    rotation_from_quaternion,
+    rotation_from_rotation_vector,
+    rotation_vector_from_rotation,
+)
+from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
+
+__all__ = [
+    "ConventionHypothesis",
+    "combined_hypotheses",
+    "degree_hypotheses",
+    "heading_angles",
+    "single_hypotheses",
+]
+
+NUMBERS, TRANSFORMS, AXES, PAIR = range(4)
+"""Stages."""
+
+OPENCV = np.diag([1.0, -1.0, -1.0])
+"""This program's camera axes in those of OpenCV (x right, y down, z forward), and back."""
+
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+SIGNED_PERMUTATIONS = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+]
+
+FULL_TURNS = 29
+"""By which an angle of at most 180 passes when it is taken for radians."""
+
+NO_TURN = 1e-9
+
+Correction = Callable[[Pose, Pose], tuple[Pose, Pose]]
+
+
+@dataclass(frozen=True)
+class ConventionHypothesis:
+    """A way of writing poses down wrongly.
+
+    Attributes:
+        name: short and fixed, for programs.
+        stage: at which it is undone.
+        words: what was done, for people; goes on from "it looks as if".
+        remedy: what to do about it.
+        correct: undoes it.
+        is_common: listed where several hypotheses explain the same; the others only where nothing else does.
+    """
+
+    name: str
+    stage: int
+    words: str
+    remedy: str
+    correct: Correction
+    is_common: bool = True
+
+
+def single_hypotheses() -> tuple[ConventionHypothesis, ...]:
+    """One thing gone wrong in each, the most common ones first."""
+    words = "the axes of the positions are not those of the rotations"
+    return (
+        *_common(),
+        *(_other_camera_axes(matrix) for matrix in SIGNED_PERMUTATIONS if np.linalg.det(matrix) > 0),
+        *(_one_half_turn(index, word) for index, word in enumerate(("first", "second"))),
+        *(_position_axes("position-axes", _written(m), words, is_common=False) for m in SIGNED_PERMUTATIONS),
+    )
+
+
+def combined_hypotheses() -> Iterator[ConventionHypothesis]:
+    """Pairs of common ones that belong to different stages."""
+    common = [hypothesis for hypothesis in single_hypotheses() if hypothesis.is_common]
+    for first, second in product(common, common):
+        if first.stage < second.stage:
+            yield ConventionHypothesis(
+                f"{first.name}+{second.name}",
+                second.stage,
+                f"{first.words}, and {second.words}",
+                f"{first.remedy}; then {second.remedy}",
+                lambda a, b, earlier=first.correct, later=second.correct: later(*earlier(a, b)),  # type: ignore[misc]
+            )
+
+
+def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> Iterator[ConventionHypothesis]:
+    """Rotation angles in degrees that were taken for radians: one candidate for each number of lost full turns.
+
+    There are thousands; only those are given whose relative rotation is within ``limit`` radians of ``found``.
+    """
+    firsts, seconds = _angles_in_degrees(first.rotation), _angles_in_degrees(second.rotation)
+    relative = np.swapaxes(firsts, 1, 2)[:, None] @ seconds[None]
+    for i, k in np.argwhere(rotation_angle(found.rotation.T @ relative) <= limit):
+        yield ConventionHypothesis(
+            "degrees-for-radians",
+            NUMBERS,
+            "rotation angles in degrees were taken for radians",
+            "convert angles to radians before making quaternions or matrices of them",
+            lambda a, b, r=firsts[i], s=seconds[k]: (Pose(r, a.position), Pose(s, b.position)),  # type: ignore[misc]
+        )
+
+
+def heading_angles(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Heading, pitch and roll in radians; the inverse of :func:`rotation_from_heading`."""
+    azimuth, polar_angle = direction_to_angles(rotation @ FORWARD)
+    heading, pitch = float(azimuth), math.radians(90.0) - float(polar_angle)
+    rest = rotation_vector_from_rotation(rotation_from_heading(heading, pitch).T @ rotation)
+    return heading, pitch, float(rest @ FORWARD)
+
+
+def _common() -> tuple[ConventionHypothesis, ...]:
+    return (
+        _each("world-to-camera", TRANSFORMS,
+              "the poses are world-to-camera transforms, given as camera-to-world ones",
+              "invert every transform: rotation Rᵀ, position −Rᵀ·t",
+              Pose.inverse),
+        _each("opencv-extrinsics", TRANSFORMS,
+              "the poses are world-to-camera transforms with OpenCV's axes as COLMAP writes them",
+              "convert them, for example with `omnisyn poses import --format colmap`",
+              lambda pose: Pose(pose.rotation.T @ OPENCV, pose.inverse().position)),
+        _each("rotation-transposed", TRANSFORMS,
+              "the rotations are world-to-camera (transposed, or conjugated quaternions), the positions right",
+              "transpose every rotation matrix, or negate x, y, z of every quaternion",
+              lambda pose: Pose(pose.rotation.T, pose.position)),
+        _each("translation-for-position", TRANSFORMS,
+              "the positions are translations t of world-to-camera transforms instead of camera centres",
+              "write −R·t with the camera-to-world rotation R as position",
+              lambda pose: Pose(pose.rotation, -pose.rotation @ pose.position)),
+        ConventionHypothesis(
+              "images-swapped", PAIR,
+              "the two images are swapped: each has the pose of the other",
+              "exchange the two names in the pose file",
+              lambda first, second: (second, first)),
+        _each("opencv-axes", AXES,
+              "the rotations are for camera axes x right, y down, z forward (OpenCV, COLMAP)",
+              "multiply every rotation by diag(1, −1, −1) from the right",
+              lambda pose: Pose(pose.rotation @ OPENCV, pose.position)),
+        _each("centre-at-edge", AXES,
+              "the rotations are for images whose centre is at the left and right edge (turned by 180° of yaw)",
+              "roll the images by half their width, or turn every rotation by 180° about its y axis",
+              _half_turn),
+        _each("z-up-camera", AXES,
+              "the rotations are for camera axes x right, y forward, z up: y and z are mixed up",
+              "multiply every rotation by [[1, 0, 0], [0, 0, −1], [0, 1, 0]] from the right",
+              lambda pose: Pose(pose.rotation @ Z_UP, pose.position)),
+        _mirror("x", (-1, 1, 1)),
+        _mirror("y", (1, -1, 1)),
+        _mirror("z", (1, 1, -1)),
+        _position_axes("position-yz-swapped", "x, z, y", "y and z of the positions are mixed up (height stands last)"),
+        _position_axes("position-z-up", "x, z, −y", "the positions are z-up (x, −z, y), the rotations y-up"),
+        _position_axes("position-x-mirrored", "−x, y, z", "x of the positions has the wrong sign"),
+        _position_axes("position-y-mirrored", "x, −y, z", "y of the positions has the wrong sign"),
+        _position_axes("position-z-mirrored", "x, y, −z", "z of the positions has the wrong sign"),
+        _position_axes("position-negated", "−x, −y, −z", "the positions are negated"),
+        _position_axes("position-half-turn", "−x, y, −z", "headings and positions are 180° apart"),
+        _position_axes("position-xz-swapped", "z, y, x", "x and z of the positions are mixed up"),
+        _position_axes("position-quarter-left", "z, y, −x",
+                       "headings and positions are 90° apart (as if headings counted from east)"),
+        _position_axes("position-quarter-right", "−z, y, x",
+                       "headings and positions are 90° apart (as if headings counted from west)"),
+        _each("quaternion-order", NUMBERS,
+              "the quaternions are [x, y, z, w] instead of [w, x, y, z]",
+              "write w first",
+              lambda pose: Pose(
+                  rotation_from_quaternion(np.roll(quaternion_from_rotation(pose.rotation), 1)), pose.position)),
+        _each("radians-for-degrees", NUMBERS,
+              "headings in radians were taken for degrees",
+              "write heading, pitch and roll in degrees",
+              lambda pose: Pose(rotation_from_heading(*np.degrees(heading_angles(pose.rotation))), pose.position)),
+        _each("heading-reversed", NUMBERS,
+              "headings are counted counter-clockwise instead of clockwise",
+              "change the sign of every heading (yaw)",
+              lambda pose: Pose(
+                  rotation_from_heading(*np.multiply((-1, 1, 1), heading_angles(pose.rotation))), pose.position)),
+    )  # fmt: skip
+
+
+def _each(
+    name: str, stage: int, words: str, remedy: str, correct: Callable[[Pose], Pose], is_common: bool = True
+) -> ConventionHypothesis:
+    """The same is undone in both poses."""
+
+    def correct_both(first: Pose, second: Pose) -> tuple[Pose, Pose]:
+        return correct(first), correct(second)
+
+    return ConventionHypothesis(name, stage, words, remedy, correct_both, is_common)
+
+
+def _mirror(axis: str, signs: tuple[int, int, int]) -> ConventionHypothesis:
+    m = np.diag(np.array(signs, float))
+    return _each(
+        f"mirrored-{axis}",
+        AXES,
+        f"the poses are from a left-handed frame, the {axis} axis mirrored (or the images are flipped)",
+        f"with M = diag{signs} write M·R·M as rotation and M·p as position",
+        lambda pose: Pose(m @ pose.rotation @ m, m @ pose.position),
+    )
+
+
+def _position_axes(name: str, axes: str, words: str, is_common: bool = True) -> ConventionHypothesis:
+    matrix = next(matrix for matrix in SIGNED_PERMUTATIONS if _written(matrix) == axes)
+    remedy = f"write ({axes}) as position instead of (x, y, z)"
+    return _each(name, AXES, words, remedy, lambda pose: Pose(pose.rotation, matrix @ pose.position), is_common)
+
+
+def _other_camera_axes(matrix: np.ndarray) -> ConventionHypothesis:
+    return _each(
+        "camera-axes",
+        AXES,
+        f"the rotations are for other camera axes: x, y, z of this program are {_written(matrix.T)} there",
+        f"multiply every rotation by {matrix.astype(int).tolist()} from the right",
+        lambda pose: Pose(pose.rotation @ matrix, pose.position),
+        is_common=False,
+    )
+
+
+def _one_half_turn(index: int, word: str) -> ConventionHypothesis:
+    def correct(*poses: Pose) -> tuple[Pose, Pose]:
+        first, second = (_half_turn(pose) if k == index else pose for k, pose in enumerate(poses))
+        return first, second
+
+    return ConventionHypothesis(
+        f"{word}-centre-at-edge",
+        AXES,
+        f"the {word} image alone has its centre at the left and right edge (turned by 180° of yaw)",
+        f"roll the {word} image by half its width, or turn its rotation by 180° about its y axis",
+        correct,
+        is_common=False,
+    )
+
+
+def _written(matrix: np.ndarray) -> str:
+    """A signed permutation in letters, row by row: ``x, −z, y``."""
+    return ", ".join(("−" if row.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix)
+
+
+def _half_turn(pose: Pose) -> Pose:
+    return Pose(pose.rotation @ np.diag([-1.0, 1.0, -1.0]), pose.position)
+
+
+def _angles_in_degrees(rotation: np.ndarray) -> np.ndarray:
+    """Rotations ``(n, 3, 3)`` about the same axis by what the angle may have been before it was taken for radians."""
+    vector = rotation_vector_from_rotation(rotation)
+    angle = float(np.linalg.norm(vector))
+    if angle < NO_TURN:
+        return rotation[None]
+    degrees = angle + np.arange(-FULL_TURNS, FULL_TURNS + 1) * math.radians(360.0)
+    degrees = degrees[np.abs(degrees) <= 180.0]
+    return rotation_from_rotation_vector(np.radians(degrees)[:, None] * vector / angle)

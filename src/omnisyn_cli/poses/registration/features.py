@@ -1,0 +1,161 @@
+"""Points that two panoramas have in common, as pairs of directions.
+
+An equirectangular image is stretched without bound at its poles. It is therefore looked at three times, as a band
+around the great circle orthogonal to each axis; a direction belongs to the band whose circle is nearest, at most 35.3°
+away, where nothing is stretched by more than 1.23. The bands close in themselves, so there is neither pole nor seam.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.geometry.sampling import add_columns, sample_nearest
+from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_pixel, pixel_scale, pixel_to_direction
+from omnisyn_cli.runtime.thread_limit import limited_threads
+
+__all__ = ["Features", "Matches", "find_features", "match_features"]
+
+MOST_ROWS = 1024
+"""Larger panoramas are reduced to this height: features are then found within about 0.05°."""
+
+MOST_FEATURES = 6000
+
+BAND = math.asin(1.0 / math.sqrt(3.0))
+"""Latitude within which every direction lies in one of three orthogonal bands."""
+
+MARGIN = math.radians(9.0)
+"""Surroundings of a band that descriptors may look at."""
+
+CONTRAST = 0.02
+"""SIFT's threshold; half of the usual one, for plain rooms."""
+
+RATIO = 0.8
+"""The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)."""
+
+QUANTISED_NORM = 512.0
+"""Length of descriptors in integers: sums of 128 products stay below 2²⁴, where float32 is exact in any order."""
+
+TURNS = tuple(
+    np.linalg.matrix_power(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), k) for k in range(3)
+)
+"""``camera_from_band``: three turns of the axes into each other."""
+
+
+@dataclass(frozen=True)
+class Features:
+    """Distinctive points of one panorama.
+
+    Attributes:
+        direction: ``(n, 3)`` unit vectors in the camera's frame.
+        descriptor: ``(n, 128)`` float32, whole numbers.
+        pixel: radians that one pixel of the searched image covers.
+    """
+
+    direction: Float[np.ndarray, "n 3"]
+    descriptor: Float[np.ndarray, "n 128"]
+    pixel: float
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What is seen by both panoramas of a pair; some of it is wrong.
+
+    Attributes:
+        first, second: ``(n, 3)`` unit vectors, each in its own camera's frame.
+        pixel: radians of the larger one of the two images' pixels.
+    """
+
+    first: Float[np.ndarray, "n 3"]
+    second: Float[np.ndarray, "n 3"]
+    pixel: float
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def select(self, chosen: np.ndarray) -> Matches:
+        """Those of a mask or of indices."""
+        return Matches(self.first[chosen], self.second[chosen], self.pixel)
+
+
+def find_features(
+    image: Float[np.ndarray, "height width 3"],
+    usable: Bool[np.ndarray, "height width"] | None = None,
+    threads: int | None = None,
+) -> Features:
+    """SIFT features of a panorama, the strongest :data:`MOST_FEATURES` of them.
+
+    The image is RGB in [0, 1]; ``usable`` says where features are wanted, None means everywhere. The result does not
+    depend on the number of OpenCV's ``threads``.
+
+    Source: Lowe, Distinctive image features from scale-invariant keypoints, 2004; descriptors as in Arandjelović and
+    Zisserman, Three things everyone should know to improve object retrieval, 2012.
+    """
+    grey = _grey(image)
+    with limited_threads(threads):
+        found = [_band_features(grey, axis) for axis in range(3)]
+    direction, descriptor, response = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if usable is not None:
+        kept = np.asarray(sample_nearest(usable.astype(np.float32), direction) > 0)
+        direction, descriptor, response = direction[kept], descriptor[kept], response[kept]
+    strongest = np.argsort(-response, kind="stable")[:MOST_FEATURES]
+    return Features(direction[strongest], _normalised(descriptor[strongest]), 1.0 / pixel_scale(grey.shape)[0])
+
+
+def match_features(first: Features, second: Features) -> Matches:
+    """Pairs of features that are each other's best match, and clearly so."""
+    pixel = max(first.pixel, second.pixel)
+    if min(len(first.direction), len(second.direction)) < 2:
+        return Matches(np.zeros((0, 3)), np.zeros((0, 3)), pixel)
+    similarity = first.descriptor @ second.descriptor.T
+    best = np.argmax(similarity, axis=1)
+    is_mutual = np.argmax(similarity, axis=0)[best] == np.arange(len(best))
+    top = np.partition(similarity, -2, axis=1)[:, -2:]
+    nearest, runner_up = (2.0 * (QUANTISED_NORM**2 - top[:, k]).clip(0.0) for k in (1, 0))
+    chosen = np.flatnonzero(is_mutual & (nearest < RATIO**2 * runner_up))
+    return Matches(first.direction[chosen], second.direction[best[chosen]], pixel)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """Luma of a panorama as uint8, at most :data:`MOST_ROWS` high."""
+    luma: np.ndarray = np.asarray(image, np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
+    if len(luma) > MOST_ROWS:
+        luma = cv2.resize(luma, (2 * MOST_ROWS, MOST_ROWS), interpolation=cv2.INTER_AREA)
+    return np.asarray(np.rint(luma.clip(0.0, 1.0) * 255.0), np.uint8)
+
+
+def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Direction, descriptor and response of the features that belong to one band."""
+    height, width = size = (grey.shape[0], grey.shape[1])
+    reach = BAND + MARGIN
+    edge, _ = angles_to_pixel(0.0, math.acos(math.sin(reach)), size)
+    top, wrap = max(math.floor(edge), 0), width // 16
+    row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
+    band = _look(grey, pixel_to_direction(row.astype(float), col.astype(float), size) @ TURNS[axis].T)
+    sift = cv2.SIFT.create(nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)
+    points, descriptor = sift.detectAndCompute(band, None)
+    if not points:
+        return np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0)
+    place = np.array([point.pt for point in points], float) + np.array([-wrap, top])
+    direction = pixel_to_direction(place[:, 1], place[:, 0], size)
+    is_inside = (place[:, 0] >= -0.5) & (place[:, 0] < width - 0.5) & (np.argmin(np.abs(direction), axis=1) == 1)
+    response = np.array([point.response for point in points])
+    return direction[is_inside] @ TURNS[axis].T, descriptor[is_inside], response[is_inside]
+
+
+def _look(grey: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """The picture in some directions, bilinear, across the seam."""
+    row, col = direction_to_pixel(direction, grey.shape)
+    maps = (np.asarray(col + 1.0, np.float32), np.asarray(row, np.float32))
+    return np.asarray(cv2.remap(add_columns(grey, 1), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def _normalised(descriptor: np.ndarray) -> np.ndarray:
+    """Square roots of shares (Hellinger's distance instead of Euclid's), as whole numbers."""
+    total = descriptor.sum(axis=1, keepdims=True)
+    share = descriptor / np.where(total > 0, total, 1.0)
+    return np.asarray(np.rint(np.sqrt(share) * QUANTISED_NORM), np.float32)

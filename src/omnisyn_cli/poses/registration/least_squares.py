@@ -1,0 +1,128 @@
+"""The relative pose that fits all matches best, from one that fits roughly.
+
+Iteratively reweighted least squares on the angles to the epipolar circles, over rotations and unit directions: five
+numbers, each step in the tangent space, damped as by Levenberg and Marquardt. Weights are those of Geman and McClure,
+so that wrong matches lose their influence; the scale shrinks from step to step down to the noise that is found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector, rotation_taking
+from omnisyn_cli.poses.registration.epipolar import epipolar_residual, is_in_front
+from omnisyn_cli.poses.registration.features import Matches
+
+__all__ = ["Uncertainty", "moved", "noise_of", "refine_pose", "robust_misfit", "uncertainty"]
+
+STEPS = 20
+
+SETTLED = 1e-8
+"""Radians: smaller steps end the search."""
+
+GAUSSIAN = 1.4826
+"""Standard deviation of a normal distribution over its median absolute value."""
+
+LEAST_NOISE = 1e-7
+"""Radians; no residual is weighted as if it were better than this."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Standard deviations in radians, in the direction in which they are largest."""
+
+    rotation: float
+    direction: float
+
+
+def refine_pose(start: Pose, matches: Matches, scale: float) -> Pose:
+    """Refine ``first_from_second`` with a position of length 1; matches are wrong beyond ``scale`` radians."""
+    pose, damping = start, 1e-4
+    spread = 3.0 * scale
+    weight = _weights(pose, matches, spread)
+    for _ in range(STEPS):
+        residual = epipolar_residual(pose, matches)
+        jacobian = _jacobian(pose, matches)
+        hessian, gradient = _normal_equations(jacobian, residual, weight)
+        hessian += damping * np.diag(np.diag(hessian) + 1e-12)
+        step = -np.linalg.solve(hessian, gradient)
+        tried = moved(pose, step)
+        better = np.sum(weight * epipolar_residual(tried, matches) ** 2) <= np.sum(weight * residual**2)
+        damping = damping * 0.1 if better else damping * 10.0
+        if better:
+            pose = tried
+            spread = max(0.6 * spread, min(scale, _spread(pose, matches, scale)))
+            weight = _weights(pose, matches, spread)
+        if np.linalg.norm(step) < SETTLED:
+            break
+    return pose
+
+
+def moved(pose: Pose, step: Float[np.ndarray, " 5"]) -> Pose:
+    """The pose turned by a rotation vector (three numbers, radians) and its direction moved by two angles."""
+    across = _tangent(pose.position) @ step[3:]
+    position = pose.position + across
+    return Pose(rotation_from_rotation_vector(step[:3]) @ pose.rotation, position / np.linalg.norm(position))
+
+
+def noise_of(pose: Pose, matches: Matches) -> float:
+    """Standard deviation of the residuals in radians, robustly; for matches that fit."""
+    return max(GAUSSIAN * float(np.median(np.abs(epipolar_residual(pose, matches)))), LEAST_NOISE)
+
+
+def robust_misfit(pose: Pose, matches: Matches, noise: float) -> float:
+    """Sum of squared residuals in units of ``noise``; a match counts 9 at most (Geman and McClure)."""
+    squared = (epipolar_residual(pose, matches) / (3.0 * noise)) ** 2
+    return float(9.0 * np.sum(squared / (1.0 + squared)))
+
+
+def uncertainty(pose: Pose, matches: Matches) -> Uncertainty:
+    """How well matches that fit determine rotation and direction; infinite where they do not."""
+    jacobian = _jacobian(pose, matches)
+    hessian, _ = _normal_equations(jacobian, np.zeros(len(matches)), np.ones(len(matches)))
+    if np.linalg.cond(hessian) > 1e14:
+        return Uncertainty(np.inf, np.inf)
+    covariance = noise_of(pose, matches) ** 2 * np.linalg.inv(hessian)
+    largest = [float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in (covariance[:3, :3], covariance[3:, 3:])]
+    return Uncertainty(*largest)
+
+
+def _tangent(direction: np.ndarray) -> np.ndarray:
+    """Two unit vectors orthogonal to ``direction`` and to each other, as columns."""
+    return rotation_taking(np.array([0.0, 0.0, 1.0]), direction)[:, :2]
+
+
+def _jacobian(pose: Pose, matches: Matches) -> np.ndarray:
+    """Derivatives ``(n, 5)`` of the residuals by the step of :func:`moved`.
+
+    With q = R·d₂ and s the quadratic mean of |t × q| and |d₁ × t|, the sine of a residual is d₁ · (t × q) / s. Changes
+    of s are left out: they are weighted with the residual itself, which is small.
+    """
+    t, turned = pose.position, matches.second @ pose.rotation.T
+    of_first, of_second = np.cross(matches.first, t), np.cross(t, turned)
+    squared = 0.5 * (np.sum(of_first**2, axis=1) + np.sum(of_second**2, axis=1))
+    by_rotation = np.cross(turned, of_first)
+    by_direction = np.cross(turned, matches.first) @ _tangent(t)
+    derivative: np.ndarray = np.concatenate([by_rotation, by_direction], axis=1)
+    return np.asarray(derivative / np.sqrt(np.maximum(squared, LEAST_NOISE))[:, None])
+
+
+def _normal_equations(jacobian: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sums in a fixed order: a matrix product would depend on the number of threads in its last digits."""
+    hessian = np.einsum("ni,n,nj->ij", jacobian, weight, jacobian)
+    return hessian, np.einsum("ni,n,n->i", jacobian, weight, residual)
+
+
+def _spread(pose: Pose, matches: Matches, scale: float) -> float:
+    """Scale of the weights: three standard deviations of the matches that fit within ``scale``."""
+    residual = np.abs(epipolar_residual(pose, matches))
+    near = residual[residual < scale]
+    return scale if near.size < 8 else max(3.0 * GAUSSIAN * float(np.median(near)), 0.2 * scale)
+
+
+def _weights(pose: Pose, matches: Matches, spread: float) -> np.ndarray:
+    residual = epipolar_residual(pose, matches)
+    return np.asarray(is_in_front(pose, matches, spread) / (1.0 + (residual / spread) ** 2) ** 2)

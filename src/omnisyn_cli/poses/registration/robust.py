@@ -1,0 +1,185 @@
+"""The relative pose of two panoramas from matches of which many are wrong.
+
+Samples of five matches give hypotheses (:mod:`.minimal`); those that most matches agree with are refined
+(:mod:`.refinement`), and so is a pose that is already known. Random numbers come from a fixed seed: equal matches give
+equal poses. That the cameras stand in one place, so that no direction can be told, is recognised by a rotation alone
+explaining as much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.geometry.pose import Pose, nearest_rotation
+from omnisyn_cli.geometry.sphere import FORWARD
+from omnisyn_cli.poses.registration.epipolar import angle_between, epipolar_residual, is_in_front
+from omnisyn_cli.poses.registration.features import Matches
+from omnisyn_cli.poses.registration.least_squares import Uncertainty, refine_pose, uncertainty
+from omnisyn_cli.poses.registration.minimal import essential_candidates, poses_of_essential
+
+__all__ = ["LEAST_INLIERS", "Estimate", "estimate_relative_pose", "inlier_scale", "supporting"]
+
+LEAST_INLIERS = 24
+"""Fewer matches that agree may agree by chance."""
+
+STRAIGHT_AHEAD = Pose(np.eye(3), FORWARD)
+
+LEAST_SHARE = 0.08
+"""Of all matches, that have to agree."""
+
+SCALE_IN_PIXELS = 1.0
+"""How far from its epipolar circle a right match may lie."""
+
+BATCH, MOST_BATCHES = 300, 30
+"""Samples that are drawn at once, and how many times at most."""
+
+CONFIDENCE = 0.9999
+"""Probability that a sample without a wrong match was among those drawn."""
+
+CHUNK = 256
+"""Hypotheses that are scored at once."""
+
+REFINED = 5
+"""Hypotheses that are refined."""
+
+IN_PLACE = 0.9
+"""Share of the matches that a rotation alone has to explain for the cameras to stand in one place."""
+
+VAGUE = 0.2
+"""Radians; a direction that is less certain is none."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What the matches say about a pair.
+
+    Attributes:
+        first_from_second: relative pose; its position has length 1, or is zero where ``is_in_place``.
+        inliers: ``(n,)`` the matches that agree with it.
+        residual: their median angle to the epipolar circles, or to the rotated directions if in place; radians.
+        uncertainty: of rotation and direction.
+        is_in_place: the panoramas were taken (nearly) from one place; there is no direction.
+    """
+
+    first_from_second: Pose
+    inliers: Bool[np.ndarray, " n"]
+    residual: float
+    uncertainty: Uncertainty
+    is_in_place: bool
+
+
+def estimate_relative_pose(matches: Matches, known: Sequence[Pose] = ()) -> Estimate | None:
+    """The relative pose that most matches agree with, or None if too few agree with any.
+
+    ``known`` are relative poses with a position of length 1 that compete with what is found.
+
+    Source: Fischler and Bolles, Random sample consensus, 1981; Torr and Zisserman, MLESAC, 2000 (truncated squares).
+    """
+    if len(matches) < LEAST_INLIERS:
+        return None
+    scale = inlier_scale(matches)
+    pose = _best_pose(matches, known, scale)
+    inliers = supporting(pose, matches, scale)
+    rotation = _best_rotation(matches, scale)
+    turned = _rotation_residual(rotation, matches)
+    count, in_place = int(inliers.sum()), int((turned < scale).sum())
+    if max(count, in_place) < max(LEAST_INLIERS, LEAST_SHARE * len(matches)):
+        return None
+    agreed = matches.select(inliers)
+    spread = uncertainty(pose, agreed) if count else Uncertainty(np.inf, np.inf)
+    if in_place >= IN_PLACE * count or spread.direction > VAGUE:
+        return _in_place(rotation, turned, scale)
+    residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
+    return Estimate(pose, inliers, residual, spread, is_in_place=False)
+
+
+def inlier_scale(matches: Matches) -> float:
+    """Radians within which a match agrees with a pose."""
+    return SCALE_IN_PIXELS * matches.pixel
+
+
+def supporting(first_from_second: Pose, matches: Matches, scale: float) -> Bool[np.ndarray, " n"]:
+    """Matches near their epipolar circles with a point in front of both cameras."""
+    is_near = np.abs(epipolar_residual(first_from_second, matches)) < scale
+    return np.asarray(is_near & is_in_front(first_from_second, matches, scale))
+
+
+def _in_place(rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimate:
+    inliers = turned < scale
+    residual = float(np.median(turned[inliers]))
+    spread = Uncertainty(residual / np.sqrt(inliers.sum()), np.inf)
+    return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, is_in_place=True)
+
+
+def _best_pose(matches: Matches, known: Sequence[Pose], scale: float) -> Pose:
+    hypotheses = (poses_of_essential(essential) for essential in _essential_hypotheses(matches, scale))
+    in_front = (max(poses, key=lambda pose: supporting(pose, matches, scale).sum()) for poses in hypotheses)
+    starts = [*known, *in_front]
+    starts = starts or [STRAIGHT_AHEAD]  # one picture twice: all samples are degenerate
+    refined = [refine_pose(start, matches, scale) for start in starts]
+    costs = [_pose_cost(pose, matches, scale) for pose in refined]
+    return refined[int(np.argmin(costs))]
+
+
+def _essential_hypotheses(matches: Matches, scale: float) -> Float[np.ndarray, "k 3 3"]:
+    """The best :data:`REFINED` essential matrices of random samples, best first."""
+    rng, needed, drawn = np.random.default_rng(0), np.inf, 0
+    best, costs = np.zeros((0, 3, 3)), np.zeros(0)
+    pairs = ((matches.first, matches.second), (matches.first, matches.first), (matches.second, matches.second))
+    products = tuple(np.einsum("ni,nj->ijn", a, b).reshape(9, -1) for a, b in pairs)  # residuals are linear in them
+    while drawn < min(needed, BATCH * MOST_BATCHES):
+        sample = np.stack([rng.choice(len(matches), 5, replace=False) for _ in range(BATCH)])
+        drawn += BATCH
+        found = essential_candidates(matches.first[sample], matches.second[sample])
+        best, costs = np.concatenate([best, found]), np.concatenate([costs, _costs(found, products, scale)])
+        order = np.argsort(costs, kind="stable")[:REFINED]
+        best, costs = best[order], costs[order]
+        share = 1.0 - costs[0] / len(matches) if len(costs) else 0.0
+        needed = np.log(1.0 - CONFIDENCE) / np.log1p(-min(max(share, 1e-3) ** 5, 1.0 - 1e-9))
+    return best
+
+
+def _costs(essential: np.ndarray, products: tuple[np.ndarray, ...], scale: float) -> np.ndarray:
+    """Truncated squared residuals in units of ``scale``, summed over the matches; 0 is best, n is worst."""
+    first_second, first_first, second_second = products
+    costs = []
+    for begin in range(0, len(essential), CHUNK):
+        e = essential[begin : begin + CHUNK]
+        triple = e.reshape(-1, 9) @ first_second
+        along_first = (e @ np.swapaxes(e, 1, 2)).reshape(-1, 9) @ first_first
+        along_second = (np.swapaxes(e, 1, 2) @ e).reshape(-1, 9) @ second_second
+        squared = triple**2 / np.maximum(0.5 * (along_first + along_second), 1e-12)
+        costs.append(np.minimum(squared / scale**2, 1.0).sum(axis=1))
+    return np.concatenate(costs) if costs else np.zeros(0)
+
+
+def _pose_cost(pose: Pose, matches: Matches, scale: float) -> float:
+    squared = np.minimum((epipolar_residual(pose, matches) / scale) ** 2, 1.0)
+    return float(np.where(is_in_front(pose, matches, scale), squared, 1.0).sum())
+
+
+def _best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:
+    """The rotation that takes most second directions to first ones, by samples of two matches."""
+    sample = np.random.default_rng(1).integers(len(matches), size=(BATCH, 2))
+    frames = [_frames(directions[sample]) for directions in (matches.first, matches.second)]
+    candidates = np.concatenate([nearest_rotation(frames[0] @ np.swapaxes(frames[1], 1, 2)), np.eye(3)[None]])
+    products = np.einsum("ni,nj->ijn", matches.first, matches.second).reshape(9, -1)
+    squared_chords = 2.0 - 2.0 * candidates.reshape(-1, 9) @ products
+    rotation = candidates[int(np.argmin(np.minimum(squared_chords / scale**2, 1.0).sum(axis=1)))]
+    for _ in range(5):
+        weight = 1.0 / (1.0 + (_rotation_residual(rotation, matches) / scale) ** 2) ** 2
+        rotation = nearest_rotation(np.einsum("n,ni,nj->ij", weight, matches.first, matches.second))
+    return np.asarray(rotation)
+
+
+def _frames(pairs: np.ndarray) -> np.ndarray:
+    """``(batch, 3, 3)`` whose columns are two directions and what is orthogonal to both."""
+    return np.stack([pairs[:, 0], pairs[:, 1], np.cross(pairs[:, 0], pairs[:, 1])], axis=2)
+
+
+def _rotation_residual(rotation: np.ndarray, matches: Matches) -> np.ndarray:
+    return angle_between(matches.first, matches.second @ rotation.T)

@@ -1,0 +1,97 @@
+"""Networks in ONNX Runtime that are shown planes of evidence, at any size that they can halve often enough."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.runtime.session import run_depth_network, run_network
+
+__all__ = ["MULTIPLE", "SessionFusion", "SessionPainter", "SessionRefinement"]
+
+MULTIPLE = 32
+"""The refinement network halves its input five times: heights and widths are multiples of this."""
+
+
+class SessionRefinement:
+    """Evidence in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.refined.Refinement`.
+
+    Args:
+        session: of a refinement model, from :func:`omnisyn_cli.runtime.session.open_session`.
+
+    Raises:
+        InputError: the model is of another kind.
+    """
+
+    def __init__(self, session: Any) -> None:
+        names = [entry.name for entry in session.get_inputs()]
+        if names != ["planes"]:
+            raise InputError(f"expected a refinement model with the input 'planes', got inputs {names}; name another")
+        self._session = session
+
+    def __call__(
+        self, planes: Float32[np.ndarray, "planes height width"]
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+        """Inverse depth × baseline, and the probability that it is within 10 %; InputError if the model is broken."""
+        height, width = planes.shape[1:]
+        below, beyond = -height % MULTIPLE, -width % MULTIPLE
+        padded = np.pad(planes, ((0, 0), (0, below), (0, 0)), mode="edge")
+        padded = np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
+        inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
+        return inverse_depth[:height, :width], confidence[:height, :width]
+
+
+class SessionFusion:
+    """Planes in, corrections out; see :class:`omnisyn_cli.fusion.network.FusionCorrection`.
+
+    Args:
+        session: of a fusion model, likewise.
+
+    Raises:
+        InputError: the model is of another kind.
+    """
+
+    def __init__(self, session: Any) -> None:
+        self._session = _checked(session, ["shift", "colour"])
+
+    def __call__(
+        self, planes: Float32[np.ndarray, "planes height width"]
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "3 height width"]]:
+        """The shift of the log-ratio of the weights, and what to add to holes; InputError if the model is broken."""
+        size = planes.shape[1:]
+        shift, colour = run_network(self._session, {"planes": planes[None]}, ((1, 1, *size), (1, 3, *size)))
+        return shift[0, 0], colour[0]
+
+
+class SessionPainter:
+    """Planes in, a picture out; see :class:`omnisyn_cli.fusion.painting.Painter`.
+
+    Args:
+        session: of a fusion model that paints, likewise.
+
+    Raises:
+        InputError: the model is of another kind.
+    """
+
+    def __init__(self, session: Any) -> None:
+        self._session = _checked(session, ["colour"])
+
+    def __call__(self, planes: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
+        """The picture, not bounded; InputError if the model is broken."""
+        (colour,) = run_network(self._session, {"planes": planes[None]}, ((1, 3, *planes.shape[1:]),))
+        picture: Float32[np.ndarray, "3 height width"] = colour[0]
+        return picture
+
+
+def _checked(session: Any, outputs: list[str]) -> Any:
+    """The session, of planes and these outputs."""
+    names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
+    if names != [["planes"], outputs]:
+        raise InputError(
+            f"expected a fusion model with the input 'planes' and the outputs {' and '.join(map(repr, outputs))}, "
+            f"got {names[0]} and {names[1]}; name another"
+        )
+    return session

@@ -1,0 +1,141 @@
+"""The methods that know no geometry: a cross-fade, and a fade along optical flow.
+
+Both turn the two panoramas into the orientation of the frame first, as everything else would be compared with a
+rotation that costs nothing to undo.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import add_border
+from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames, turned_panorama
+from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import View
+
+__all__ = ["CrossFades", "FlowFades", "optical_flow"]
+
+LEAST_HEIGHT = 32
+"""Rows of the smallest pictures that optical flow is looked for in."""
+
+
+class CrossFades:
+    """Both panoramas, turned, averaged by time; a :class:`~omnisyn_cli.synthesis.methods.Method`.
+
+    Args:
+        options: size of the frames, and threads; the rest is not looked at.
+        clock: collects seconds by stage.
+    """
+
+    def __init__(self, options: SynthesisOptions, clock: Stopwatch | None = None) -> None:
+        self.options, self.clock = options, clock or Stopwatch()
+
+    def prepare(self, index: int, first: View, second: View) -> _CrossFadePair:
+        """Both as they are."""
+        return _CrossFadePair((first, second), self.options, self.clock)
+
+
+class FlowFades(CrossFades):
+    """Both panoramas, turned, moved along the optical flow between them and averaged by time.
+
+    The flow of the second picture towards the first, times t, says where a pixel of the frame comes from in the first;
+    the flow of the first towards the second, times 1 − t, where it comes from in the second. It is found again only
+    where the orientation changes.
+    """
+
+    def prepare(self, index: int, first: View, second: View) -> _FlowPair:
+        """Both as they are."""
+        return _FlowPair((first, second), self.options, self.clock)
+
+
+class _CrossFadePair:
+    """A :class:`~omnisyn_cli.synthesis.methods.Pair` about whose distances nothing is known."""
+
+    depths = None
+
+    def __init__(self, views: tuple[View, View], options: SynthesisOptions, clock: Stopwatch) -> None:
+        self._views, self._options, self._clock = views, options, clock
+
+    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+        """Their average, as numbers."""
+        with self._clock("render"):
+            first, second = self._turned_to(waypoint.pose)
+        with self._clock("fuse"):
+            return Frame(np.float32(1 - waypoint.t) * first + np.float32(waypoint.t) * second, waypoint, None)
+
+    def inverse_depth(self, waypoint: Waypoint) -> None:
+        """None."""
+
+    def _turned_to(self, pose: Pose) -> tuple[Float32[np.ndarray, "height width 3"], ...]:
+        """Both panoramas as cameras held like ``pose`` would have taken them at the places of the panoramas."""
+        turns = (Pose(pose.rotation.T @ view.pose.rotation, np.zeros(3)) for view in self._views)
+        return tuple(
+            turned_panorama(view.image, turn, self._options.size, self._options.threads)
+            for view, turn in zip(self._views, turns, strict=True)
+        )
+
+
+class _FlowPair(_CrossFadePair):
+    def __init__(self, views: tuple[View, View], options: SynthesisOptions, clock: Stopwatch) -> None:
+        super().__init__(views, options, clock)
+        self._rotation: np.ndarray | None = None
+        self._turned: tuple[np.ndarray, ...] = ()
+        self._flows: tuple[np.ndarray, ...] = ()
+
+    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+        """The average of both, moved, as numbers."""
+        self._find_flow(waypoint.pose)
+        (first, second), (forth, back), t = self._turned, self._flows, waypoint.t
+        with self._clock("render"):
+            moved = _moved(first, np.float32(t) * back), _moved(second, np.float32(1 - t) * forth)
+        with self._clock("fuse"):
+            image = np.asarray((1 - t) * moved[0] + t * moved[1], np.float32)
+            return Frame(np.maximum(image, np.float32(0)), waypoint, None)
+
+    def _find_flow(self, pose: Pose) -> None:
+        if self._rotation is not None and np.array_equal(pose.rotation, self._rotation):
+            return
+        with self._clock("render"):
+            self._turned = self._turned_to(pose)
+        with self._clock("flow"):
+            self._flows = optical_flow(*self._turned), optical_flow(*self._turned[::-1])
+        self._rotation = pose.rotation
+
+
+def optical_flow(
+    first: Float[np.ndarray, "height width 3"], second: Float[np.ndarray, "height width 3"]
+) -> Float32[np.ndarray, "height width 2"]:
+    """Rows and columns by which every pixel of an equirectangular picture moves to where it is in another.
+
+    The pictures are continued over the seam and the poles before flow is looked for, so that neither is a border.
+    Pictures of fewer than 32 rows are too small for it: their flow is 0.
+
+    Source: Kroeger et al., Fast optical flow using dense inverse search, 2016, as in OpenCV.
+    """
+    height, width = first.shape[:2]
+    if height < LEAST_HEIGHT:
+        return np.zeros((height, width, 2), np.float32)
+    border = height // 4
+    grey = [add_border(cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY), border) for image in (first, second)]
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = np.asarray(search.calc(grey[0], grey[1], np.zeros((*grey[0].shape, 2), np.float32)), np.float32)
+    inside: np.ndarray = flow[border : border + height, border : border + width, ::-1]
+    return np.ascontiguousarray(inside)
+
+
+def _bytes(image: np.ndarray) -> np.ndarray:
+    return np.asarray(np.rint(np.clip(image, 0, 1) * 255), np.uint8)
+
+
+def _moved(image: np.ndarray, flow: np.ndarray) -> Float32[np.ndarray, "height width 3"]:
+    """The picture read (bicubic, to 1/32 of a pixel) at every pixel plus ``flow``, as far as it is continued."""
+    height, width = image.shape[:2]
+    border = height // 4
+    rows = np.arange(border, border + height, dtype=np.float32)[:, None] + np.clip(flow[..., 0], -border, border)
+    columns = np.arange(border, border + width, dtype=np.float32)[None, :] + np.clip(flow[..., 1], -border, border)
+    whole = add_border(image.astype(np.float32), border)
+    return np.asarray(cv2.remap(whole, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), np.float32)

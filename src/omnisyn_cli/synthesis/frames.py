@@ -1,0 +1,105 @@
+"""The paper on one page: depth → mesh → render both → fuse, for every position between two panoramas.
+
+``DepthEstimator`` finds inverse depth for both views of a pair, each becomes a surface (:mod:`omnisyn_cli.render`),
+both are seen from every waypoint and a ``Fuser`` makes one picture of the two (:mod:`omnisyn_cli.fusion`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.fusion.geometric import ROWS
+from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.synthesis.between import Frame, MemoryForFrames
+from omnisyn_cli.synthesis.methods import Method, Pair
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import View
+
+__all__ = ["Frame", "MemoryForFrames", "synthesize", "turned_panorama"]
+
+
+def synthesize(
+    views: Sequence[View],
+    path: Sequence[Waypoint],
+    method: Method,
+    out: MemoryForFrames | None = None,
+    on_pair: Callable[[int, Pair], None] | None = None,
+) -> Iterator[Frame]:
+    """All frames of a path, in order: the photographs themselves where they were taken, between them the method's.
+
+    Args:
+        views: the panoramas of the chain, in order.
+        path: waypoints with ascending segments, see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        method: makes the frames between photographs.
+        out: gives memory for frames that are wanted rounded to 8 bits; where nothing stands against it they are
+            rounded as they are made. Photographs shown unchanged are not.
+        on_pair: called with the index of its first view and each pair, before the first frame between the two.
+    """
+    pair: Pair | None = None
+    current = -1
+    for waypoint in path:
+        photograph = _photograph_at(views, waypoint, method, out)
+        if photograph is not None:
+            yield photograph
+            continue
+        if pair is None or waypoint.segment != current:
+            current, pair = waypoint.segment, None  # memory is free before the next takes its own
+            pair = method.prepare(current, views[current], views[current + 1])
+            if on_pair is not None:
+                on_pair(current, pair)
+        yield pair.frame(waypoint, out)
+
+
+def _photograph_at(
+    views: Sequence[View], waypoint: Waypoint, method: Method, out: MemoryForFrames | None
+) -> Frame | None:
+    """The panorama that was taken at a waypoint; None where there is none, or not all of it may be used.
+
+    It is resampled only where size or orientation differ.
+    """
+    if waypoint.t not in (0.0, 1.0):
+        return None
+    index, options = waypoint.segment + int(waypoint.t), method.options
+    view = views[index]
+    if view.mask is not None and not view.mask.all():
+        return None
+    confidence = np.ones(options.size, np.float32) if options.confidence else None
+    is_turned = not np.array_equal(view.pose.rotation, waypoint.pose.rotation)
+    if not is_turned and view.image.shape[:2] == options.size:
+        return Frame(view.image, waypoint, index, confidence)
+    with method.clock("render"):
+        turn = Pose(waypoint.pose.rotation.T @ view.pose.rotation, np.zeros(3))
+        if out is None:
+            image = turned_panorama(view.image, turn, options.size, options.threads)
+        else:
+            image = out()
+            _turn_rows(view.image if view.samples is None else view.samples, turn, image, options.threads)
+    return Frame(image, waypoint, None, confidence)
+
+
+def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, threads: int | None) -> None:
+    """:func:`turned_panorama`, rounded to 8 bits, some rows at a time."""
+    shader, texture = Shader(out.shape[:2], threads), make_texture(image)
+
+    def band(begin: int, end: int) -> None:
+        for top in range(begin, end, ROWS):
+            bottom = min(top + ROWS, end)
+            colour = shader.far_rows(texture, target_from_source, top, bottom)
+            quantize_rows(colour, np.float32(255.0), out[top:bottom], 0, bottom - top)
+
+    run_bands(band, len(out), threads)
+
+
+def turned_panorama(
+    image: np.ndarray, target_from_source: Pose, size: tuple[int, int], threads: int | None = None
+) -> Float32[np.ndarray, "height width 3"]:
+    """A panorama seen from its own centre in another orientation and size; no surface is needed for that."""
+    colour = Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3]
+    return np.asarray(np.maximum(colour, np.float32(0.0)))

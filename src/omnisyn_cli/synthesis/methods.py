@@ -1,0 +1,119 @@
+"""What makes frames: a :class:`Method` is made ready for a pair of views, the :class:`Pair` shows what lies between.
+
+The paper's method, the one of this program, is :class:`SurfaceMethod`; others to compare it with are
+:mod:`omnisyn_cli.synthesis.synsin` and :mod:`omnisyn_cli.synthesis.fades`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.synthesis.between import Frame, Fused, MemoryForFrames, fused
+from omnisyn_cli.synthesis.segments import Segment, Stopwatch, SynthesisOptions, prepare_segment
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, View
+
+if TYPE_CHECKING:
+    from omnisyn_cli.synthesis.device.pair import GpuFrames
+
+__all__ = ["Method", "Pair", "SurfaceMethod", "SurfacePair"]
+
+
+class Pair(Protocol):
+    """Two neighbouring views between which frames are made; not shared between threads."""
+
+    @property
+    def depths(self) -> tuple[DepthEstimate, DepthEstimate] | None:
+        """What is known about the distances in both; None for methods without geometry."""
+        ...
+
+    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+        """What is seen at a waypoint.
+
+        Args:
+            waypoint: where, between the two.
+            out: gives memory for frames that are wanted rounded to 8 bits; frames may be numbers all the same.
+        """
+        ...
+
+    def inverse_depth(self, waypoint: Waypoint) -> Float32[np.ndarray, "height width"] | None:
+        """1/metre of what is seen there, negative where that is unknown; None for pictures without geometry."""
+        ...
+
+
+class Method(Protocol):
+    """A way to make frames of one size.
+
+    Attributes:
+        options: size of the frames, threads.
+        clock: collects seconds by stage.
+    """
+
+    options: SynthesisOptions
+    clock: Stopwatch
+
+    def prepare(self, index: int, first: View, second: View) -> Pair:
+        """Make ready for the frames between two views, the first of which is number ``index`` of its chain."""
+        ...
+
+
+class SurfaceMethod:
+    """Depth → mesh → render both → fuse; a :class:`Method`.
+
+    Args:
+        estimator: finds the depth of each pair.
+        options: size and settings.
+        fuser: joins the two renderings; geometric by default.
+        clock: collects seconds by stage.
+        device: makes the frames, by the mesh and the geometric fusion, whatever else is asked for; for frames without
+            confidence that are not cross-faded.
+    """
+
+    def __init__(
+        self, estimator: DepthEstimator, options: SynthesisOptions, fuser: Fuser | None = None,
+        clock: Stopwatch | None = None, device: GpuFrames | None = None,
+    ) -> None:  # fmt: skip
+        self.estimator, self.options, self.clock = estimator, options, clock or Stopwatch()
+        self._fuser, self._device = fuser or GeometricFuser(options.size, threads=options.threads), device
+
+    def prepare(self, index: int, first: View, second: View) -> SurfacePair:
+        """Find the depth of both and make their surfaces."""
+        segment = prepare_segment(index, first, second, self.estimator, self.options, self.clock, self._device)
+        return SurfacePair(segment, self._fuser, self.options, self.clock)
+
+
+class SurfacePair:
+    """Frames of two surfaces; a :class:`Pair`.
+
+    A frame in which nothing would be seen aside of where it was in the one before is that one, shown again.
+
+    Attributes:
+        segment: the surfaces.
+    """
+
+    def __init__(self, segment: Segment, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> None:
+        self.segment, self._fuser, self._options, self._clock = segment, fuser, options, clock
+        self._last: Fused | None = None
+
+    @property
+    def depths(self) -> tuple[DepthEstimate, DepthEstimate]:
+        """See :class:`Pair`."""
+        return self.segment.depths
+
+    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+        """See :class:`Pair`."""
+        if self._last is not None and self._last.looks_the_same_from(waypoint):
+            return self._last.again(waypoint, out)
+        self._last = fused(self.segment, waypoint, self._fuser, self._options, self._clock, out)
+        return self._last.frame
+
+    def inverse_depth(self, waypoint: Waypoint, views: Sequence[int] = (0, 1)) -> Float32[np.ndarray, "height width"]:
+        """See :class:`Pair`: the nearer surface, of one view (0 or 1) if only that is shown."""
+        poses, renderers = self.segment.poses, self.segment.renderers
+        seen = [renderers[k](waypoint.pose.inverse() @ poses[k]).inverse_depth.copy() for k in views]
+        return np.asarray(np.maximum(seen[0], seen[-1]))

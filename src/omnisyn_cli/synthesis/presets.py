@@ -1,0 +1,58 @@
+"""How much time accuracy is worth: recipes with a name, from fast to accurate; and the paper's own method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
+
+__all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE", "Preset"]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A recipe for estimated depth.
+
+    Attributes:
+        name: what users call it.
+        summary: one line for them.
+        recipe: what it stands for.
+    """
+
+    name: str
+    summary: str
+    recipe: Recipe
+
+
+def _refined(rows: int, fusion: str = "geometric") -> Recipe:
+    return Recipe(DepthSource("refined", rows, "refine-balanced"), fusion=fusion)
+
+
+def _by_name(*presets: Preset) -> Mapping[str, Preset]:
+    return MappingProxyType({preset.name: preset for preset in presets})
+
+
+SCALE: Mapping[str, Preset] = _by_name(
+    Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384)),
+    Preset("balanced", "matching, refined by a network, sharpened at twice the size", _refined(1024)),
+    Preset("accurate", "sharpened once more at four times the size; a network fuses", _refined(2048, "network")),
+)
+"""By name, from the fastest to the most accurate."""
+
+REPRODUCTIONS: Mapping[str, Preset] = _by_name(
+    Preset(
+        "paper", "the method of the paper with narrower networks, to compare with; far less accurate",
+        Recipe(
+            DepthSource("network", 256, "depth-paper-narrow"), renderer="two-pass", cut=None, cut_metres=2.0,
+            fusion="painting",
+        ),
+    ),
+)  # fmt: skip
+"""By name: what others do, to compare with. They have no place on the scale, and no budget of time chooses them."""
+
+PRESETS: Mapping[str, Preset] = MappingProxyType({**SCALE, **REPRODUCTIONS})
+"""By name: those of :data:`SCALE` in their order, then :data:`REPRODUCTIONS`."""
+
+DEFAULT_PRESET = "balanced"

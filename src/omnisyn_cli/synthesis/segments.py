@@ -1,0 +1,164 @@
+"""What the frames between two neighbouring views are made from: their depth and their surfaces."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.fusion.confidence import LEAST_SCORE
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.photometry import equalized
+from omnisyn_cli.geometry.pose import STILL, Pose
+from omnisyn_cli.render.mesh import Cut
+from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
+from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
+from omnisyn_cli.synthesis.fallback import CrossFade
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+
+if TYPE_CHECKING:
+    from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
+
+__all__ = ["Segment", "Stopwatch", "SynthesisOptions", "prepare_segment"]
+
+
+@dataclass(frozen=True)
+class SynthesisOptions:
+    """How frames are made.
+
+    Attributes:
+        size: height and width of the frames.
+        renderer: ``mesh``, ``points`` or ``two-pass``.
+        cut: where meshes are cut.
+        threads: at most this many; None is one per core.
+        cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
+        confidence: give every frame a map of its confidence.
+        adaptive: draw flat surfaces with fewer triangles (``mesh`` only): nothing is seen more than an eighth of a
+            pixel aside.
+    """
+
+    size: tuple[int, int]
+    renderer: str = "mesh"
+    cut: Cut = field(default_factory=Cut)
+    threads: int | None = None
+    cross_fade: bool = False
+    confidence: bool = False
+    adaptive: bool = False
+
+
+class Stopwatch:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time what happens inside."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - begin
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Two neighbouring views with their depth, ready to be rendered.
+
+    Attributes:
+        index: of the first view.
+        poses: of both views.
+        depths: of both.
+        renderers: of both.
+        check: how differently they are exposed, and how far what is made of them can be relied on.
+        cross_fade: what doubtful regions are filled with; None where nothing is to be replaced.
+        triangles: how many of both meshes are drawn, and how many they have; None if ``renderers`` draw none.
+        on_device: makes whole frames of both on a device; None where the processor does.
+    """
+
+    index: int
+    poses: tuple[Pose, Pose]
+    depths: tuple[DepthEstimate, DepthEstimate]
+    renderers: tuple[Renderer, Renderer]
+    check: CrossCheck
+    cross_fade: CrossFade | None = None
+    triangles: tuple[int, int] | None = None
+    on_device: GpuPair | None = None
+
+
+def prepare_segment(
+    index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch,
+    device: GpuFrames | None = None,
+) -> Segment:  # fmt: skip
+    """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for.
+
+    Depth is found in pictures of one exposure; the surfaces keep the photographs' own.
+    """
+    with clock("depth"):
+        is_moving = np.linalg.norm(second.pose.position - first.pose.position) > STILL
+        depths = (
+            estimator(*equalized(first, second, options.threads))
+            if is_moving
+            else _depths_in_place(first, second, options)
+        )
+    with clock("check"):
+        check = cross_check((first, second), depths, options.cut, options.threads)
+    views, poses = (first, second), (first.pose, second.pose)
+    if device is not None:
+        with clock("mesh"):
+            surfaces = [
+                device.surface(_usable_image(view, options), view.mask, depth, options.cut)
+                for view, depth in zip(views, depths, strict=True)
+            ]
+            pair = device.pair(surfaces[0], surfaces[1], check.curve)
+        triangles = (pair.triangles, pair.triangles)
+        return Segment(index, poses, depths, pair.surfaces, check, triangles=triangles, on_device=pair)
+    with clock("mesh"):
+        renderers = [
+            make_renderer(
+                options.renderer, _usable_image(view, options), view.mask,
+                depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
+                _path_to(view, other) if options.adaptive and is_moving else None,
+            )
+            for view, other, depth in zip(views, views[::-1], depths, strict=True)
+        ]  # fmt: skip
+    cross_fade = None
+    if options.cross_fade and check.confidence.score < LEAST_SCORE:
+        images = [_usable_image(view, options) for view in views]
+        cross_fade = CrossFade(images, poses, options.size, options.threads)
+    drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
+    counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
+    return Segment(index, poses, depths, (renderers[0], renderers[1]), check, cross_fade, counts)
+
+
+def _path_to(view: View, other: View) -> Float[np.ndarray, " 3"]:
+    """Where the other view was taken, in the frame of the first: all frames lie between the two."""
+    return np.asarray(view.pose.rotation.T @ (other.pose.position - view.pose.position))
+
+
+def _usable_image(view: View, options: SynthesisOptions) -> np.ndarray:
+    """The picture with masked pixels painted over from around them, because interpolation reads beyond a mask.
+
+    Samples of 8 bits where they do as well: they take a quarter of the memory.
+    """
+    if view.mask is None or view.mask.all():
+        return view.samples if view.samples is not None and options.renderer == "mesh" else view.image
+    image = np.array(view.image, np.float32)
+    HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
+    return image
+
+
+def _depths_in_place(first: View, second: View, options: SynthesisOptions) -> tuple[DepthEstimate, DepthEstimate]:
+    """What is known of both, else spheres of infinite radius; the exact mesh makes those of a few large quads."""
+    if first.known_depth is not None and second.known_depth is not None:
+        return first.known_depth, second.known_depth
+    height, width = (16, 32) if options.renderer == "mesh" else first.image.shape[:2]
+    far = DepthEstimate(np.zeros((height, width), np.float32), np.ones((height, width), np.float32))
+    return far, far

@@ -1,0 +1,144 @@
+"""Training data for the refinement network: what matching makes of procedural scenes, with the truth beside it.
+
+A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
+for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
+
+* ``planes_k`` ``(planes, height, width)`` float16, see :func:`omnisyn_cli.stereo.evidence.evidence_planes`,
+* ``root_k`` ``(height, width)`` float16, true square root of inverse depth × baseline,
+* ``baseline_k`` metres.
+
+The colours are varied before matching, and some poses are a little wrong, as in life. Where a pixel covers two surfaces
+the truth is the nearer one: a mesh of that size then shows the least of what is wrong at silhouettes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.scenes import Scene, render_panorama
+from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.training.data import Augmentation, EvidenceBatch, load_samples, save_samples, stacked, vary_colours
+from omnisyn_cli.training.pool import STOPS, TiltedConfig, as_told, held_askew, scene_path
+from omnisyn_cli.types import View
+
+__all__ = ["EvidencePair", "draw_evidence", "make_evidence", "stored_evidence"]
+
+PAIRS = 4
+"""Ordered pairs per scene."""
+
+COLOURED = (0, 8, 11)
+"""First of three planes that hold a picture."""
+
+HALVED = 0.5
+"""Share of batches that have half of the pool's size."""
+
+
+@dataclass(frozen=True)
+class EvidencePair:
+    """One panorama of a matched pair: input planes, true roots, metres."""
+
+    planes: Float32[np.ndarray, "planes height width"]
+    root: Float32[np.ndarray, "height width"]
+    baseline: float
+
+
+def make_evidence(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
+    """Render and match the scene of a seed into a pool; None if the scene has no room for a path."""
+    found = config.scene(seed, STOPS)
+    if found is None:
+        return None
+    scene, path = found
+    rng = np.random.default_rng([21, seed])
+    tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
+    shown = []
+    for stop in (0, int(rng.integers(2, STOPS - 2)), STOPS - 1):
+        pose = Pose(held_askew(rng, tilt), path[stop].position)
+        image, inverse_depth = _photograph(scene, pose, config.size)
+        shown.append((image, inverse_depth, as_told(pose, error, rng)))
+    inner = ((0, 1), (1, 2))[int(rng.integers(2))]
+    height, width = config.size
+    estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # evidence has half
+    pairs = [pair for i, j in ((0, 2), inner) for pair in _matched(shown[i], shown[j], estimator, rng)]
+    file = scene_path(folder, seed)
+    save_samples(file, pairs)
+    return file
+
+
+def _photograph(scene: Scene, pose: Pose, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """The picture, and the inverse depth of the nearest surface in each pixel."""
+    height, width = size
+    image, depth = render_panorama(scene, pose, (2 * height, 2 * width), supersample=1, threads=1)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return small, (1.0 / depth).reshape(height, 2, width, 2).max(axis=(1, 3))
+
+
+def _matched(
+    one: tuple[np.ndarray, np.ndarray, Pose],
+    other: tuple[np.ndarray, np.ndarray, Pose],
+    estimator: MatchingDepthEstimator,
+    rng: np.random.Generator,
+) -> list[EvidencePair]:
+    """Both panoramas of a pair, photographed with different cameras."""
+    colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
+    first, second = estimator.evidence(View(colours[0], one[2]), View(colours[1], other[2]))
+    baseline = float(np.linalg.norm(one[2].position - other[2].position))
+    roots = [np.sqrt(np.clip(x[1] * baseline, 0.0, GREATEST_ROOT**2)) for x in (one, other)]
+    return [
+        EvidencePair(evidence_planes(first, second), roots[0], baseline),
+        EvidencePair(evidence_planes(second, first), roots[1], baseline),
+    ]
+
+
+def stored_evidence(path: Path, which: int) -> EvidenceBatch:
+    """One of both panoramas of the widest pair of a scene, as they are."""
+    return _batch(load_samples(path, EvidencePair, which % 2))
+
+
+def _batch(pairs: list[EvidencePair]) -> EvidenceBatch:
+    planes, root, baseline = stacked(pairs)
+    return EvidenceBatch(planes, root.unsqueeze(1), baseline)
+
+
+def draw_evidence(pool: list[Path], rng: np.random.Generator, batch: int) -> EvidenceBatch:
+    """Random pairs of random scenes, turned, mirrored and recoloured at random (all pictures of a pair alike).
+
+    Every second batch has half the size and three times as many pairs: things look larger there.
+    """
+    is_half = rng.random() < HALVED
+    drawn = []
+    for _ in range(3 * batch if is_half else batch):
+        path, which = pool[rng.integers(len(pool))], int(rng.integers(PAIRS))
+        drawn.append(_varied(load_samples(path, EvidencePair, which)[0], rng, is_half=is_half))
+    return _batch(drawn)
+
+
+def _varied(pair: EvidencePair, rng: np.random.Generator, *, is_half: bool) -> EvidencePair:
+    planes, root = _halved(pair, rng) if is_half else (pair.planes, pair.root)
+    gain, gamma = np.float32(rng.uniform(0.8, 1.2)), np.float32(rng.uniform(0.8, 1.2))
+    tint = rng.uniform(0.95, 1.05, (3, 1, 1)).astype(np.float32)
+    order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
+    for begin in COLOURED:
+        colour = np.clip(planes[begin : begin + 3] * gain, 1e-4, 1.0) ** gamma
+        planes[begin : begin + 3] = (colour * tint if begin else colour)[order]
+    if rng.random() < 0.5:
+        planes, root = planes[..., ::-1], root[..., ::-1]
+    turn = int(rng.integers(root.shape[1]))
+    return EvidencePair(np.roll(planes, turn, axis=-1), np.roll(root, turn, axis=-1), pair.baseline)
+
+
+def _halved(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """One of four pixels, the same in all planes but colours, which are averaged; the nearest of four true surfaces."""
+    height, width = pair.root.shape
+    row, col = rng.integers(2, size=2)
+    planes = pair.planes[:, row::2, col::2].copy()
+    for begin in COLOURED:
+        colours = pair.planes[begin : begin + 3].reshape(3, height // 2, 2, width // 2, 2)
+        planes[begin : begin + 3] = colours.mean(axis=(2, 4))
+    return planes, pair.root.reshape(height // 2, 2, width // 2, 2).max(axis=(1, 3))

@@ -1,0 +1,232 @@
+"""Training data for the fusion network: renderings as the program makes them, and the truth.
+
+A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a straight way through the scene are
+photographed, their depth is estimated or, for a few, known, both surfaces are rendered from places in between. For each
+place ``k``:
+
+* ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes`,
+* ``truth_k`` ``(3, height, width)`` float16, the scene as it is seen from there, in [0, 1].
+
+Renderings are made at twice that size and reduced as in the program, and some poses are a little wrong, as in life.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+from torch import Tensor
+
+from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.network import NetworkFuser
+from omnisyn_cli.geometry.pose import Pose, slerp
+from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.scenes import Scene, render_panorama
+from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.recipe import DepthSource
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.training.data import load_samples, save_samples, stacked
+from omnisyn_cli.training.pool import TiltedConfig, as_told, held_askew, scene_path
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+
+__all__ = [
+    "FusionBatch",
+    "FusionPoolConfig",
+    "FusionSample",
+    "draw_fusion",
+    "exchanged",
+    "make_fusion_scene",
+    "stored_fusion",
+]
+
+OVERSIZE = 2
+"""Photographs and renderings are this many times as high as the planes."""
+
+WINDOWS = 4
+"""A step looks at this fraction of the columns of a sample: most pixels teach nothing."""
+
+LEAST_RELEVANCE = 1e-3
+
+PAIRS_OF_VIEWS = (
+    (plane.FIRST, plane.SECOND, 3),
+    (plane.WEIGHT, plane.WEIGHT + 1, 1),
+    (plane.ROOT, plane.ROOT + 1, 1),
+    (plane.SEEN, plane.SEEN + 1, 1),
+)
+"""Of the first view, of the second, and how many: what changes places when the views do."""
+
+SIGNED = (plane.LOG_RATIO, plane.GAP, plane.TIME)
+"""What changes its sign then."""
+
+
+@dataclass(frozen=True)
+class FusionPoolConfig(TiltedConfig):
+    """How scenes are rendered.
+
+    Attributes:
+        places: per scene.
+        shares: of the way, between which the places lie.
+        matched: share of scenes whose depth comes from matching alone, the others' being refined by a network.
+        known: share of scenes whose depth is the true one.
+        rows: that depth is looked for at.
+        model: that refines.
+    """
+
+    places: int = 3
+    shares: tuple[float, float] = (0.1, 0.9)
+    matched: float = 0.1
+    known: float = 0.1
+    rows: int = 1024
+    model: str = "refine-balanced"
+
+
+@dataclass(frozen=True)
+class FusionSample:
+    """One place: what the network sees, and what there is to be seen."""
+
+    planes: Float32[np.ndarray, "planes height width"]
+    truth: Float32[np.ndarray, "3 height width"]
+
+
+@dataclass(frozen=True)
+class FusionBatch:
+    """Windows of some of them for one step: ``(batch, planes, height, width)`` and ``(batch, 3, height, width)``."""
+
+    planes: Float[Tensor, "batch planes height width"]
+    truth: Float[Tensor, "batch 3 height width"]
+
+
+class _Recorder:
+    """Stands in for the network: keeps what it is shown, corrects nothing."""
+
+    def __init__(self) -> None:
+        self.planes: list[np.ndarray] = []
+
+    def __call__(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.planes.append(planes)
+        return np.zeros_like(planes[0]), np.zeros_like(planes[:3])
+
+
+def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
+    """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided."""
+    found = config.scene(seed, 2)
+    if found is None:
+        return None
+    rng = np.random.default_rng([23, seed])
+    estimator = _estimator(_depth_source(rng.random(), config), config.rows, config.model)
+    samples = list(_samples(*found, estimator, rng, config))
+    if not samples:
+        return None
+    file = scene_path(folder, seed)
+    save_samples(file, samples)
+    return file
+
+
+def _depth_source(draw: float, config: FusionPoolConfig) -> str:
+    """What a number drawn from [0, 1) decides."""
+    if draw < config.matched:
+        return "matching"
+    return "file" if draw < config.matched + config.known else "refined"
+
+
+@lru_cache(maxsize=3)
+def _estimator(depth: str, rows: int, model: str) -> DepthEstimator:
+    return make_estimator(DepthSource(depth, rows, model if depth == "refined" else None), device="cpu", threads=1)
+
+
+def _samples(
+    scene: Scene, ends: Sequence[Pose], estimator: DepthEstimator, rng: np.random.Generator, config: FusionPoolConfig
+) -> Iterator[FusionSample]:
+    size = (OVERSIZE * config.size[0], OVERSIZE * config.size[1])
+    tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
+    views = [_photograph(scene, end.position, tilt, error, size, rng) for end in ends]
+    recorder = _Recorder()
+    fuser = NetworkFuser(size, recorder, threads=1, rows=config.size[0])
+    path = [_between(views, share) for share in np.sort(rng.uniform(*config.shares, config.places))]
+    for made in synthesize(views, path, SurfaceMethod(estimator, SynthesisOptions(size, threads=1), fuser)):
+        if recorder.planes:
+            truth = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
+            small = cv2.resize(truth, config.size[::-1], interpolation=cv2.INTER_AREA)
+            yield FusionSample(recorder.planes.pop(), np.ascontiguousarray(small.transpose(2, 0, 1), np.float32))
+
+
+def _photograph(
+    scene: Scene, position: np.ndarray, tilt: float, error: float, size: tuple[int, int], rng: np.random.Generator
+) -> View:
+    """A panorama with the pose that it is said to have, and its true depth."""
+    pose = Pose(held_askew(rng, tilt), position)
+    image, depth = render_panorama(scene, pose, size, supersample=1, threads=1)
+    known = DepthEstimate((1.0 / depth).astype(np.float32), np.ones(size, np.float32))
+    return View(np.asarray(image, np.float32), as_told(pose, error, rng), known_depth=known)
+
+
+def _between(views: Sequence[View], share: float) -> Waypoint:
+    first, second = (view.pose for view in views)
+    position = (1.0 - share) * first.position + share * second.position
+    return Waypoint(0, share, Pose(slerp(first.rotation, second.rotation, share), position))
+
+
+def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:
+    """Windows of random places of random scenes, varied at random in ways that change nothing about the geometry.
+
+    They are mirrored, lit and tinted otherwise, and the views change places. A window has all rows and a quarter of the
+    columns; it lies, across the seam or not, preferably where the views contradict each other.
+    """
+    drawn = []
+    for _ in range(batch):
+        path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
+        drawn.append(_varied(load_samples(path, FusionSample, which)[0], rng))
+    return FusionBatch(*stacked(drawn))
+
+
+def stored_fusion(path: Path, which: int) -> FusionBatch:
+    """A place of a scene as it is."""
+    return FusionBatch(*stacked(load_samples(path, FusionSample, which)))
+
+
+def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
+    """All that is done to colours is linear, so that blends of varied colours are varied blends."""
+    begin = _beginning(sample.planes[plane.RELEVANCE], rng)
+    planes, truth = (_window(x, begin) for x in (sample.planes, sample.truth))
+    tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
+    order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
+    for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
+        planes[begin : begin + 3] = (planes[begin : begin + 3] * tint)[order]
+    truth = (truth * tint)[order]
+    if rng.random() < 0.5:
+        planes = exchanged(planes)
+    if rng.random() < 0.5:
+        planes, truth = planes[..., ::-1], truth[..., ::-1]
+    return FusionSample(np.ascontiguousarray(planes), np.ascontiguousarray(truth))
+
+
+def _beginning(relevance: Float32[np.ndarray, "height width"], rng: np.random.Generator) -> int:
+    """First column of a window, drawn in proportion to how much of what matters is in it."""
+    height, width = relevance.shape
+    columns = direction_tables(height, width)[0] @ relevance + LEAST_RELEVANCE
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
+    inside = sums[width // WINDOWS :][:width] - sums[:width]
+    return int(rng.choice(width, p=inside / inside.sum()))
+
+
+def _window(values: np.ndarray, begin: int) -> np.ndarray:
+    width = values.shape[-1]
+    return values[..., (begin + np.arange(width // WINDOWS)) % width]
+
+
+def exchanged(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes height width"]:
+    """What the network sees when the views change places and the way is walked from its other end."""
+    other = planes.copy()
+    for first, second, count in PAIRS_OF_VIEWS:
+        other[first : first + count] = planes[second : second + count]
+        other[second : second + count] = planes[first : first + count]
+    other[list(SIGNED)] *= -1.0
+    return other

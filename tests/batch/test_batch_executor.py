@@ -1,0 +1,138 @@
+"""Every job ends exactly once, whatever happens to workers; groups stay together; the longest goes first."""
+
+import random
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from batch_samples import CAN_KILL, InlineExecutor
+from hypothesis import given
+from hypothesis import strategies as st
+
+from omnisyn_cli.batch.executor import MOST_DEATHS, Answer, Job, Outcome, Report, Work, run_jobs
+from omnisyn_cli.batch.local_executor import LocalExecutor
+
+TRICKS = "batch_samples:make_tricks"
+
+
+class MortalExecutor:
+    """Workers in name only: each time one is asked for an answer it may die instead."""
+
+    def __init__(self, size: int, mortality: float, seed: int) -> None:
+        self.given: list[tuple[int, str]] = []
+        self._size, self._mortality, self._random = size, mortality, random.Random(seed)  # noqa: S311
+        self._busy: dict[int, Job] = {}
+
+    def __enter__(self) -> "MortalExecutor":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert not self._busy
+
+    def ready(self) -> list[int]:
+        return [worker for worker in range(self._size) if worker not in self._busy]
+
+    def give(self, worker: int, job: Job) -> None:
+        assert worker not in self._busy
+        self._busy[worker] = job
+        self.given.append((worker, job.key))
+
+    def wait(self) -> list[Report]:
+        assert self._busy, "waits for nobody"
+        worker = self._random.choice(sorted(self._busy))
+        job = self._busy.pop(worker)
+        if self._random.random() < self._mortality:
+            return [Report(worker, None, "signal 9")]
+        return [Report(worker, Answer(job.payload, None, None, str(worker)))]
+
+
+jobs_of_any_kind = st.lists(
+    st.tuples(st.floats(0, 100), st.none() | st.sampled_from("abc")), max_size=12
+).map(lambda all_: [Job(str(k), k, cost, group) for k, (cost, group) in enumerate(all_)])  # fmt: skip
+
+
+@given(jobs=jobs_of_any_kind, size=st.integers(1, 4), mortality=st.sampled_from([0.0, 0.3, 1.0]), seed=st.integers())
+def test_every_job_has_one_outcome_however_many_workers_die(
+    jobs: list[Job], size: int, mortality: float, seed: int
+) -> None:
+    executor = MortalExecutor(size, mortality, seed)
+    outcomes = list(run_jobs(jobs, executor))
+    assert sorted(o.job.key for o in outcomes) == sorted(job.key for job in jobs)
+    tries = Counter(key for _, key in executor.given)
+    for outcome in outcomes:
+        assert outcome.attempts == tries[outcome.job.key] <= MOST_DEATHS
+        if outcome.answer.error is None:
+            assert outcome.answer.value == outcome.job.payload
+        else:
+            assert outcome.attempts == MOST_DEATHS
+            assert "signal 9" in outcome.answer.error
+
+
+@given(jobs=jobs_of_any_kind, size=st.integers(1, 4), seed=st.integers())
+def test_groups_stay_with_one_worker_in_their_order(jobs: list[Job], size: int, seed: int) -> None:
+    executor = MortalExecutor(size, 0.0, seed)
+    list(run_jobs(jobs, executor))
+    for name in "abc":
+        of_group = [(worker, key) for worker, key in executor.given if jobs[int(key)].group == name]
+        assert len({worker for worker, _ in of_group}) <= 1
+        assert [key for _, key in of_group] == [job.key for job in jobs if job.group == name]
+
+
+@given(jobs=jobs_of_any_kind)
+def test_the_most_expensive_group_begins_first(jobs: list[Job]) -> None:
+    executor = MortalExecutor(1, 0.0, 0)
+    list(run_jobs(jobs, executor))
+    sums: dict[str, float] = {}
+    for job in jobs:
+        sums[job.group or job.key] = sums.get(job.group or job.key, 0) + job.cost
+    begun = [sums[jobs[int(key)].group or key] for _, key in executor.given]
+    assert begun == sorted(begun, reverse=True)
+
+
+def run_tricks(folder: Path, *tricks: tuple[str, Any], workers: int = 2) -> dict[str, Outcome]:
+    jobs = [Job(str(number), trick, float(-number)) for number, trick in enumerate(tricks)]
+    executor = LocalExecutor(Work(TRICKS, str(folder)), workers, 1)
+    return {outcome.job.key: outcome for outcome in run_jobs(jobs, executor)}
+
+
+def test_an_error_is_an_answer_and_bugs_keep_their_traceback(tmp_path: Path) -> None:
+    done = run_tricks(tmp_path, ("refuse", "worse"), ("stumble", "over"), ("echo", 1), workers=1)
+    assert (done["0"].answer.error, done["0"].answer.trace) == ("expected better, got worse", None)
+    assert done["1"].answer.error == "ZeroDivisionError: over"
+    assert "raise ZeroDivisionError(value)" in (done["1"].answer.trace or "")
+    assert done["2"].answer.error is None
+    assert done["2"].answer.value[1] == ["worse", "over", 1], "one worker, made once, did it all"
+
+
+@pytest.mark.skipif(not CAN_KILL, reason="needs SIGKILL")
+def test_a_dead_worker_is_replaced_and_its_job_done_again_but_not_for_ever(tmp_path: Path) -> None:
+    done = run_tricks(tmp_path, ("die", 0), ("die once", 1), ("echo", 2), ("echo", 3))
+    error = done["0"].answer.error
+    assert error is not None
+    assert "signal 9" in error
+    assert {key: (outcome.attempts, outcome.answer.error) for key, outcome in done.items()} == {
+        "0": (2, error), "1": (2, None), "2": (1, None), "3": (1, None)
+    }  # fmt: skip
+
+
+def test_a_work_function_that_cannot_be_made_is_every_jobs_error() -> None:
+    outcomes = list(run_jobs([Job("a", 1), Job("b", 2)], InlineExecutor(Work("no_such_module:f"))))
+    assert [o.answer.error for o in outcomes] == ["ModuleNotFoundError: No module named 'no_such_module'"] * 2
+
+
+def test_no_job_needs_no_worker() -> None:
+    class NoExecutor(MortalExecutor):
+        def __enter__(self) -> "MortalExecutor":
+            raise AssertionError
+
+    assert list(run_jobs([], NoExecutor(1, 0.0, 0))) == []
+
+
+@pytest.mark.skipif(not CAN_KILL, reason="looks at processes of Linux")
+def test_whoever_stops_listening_leaves_no_process_behind(tmp_path: Path) -> None:
+    executor = LocalExecutor(Work(TRICKS, str(tmp_path)), 2, 1)
+    outcomes = run_jobs([Job("0", ("echo", 0)), Job("1", ("sleep", 600)), Job("2", ("sleep", 600))], executor)
+    pid = next(outcomes).answer.value[0]
+    outcomes.close()
+    assert not Path(f"/proc/{pid}").exists()

@@ -1,0 +1,79 @@
+"""Lines of results: what is written comes back, whatever happened to the last line."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.results import (
+    RESULTS_NAME,
+    DepthRecord,
+    FrameRecord,
+    UnitRecord,
+    append_record,
+    latest_records,
+    read_records,
+)
+
+FRAME = FrameRecord("b.png", 0.5, 1.25, {"ws_psnr": math.inf, "ssim": 1.0}, {"frame": "pictures/b.jpg"})
+DEPTH = DepthRecord("a.png", {"imae": 0.1}, {"imae": 0.2})
+DONE = UnitRecord(
+    "k1", "hall – «1»", "a.png", "c.png", "matching", "done", baseline=2.5, size=(64, 128), frames=(FRAME,),
+    depths=(DEPTH,), temporal={"flicker": 0.01}, seconds={"depth": 1.5, "total": 1.5},
+)  # fmt: skip
+SKIPPED = UnitRecord("", "street", "", "", "", "skipped", 'no "truth"\n')
+
+
+def test_records_come_back_as_they_were_written(tmp_path: Path) -> None:
+    for record in (DONE, SKIPPED):
+        append_record(tmp_path, record)
+    done, skipped = read_records(tmp_path)
+    assert done == DONE
+    assert math.isnan(skipped.baseline)
+    assert skipped.to_json() == SKIPPED.to_json()
+    assert read_records(tmp_path / "nosuch") == []
+
+
+def test_lines_are_strict_json(tmp_path: Path) -> None:
+    append_record(tmp_path, DONE)
+    append_record(tmp_path, SKIPPED)
+    text = (tmp_path / RESULTS_NAME).read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    assert len(text.splitlines()) == 2
+
+
+@pytest.mark.parametrize("rest", [b"{", b'{"key": "half a li', "ä".encode(), "half a character: ä".encode()[:-1]])
+def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path: Path, rest: bytes) -> None:
+    append_record(tmp_path, DONE)
+    path = tmp_path / RESULTS_NAME
+    path.write_bytes(path.read_bytes() + rest)
+    assert read_records(tmp_path) == [DONE]
+    append_record(tmp_path, DONE)
+    assert read_records(tmp_path) == [DONE, DONE]
+    path.write_bytes(rest)
+    assert read_records(tmp_path) == []
+    append_record(tmp_path, DONE)
+    assert read_records(tmp_path) == [DONE]
+
+
+@pytest.mark.parametrize("line", ["{}", "[]", "nonsense", '{"key": 1}'])
+def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path, line: str) -> None:
+    append_record(tmp_path, DONE)
+    path = tmp_path / RESULTS_NAME
+    path.write_bytes(path.read_bytes() + f"{line}\n".encode())
+    with pytest.raises(InputError, match="line 2"):
+        read_records(tmp_path)
+
+
+def test_the_last_record_about_a_unit_counts() -> None:
+    again = UnitRecord("k2", "hall – «1»", "a.png", "c.png", "matching", "failed", "broken")
+    assert latest_records([DONE, SKIPPED, again]) == [again, SKIPPED]
+
+
+def test_the_mean_is_over_the_frames_that_have_the_score() -> None:
+    frames = tuple(FrameRecord(str(k), 0.5, 1.0, {"psnr": float(k)} if k else {}) for k in range(4))
+    record = UnitRecord("", "s", "a", "b", "m", "done", frames=frames)
+    assert record.mean("psnr") == 2.0
+    assert math.isnan(record.mean("lpips"))

@@ -1,0 +1,69 @@
+"""The score needs no truth and ranks like it; shares are those of the sphere."""
+
+import numpy as np
+import pytest
+
+from confidence_samples import generated_views, judged, rank_correlation
+from omnisyn_cli.fusion.confidence import LEAST_SCORE, assess_pair
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import solid_angles
+from omnisyn_cli.types import KnownDepth, Rendering
+
+SIZE = (32, 64)
+
+
+def rendering(
+    value: float | np.ndarray = 0.5, rho: float | np.ndarray = 0.2, weight: float | np.ndarray = 1.0
+) -> Rendering:
+    colour = np.empty((*SIZE, 4), np.float32)
+    colour[..., :3] = np.broadcast_to(np.asarray(value), SIZE)[..., None]
+    colour[..., 3] = weight
+    return Rendering.of(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.zeros(3)))
+
+
+def test_scores_rank_pairs_like_their_true_frames_do() -> None:
+    """Rooms and a street, near and far, true poses and wrong ones; the larger version is a benchmark."""
+    room, far = generated_views("room", 106, 0.4, (128, 256)), generated_views("room", 104, 2.0, (128, 256))
+    street = generated_views("street", 103, 3.0, (128, 256))
+    cases = [(room, 0, 0), (room, 1, 0.02), (room, 4, 0.1), (far, 0, 0), (far, 2, 0.1), (far, 8, 0.4),
+             (street, 0, 0), (street, 1, 0.05), (street, 6, 0.5)]  # fmt: skip
+    found = [judged(str(k), *case[:1], KnownDepth(), *case[1:]) for k, case in enumerate(cases)]
+    assert rank_correlation([f.score + 1e-3 * f.expected for f in found], [f.true for f in found]) > 0.7
+    assert found[0].score > 0.6
+    assert found[5].score < LEAST_SCORE
+
+
+@pytest.mark.parametrize(("difference", "score"), [(0.0, 1.0), (10**-1.2, 0.5), (10**-0.5, 0.0)])
+def test_the_score_is_linear_in_decibels(difference: float, score: float) -> None:
+    """24 dB lies half way between 12 and 36."""
+    one, other = rendering(0.2), rendering(0.2 + difference)
+    assert assess_pair([(one, other), (other, one)], (one, other)).score == pytest.approx(score, abs=1e-3)
+
+
+def test_half_of_it_is_what_happens_half_way() -> None:
+    same, other = rendering(0.2), rendering(0.4)
+    found = assess_pair([(same, same), (same, same)], (same, other))
+    assert found.expected == pytest.approx(-10 * np.log10(0.5 * 0.2**2), abs=1e-3)
+    found = assess_pair([(same, other), (same, same)], (same, same))
+    assert found.expected == pytest.approx(-10 * np.log10(0.25 * 0.2**2), abs=1e-3)
+
+
+def test_shares_are_counted_by_solid_angle() -> None:
+    row = np.arange(SIZE[0])[:, None] * np.ones(SIZE)
+    weight = solid_angles(*SIZE) / (4 * np.pi)
+    first = rendering(0.5, np.where(row < 4, -1.0, 0.2), np.where(row < 4, 0.0, 1.0))
+    seen = row >= 8
+    rho = np.where(seen, np.where(row < 16, 0.3, 0.2), -1.0)
+    second = rendering(np.where(row >= 28, 0.9, 0.5), rho, np.where(seen, 1.0, 0.0))
+    found = assess_pair([(first, first), (second, second)], (first, second))
+    assert found.unseen == pytest.approx(weight[row < 4].sum(), abs=1e-6)
+    assert found.disagreement == pytest.approx(weight[(row >= 8) & (row < 16)].sum(), abs=1e-6)
+    assert found.inconsistency == pytest.approx(weight[row >= 28].sum(), abs=1e-6)
+
+
+def test_nothing_in_common_is_the_worst() -> None:
+    nothing = rendering(0.0, -1.0, 0.0)
+    found = assess_pair([(rendering(), nothing)] * 2, (nothing, nothing))
+    assert found.score == 0
+    assert found.unseen == pytest.approx(1.0)
+    assert set(found.describe()) == {"score", "expected_db", "unseen", "disagreement", "inconsistency"}

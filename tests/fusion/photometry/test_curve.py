@@ -1,0 +1,145 @@
+"""The gain between two pictures is found through noise and moved things, and leads steadily from one to the other."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from omnisyn_cli.fusion.photometry.curve import (
+    KNOTS,
+    ExposureCurve,
+    estimate_curve,
+    estimate_gain,
+    linear_from_stored,
+    stored_from_linear,
+)
+from photometry_samples import exposed, in_eight_bits, linear
+from photometry_samples import stored as stored_by_definition
+
+COUNT = 40_000
+
+
+def colours(seed: int = 0, most: float = 1.0) -> np.ndarray:
+    return in_eight_bits(np.random.default_rng(seed).random((COUNT, 3)) * most)
+
+
+def constant(*stops: float) -> ExposureCurve:
+    return ExposureCurve(np.repeat(np.array(stops)[:, None], len(KNOTS), axis=1))
+
+
+def looked_up(table: np.ndarray, image: np.ndarray) -> np.ndarray:
+    at = np.linspace(0, 1, table.shape[1])
+    return np.stack([np.interp(image[:, k], at, table[k]) for k in range(3)], axis=-1)
+
+
+@given(st.floats(0, 4))
+def test_light_and_stored_values_follow_the_standard_and_there_is_a_way_back(value: float) -> None:
+    x = np.array([value])
+    np.testing.assert_allclose(linear_from_stored(x), linear(x), rtol=1e-9)
+    np.testing.assert_allclose(stored_from_linear(x), stored_by_definition(x), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(stored_from_linear(linear_from_stored(x)), x, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("stops", [(1, 1, 1), (-1, -1, -1), (0.3, 0.3, 0.3), (0.4, 0.0, -0.3), (-2, -2.2, -1.9)])
+def test_an_exposure_and_a_white_balance_are_found(stops: tuple[float, float, float]) -> None:
+    first = colours()
+    curve = estimate_curve(first, in_eight_bits(exposed(first, stops)), np.ones(COUNT))
+    np.testing.assert_allclose(curve.gain[:, 2:], np.repeat(np.array(stops)[:, None], 4, axis=1), atol=0.05)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.sampled_from([-1.5, -0.8, -0.4, 0.4, 0.7, 1.0, 1.5]), st.integers(0, 99))
+def test_a_third_of_the_places_may_show_something_else_and_all_be_noisy(stop: float, seed: int) -> None:
+    rng, first = np.random.default_rng(seed), colours(seed)
+    second = np.clip(exposed(first, stop) + rng.normal(0, 0.02, first.shape), 0, 1).astype(np.float32)
+    moved = rng.random(COUNT) < 0.3
+    second[moved] = rng.random((moved.sum(), 3))
+    curve = estimate_curve(first, second, np.ones(COUNT))
+    middle = curve.gain[:, (KNOTS > -5) & (KNOTS < -0.9)]
+    np.testing.assert_allclose(middle, stop, atol=0.15)
+
+
+def test_another_tone_curve_is_followed() -> None:
+    first = colours()
+    second = in_eight_bits(0.85 * first**1.3)
+    curve = estimate_curve(first, second, np.ones(COUNT))
+    bright = first[((first > 0.25) & (first < 0.9)).all(axis=1)]
+    np.testing.assert_allclose(looked_up(curve.table(1.0, of_second=False), bright), 0.85 * bright**1.3, atol=0.03)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.05])
+def test_pictures_exposed_alike_are_left_alone(noise: float) -> None:
+    first = colours()
+    second = np.clip(first + np.random.default_rng(1).normal(0, noise, first.shape), 0, 1).astype(np.float32)
+    assert estimate_curve(first, second, np.ones(COUNT)).is_identity
+
+
+def test_pictures_of_different_things_are_left_alone() -> None:
+    first = colours()
+    for second in (colours(7), 1 - first, np.zeros_like(first), np.ones_like(first)):
+        assert estimate_curve(first, second, np.ones(COUNT)).is_identity
+
+
+def test_without_samples_or_weight_nothing_changes() -> None:
+    assert estimate_curve(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)).is_identity
+    first = colours()
+    assert estimate_curve(first, exposed(first, 1), np.zeros(COUNT)).is_identity
+
+
+def test_weight_is_a_number_of_samples() -> None:
+    """Half of the places a stop brighter, half as they were: the heavier half decides."""
+    first, half = colours(), np.arange(COUNT) % 2 == 0
+    second = np.where(half[:, None], exposed(first, 1), first)
+    heavy = estimate_curve(first, second, np.where(half, 3.0, 1.0))
+    np.testing.assert_allclose(heavy.gain[:, 2:5], 1.0, atol=0.1)
+    assert estimate_curve(first, second, np.where(half, 1.0, 9.0)).is_identity
+
+
+def test_exchanging_the_pictures_reverses_the_curve() -> None:
+    first, second = colours(), in_eight_bits(exposed(colours(), (0.8, 0.5, 0.9)))
+    there, back = (estimate_curve(a, b, np.ones(COUNT)) for a, b in ((first, second), (second, first)))
+    np.testing.assert_allclose(there.gain, back.reversed().gain, atol=0.02)
+
+
+@pytest.mark.parametrize("t", [0.0, 0.3, 0.5, 1.0])
+def test_along_the_way_light_is_multiplied_by_the_power_of_two_of_the_share(t: float) -> None:
+    """The definition: gain 2^(t·stops) in linear light, white cut off; from either picture the same."""
+    curve, image = constant(1.0, -0.5, 0.25), colours(most=0.7)
+    expected = exposed(image, np.array([1.0, -0.5, 0.25]) * t)
+    np.testing.assert_allclose(looked_up(curve.table(t, of_second=False), image), expected, atol=2e-3)
+    second = exposed(image, (1.0, -0.5, 0.25))
+    whole = (second < 0.999).all(axis=1)
+    np.testing.assert_allclose(looked_up(curve.table(t, of_second=True), second[whole]), expected[whole], atol=2e-3)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6), st.floats(0, 1))
+def test_tables_rise_from_black_to_white_at_most_and_both_pictures_meet(gain: list[float], t: float) -> None:
+    steep = np.array(gain)
+    steps = np.clip(np.diff(steep) / np.diff(KNOTS), -1.5, 1.5) * np.diff(KNOTS)
+    curve = ExposureCurve(np.tile(np.concatenate([steep[:1], steep[0] + np.cumsum(steps)]), (3, 1)))
+    for of_second in (False, True):
+        table = curve.table(t, of_second=of_second)
+        assert (np.diff(table, axis=1) >= 0).all()
+        assert (table[:, 0] == 0).all()
+        assert table.max() <= 1
+        np.testing.assert_array_equal(table, curve.reversed().table(1 - t, of_second=not of_second))
+    image = colours()[:100]
+    across = looked_up(curve.table(1.0, of_second=False), image)
+    whole = (across < 0.98).all(axis=1) & (across > 0.02).all(axis=1) & (image > 0.02).all(axis=1)
+    direct = looked_up(curve.table(t, of_second=False), image)
+    np.testing.assert_allclose(looked_up(curve.table(t, of_second=True), across)[whole], direct[whole], atol=0.03)
+
+
+@pytest.mark.parametrize("of_second", [False, True])
+def test_at_its_own_end_a_picture_is_what_it_was(of_second: bool) -> None:
+    table = constant(1.0, 1.0, 1.0).table(float(of_second), of_second=of_second)
+    np.testing.assert_array_equal(table, np.tile(np.linspace(0, 1, table.shape[1], dtype=np.float32), (3, 1)))
+
+
+@pytest.mark.parametrize("stop", [1.0, -1.0, 0.5])
+def test_before_anything_matches_a_gain_is_found_from_all_values(stop: float) -> None:
+    first, other = colours(1, 0.6), colours(2, 0.6)
+    curve = estimate_gain(first, exposed(other, stop))
+    np.testing.assert_allclose(curve.gain, stop, atol=0.06)
+    assert estimate_gain(first, other).is_identity

@@ -1,0 +1,77 @@
+"""Several files appear in a folder together, or not at all."""
+
+from pathlib import Path
+
+import pytest
+
+from omnisyn_cli.errors import OutputPathError, WriteError
+from omnisyn_cli.io.outputs import check_staged_folder, staged_folder, write_errors
+
+
+def write_two(folder: Path, error: type[BaseException] | None = None) -> None:
+    with staged_folder(folder) as staged:
+        for name in ("a", "b"):
+            (staged / name).write_text(name)
+        assert not [file for file in folder.glob("*") if not file.name.startswith(".")]
+        if error:
+            raise error
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_files_appear_at_the_end(tmp_path: Path, exists: bool) -> None:
+    folder = tmp_path / "depth"
+    if exists:
+        folder.mkdir()
+    write_two(folder)
+    assert {file.name: file.read_text() for file in folder.iterdir()} == {"a": "a", "b": "b"}
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize("exists", [True, False])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_after_a_failure_nothing_is_there(tmp_path: Path, exists: bool, error: type[BaseException]) -> None:
+    folder = tmp_path / "depth"
+    if exists:
+        folder.mkdir()
+    with pytest.raises(error):
+        write_two(folder, error)
+    assert list(tmp_path.iterdir()) == ([folder] if exists else [])
+    assert not exists or not list(folder.iterdir())
+
+
+def test_strangers_in_the_folder_stay(tmp_path: Path) -> None:
+    (tmp_path / "c").write_text("mine")
+    with staged_folder(tmp_path) as staged:
+        (staged / "a").write_text("a")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a", "c"]
+
+
+def test_a_folder_that_cannot_be_filled_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    check_staged_folder(tmp_path / "new")
+    with pytest.raises(OutputPathError, match="create it first"):
+        check_staged_folder(tmp_path / "no" / "new")
+    with pytest.raises(OutputPathError, match="got a file"):
+        check_staged_folder(tmp_path / "file")
+
+
+def test_what_appeared_in_the_meantime_is_kept(tmp_path: Path) -> None:
+    def write(name: str, theirs: str) -> None:
+        with staged_folder(tmp_path, overwrite=False) as staged:
+            for new in ("a", name):
+                (staged / new).write_text(new)
+            (tmp_path / name).write_text(theirs)
+
+    with pytest.raises(OutputPathError, match="b: expected a new file"):
+        write("b", "mine")
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("b", "mine")]
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_errors_name_files_as_they_would_be_called(tmp_path: Path, exists: bool) -> None:
+    folder = tmp_path / "depth"
+    if exists:
+        folder.mkdir()
+    with pytest.raises(WriteError) as caught, staged_folder(folder) as staged, write_errors(staged / "a"):
+        raise OSError(28, "No space left on device")
+    assert str(caught.value).startswith(f"{folder / 'a'}: expected to write it")

@@ -1,0 +1,247 @@
+"""A point of the foreign world falls on the same pixel by the foreign formula and by ours, for every format."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_samples import (
+    SIZE,
+    axis_angle,
+    imported,
+    opencv_pixel,
+    our_pixel,
+    row,
+    samples,
+    write_images,
+    write_json,
+    write_text,
+    y_down,
+    z_up,
+)
+
+from omnisyn_cli.errors import PoseError
+from omnisyn_cli.poses.formats import CAMERA_AXES, WORLD_UP
+
+COUNT = 6
+
+NAMES = [f"{index:02d}.png" for index in range(COUNT)]
+
+PIXELS = 1e-6
+
+
+def test_colmap(tmp_path: Path) -> None:
+    lines = []
+    for index, (turn, translation, _) in enumerate(samples(COUNT), start=1):
+        lines += [
+            f"{index} {row(axis_angle(turn)[1], translation)} 1 pano {NAMES[index - 1]}",
+            "1.5 2.5 -1" if index % 2 else "",
+        ]
+    write_text(tmp_path / "sparse" / "0" / "images.txt", "# comment", *lines)
+    write_text(tmp_path / "sparse" / "0" / "cameras.txt", "# comment", "1 EQUIRECTANGULAR 1024 512 1024 512")
+    result = imported(tmp_path, expected="colmap")
+    assert [view.name for view in result.views] == [f"pano {name}" for name in NAMES]
+    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
+        foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
+        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+
+
+@pytest.mark.parametrize("projection", ["spherical", "equirectangular"])
+def test_opensfm(tmp_path: Path, projection: str) -> None:
+    """``x = lon / 2π · w + (w − 1) / 2`` and ``y = −lat / 2π · w + (h − 1) / 2`` in indices of pixels."""
+    shots = {
+        name: {"camera": "c", "rotation": list(turn), "translation": list(translation)}
+        for name, (turn, translation, _) in zip(NAMES, samples(COUNT), strict=True)
+    }
+    document = [{"cameras": {"c": {"projection_type": projection}}, "shots": shots, "points": {}}]
+    result = imported(write_json(tmp_path / "reconstruction.json", document), expected="opensfm")
+    height, width = SIZE
+    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
+        x, y, z = axis_angle(turn)[0] @ point + translation
+        longitude, latitude = math.atan2(x, z), math.atan2(-y, math.hypot(x, z))
+        foreign = (
+            -latitude / (2 * math.pi) * width + (height - 1) / 2,
+            longitude / (2 * math.pi) * width + (width - 1) / 2,
+        )
+        np.testing.assert_allclose(our_pixel(view.pose, z_up(point)), foreign, atol=PIXELS)
+
+
+def test_nerfstudio(tmp_path: Path) -> None:
+    """The ray that nerfstudio shoots through a pixel meets a point that falls on that pixel."""
+    frames = [
+        {
+            "file_path": f"./images/{name}",
+            "transform_matrix": [*np.c_[axis_angle(turn)[0], place].tolist(), [0, 0, 0, 1]],
+        }
+        for name, (turn, place, _) in zip(NAMES, samples(COUNT), strict=True)
+    ]
+    document = {"camera_model": "EQUIRECTANGULAR", "frames": frames, "applied_transform": np.eye(4)[:3].tolist()}
+    write_json(tmp_path / "transforms.json", document)
+    result = imported(tmp_path, expected="nerfstudio")
+    height, width = SIZE
+    for index, (view, (turn, place, _)) in enumerate(zip(result.views, samples(COUNT), strict=True)):
+        at_row, at_col = 20.0 + 77.3 * index, 1000.0 - 181.7 * index
+        x, y = (at_col + 0.5 - width / 2) / (width / 2), -(at_row + 0.5 - height / 2) / height
+        theta, phi = -math.pi * x, math.pi * (0.5 - y)
+        direction = (-math.sin(theta) * math.sin(phi), math.cos(phi), -math.cos(theta) * math.sin(phi))
+        point = place + 7.0 * axis_angle(turn)[0] @ direction
+        np.testing.assert_allclose(our_pixel(view.pose, z_up(point)), (at_row, at_col), atol=PIXELS)
+
+
+def test_nerfstudio_scales_are_undone(tmp_path: Path) -> None:
+    """``applied = s · original``: distances come back to those of the original, pixels stay."""
+    turn, place, point = samples(1)[0]
+    frame = {"file_path": "a.png", "transform_matrix": np.c_[axis_angle(turn)[0], place * 6].tolist()}
+    applied = np.c_[2 * axis_angle((0.1, 0.2, 0.3))[0], [1, 2, 3]].tolist()
+    document = {"frames": [frame], "applied_scale": 3.0, "applied_transform": applied}
+    result = imported(write_json(tmp_path / "transforms.json", document), expected="nerfstudio")
+    pose = result.views[0].pose
+    np.testing.assert_allclose(pose.position, z_up(place), atol=1e-12)
+    assert any("divided by the applied scale 6" in note for note in result.notes)
+    assert any("no camera_model" in note for note in result.notes)
+    local = axis_angle(turn)[0].T @ (point - place)
+    np.testing.assert_allclose(pose.inverse().transform(z_up(point)), local, atol=1e-12)
+
+
+def test_tum(tmp_path: Path) -> None:
+    """Camera-to-world, quaternion with w last."""
+    lines = []
+    for index, (turn, place, _) in enumerate(samples(COUNT)):
+        w, x, y, z = axis_angle(turn)[1]
+        lines.append(f"{1000.25 + index} {row(place, (x, y, z, w))}")
+    write_text(tmp_path / "poses.tum", "# timestamp tx ty tz qx qy qz qw", *lines)
+    write_images(tmp_path / "images", NAMES)
+    result = imported(tmp_path / "poses.tum", expected="tum")
+    for view, (turn, place, point) in zip(result.views, samples(COUNT), strict=True):
+        foreign = opencv_pixel(axis_angle(turn)[0].T @ (point - place))
+        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+
+
+def test_kitti(tmp_path: Path) -> None:
+    lines = [row(np.c_[axis_angle(turn)[0], place]) for turn, place, _ in samples(COUNT)]
+    write_images(tmp_path, NAMES)
+    result = imported(write_text(tmp_path / "00.txt", *lines), expected="kitti")
+    assert [view.name for view in result.views] == NAMES
+    for view, (turn, place, point) in zip(result.views, samples(COUNT), strict=True):
+        foreign = opencv_pixel(axis_angle(turn)[0].T @ (point - place))
+        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+
+
+def test_habitat(tmp_path: Path) -> None:
+    """PanSplat turns these files into OpenCV cameras in a world with z up by two matrices; both sides must agree."""
+    world = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    camera = np.diag([1, -1, -1])
+    for index, (turn, place, _) in enumerate(samples(COUNT)):
+        folder = tmp_path / str(index)
+        write_images(folder, ["rgb.png", "depth.png"])
+        np.savetxt(folder / "rot.txt", axis_angle(turn)[0], fmt="%.17g")
+        np.savetxt(folder / "tran.txt", place, fmt="%.17g")
+    result = imported(tmp_path, expected="habitat")
+    for index, (view, (turn, place, point)) in enumerate(zip(result.views, samples(COUNT), strict=True)):
+        rotation, position = world @ axis_angle(turn)[0] @ camera, world @ place
+        foreign = opencv_pixel(rotation.T @ (world @ point - position))
+        np.testing.assert_allclose(our_pixel(view.pose, point), foreign, atol=PIXELS)
+        assert view.image == tmp_path / str(index) / "rgb.png"
+        assert view.depth == tmp_path / str(index) / "depth.png"
+
+
+def test_zind(tmp_path: Path) -> None:
+    """A corner of the room falls where ZInD's own code draws it: ``θ = atan2(−x, y)``, ``φ = asin(z / ρ)``."""
+    rng = np.random.default_rng(0)
+    metres = 3.5
+    plans = [(rng.normal(size=2), rng.uniform(-180, 180), rng.uniform(0.5, 2)) for _ in range(COUNT)]
+    panos = {
+        f"pano_{index}": {
+            "image_path": f"panos/{NAMES[index]}",
+            "camera_height": 1.0,
+            "floor_plan_transformation": {"translation": list(place), "rotation": degrees, "scale": scale},
+        }
+        for index, (place, degrees, scale) in enumerate(plans)
+    }
+    document = {
+        "merger": {"floor_01": {"complete_room_01": {"partial_room_01": panos}}},
+        "scale_meters_per_coordinate": {"floor_01": metres},
+    }
+    result = imported(write_json(tmp_path / "zind_data.json", document), expected="zind")
+    height, width = SIZE
+    for view, (place, degrees, scale) in zip(result.views, plans, strict=True):
+        x, y, z = local = rng.normal(size=3) * 3
+        turned = np.array([[math.cos(math.radians(degrees)), math.sin(math.radians(degrees))],
+                           [-math.sin(math.radians(degrees)), math.cos(math.radians(degrees))]])  # fmt: skip
+        on_floor = local[:2].dot(turned) * scale + place
+        height_above_floor = (z + 1.0) * scale
+        point = metres * np.array([-on_floor[0], height_above_floor, -on_floor[1]])
+        theta, phi = math.atan2(-x, y), math.asin(z / np.linalg.norm(local))
+        angles = ((0.5 - phi / math.pi) * height - 0.5, (0.5 + theta / (2 * math.pi)) * width - 0.5)
+        drawn = ((0.5 - phi / math.pi) * (height - 1), (0.5 + theta / (2 * math.pi)) * (width - 1))
+        np.testing.assert_allclose(our_pixel(view.pose, point), angles, atol=PIXELS)
+        np.testing.assert_allclose(our_pixel(view.pose, point), drawn, atol=0.5)  # its code has another pixel centre
+
+
+def test_authors(tmp_path: Path) -> None:
+    """Arrays made as their CARLA reader makes them see a point where CARLA's own (left-handed) axes put it."""
+    rng = np.random.default_rng(0)
+    places, yaws = rng.normal(size=(COUNT, 3)) * 4, rng.uniform(-3, 3, COUNT)
+    reference = COUNT - 1
+
+    def about_up(angle: float) -> np.ndarray:
+        return axis_angle((0, angle, 0))[0]
+
+    def seen(point: np.ndarray, index: int) -> np.ndarray:
+        """Right, up and backwards of a point of CARLA's world (x forward, y right, z up, yaw clockwise)."""
+        x, y, z = point - places[index]
+        cosine, sine = math.cos(yaws[index]), math.sin(yaws[index])
+        return np.array([cosine * y - sine * x, z, -(cosine * x + sine * y)])
+
+    moved = places[:, [1, 2, 0]] * (1, 1, -1)
+    turns = [about_up(-yaw) for yaw in yaws]
+    rotations = np.stack([turns[reference] @ turn.T for turn in turns])
+    translations = np.stack([-(turns[reference].T @ (place - moved[reference])) for place in moved])
+    np.save(tmp_path / "rotations.npy", rotations[None])
+    np.save(tmp_path / "translations.npy", translations[None])
+    write_images(tmp_path, ["0.png", "5.png"])
+    result = imported(tmp_path, expected="authors")
+    assert [view.name for view in result.views] == ["0.png", "5.png"]
+    for view, index in zip(result.views, (0, 5), strict=True):
+        for point in rng.normal(size=(5, 3)) * 10:
+            right, up, back = seen(point, index)
+            foreign = opencv_pixel(np.array([right, -up, -back]))
+            np.testing.assert_allclose(our_pixel(view.pose, seen(point, reference)), foreign, atol=PIXELS)
+
+
+UPWARD = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
+
+LOOKING = {"opengl": ((0, 0, -1), (0, 1, 0)), "opencv": ((0, 0, 1), (0, -1, 0)), "flu": ((1, 0, 0), (0, 0, 1))}
+
+
+def test_axes_are_what_their_names_say() -> None:
+    """Rotations, x stays x in a world; a camera's forward and upward axes come from ours."""
+    assert set(WORLD_UP) == set(UPWARD)
+    assert set(CAMERA_AXES) == set(LOOKING)
+    for name, matrix in WORLD_UP.items():
+        np.testing.assert_array_equal(matrix @ UPWARD[name], [0, 1, 0])
+        np.testing.assert_array_equal(matrix @ [1, 0, 0], [1, 0, 0])
+        assert np.linalg.det(matrix) == pytest.approx(1)
+    for name, matrix in CAMERA_AXES.items():
+        forward, upward = LOOKING[name]
+        np.testing.assert_array_equal(matrix @ [0, 0, -1], forward)
+        np.testing.assert_array_equal(matrix @ [0, 1, 0], upward)
+        assert np.linalg.det(matrix) == pytest.approx(1)
+
+
+def test_opensfm_moves_to_another_origin(tmp_path: Path) -> None:
+    """A shot at the reference is where a table puts that place; without a reference there is nothing to move from."""
+    reference = {"latitude": 48.2, "longitude": 11.4, "altitude": 505.0}
+    shots = {"a.png": {"camera": "c", "rotation": [0, 0, 0], "translation": [0, 0, 0]}}
+    document = {"cameras": {"c": {"projection_type": "spherical"}}, "shots": shots, "reference_lla": reference}
+    origin = (48.1, 11.5, 520.0)
+    source = write_json(tmp_path / "reconstruction.json", [document])
+    pose = imported(source, expected="opensfm", origin=origin).views[0].pose
+    table = write_text(tmp_path / "a.csv", "image,lat,lng,alt,heading", "a.png,48.2,11.4,505,0")
+    level = imported(table, expected="table", origin=origin).views[0].pose
+    np.testing.assert_allclose(pose.position, level.position, atol=1e-6)
+    up = np.array([0, 1, 0])  # OpenSfM's cameras look along z; without a rotation that is its world's up
+    np.testing.assert_allclose(level.rotation.T @ pose.rotation @ [0, 0, -1], up, atol=1e-9)
+    write_json(tmp_path / "reconstruction.json", [{**document, "reference_lla": {}}])
+    with pytest.raises(PoseError, match="expected a reference_lla"):
+        imported(source, expected="opensfm", origin=origin)

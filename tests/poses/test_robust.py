@@ -1,0 +1,102 @@
+"""The robust estimate: truth among wrong matches, degenerate pairs, repeatability, honest uncertainties."""
+
+import numpy as np
+import pytest
+from registration_samples import PIXEL, matches_of, random_pose, seen, unit, world_points
+
+from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
+from omnisyn_cli.poses.registration.epipolar import direction_error, relative_pose, rotation_error
+from omnisyn_cli.poses.registration.features import Matches
+from omnisyn_cli.poses.registration.least_squares import moved, refine_pose, uncertainty
+from omnisyn_cli.poses.registration.robust import LEAST_INLIERS, estimate_relative_pose, inlier_scale
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.6])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_truth_is_found_among_wrong_matches(seed: int, wrong: float) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_pose(rng), random_pose(rng)
+    matches = matches_of(rng, first, second, 400, noise=0.2 * PIXEL, wrong=wrong)
+    estimate, truth = estimate_relative_pose(matches), relative_pose(first, second)
+    assert estimate is not None
+    assert rotation_error(estimate.first_from_second, truth) < 6 * estimate.uncertainty.rotation < np.radians(0.3)
+    assert direction_error(estimate.first_from_second, truth) < 6 * estimate.uncertainty.direction < np.radians(1.0)
+    assert abs(estimate.inliers.mean() - (1 - wrong)) < 0.1
+
+
+def test_points_on_one_plane_are_enough() -> None:
+    rng = np.random.default_rng(5)
+    pose = Pose(rotation_from_rotation_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.2, 0.3]))
+    exact = seen(Pose.identity(), pose, world_points(rng, 300, "plane"))
+    matches = Matches(exact.first, unit(exact.second + rng.normal(size=(300, 3)) * 0.1 * PIXEL), PIXEL)
+    estimate = estimate_relative_pose(matches)
+    assert estimate is not None
+    assert rotation_error(estimate.first_from_second, relative_pose(Pose.identity(), pose)) < np.radians(0.1)
+
+
+@pytest.mark.parametrize("metres", [0.0, 1e-3])
+def test_one_place_is_recognised(metres: float) -> None:
+    rng = np.random.default_rng(1)
+    turn = rotation_from_rotation_vector(np.array([0.2, -1.4, 0.1]))
+    second = Pose(turn, np.array([metres, 0.0, 0.0]))
+    estimate = estimate_relative_pose(matches_of(rng, Pose.identity(), second, noise=0.2 * PIXEL, wrong=0.3))
+    assert estimate is not None
+    assert estimate.is_in_place
+    assert not estimate.first_from_second.position.any()
+    assert rotation_error(estimate.first_from_second, second) < np.radians(0.1)
+
+
+def test_one_picture_twice_is_one_place() -> None:
+    """All samples of equal directions are degenerate: no essential matrix follows from them."""
+    directions = unit(np.random.default_rng(3).normal(size=(200, 3)))
+    estimate = estimate_relative_pose(Matches(directions, directions, PIXEL))
+    assert estimate is not None
+    assert estimate.is_in_place
+    assert rotation_error(estimate.first_from_second, Pose.identity()) < 1e-6
+
+
+def test_noise_alone_has_no_pose() -> None:
+    rng = np.random.default_rng(2)
+    noise = Matches(unit(rng.normal(size=(300, 3))), unit(rng.normal(size=(300, 3))), PIXEL)
+    assert estimate_relative_pose(noise) is None
+    assert estimate_relative_pose(noise.select(np.arange(LEAST_INLIERS - 1))) is None
+    assert estimate_relative_pose(noise.select(np.arange(0))) is None
+
+
+def test_equal_matches_give_equal_poses() -> None:
+    rng = np.random.default_rng(3)
+    matches = matches_of(rng, random_pose(rng), random_pose(rng), noise=0.3 * PIXEL, wrong=0.5)
+    a, b = estimate_relative_pose(matches), estimate_relative_pose(matches)
+    assert a is not None
+    assert b is not None
+    np.testing.assert_array_equal(a.first_from_second.rotation, b.first_from_second.rotation)
+    np.testing.assert_array_equal(a.first_from_second.position, b.first_from_second.position)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_refining_brings_three_degrees_back(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_pose(rng), random_pose(rng)
+    matches, truth = matches_of(rng, first, second, noise=0.1 * PIXEL, wrong=0.2), relative_pose(first, second)
+    step = np.concatenate([unit(rng.normal(size=3)), unit(rng.normal(size=2))]) * np.radians(3.0)
+    disturbed = moved(truth, step)
+    assert rotation_error(disturbed, truth) == pytest.approx(np.radians(3.0))
+    refined = refine_pose(disturbed, matches, 10 * inlier_scale(matches))
+    refined = refine_pose(refined, matches, inlier_scale(matches))
+    assert rotation_error(refined, truth) < np.radians(0.05)
+    assert direction_error(refined, truth) < np.radians(0.3)
+
+
+def test_the_uncertainty_is_what_repeating_shows() -> None:
+    """Errors of forty repetitions scatter as widely as the stated standard deviation says, within a factor of two."""
+    rng = np.random.default_rng(4)
+    first, second = random_pose(rng), random_pose(rng)
+    truth, errors, stated = relative_pose(first, second), [], []
+    for _ in range(40):
+        matches = matches_of(rng, first, second, 200, noise=0.3 * PIXEL)
+        pose = refine_pose(truth, matches, 5 * PIXEL)
+        errors.append([rotation_error(pose, truth), direction_error(pose, truth)])
+        spread = uncertainty(pose, matches)
+        stated.append([spread.rotation, spread.direction])
+    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / np.mean(stated, axis=0)
+    assert np.all((ratio > 0.5) & (ratio < 2.0))

@@ -1,0 +1,147 @@
+"""Semi-global matching in bands of disparities against plain loops, and what must hold whatever the costs are."""
+
+import numpy as np
+import pytest
+
+from omnisyn_cli.stereo.costs import OUTSIDE, sweep_cost
+from omnisyn_cli.stereo.semi_global import RUN_UP, Bands, aggregate, choose
+
+HEIGHT, WIDTH, LEVELS = 24, 40, 30
+SMALL = (48, 96)
+RNG = np.random.default_rng(3)
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(4)
+
+
+@pytest.fixture
+def bands(random):
+    """Of 1 to 9 disparities, some of them with nothing in common with those of the neighbours."""
+    lowest = random.integers(0, LEVELS - 9, (HEIGHT, WIDTH)).astype(np.int32)
+    lowest[:, 10:30] = 7 + random.integers(0, 3, (HEIGHT, 20))
+    highest = lowest + random.integers(0, 9, (HEIGHT, WIDTH))
+    return Bands.between(lowest, highest.astype(np.int32))
+
+
+def everything(size, levels):
+    """The same disparities for all pixels: a whole volume."""
+    return Bands.between(np.zeros(size, np.int32), levels - 1)
+
+
+def inside(bands):
+    """Which cells of a full volume the bands have; row by row, and level by level, as in the flat arrays."""
+    count = np.diff(bands.begin).reshape(bands.lowest.shape)
+    level = np.arange(LEVELS)
+    return (level >= bands.lowest[..., None]) & (level < (bands.lowest + count)[..., None])
+
+
+def path_costs(cost, grey, pixels, step, jump, contrast):
+    """Costs along one path through a volume, where NaN is no disparity, one step after the other: the definition."""
+    found, before, last = {}, None, None
+    for pixel in pixels:
+        here = {level: value for level, value in enumerate(cost[pixel]) if not np.isnan(value)}
+        if before is not None:
+            cheapest = min(before.values())
+            leap = cheapest + jump / (1.0 + abs(grey[pixel] - grey[last]) / contrast)
+            for level, value in here.items():
+                ways = [
+                    leap,
+                    *(before[k] + step * abs(k - level) for k in (level - 1, level, level + 1) if k in before),
+                ]
+                here[level] = value + min(ways) - cheapest
+        found[pixel] = before = here
+        last = pixel
+    return found
+
+
+def paths(height, width):
+    """Every path: six along meridians, straight or leaning, and two around, which begin before the seam."""
+    for lean in (-1, 0, 1):
+        for origin in range(width):
+            rows = range(height)
+            yield [(row, (origin + lean * k) % width) for k, row in enumerate(rows)], 0
+            yield [(row, (origin + lean * k) % width) for k, row in enumerate(reversed(rows))], 0
+    for row in range(height):
+        yield [(row, k % width) for k in range(-RUN_UP, width)], RUN_UP
+        yield [(row, (width - 1 - k) % width) for k in range(-RUN_UP, width)], RUN_UP
+
+
+def test_sums_are_those_of_plain_loops_over_eight_directions(random):
+    size, levels, penalties = (6, 9), 7, (0.1, 0.5, 0.05)
+    lowest = random.integers(0, 4, size).astype(np.int32)
+    bands = Bands.between(lowest, (lowest + random.integers(0, 3, size)).astype(np.int32))
+    grey = random.random(size, np.float32)
+    count = np.diff(bands.begin).reshape(size)
+    is_tried = (np.arange(levels) >= lowest[..., None]) & (np.arange(levels) < (lowest + count)[..., None])
+    cost = np.where(is_tried, random.random((*size, levels)), np.nan)
+    expected = np.where(is_tried, 0.0, np.nan)
+    for pixels, run_up in paths(*size):
+        steps = [(row, col, k) for k, (row, col) in enumerate(pixels)]
+        volume = {(row, col, k): cost[row, col] for row, col, k in steps}
+        shades = {(row, col, k): float(grey[row, col]) for row, col, k in steps}
+        for (row, col, k), found in path_costs(volume, shades, steps, *penalties).items():
+            if k >= run_up:
+                for level, value in found.items():
+                    expected[row, col, level] += value
+    total = aggregate(cost[is_tried].astype(np.float32), bands, grey, *penalties)
+    np.testing.assert_allclose(total, expected[is_tried], rtol=1e-4, atol=1e-3)
+
+
+def test_costs_of_bands_are_those_of_the_whole_volume(random, bands):
+    first, second = random.random((2, HEIGHT, WIDTH, 3), np.float32)
+    usable = random.random((HEIGHT, WIDTH)) < 0.9
+    volume = sweep_cost(first, second, usable, everything((HEIGHT, WIDTH), LEVELS), 0.4, 0.1)
+    cost = sweep_cost(first, second, usable, bands, 0.4, 0.1)
+    np.testing.assert_array_equal(cost, volume.reshape(HEIGHT, WIDTH, LEVELS)[inside(bands)])
+    assert (cost == OUTSIDE).any()
+
+
+def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
+    cost = RNG.random((*SMALL, 7)).astype(np.float32).ravel()
+    total = aggregate(cost, everything(SMALL, 7), np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
+    np.testing.assert_allclose(total, 8.0 * cost, atol=1e-4)
+
+
+def test_with_endless_penalties_one_level_wins_everywhere_it_can_reach() -> None:
+    cost, volume = RNG.random((*SMALL, 5)).astype(np.float32), everything(SMALL, 5)
+    cost[..., 3] -= 0.5
+    total = aggregate(cost.ravel(), volume, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1)
+    assert np.all(np.rint(choose(total, volume, is_all=True)[0]) == 3)
+
+
+def test_aggregation_has_no_seam() -> None:
+    cost, grey = RNG.random((*SMALL, 5)).astype(np.float32), RNG.random(SMALL).astype(np.float32)
+    before = aggregate(cost.ravel(), everything(SMALL, 5), grey, 0.05, 0.3, 0.1).reshape(cost.shape)
+    turned = np.roll(cost, 31, axis=1).ravel()
+    after = aggregate(turned, everything(SMALL, 5), np.roll(grey, 31, axis=1), 0.05, 0.3, 0.1)
+    np.testing.assert_allclose(np.roll(before, 31, axis=1).ravel(), after, atol=1e-3)
+
+
+def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
+    tip = RNG.uniform(1.0, 5.0, SMALL)
+    total = np.abs(np.arange(7) - tip[..., None]).astype(np.float32)
+    level, margin = choose(total.ravel(), everything(SMALL, 7), is_all=True)
+    np.testing.assert_allclose(level, tip, atol=1e-4)
+    assert margin.min() > 0
+
+
+def test_a_minimum_between_disparities_is_found_where_it_is(random):
+    where = random.uniform(6.0, 12.0, (HEIGHT, WIDTH)).astype(np.float32)
+    bands = Bands.between(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
+    total = np.abs(np.arange(3, 16) - where[..., None]).astype(np.float32)
+    disparity, margin = choose(total.ravel(), bands, is_all=False)
+    np.testing.assert_allclose(disparity, where, atol=1e-4)
+    nearest = np.rint(where)
+    np.testing.assert_allclose(margin, 2.0 - 2.0 * np.abs(where - nearest), atol=1e-4)
+
+
+@pytest.mark.parametrize("falling", [True, False])
+@pytest.mark.parametrize("is_all", [True, False])
+def test_only_where_nothing_lies_beyond_is_the_end_of_a_band_sure(falling, is_all):
+    bands = Bands.between(np.full((2, 4), 5, np.int32), 8)
+    total = np.tile(np.arange(4.0, dtype=np.float32)[:: -1 if falling else 1], 8)
+    disparity, margin = choose(total, bands, is_all=is_all)
+    assert (disparity == (8 if falling else 5)).all()
+    assert (margin == (2.0 if is_all else 0.0)).all()

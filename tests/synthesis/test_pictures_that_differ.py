@@ -1,0 +1,156 @@
+"""Exposure, masks, confidence and fallback, from panoramas to frames."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from confidence_samples import disturbed, generated_views
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.metrics import ws_psnr
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.io import read_panorama, write_image
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.synthesis.methods import SurfaceMethod
+from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import DepthEstimator, KnownDepth, View
+from photometry_samples import exposed, in_eight_bits
+from synthesis_samples import as_bytes, posed, write_hall
+
+SIZE = (128, 256)
+ESTIMATORS: dict[str, DepthEstimator] = {
+    "file": KnownDepth(),
+    "matching": MatchingDepthEstimator(MatchingOptions(size=SIZE), threads=2),
+}
+
+
+@pytest.fixture(scope="module")
+def room() -> list[View]:
+    return generated_views("room", 104, 1.0, SIZE)
+
+
+def half_way(first: View, middle: View, last: View, estimator: DepthEstimator, **options: bool) -> np.ndarray:
+    pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=2, **options)).prepare(0, first, last)
+    return np.clip(pair.frame(Waypoint(0, 0.5, middle.pose)).image, 0, 1)
+
+
+@pytest.mark.parametrize("method", ESTIMATORS)
+@pytest.mark.parametrize("stop", [1.0, -1.0])
+def test_a_stop_between_the_pictures_costs_less_than_a_decibel(room: list[View], method: str, stop: float) -> None:
+    """Against what the frame of equally exposed pictures would be, given the exposure half way: 2^(stop/2) in light."""
+    first, middle, last = room
+    other = replace(last, image=in_eight_bits(exposed(last.image, stop)))
+    truth = exposed(middle.image, stop / 2)
+    alike = half_way(first, middle, last, ESTIMATORS[method])
+    best = ws_psnr(exposed(alike, stop / 2), truth)
+    assert ws_psnr(half_way(first, middle, other, ESTIMATORS[method]), truth) > best - 1.0
+
+
+def test_white_balance_is_matched_as_well(room: list[View]) -> None:
+    first, middle, last = room
+    stops = np.array([0.4, 0.0, -0.4])
+    other = replace(last, image=in_eight_bits(exposed(last.image, stops)))
+    truth = exposed(middle.image, stops / 2)
+    best = ws_psnr(exposed(half_way(first, middle, last, KnownDepth()), stops / 2), truth)
+    assert ws_psnr(half_way(first, middle, other, KnownDepth()), truth) > best - 1.0
+
+
+def test_pictures_exposed_alike_are_not_changed_at_all(room: list[View]) -> None:
+    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE)).prepare(0, room[0], room[2])
+    assert pair.segment.check.curve.is_identity
+
+
+def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: list[View]) -> None:
+    """It is the mean of both photographs there, and closer to the truth than what the wrong poses make."""
+    first, middle, last = room
+    wrong = disturbed(last, 8.0, 0.4)
+    plain, faded = (half_way(first, middle, wrong, KnownDepth(), cross_fade=on) for on in (False, True))
+    assert ws_psnr(faded, middle.image) > ws_psnr(plain, middle.image)
+    good = [half_way(first, middle, last, KnownDepth(), cross_fade=on) for on in (False, True)]
+    np.testing.assert_array_equal(good[0], good[1])
+
+
+def hall_job(folder: Path, baseline: float = 0.5, **options: object) -> InterpolationJob:
+    images = write_hall(folder, [posed((0, 0, 0)), posed((baseline, 0, 0))])
+    return InterpolationJob(tuple(images), folder / "poses.json", folder / "frames", frames=3, threads=1, **options)
+
+
+def read_frames(folder: Path) -> list[np.ndarray]:
+    return [read_panorama(path).image for path in sorted(folder.iterdir())]
+
+
+def test_what_is_near_the_nadir_comes_from_the_other_panorama(tmp_path: Path) -> None:
+    """A tripod painted into the first panorama shows, unless its cap is left out."""
+    job = hall_job(tmp_path, baseline=2.0)
+    clean = read_panorama(job.images[0]).image
+    image = clean.copy()
+    image[60:] = (1, 0, 1)
+    write_image(job.images[0], as_bytes(image))
+    run_interpolation(plan_interpolation(replace(job, nadir=np.radians(13.0))))
+    found = read_frames(job.output)
+    assert np.abs(found[0][60:] - clean[60:]).mean() < 0.03
+    np.testing.assert_allclose(found[0][:58], clean[:58], atol=0.02)
+
+
+def test_a_mask_from_the_command_line_counts_like_one_of_the_pose_file(tmp_path: Path) -> None:
+    job = hall_job(tmp_path)
+    image = read_panorama(job.images[0]).image.copy()
+    clean = image.copy()
+    image[20:30, 40:60] = (1, 0, 1)
+    write_image(job.images[0], as_bytes(image))
+    masks = [np.ones((64, 128, 3), np.float32) for _ in range(2)]
+    masks[0][20:30, 40:60] = 0
+    for name, mask in zip(("m0.png", "m1.png"), masks, strict=True):
+        write_image(tmp_path / name, as_bytes(mask))
+    run_interpolation(plan_interpolation(replace(job, masks=(tmp_path / "m0.png", tmp_path / "m1.png"))))
+    assert np.abs(read_frames(job.output)[0][20:30, 40:60] - clean[20:30, 40:60]).mean() < 0.05
+
+
+def test_the_summary_says_how_far_the_clip_can_be_relied_on(tmp_path: Path) -> None:
+    job = hall_job(tmp_path, save_confidence=tmp_path / "confidence")
+    summary = run_interpolation(plan_interpolation(job))
+    described = json.loads(json.dumps(summary.describe()))["confidence"]
+    assert 0.5 < described["score"] <= 1.0
+    assert described["pairs"][0]["first"] == 0
+    assert summary.warnings() == []
+    sure = read_frames(tmp_path / "confidence")
+    assert len(sure) == 3
+    assert (sure[0] == 1).all()
+    assert sure[1].mean() > 0.9
+
+
+def test_wrong_poses_are_warned_about_or_refused(tmp_path: Path) -> None:
+    job = hall_job(tmp_path)
+    poses = json.loads(job.poses.read_text())
+    poses["panoramas"]["p1.png"]["rotation"] = [0.8, 0.0, 0.6, 0.0]
+    job.poses.write_text(json.dumps(poses))
+    summary = run_interpolation(plan_interpolation(job))
+    (warning,) = summary.warnings()
+    assert "p0.png and p1.png" in warning
+    refused = replace(job, output=tmp_path / "other", fallback="fail")
+    with pytest.raises(InputError, match="expected a confidence of at least"):
+        run_interpolation(plan_interpolation(refused))
+    assert not refused.output.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"masks": (Path("m0.png"),)}, "one mask for each of 2"),
+        ({"nadir": 1.6}, "less than 90 degrees"),
+        ({"nadir": -0.1}, "less than 90 degrees"),
+        ({"fallback": "guess"}, "as fallback"),
+        ({"save_confidence": Path("frames")}, "place of its own"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_beforehand(options: dict, message: str, tmp_path: Path) -> None:
+    job = hall_job(tmp_path)
+    if "save_confidence" in options:
+        options = {"save_confidence": job.output}
+    with pytest.raises(InputError, match=message):
+        plan_interpolation(replace(job, **options))

@@ -1,0 +1,105 @@
+"""The scale from fast to accurate, and beside it the paper's method with the paper's settings."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from interpolation_samples import CHAIN, job_of
+from omnisyn_cli.cli.interpolate import interpolate
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation.bench import BenchJob
+from omnisyn_cli.evaluation.budget import apply_budget, shipped_table
+from omnisyn_cli.evaluation.methods import find_method
+from omnisyn_cli.evaluation.pareto import Figures, Setting
+from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
+from omnisyn_cli.synthesis.recipe import FUSION_MODELS, FUSIONS, Recipe
+from synthesis_samples import write_hall
+
+PAPER = PRESETS["paper"].recipe
+
+USUAL = Recipe()
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> list[Path]:
+    return write_hall(tmp_path, CHAIN[:2], (64, 128), with_depth=False)
+
+
+def test_every_preset_is_on_the_scale_or_beside_it() -> None:
+    assert list(PRESETS) == [*SCALE, *REPRODUCTIONS]
+    assert list(SCALE) == ["fast", "balanced", "accurate"]
+    assert DEFAULT_PRESET in SCALE
+    assert sorted(p.recipe.depth.rows for p in SCALE.values()) == [p.recipe.depth.rows for p in SCALE.values()]
+    assert {preset.recipe.fusion for preset in PRESETS.values()} <= set(FUSIONS)
+    assert set(FUSION_MODELS) < set(FUSIONS)
+
+
+def test_the_paper_preset_has_the_settings_of_the_paper(tmp_path: Path, images: list[Path]) -> None:
+    job = job_of(tmp_path, images, preset="paper")
+    plan = plan_interpolation(job)
+    assert plan.recipe == PAPER
+    assert (PAPER.depth.kind, PAPER.fusion) == ("network", "painting")
+    assert (PAPER.renderer, PAPER.cut, PAPER.cut_metres) == ("two-pass", None, 2.0)
+    assert PAPER.networks == (PAPER.depth.model, FUSION_MODELS["painting"])
+    assert plan.describe()["renderer"] == "two-pass"
+    assert plan.memory > plan_interpolation(replace(job, renderer="mesh")).memory
+    large = replace(job, size=(1024, 2048))  # frames of this size take more than making surfaces
+    assert plan_interpolation(large).memory > plan_interpolation(replace(large, fusion="geometric")).memory
+
+
+def test_what_is_asked_for_beside_the_preset_comes_first(tmp_path: Path, images: list[Path]) -> None:
+    job = job_of(tmp_path, images, preset="paper")
+    asked = plan_interpolation(replace(job, renderer="mesh", cut=0.1, fusion="geometric")).recipe
+    assert asked == replace(PAPER, renderer="mesh", cut=0.1, cut_metres=None, fusion="geometric")
+    assert plan_interpolation(replace(job, cut_metres=1.0)).recipe == replace(PAPER, cut_metres=1.0)
+    assert plan_interpolation(replace(job, depth="matching")).recipe.depth.model is None
+
+
+def test_the_other_presets_are_drawn_exactly_and_cut_relatively(tmp_path: Path, images: list[Path]) -> None:
+    plan = plan_interpolation(job_of(tmp_path, images, preset="paper"))
+    for name in SCALE:
+        other = plan_interpolation(job_of(tmp_path, images, preset=name))
+        assert other.recipe == PRESETS[name].recipe
+        assert (other.recipe.renderer, other.recipe.cut) == ("mesh", USUAL.cut)
+        assert with_preset(plan, name).describe() == other.describe()
+        assert with_preset(plan, name).recipe == other.recipe
+
+
+def test_known_depth_is_fused_by_rules_with_this_preset_too(tmp_path: Path) -> None:
+    recipe = plan_interpolation(job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), preset="paper")).recipe
+    assert (recipe.depth.kind, recipe.depth.model) == ("file", None)
+    assert (recipe.fusion, recipe.renderer) == ("geometric", "two-pass")
+
+
+def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path]) -> None:
+    """Even where it was measured and looks both fast and accurate."""
+    table = shipped_table()
+    setting = Setting("paper", PAPER.depth.rows, (64, 128), 1)
+    stages = dict.fromkeys(("start", "decode", "depth", "mesh", "render", "fuse", "encode", "convert"), 1e-6)
+    tempting = Figures(setting, seconds=stages, calibration=1.0, source=(64, 128), ws_psnr=99.0)
+    with_paper = replace(table, figures=(*table.figures, tempting))
+    plan = plan_interpolation(job_of(tmp_path, images))
+    assert apply_budget(plan, 1e9, with_paper, 0.05).job.preset in SCALE
+    with pytest.raises(InputError, match="renderer 'mesh' with a budget, got 'two-pass'"):
+        apply_budget(plan_interpolation(job_of(tmp_path, images, preset="paper")), 1e9, table, 0.05)
+
+
+def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:
+    assert BenchJob(Path("data"), Path("report")).presets == tuple(SCALE)
+
+
+def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
+    method = find_method("omnisyn-paper")
+    assert method.recipe == PAPER
+    assert repr(PAPER) in method.ingredients()
+    changed = find_method("omnisyn-paper:renderer=mesh:cut=0.05")
+    assert changed.recipe == replace(PAPER, renderer="mesh", cut=0.05, cut_metres=None)
+
+
+def test_the_help_says_that_it_is_no_point_on_the_scale() -> None:
+    words = " ".join(CliRunner().invoke(interpolate, ["--help"]).output.split())
+    assert "Beside that scale paper: the method of the paper" in words
+    assert f"accurate: {SCALE['accurate'].summary}" in words

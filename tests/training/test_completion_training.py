@@ -1,0 +1,177 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from training_samples import ball_scene, make_pool
+
+from omnisyn_cli.cli.train import train
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.networks.completion import CompletionConfig, CompletionPrediction
+from omnisyn_cli.networks.refine import AGREED_PLANE, FILLED_PLANE, SKY_PLANE
+from omnisyn_cli.training import completion
+from omnisyn_cli.training.completion import completion_pair, draw_completion
+from omnisyn_cli.training.data import Augmentation, list_pool
+from omnisyn_cli.training.loop import TrainConfig, Trainer
+from omnisyn_cli.training.losses import completion_loss, completion_scores
+from omnisyn_cli.training.publish import publish
+
+TINY = CompletionConfig("tiny", planes=19, widths=(8, 12, 16), fine=6, heads=2, looks=1)
+SIZE = (32, 64)
+TOWARDS_PLANE, UP_PLANE = 16, 17
+
+
+def pair(seed, size=SIZE, scene=0, **options):
+    return completion_pair(ball_scene(scene, **options), np.random.default_rng(seed), size, Augmentation())
+
+
+def sure(batch):
+    return torch.maximum(batch.planes[:, AGREED_PLANE], batch.planes[:, SKY_PLANE])[:, None]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_views_are_upright_and_look_at_each_other(seed):
+    """Two of three planes of directions are orthogonal axes of the camera; those of the two views are opposite."""
+    batch = pair(seed)
+    towards, up = (batch.planes[:, plane].numpy().astype(float) for plane in (TOWARDS_PLANE, UP_PLANE))
+    directions = pixel_directions(*SIZE).reshape(-1, 3)
+    for plane in (*towards, *up):
+        axis, *_ = np.linalg.lstsq(directions, plane.ravel(), rcond=None)
+        np.testing.assert_allclose(directions @ axis, plane.ravel(), atol=1e-5)
+        assert np.linalg.norm(axis) == pytest.approx(1.0, abs=1e-4)
+    np.testing.assert_allclose(towards[0], -towards[1], atol=1e-5)
+    assert np.unravel_index(up[0].argmax(), SIZE)[0] < SIZE[0] // 4
+
+
+def test_roots_are_those_of_the_scene_in_the_turned_frame():
+    """In closed form: every point lies on the wall of the ball, so both views see points at one distance from it."""
+    rng = np.random.default_rng(3)
+    scene = ball_scene(0, size=(128, 256))
+    batch = completion_pair(scene, rng, SIZE)
+    depth = (batch.baseline[:, None, None] / batch.root[:, 0].square()).numpy().astype(float)
+    points = pixel_directions(*SIZE)[None] * depth[..., None]
+    for view in points:
+        system = np.column_stack([2.0 * view.reshape(-1, 3), np.ones(view[..., 0].size)])
+        answer, *_ = np.linalg.lstsq(system, (view.reshape(-1, 3) ** 2).sum(-1), rcond=None)
+        assert np.sqrt(answer[3] + answer[:3] @ answer[:3]) == pytest.approx(2.0, abs=0.02)
+
+
+def test_equal_random_numbers_make_equal_batches(tmp_path):
+    pool = list_pool(make_pool(tmp_path))
+    first, again, other = (
+        draw_completion(pool, np.random.default_rng(seed), 1, SIZE, Augmentation()) for seed in (1, 1, 2)
+    )
+    assert torch.equal(first.planes, again.planes)
+    assert torch.equal(first.root, again.root)
+    assert not torch.equal(first.planes, other.planes)
+
+
+def test_what_is_sure_is_nearly_right_and_the_rest_is_not():
+    """Over many draws: some of the sphere is left open, and what is sure is wrong in few places only."""
+    open_share, wrong = [], []
+    for seed in range(12):
+        batch = pair(seed, size=(64, 128), scene=seed)
+        known = sure(batch) > 0
+        error = (batch.planes[:, FILLED_PLANE : FILLED_PLANE + 1] - batch.root).abs() / batch.root.clamp(min=0.05)
+        open_share.append(1.0 - known.float().mean())
+        wrong.append((error[known] > 0.1).float().mean())
+    assert 0.03 < np.mean(open_share) < 0.5
+    assert 0.0 < np.mean(wrong) < 0.1
+
+
+def test_points_are_seen_by_the_other_camera_unless_something_stands_before_them():
+    """A wall all around, first in full view of the other camera, then behind a screen that hides half of it."""
+    size = (64, 128)
+    directions, towards = pixel_directions(*size), np.array([1.0, 0.0, 0.0])
+    everywhere, image = np.ones(size, np.bool_), np.zeros((*size, 3), np.float32)
+    view = completion._Turned(image, np.full(size, 1 / 6.0, np.float32), towards, everywhere)
+    along = directions @ towards  # the other camera's depth of the wall, seen along its own rays
+    wall = 1.0 / (np.sqrt(along**2 + 35.0) - along)
+    other = completion._Turned(image, wall.astype(np.float32), -towards, everywhere)
+    assert completion._is_seen(view, other, directions).all()
+    behind = directions[..., 2] > 0
+    screened = replace(other, inverse_depth=np.where(behind, 2.0, wall).astype(np.float32))
+    seen = completion._is_seen(view, screened, directions)
+    assert not seen[directions[..., 2] > 0.05].any()
+    assert seen[directions[..., 2] < -0.05].all()
+
+
+def test_where_the_truth_is_not_known_nothing_is_sure_or_taught():
+    """Holes of a scan: pools of one's own data have them."""
+    scene = ball_scene(0, size=(64, 128))
+    scene.inverse_depth[:, 20:40, 30:90] = np.nan
+    batch = completion_pair(scene, np.random.default_rng(0), SIZE, Augmentation())
+    unknown = torch.isnan(batch.root)
+    assert 0.05 < unknown.float().mean() < 0.5
+    assert torch.all(torch.isfinite(batch.planes))
+    assert torch.all(sure(batch)[unknown] == 0)
+    prediction = CompletionPrediction(torch.zeros(2, 2, *SIZE), torch.zeros(2, 1, *SIZE), torch.zeros(2, 1, *SIZE))
+    scores = completion_scores(prediction, batch.planes[:, FILLED_PLANE : FILLED_PLANE + 1], batch.root, sure(batch))
+    assert all(np.isfinite(value) for value in scores.values())
+
+
+def test_the_loss_is_least_at_the_truth_and_has_finite_gradients():
+    batch = pair(0)
+    known = sure(batch)
+
+    def loss_of(roots):
+        prediction = CompletionPrediction(roots, torch.zeros_like(batch.root), torch.zeros_like(batch.root))
+        return completion_loss(prediction, batch.root, known)
+
+    right = batch.root.repeat(1, 2, 1, 1)
+    for offset in (-0.05, 0.02, 0.3):
+        assert loss_of(right + offset) > loss_of(right)
+    roots = (right + 0.1 * torch.randn_like(right)).requires_grad_()
+    loss_of(roots).backward()
+    assert torch.all(torch.isfinite(roots.grad))
+    unknown = batch.root.clone()
+    unknown[..., :10] = torch.nan
+    prediction = CompletionPrediction(right, torch.zeros_like(batch.root), torch.zeros_like(batch.root))
+    assert torch.isfinite(completion_loss(prediction, unknown, known))
+
+
+def test_scores_are_perfect_at_the_truth_and_tell_the_filled_map_apart():
+    batch = pair(1)
+    certain = torch.full_like(batch.root, 30.0)
+    prediction = CompletionPrediction(batch.root.repeat(1, 2, 1, 1), certain, certain)
+    filled = batch.planes[:, FILLED_PLANE : FILLED_PLANE + 1]
+    scores = completion_scores(prediction, filled, batch.root, sure(batch))
+    assert (scores["within_5"], scores["within_25"]) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert scores["error"] == pytest.approx(0.0, abs=1e-6)
+    assert scores["error_filled"] > 0
+    assert scores["confidence_error"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_views_that_are_too_small_are_refused():
+    with pytest.raises(InputError, match="at least 128 rows, got 64"):
+        pair(0, size=(128, 256))
+
+
+def test_batches_drawn_ahead_are_those_of_their_step(tmp_path):
+    """A run that goes on draws what it would have drawn, and learns the same, bit for bit."""
+    folder = make_pool(tmp_path)
+    pool = list_pool(folder)
+    config = TrainConfig(str(folder), str(folder), size=SIZE, batch=1)
+    through, stopped = Trainer(TINY, config), Trainer(TINY, config)
+    losses = [through.advance(pool) for _ in range(4)]
+    again = [stopped.advance(pool) for _ in range(2)]
+    resumed = Trainer(TINY, config)
+    resumed.restore(stopped.state())
+    again += [resumed.advance(pool) for _ in range(2)]
+    assert losses == again
+    for one, other in zip(through.network.parameters(), resumed.network.parameters(), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_the_command_trains_judges_and_publishes(tmp_path):
+    folder = make_pool(tmp_path / "pool")
+    arguments = ["completion", tmp_path / "run", "--pool", folder, "--validation-pool", folder, "--height", 64]
+    result = CliRunner().invoke(train, [str(x) for x in (*arguments, "--batch", 1, "--steps", 2)])
+    assert result.exit_code == 0, result.output
+    [(entry, difference)] = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=folder)
+    assert (entry.name, entry.role) == ("completion-balanced", "completion")
+    assert difference < 1e-4
+    wrong = CliRunner().invoke(train, [str(x) for x in (*arguments[:-1], 80)])
+    assert "multiple of 32" in wrong.output
