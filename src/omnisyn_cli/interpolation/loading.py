@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import Panorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import PosedPanorama
@@ -49,7 +49,7 @@ class KeptPanorama:
 class Loader(Sequence[View]):
     """All views, read from their files when they are needed; the last two are kept, as long as the loader is."""
 
-    def __init__(self, plan: InterpolationPlan, clock: Stopwatch, read: PanoramaReader) -> None:
+    def __init__(self, plan: TourPlan, clock: Stopwatch, read: PanoramaReader) -> None:
         self._plan, self._clock = plan, clock
         # Methods of its own in here would keep the loader, and what it keeps, alive until somebody looks for cycles.
         self.panorama = lru_cache(maxsize=2)(partial(_read_panorama, plan.job, read))
@@ -73,7 +73,7 @@ def _read_panorama(job: InterpolationJob, read: PanoramaReader, index: int) -> K
 
 
 def _read_companions(
-    plan: InterpolationPlan, panorama_of: Callable[[int], KeptPanorama], index: int
+    plan: TourPlan, panorama_of: Callable[[int], KeptPanorama], index: int
 ) -> tuple[np.ndarray | None, DepthEstimate | None]:
     """What of a panorama may be used, and its depth if that is known."""
     job, entry, panorama = plan.job, plan.entries[index], panorama_of(index)
@@ -84,7 +84,7 @@ def _read_companions(
     return mask, _known_depth(plan, entry)
 
 
-def _known_depth(plan: InterpolationPlan, entry: PosedPanorama) -> DepthEstimate | None:
+def _known_depth(plan: TourPlan, entry: PosedPanorama) -> DepthEstimate | None:
     if plan.recipe.depth.kind != "file" or entry.depth is None:
         return None
     inverse_depth = read_inverse_depth(entry.depth, max_pixels=plan.job.max_pixels)

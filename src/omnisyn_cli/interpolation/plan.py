@@ -34,7 +34,15 @@ from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
 
-__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpolation", "with_preset"]
+__all__ = [
+    "SECONDS_PER_PAIR",
+    "InterpolationPlan",
+    "TourPlan",
+    "frame_count",
+    "plan_interpolation",
+    "plan_tour",
+    "with_preset",
+]
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
@@ -44,30 +52,39 @@ MOST_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True)
-class InterpolationPlan:
-    """A job that has been checked.
+class TourPlan:
+    """What has been checked of a job whatever is made of it: its panoramas, where they were taken, how depth is found.
 
     Attributes:
         job: what was asked for.
         entries: the pose file's entry of every panorama.
         source_sizes: (height, width) of every panorama.
-        size: (height, width) of the video.
-        path: a waypoint for every frame.
-        recipe: what its frames are made with.
-        length: metres from the first panorama to the last.
-        memory: bytes that the pictures and buffers will take, estimated.
+        recipe: what surfaces and frames are made with.
         notes: what the user should know.
     """
 
     job: InterpolationJob
     entries: tuple[PosedPanorama, ...]
     source_sizes: tuple[tuple[int, int], ...]
+    recipe: Recipe
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class InterpolationPlan(TourPlan):
+    """A job that has been checked, with the video that it asks for.
+
+    Attributes:
+        size: (height, width) of the video.
+        path: a waypoint for every frame.
+        length: metres from the first panorama to the last.
+        memory: bytes that the pictures and buffers will take, estimated.
+    """
+
     size: tuple[int, int]
     path: tuple[Waypoint, ...]
-    recipe: Recipe
     length: float
     memory: int
-    notes: tuple[str, ...]
 
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
@@ -99,6 +116,26 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     Raises:
         InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
     """
+    tour = plan_tour(job)
+    entries, sources, recipe = tour.entries, tour.source_sizes, tour.recipe
+    size = job.size or _even(max(sources))
+    check_outputs(job, size)
+    check_inputs_survive(job, entries)
+    poses = [entry.pose for entry in entries]
+    path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
+    return InterpolationPlan(
+        job, entries, sources, recipe, (*tour.notes, *_notes_about_video(job, entries), *notes_about_gpu(recipe)),
+        size, path, path_length(poses),
+        estimated_memory(job, recipe, size, sources, _surface_sizes(recipe, sources, entries)),
+    )  # fmt: skip
+
+
+def plan_tour(job: InterpolationJob) -> TourPlan:
+    """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
+
+    Raises:
+        InputError: a file is missing, poses do not fit, an option makes no sense.
+    """
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
     check_names(job)
@@ -109,16 +146,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     source_sizes = tuple(source_size(job, image) for image in job.images)
     recipe = _installed_recipe(job, entries)
     check_companions(job, entries, source_sizes, recipe.depth.kind)
-    size = job.size or _even(max(source_sizes))
-    check_outputs(job, size)
-    check_inputs_survive(job, entries)
-    poses = [entry.pose for entry in entries]
-    path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
-    return InterpolationPlan(
-        job, entries, source_sizes, size, path, recipe, path_length(poses),
-        estimated_memory(job, recipe, size, source_sizes, _surface_sizes(recipe, source_sizes, entries)),
-        (*remarks, *_notes(job, entries, recipe), *notes_about_gpu(recipe)),
-    )  # fmt: skip
+    return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
@@ -221,13 +249,16 @@ def _encoder(job: InterpolationJob) -> str:
     return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
 
 
-def _notes(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
-    if job.method != OMNISYN:
-        yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
+def _notes_about_depth(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
     if job.method == OMNISYN and job.depth == "auto" and recipe.depth.kind != "file" and named:
         why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
         yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
+
+
+def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
+    if job.method != OMNISYN:
+        yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
             same = second.pose.almost_equals(first.pose)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from omnisyn_cli.fusion.confidence import LEAST_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
@@ -25,7 +25,7 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
-__all__ = ["Segment", "Stopwatch", "SynthesisOptions", "prepare_segment"]
+__all__ = ["Segment", "Stopwatch", "SynthesisOptions", "measure_pair", "prepare_segment", "usable_image"]
 
 
 @dataclass(frozen=True)
@@ -93,28 +93,39 @@ class Segment:
     on_device: GpuPair | None = None
 
 
+def measure_pair(
+    first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch
+) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
+    """The depth of both views, and what they say of each other through it.
+
+    Depth is found in pictures of one exposure; where both views stand at the same place it is not looked for.
+    """
+    with clock("depth"):
+        depths = (
+            estimator(*equalized(first, second, options.threads))
+            if _is_moving(first, second)
+            else _depths_in_place(first, second, options)
+        )
+    with clock("check"):
+        return depths, cross_check((first, second), depths, options.cut, options.threads)
+
+
+def _is_moving(first: View, second: View) -> bool:
+    return bool(np.linalg.norm(second.pose.position - first.pose.position) > STILL)
+
+
 def prepare_segment(
     index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch,
     device: GpuFrames | None = None,
 ) -> Segment:  # fmt: skip
-    """Depth and surfaces of a pair; where both stand at the same place depth has no effect and is not looked for.
-
-    Depth is found in pictures of one exposure; the surfaces keep the photographs' own.
-    """
-    with clock("depth"):
-        is_moving = np.linalg.norm(second.pose.position - first.pose.position) > STILL
-        depths = (
-            estimator(*equalized(first, second, options.threads))
-            if is_moving
-            else _depths_in_place(first, second, options)
-        )
-    with clock("check"):
-        check = cross_check((first, second), depths, options.cut, options.threads)
+    """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
+    is_moving = _is_moving(first, second)
+    depths, check = measure_pair(first, second, estimator, options, clock)
     views, poses = (first, second), (first.pose, second.pose)
     if device is not None:
         with clock("mesh"):
             surfaces = [
-                device.surface(_usable_image(view, options), view.mask, depth, options.cut)
+                device.surface(usable_image(view, options), view.mask, depth, options.cut)
                 for view, depth in zip(views, depths, strict=True)
             ]
             pair = device.pair(surfaces[0], surfaces[1], check.curve)
@@ -123,7 +134,7 @@ def prepare_segment(
     with clock("mesh"):
         renderers = [
             make_renderer(
-                options.renderer, _usable_image(view, options), view.mask,
+                options.renderer, usable_image(view, options), view.mask,
                 depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
                 _path_to(view, other) if options.adaptive and is_moving else None,
             )
@@ -131,7 +142,7 @@ def prepare_segment(
         ]  # fmt: skip
     cross_fade = None
     if options.cross_fade and check.confidence.score < LEAST_SCORE:
-        images = [_usable_image(view, options) for view in views]
+        images = [usable_image(view, options) for view in views]
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
@@ -143,7 +154,9 @@ def _path_to(view: View, other: View) -> Float[np.ndarray, " 3"]:
     return np.asarray(view.pose.rotation.T @ (other.pose.position - view.pose.position))
 
 
-def _usable_image(view: View, options: SynthesisOptions) -> np.ndarray:
+def usable_image(
+    view: View, options: SynthesisOptions
+) -> Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]:
     """The picture with masked pixels painted over from around them, because interpolation reads beyond a mask.
 
     Samples of 8 bits where they do as well: they take a quarter of the memory.

@@ -1,0 +1,147 @@
+"""The depth and the meshes of a tour, for what is made of surfaces instead of frames.
+
+:func:`tour_surfaces` goes through the pairs of neighbours as ``interpolate`` does, with the same poses, masks, depth
+and preset; :func:`panorama_surfaces` makes one surface of each panorama, where the two pairs of one inside a chain
+have different opinions of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, pairwise
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
+from omnisyn_cli.interpolation.plan import TourPlan
+from omnisyn_cli.io import read_panorama
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.synthesis.consistency import CrossCheck
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions, measure_pair, usable_image
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+
+__all__ = ["PairSurfaces", "PanoramaSurface", "panorama_surfaces", "tour_surfaces"]
+
+SAME_PLACE = 0.05
+"""Relative difference of inverse depth up to which two estimates of one panorama are averaged."""
+
+
+@dataclass(frozen=True)
+class PanoramaSurface:
+    """A posed panorama and its surface.
+
+    Attributes:
+        index: of the panorama in the job.
+        view: the panorama: picture, pose, mask.
+        depth: 1/metre and confidence, at a resolution of its own.
+        mesh: of that depth, in the frame of the panorama, cut by the recipe's rule; masked vertices have no surface.
+    """
+
+    index: int
+    view: View
+    depth: DepthEstimate
+    mesh: Mesh
+
+    def texture(self) -> Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]:
+        """The photograph, with masked pixels painted over from around them: samples of 8 bits, or RGB in [0, 1]."""
+        return usable_image(self.view, SynthesisOptions(self.mesh.size))
+
+
+@dataclass(frozen=True)
+class PairSurfaces:
+    """Two neighbours and their surfaces.
+
+    Attributes:
+        index: of the first.
+        surfaces: of the first and of the second.
+        check: how differently they are exposed, and how far what is made of them can be relied on.
+    """
+
+    index: int
+    surfaces: tuple[PanoramaSurface, PanoramaSurface]
+    check: CrossCheck
+
+
+def tour_surfaces(
+    plan: TourPlan,
+    *,
+    read: PanoramaReader = read_panorama,
+    estimator: DepthEstimator | None = None,
+    clock: Stopwatch | None = None,
+) -> Iterator[PairSurfaces]:
+    """The surfaces of every pair of neighbours, one pair at a time, in order.
+
+    Args:
+        plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its recipe depth, cut and device matter.
+        read: decodes a panorama.
+        estimator: finds depth in place of the recipe's.
+        clock: collects seconds by stage.
+
+    Raises:
+        InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
+    """
+    clock, recipe, threads = clock or Stopwatch(), plan.recipe, plan.job.threads
+    cut = Cut(recipe.cut, recipe.cut_metres)
+    loader = Loader(plan, clock, read)
+    estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
+    for first, second in pairwise(range(len(loader))):
+        with limited_threads(threads):
+            views = loader[first], loader[second]
+            options = SynthesisOptions(min(view.image.shape[:2] for view in views), cut=cut, threads=threads)
+            depths, check = measure_pair(*views, estimator, options, clock)
+            with clock("mesh"):
+                both = [
+                    _meshed(index, view, depth, cut)
+                    for index, view, depth in zip((first, second), views, depths, strict=True)
+                ]
+        yield PairSurfaces(first, (both[0], both[1]), check)
+
+
+def _meshed(index: int, view: View, depth: DepthEstimate, cut: Cut) -> PanoramaSurface:
+    mask = mask_of_vertices(view.mask, depth.inverse_depth.shape)
+    return PanoramaSurface(index, view, depth, build_mesh(depth.inverse_depth, cut, mask, depth.confidence))
+
+
+def panorama_surfaces(plan: TourPlan, pairs: Iterator[PairSurfaces]) -> Iterator[PanoramaSurface]:
+    """One surface of every panorama, in order, as soon as all its pairs are there.
+
+    Args:
+        plan: that the pairs were made by.
+        pairs: from :func:`tour_surfaces`.
+    """
+    cut = Cut(plan.recipe.cut, plan.recipe.cut_metres)
+    waiting: PanoramaSurface | None = None
+    for surface in chain.from_iterable(pair.surfaces for pair in pairs):
+        if waiting is None or waiting.index != surface.index:
+            if waiting is not None:
+                yield waiting
+            waiting = surface
+        else:
+            waiting = _meshed(surface.index, surface.view, _joined(waiting.depth, surface.depth), cut)
+    if waiting is not None:
+        yield waiting
+
+
+def _joined(first: DepthEstimate, second: DepthEstimate) -> DepthEstimate:
+    """Of two estimates of one panorama the mean where they agree, weighted by confidence, else the more confident.
+
+    The size is that of the larger.
+    """
+    small, large = sorted((first, second), key=lambda depth: depth.inverse_depth.size)
+    directions = pixel_directions(*large.inverse_depth.shape)
+    rho, weight = (
+        np.stack([sample_nearest(np.asarray(values), directions), other])
+        for values, other in ((small.inverse_depth, large.inverse_depth), (small.confidence, large.confidence))
+    )
+    agree = np.abs(rho[0] - rho[1]) <= SAME_PLACE * rho.max(axis=0)
+    total = weight.sum(axis=0)
+    mean = (rho * weight).sum(axis=0) / np.where(total > 0, total, 1.0)
+    chosen = np.where(weight[0] > weight[1], rho[0], rho[1])
+    joined = np.where(agree & (total > 0), mean, chosen)
+    return DepthEstimate(joined.astype(np.float32), weight.max(axis=0).astype(np.float32))

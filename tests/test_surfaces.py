@@ -1,0 +1,83 @@
+"""The surfaces of a tour: those that frames are made of, pair by pair, and one for each panorama."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interpolation_samples import CHAIN, job_of
+from omnisyn_cli.errors import InputError, PoseError
+from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
+from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
+from omnisyn_cli.io import write_image
+from omnisyn_cli.types import DepthEstimate, View
+from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, write_hall
+
+
+def surfaces_of(plan: TourPlan, **options: object) -> list[PanoramaSurface]:
+    return list(panorama_surfaces(plan, tour_surfaces(plan, **options)))
+
+
+def test_every_pair_has_both_views_with_their_depth_and_mesh(tmp_path: Path) -> None:
+    plan = plan_tour(job_of(tmp_path, write_hall(tmp_path, CHAIN)))
+    pairs = list(tour_surfaces(plan))
+    assert [[surface.index for surface in pair.surfaces] for pair in pairs] == [[0, 1], [1, 2]]
+    for pair in pairs:
+        assert pair.check.confidence.score > 0.9
+        for surface in pair.surfaces:
+            pose = CHAIN[surface.index]
+            np.testing.assert_allclose(surface.view.pose.position, pose.position)
+            np.testing.assert_allclose(1 / surface.mesh.inverse_depth, distance_to_wall(pose, SIZE), rtol=1e-5)
+            np.testing.assert_array_equal(surface.texture(), as_bytes(hall_image(pose)))
+
+
+def test_every_panorama_has_one_surface_and_the_more_confident_estimate_holds(tmp_path: Path) -> None:
+    """Inside a chain two estimates meet: their mean where they agree, else the one that is surer."""
+    plan = plan_tour(job_of(tmp_path, write_hall(tmp_path, CHAIN, with_depth=False)))
+    rows = np.arange(SIZE[0])[:, None] + np.zeros(SIZE)
+    answers = iter([(0.5, 0.2), (np.where(rows < 32, 0.51, 2.0), 0.6)])
+
+    def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        rho, confidence = next(answers)
+        estimate = DepthEstimate(np.full(SIZE, rho, np.float32), np.full(SIZE, confidence, np.float32))
+        return estimate, estimate
+
+    first, middle, last = surfaces_of(plan, estimator=estimator)
+    assert [first.index, middle.index, last.index] == [0, 1, 2]
+    np.testing.assert_allclose(first.mesh.inverse_depth, 0.5)
+    np.testing.assert_allclose(middle.depth.inverse_depth[:32], (0.2 * 0.5 + 0.6 * 0.51) / 0.8, rtol=1e-6)
+    np.testing.assert_allclose(middle.mesh.inverse_depth[32:], 2.0)
+    np.testing.assert_allclose(middle.depth.confidence, 0.6)
+
+
+def test_masked_pixels_have_no_surface_and_no_colour_of_their_own(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    painted = as_bytes(hall_image(CHAIN[0]))
+    painted[48:] = 255
+    write_image(images[0], painted)
+    usable = np.full((*SIZE, 3), 255, np.uint8)
+    usable[48:] = 0
+    masks = tmp_path / "mask 0.png", tmp_path / "mask 1.png"
+    write_image(masks[0], usable)
+    write_image(masks[1], np.full_like(usable, 255))
+    first, second = surfaces_of(plan_tour(job_of(tmp_path, images, masks=masks)))
+    assert (first.mesh.inverse_depth[48:] < 0).all()
+    assert (first.mesh.inverse_depth[:48] > 0).all()
+    assert (second.mesh.inverse_depth > 0).all()
+    assert first.texture().max() <= painted[:48].max() / 255 + 1e-6
+
+
+def test_panoramas_of_one_place_are_as_far_as_the_sky(tmp_path: Path) -> None:
+    plan = plan_tour(job_of(tmp_path, write_hall(tmp_path, [CHAIN[0]] * 2, with_depth=False)))
+    for surface in surfaces_of(plan):
+        assert not surface.depth.inverse_depth.any()
+
+
+def test_a_tour_is_refused_as_a_video_is_but_for_its_place(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    with pytest.raises(InputError, match="two or more panoramas, got 1"):
+        plan_tour(job_of(tmp_path, images[:1]))
+    (tmp_path / "other.png").write_bytes(images[0].read_bytes())
+    with pytest.raises(PoseError, match=r"other\.png"):
+        plan_tour(job_of(tmp_path, [*images, tmp_path / "other.png"]))
+    plan_tour(job_of(tmp_path, images, output=tmp_path / "no such folder" / "model.glb"))
