@@ -8,19 +8,23 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.options import (
+    cut_options,
+    depth_options,
     device_option,
     json_option,
     masks_option,
     nadir_option,
     outside_option,
+    poses_options,
+    preset_option,
     print_json,
     quiet_option,
+    size_options,
     threads_option,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
-from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
+from omnisyn_cli.synthesis.recipe import FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.plan import InterpolationPlan
@@ -31,15 +35,7 @@ __all__ = ["interpolate"]
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
 @click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
-@click.option(
-    "--poses", required=True, type=FilePath(),
-    help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
-)  # fmt: skip
-@click.option(
-    "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
-    help="Distance of neighbours, for --poses auto: pictures do not tell it.  [default: 1]",
-)  # fmt: skip
-@click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then.")
+@poses_options
 @click.option(
     "-o", "--output", required=True, type=FramePlace(),
     help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
@@ -54,39 +50,19 @@ __all__ = ["interpolate"]
     "--method", type=click.Choice(METHODS), default=OMNISYN, show_default=True,
     help="How frames are made; SynSin, from the nearer panorama or from both, is there to compare: small and blurred.",
 )  # fmt: skip
-@click.option(
-    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
-    help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in SCALE.values()) + ". Beside "
-    "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
-)  # fmt: skip
+@preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
     help="Take the most accurate preset, from fast to accurate, that is expected to be done in this time; how fast "
     "this machine is, is measured for a second first.",
 )  # fmt: skip
-@click.option(
-    "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
-    help="Where depth comes from: files named in the poses, matching of the two pictures, matching refined by a "
-    "network, a network alone, or one that looks at each panorama by itself and answers in metres. auto takes the "
-    "files where every panorama has one, else what the preset says.",
-)  # fmt: skip
-@click.option(
-    "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
-)
+@depth_options
 @click.option(
     "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto", show_default=True,
     help="mesh is exact; points and the paper's two-pass method are there to compare; auto: the preset's, mesh but for "
     "paper.",
 )  # fmt: skip
-@click.option(
-    "--cut", type=FiniteRange(0, 1, min_open=True),
-    help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.  [default: the "
-    "preset's, 0.05 but for paper]",
-)  # fmt: skip
-@click.option(
-    "--cut-metres", type=FiniteRange(0, min_open=True),
-    help="Cut at steps of depth instead, as the paper and its preset do (there 2).",
-)  # fmt: skip
+@cut_options
 @click.option(
     "--adaptive/--no-adaptive", default=False, show_default=True,
     help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
@@ -137,11 +113,7 @@ __all__ = ["interpolate"]
     "fusion geometric). Poses and matching are found on the processor."
 )
 @threads_option
-@click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled.")
-@click.option(
-    "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
-    help="Refuse panoramas, masks and depth files with more, before they are decoded.",
-)  # fmt: skip
+@size_options
 @outside_option
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option(

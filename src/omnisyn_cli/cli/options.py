@@ -9,18 +9,24 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.synthesis.recipe import DEVICES
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
+from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, DEVICES
 
 __all__ = [
     "all_of",
+    "cut_options",
+    "depth_options",
     "device_option",
     "json_option",
     "masks_option",
     "nadir_option",
     "outside_option",
+    "poses_options",
+    "preset_option",
     "print_json",
     "quiet_option",
     "report_option",
+    "size_options",
     "threads_option",
 ]
 
@@ -66,6 +72,61 @@ masks_option = click.option(
 nadir_option = click.option(
     "--nadir", metavar="DEGREES", type=FiniteRange(0, 90, max_open=True), default=0.0,
     help="Do not use what is this close to straight down in the panoramas: tripod, roof of a car.",
+)  # fmt: skip
+
+
+poses_options = all_of(
+    click.option(
+        "--poses", required=True, type=FilePath(),
+        help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
+    ),
+    click.option(
+        "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
+        help="Distance of neighbours, for --poses auto: pictures do not tell it.  [default: 1]",
+    ),
+    click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then."),
+)  # fmt: skip
+"""Where panoramas were taken."""
+
+depth_options = all_of(
+    click.option(
+        "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
+        help="Where depth comes from: files named in the poses, matching of the two pictures, matching refined by a "
+        "network, a network alone, or one that looks at each panorama by itself and answers in metres. auto takes the "
+        "files where every panorama has one, else what the preset says.",
+    ),
+    click.option(
+        "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
+    ),
+)  # fmt: skip
+"""Where depth comes from."""
+
+cut_options = all_of(
+    click.option(
+        "--cut", type=FiniteRange(0, 1, min_open=True),
+        help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.  [default: the "
+        "preset's, 0.05 but for paper]",
+    ),
+    click.option(
+        "--cut-metres", type=FiniteRange(0, min_open=True),
+        help="Cut at steps of depth instead, as the paper and its preset do (there 2).",
+    ),
+)  # fmt: skip
+"""Where surfaces are cut; one of them."""
+
+size_options = all_of(
+    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled."),
+    click.option(
+        "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
+        help="Refuse panoramas, masks and depth files with more, before they are decoded.",
+    ),
+)  # fmt: skip
+"""What of unusual panoramas is accepted."""
+
+preset_option = click.option(
+    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
+    help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in SCALE.values()) + ". Beside "
+    "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
 )  # fmt: skip
 
 

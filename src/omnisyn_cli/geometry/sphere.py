@@ -37,6 +37,7 @@ __all__ = [
     "pixel_scale",
     "pixel_to_angles",
     "pixel_to_direction",
+    "pixel_to_texture",
     "solid_angles",
 ]
 
@@ -105,6 +106,12 @@ def pixel_to_direction(row: Array, col: Array, size: tuple[int, int]) -> Array:
 def direction_to_pixel(direction: Float[Array, "*batch 3"], size: tuple[int, int]) -> tuple[Array, Array]:
     """Fractional ``(row, col)`` indices that vectors of any length point at; ``-½ <= col <= width - ½``."""
     return angles_to_pixel(*direction_to_angles(direction), size)
+
+
+def pixel_to_texture(row: Array, col: Array, size: tuple[int, int]) -> tuple[Array, Array]:
+    """Texture coordinates ``(u, v)`` of (fractional) pixel indices, (0, 0) in the upper left corner."""
+    height, width = size
+    return (col + 0.5) / width, (row + 0.5) / height
 
 
 def pixel_directions(height: int, width: int) -> Float[np.ndarray, "height width 3"]:

@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import Any
 
 from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
-from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["Summary", "warning_about"]
@@ -57,11 +57,13 @@ class Summary:
         }
 
 
-def warning_about(plan: InterpolationPlan, index: int, pair: PairConfidence) -> str:
+def warning_about(
+    plan: TourPlan, index: int, pair: PairConfidence, advice: str = "show a cross-fade there (--fallback crossfade)"
+) -> str:
     """What is wrong with a pair and what to do about it, in one line."""
     first, second = plan.job.images[index : index + 2]
     return (
         f"{first.name} and {second.name}: expected a confidence of at least {LEAST_SCORE:g}, got {pair.score:.2f} "
         f"({pair.unseen:.0%} unseen, {pair.disagreement:.0%} in disagreement); check the poses, take panoramas that "
-        "are closer together, or show a cross-fade there (--fallback crossfade)"
+        f"are closer together, or {advice}"
     )

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO
-from jaxtyping import Shaped
+from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import OutputPathError, WriteError
 from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
 from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 
-__all__ = ["IMAGE_SUFFIXES", "image_suffix", "write_channels", "write_image"]
+__all__ = ["IMAGE_SUFFIXES", "image_suffix", "jpeg_bytes", "write_channels", "write_image"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 
@@ -44,7 +44,7 @@ def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *chann
     samples = _samples_for(suffix, _checked(image))
     with replaced_when_complete(target) as temporary:
         if suffix in (".jpg", ".jpeg"):
-            _write_jpeg(temporary, samples)
+            temporary.write_bytes(jpeg_bytes(samples))
         else:
             write_channels(temporary, samples, ("R", "G", "B") if samples.ndim == 3 else ("Y",), target)
 
@@ -94,7 +94,12 @@ def _is_readable(path: Path) -> bool:
     return last is not None and not complaint
 
 
-def _write_jpeg(temporary: Path, samples: np.ndarray) -> None:
+def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"]) -> bytes:
+    """An image of 8 bits as JPEG, at quality 95.
+
+    Raises:
+        ValueError: it is larger than JPEG allows.
+    """
     # OpenImageIO's JPEG writer ends the whole process when the disk is full (libjpeg's default), so the file is made in
     # memory by OpenCV's.
     import cv2
@@ -105,7 +110,7 @@ def _write_jpeg(temporary: Path, samples: np.ndarray) -> None:
     )
     if not is_encoded:
         raise ValueError(f"expected an image that fits JPEG's 65535 pixels, got {samples.shape}")
-    temporary.write_bytes(data.tobytes())
+    return bytes(data.tobytes())
 
 
 def _checked(image: np.ndarray) -> np.ndarray:

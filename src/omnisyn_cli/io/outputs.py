@@ -23,6 +23,7 @@ __all__ = [
     "staged_folder",
     "temporary_name",
     "write_errors",
+    "write_parts",
 ]
 
 
@@ -107,6 +108,17 @@ def replaced_when_complete(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
+    """Write a file of parts, one after the other; it appears whole or not at all, in place of one of its name.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
+    with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
+        for part in parts:
+            file.write(part)
+
+
 @contextmanager
 def write_errors(path: Path) -> Iterator[None]:
     """Turn the system's errors into :class:`WriteError` about ``path``."""
@@ -139,10 +151,10 @@ def hidden_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
-    """Give a hidden folder to write into; its files move into ``folder`` at the end, and are gone after any failure.
+    """Give a hidden folder to write into; its content moves into ``folder`` at the end, and is gone after any failure.
 
-    The folder need not exist; its parent must. With ``overwrite`` files of the same names are replaced, those included
-    that appeared during the work.
+    The folder need not exist; its parent must. Folders in it are made, or added to. With ``overwrite`` files of the
+    same names are replaced, those included that appeared during the work.
 
     Raises:
         OutputPathError: there is a file of one of the names, and ``overwrite`` is off.
@@ -152,8 +164,10 @@ def staged_folder(folder: Path, *, overwrite: bool = True) -> Iterator[Path]:
         yield temporary
         with write_errors(folder):
             folder.mkdir(exist_ok=True)
-            files = sorted(temporary.iterdir())
-            for file in files:
-                check_output(folder / file.name, overwrite)
-            for file in files:
-                file.replace(folder / file.name)
+            files = sorted(file for file in temporary.rglob("*") if file.is_file())
+            targets = [folder / file.relative_to(temporary) for file in files]
+            for target in targets:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                check_output(target, overwrite)
+            for file, target in zip(files, targets, strict=True):
+                file.replace(target)

@@ -12,7 +12,7 @@ merged quad reach outwards by as much as the vertices along them lie outside (se
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Mesh
@@ -28,7 +28,7 @@ from omnisyn_cli.render.simplify_kernels import (
 )
 from omnisyn_cli.runtime.threads import run_bands
 
-__all__ = ["TOLERANCE", "simplify"]
+__all__ = ["TOLERANCE", "flat_rectangles", "simplify"]
 
 TOLERANCE = 0.125
 """Target pixels (of the equator) by which a vertex may be seen aside.
@@ -62,13 +62,38 @@ def simplify(
         threads: at most this many; the result does not depend on it.
     """
     angle, tables = tolerance * np.pi / height, direction_tables(*mesh.size)
-    marks = _merged(mesh, np.asarray(way, np.float64), angle, tables, threads)
+    rho, bounds, straight = mesh.inverse_depth, np.empty(mesh.size, np.float32), np.asarray(way, np.float64)
+    run_bands(lambda begin, end: bound_errors(rho, *tables, straight, angle, bounds, begin, end), len(rho), threads)
+    marks = _merged(mesh, bounds, angle, tables, threads)
     parts = [_rectangles(mesh, marks, tables, float(np.linalg.norm(way)), threads), *_pieces(mesh, marks)]
     points, codes, gaps, places = (np.concatenate(group) for group in zip(*parts, strict=True))
     drawn = (codes & REMOVED) == 0
     order = np.flatnonzero(drawn)[np.argsort(places[drawn], kind="stable")]
     is_cap = places[order] == LAST
     return in_blocks(points[order], codes[order], gaps[order]), int(2 * len(order) - is_cap.sum())
+
+
+def flat_rectangles(
+    mesh: Mesh, share: float, angle: float, threads: int | None = None
+) -> tuple[Integer[np.ndarray, "rectangles 4"], Float[np.ndarray, "pieces 4 4"]]:
+    """The same for a surface that is looked at from anywhere, without gaps, as rectangles of quads and what is left.
+
+    Args:
+        mesh: the surface; no vertex is infinitely far.
+        share: of its distance by which a vertex may be moved along its ray.
+        angle: radians by which an edge may leave its row of the image.
+        threads: at most this many.
+
+    Returns:
+        First row, first column, height and width of each rectangle, in quads; and directions and inverse depths of the
+        points of pieces, see :meth:`omnisyn_cli.render.mesh.Mesh.pieces`.
+    """
+    rho = mesh.inverse_depth
+    marks = _merged(mesh, np.where(rho < 0, -1, share * rho).astype(np.float32), angle,
+                    direction_tables(*mesh.size), threads)  # fmt: skip
+    row, col, height, width = _places(marks)
+    pieces = [points[(codes & REMOVED) == 0] for points, codes, _, _ in _pieces(mesh, marks)]
+    return np.stack([row, col, height, width], -1), np.concatenate(pieces)
 
 
 LAST = np.iinfo(np.int64).max
@@ -78,11 +103,10 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _merged(
-    mesh: Mesh, way: np.ndarray, angle: float, tables: tuple[np.ndarray, ...], threads: int | None
+    mesh: Mesh, bounds: np.ndarray, angle: float, tables: tuple[np.ndarray, ...], threads: int | None
 ) -> np.ndarray:
-    """Marks of rectangles, see :data:`TALL`."""
-    rho, bounds = mesh.inverse_depth, np.empty(mesh.size, np.float32)
-    run_bands(lambda begin, end: bound_errors(rho, *tables, way, angle, bounds, begin, end), len(rho), threads)
+    """Marks of rectangles, see :data:`TALL`, whose inverse depths err by no more than ``bounds``."""
+    rho = mesh.inverse_depth
     marks = np.where(mesh.quads & REMOVED, np.uint8(COVERED), np.uint8(0))
     run_bands(lambda begin, end: mark_cuts(marks, mesh.quads, rho, bounds, begin, end), len(marks), threads)
     most = min(MOST, max(0, (mesh.size[1] // 8).bit_length() - 1))
@@ -101,20 +125,25 @@ def _place(row: np.ndarray, col: np.ndarray, columns: int) -> np.ndarray:
     return np.asarray((square * side + row % side) * side + col % side, np.int64)
 
 
+def _places(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """First row and column, height and width of all rectangles."""
+    row, col = np.nonzero((marks != COVERED) & (marks != APART))
+    mark = marks[row, col].astype(np.int64)
+    return row, col, 1 << mark // TALL, 1 << mark % TALL
+
+
 def _rectangles(
     mesh: Mesh, marks: np.ndarray, tables: tuple[np.ndarray, ...], reach: float, threads: int | None
 ) -> Part:
     """Merged quads and single ones, all but those of which pieces are drawn."""
-    row, col = np.nonzero((marks != COVERED) & (marks != APART))
-    mark = marks[row, col].astype(np.int64)
-    height, width = 1 << mark // TALL, 1 << mark % TALL
+    row, col, height, width = _places(marks)
     right, below = (col + width) % mesh.size[1], row + height
     corner = np.stack([row, row, below, below], -1) * mesh.size[1] + np.stack([col, right, col, right], -1)
     rho = mesh.inverse_depth.ravel()[corner]
     points = np.concatenate([mesh.directions_of(corner), rho[..., None]], axis=-1, dtype=np.float32)
     rising = np.abs(rho[:, 2] - rho[:, 1]) < np.abs(rho[:, 0] - rho[:, 3])
     gaps = np.zeros(len(row))
-    merged = np.flatnonzero((mark > 0) | ((mesh.quads[row, col] & CUT_EDGES) != 0))
+    merged = np.flatnonzero((height * width > 1) | ((mesh.quads[row, col] & CUT_EDGES) != 0))
     rectangles, found = np.stack([row, col, height, width], -1)[merged], np.empty(len(merged))
     run_bands(
         lambda begin, end: measure_gaps(mesh.inverse_depth, mesh.quads, tables, rectangles, reach, found, begin, end),

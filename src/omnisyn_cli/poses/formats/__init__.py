@@ -15,7 +15,7 @@ from typing import Any
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import read_json
 from omnisyn_cli.poses.formats.authors import ROTATIONS, read_authors
-from omnisyn_cli.poses.formats.colmap import IMAGES, model_folder, read_colmap
+from omnisyn_cli.poses.formats.colmap import IMAGES, colmap_files, colmap_rig_files, model_folder, read_colmap
 from omnisyn_cli.poses.formats.exif import read_exif
 from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, data_lines, entries, images_in
 from omnisyn_cli.poses.formats.habitat import habitat_folders, read_habitat
@@ -26,9 +26,10 @@ from omnisyn_cli.poses.formats.model import (
     ImportedView,
     ImportOptions,
     Origin,
+    foreign_from_pose,
     leveled,
 )
-from omnisyn_cli.poses.formats.nerfstudio import read_nerfstudio
+from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text, read_nerfstudio
 from omnisyn_cli.poses.formats.opensfm import read_opensfm
 from omnisyn_cli.poses.formats.street_view import read_table
 from omnisyn_cli.poses.formats.trajectories import read_kitti, read_tum
@@ -44,8 +45,12 @@ __all__ = [
     "ImportedPoses",
     "ImportedView",
     "Origin",
+    "colmap_files",
+    "colmap_rig_files",
     "export_poses",
+    "foreign_from_pose",
     "import_poses",
+    "nerfstudio_text",
     "write_imported",
 ]
 

@@ -10,8 +10,13 @@ Source: COLMAP documentation, "Output Format"; ``src/colmap/sensor/models.h``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
@@ -20,7 +25,7 @@ from omnisyn_cli.poses.entries import checked_quaternion
 from omnisyn_cli.poses.formats.files import data_lines, find_view, numbers
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreign_from_pose, noted
 
-__all__ = ["IMAGES", "colmap_files", "model_folder", "read_colmap"]
+__all__ = ["IMAGES", "colmap_files", "colmap_rig_files", "model_folder", "read_colmap"]
 
 IMAGES = "images.txt"
 
@@ -70,26 +75,92 @@ def read_colmap(source: Path, options: ImportOptions) -> ImportedPoses:
     return ImportedPoses(tuple(views), noted(notes))
 
 
-def colmap_files(poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]]) -> dict[str, str]:
-    """``cameras.txt``, ``images.txt`` and an empty ``points3D.txt`` by name; sizes are ``(height, width)``."""
+def colmap_files(
+    poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]], points: Sequence[str] = ()
+) -> dict[str, str]:
+    """``cameras.txt``, ``images.txt`` and ``points3D.txt`` by name.
+
+    Args:
+        poses: world-from-camera, by the names of the images.
+        sizes: ``(height, width)``, likewise.
+        points: ``X Y Z R G B`` of each, in COLMAP's world; they are seen in no image as far as the file says.
+    """
     cameras = {size: number for number, size in enumerate(dict.fromkeys(sizes.values()), start=1)}
     camera_lines = [
         f"{number} EQUIRECTANGULAR {width} {height} {width} {height}" for (height, width), number in cameras.items()
     ]
     image_lines = [
-        f"{number} {_world_to_camera(pose)} {cameras[sizes[name]]} {name}\n"
+        f"{number} {_numbers(_camera_from_world(pose))} {cameras[sizes[name]]} {name}\n"
         for number, (name, pose) in enumerate(poses.items(), start=1)
     ]
+    return _model(camera_lines, image_lines, points)
+
+
+def colmap_rig_files(
+    poses: Mapping[str, Pose], faces: Mapping[str, Float[np.ndarray, "3 3"]], side: int, points: Sequence[str] = ()
+) -> dict[str, str]:
+    """A model of square pinhole cameras of 90° in one place, turned to the faces of a cube: COLMAP 3.12 and later.
+
+    The five files of the model, and ``rig_config.json``. The image ``NAME`` of a face is called ``FACE/NAME``.
+
+    Args:
+        poses: world-from-camera of the panoramas, by the names that the images of all faces have.
+        faces: by name, rig-from-face in COLMAP's camera axes; the first is the reference and unturned.
+        side: rows and columns of a face.
+        points: see :func:`colmap_files`.
+    """
+    rig_poses = {face: Pose(np.asarray(turn).T, np.zeros(3)) for face, turn in faces.items()}
+    half = repr(side / 2)
+    camera_lines = [f"{k} PINHOLE {side} {side} {half} {half} {half} {half}" for k in range(1, len(faces) + 1)]
+    sensors = [f"CAMERA {k} 1 {_numbers(pose)}" for k, pose in enumerate(rig_poses.values(), start=1)][1:]
+    image_lines, frame_lines = [], []
+    for frame, (name, pose) in enumerate(poses.items(), start=1):
+        rig_from_world, first = _camera_from_world(pose), (frame - 1) * len(faces) + 1
+        data = " ".join(f"CAMERA {k + 1} {first + k}" for k in range(len(faces)))
+        frame_lines.append(f"{frame} 1 {_numbers(rig_from_world)} {len(faces)} {data}")
+        image_lines += [
+            f"{first + k} {_numbers(face_from_rig @ rig_from_world)} {k + 1} {face}/{name}\n"
+            for k, (face, face_from_rig) in enumerate(rig_poses.items())
+        ]
+    sensor = "SENSORS[TYPE SENSOR_ID HAS_POSE QW QX QY QZ TX TY TZ]"
     return {
-        "cameras.txt": _text("CAMERA_ID MODEL WIDTH HEIGHT PARAMS[w h]", camera_lines),
-        IMAGES: _text(f"{HEADER}, then a line of POINTS2D[X Y POINT3D_ID] (none)", image_lines),
-        "points3D.txt": _text("POINT3D_ID X Y Z R G B ERROR TRACK[IMAGE_ID POINT2D_IDX] (none)", []),
+        **_model(camera_lines, image_lines, points),
+        "rigs.txt": _text(
+            f"RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID {sensor}",
+            [" ".join([f"1 {len(faces)} CAMERA 1", *sensors])],
+        ),
+        "frames.txt": _text(
+            "FRAME_ID RIG_ID RIG_FROM_WORLD[QW QX QY QZ TX TY TZ] NUM_DATA_IDS DATA_IDS[SENSOR_TYPE SENSOR_ID DATA_ID]",
+            frame_lines,
+        ),
+        "rig_config.json": json.dumps([{"cameras": [_in_rig(*item) for item in rig_poses.items()]}], indent=1) + "\n",
     }
 
 
-def _world_to_camera(pose: Pose) -> str:
-    inverse = foreign_from_pose(pose, camera="opencv", up="-y").inverse()
-    return " ".join(map(repr, [*quaternion_from_rotation(inverse.rotation).tolist(), *inverse.position.tolist()]))
+def _in_rig(face: str, face_from_rig: Pose) -> dict[str, Any]:
+    """A camera as ``colmap rig_configurator`` is told of it."""
+    if np.array_equal(face_from_rig.rotation, np.eye(3)):
+        return {"image_prefix": f"{face}/", "ref_sensor": True}
+    turn = quaternion_from_rotation(face_from_rig.rotation).tolist()
+    return {"image_prefix": f"{face}/", "cam_from_rig_rotation": turn, "cam_from_rig_translation": [0.0, 0.0, 0.0]}
+
+
+def _model(cameras: list[str], images: list[str], points: Sequence[str]) -> dict[str, str]:
+    """The three files of every model."""
+    point_lines = [f"{number} {point} 0" for number, point in enumerate(points, start=1)]
+    return {
+        "cameras.txt": _text("CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]", cameras),
+        IMAGES: _text(f"{HEADER}, then a line of POINTS2D[X Y POINT3D_ID] (none)", images),
+        "points3D.txt": _text("POINT3D_ID X Y Z R G B ERROR TRACK[IMAGE_ID POINT2D_IDX] (none)", point_lines),
+    }
+
+
+def _camera_from_world(pose: Pose) -> Pose:
+    return foreign_from_pose(pose, camera="opencv", up="-y").inverse()
+
+
+def _numbers(pose: Pose) -> str:
+    return " ".join(map(repr, [*quaternion_from_rotation(pose.rotation).tolist(), *pose.position.tolist()]))
 
 
 def _text(columns: str, lines: list[str]) -> str:

@@ -14,6 +14,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -96,11 +97,20 @@ def nerfstudio_text(
     sizes: Mapping[str, tuple[int, int]],
     images: Mapping[str, Path | None],
     folder: Path,
+    companions: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
+    shared: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
-    """The file's text; paths of images are written relative to ``folder``, sizes are ``(height, width)``."""
-    frames = [_frame(name, pose, sizes[name], images[name], folder) for name, pose in poses.items()]
+    """The file's text; paths of images are written relative to ``folder``, sizes are ``(height, width)``.
+
+    ``companions`` are further keys of frames (depth, masks), ``shared`` further keys of the file.
+    """
+    frames = [
+        _frame(name, pose, sizes[name], images[name], folder) | dict(companions.get(name, {}))
+        for name, pose in poses.items()
+    ]
     lines = ",\n".join(f"  {json.dumps(frame, ensure_ascii=False)}" for frame in frames)
-    return f'{{"camera_model": "{PANORAMIC}", "orientation_override": "none", "frames": [\n{lines}\n]}}\n'
+    head = json.dumps({"camera_model": PANORAMIC, "orientation_override": "none", **shared}, ensure_ascii=False)
+    return f'{head[:-1]}, "frames": [\n{lines}\n]}}\n'
 
 
 def _frame(name: str, pose: Pose, size: tuple[int, int], image: Path | None, folder: Path) -> dict[str, Any]:

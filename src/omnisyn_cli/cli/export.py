@@ -1,0 +1,141 @@
+"""``omnisyn export``: panoramas with their depth as files for other programs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from omnisyn_cli.cli.options import (
+    cut_options,
+    depth_options,
+    device_option,
+    json_option,
+    masks_option,
+    nadir_option,
+    outside_option,
+    poses_options,
+    preset_option,
+    print_json,
+    quiet_option,
+    size_options,
+    threads_option,
+)
+from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+
+if TYPE_CHECKING:
+    from omnisyn_cli.interpolation.export import ExportSummary
+
+__all__ = ["FORMATS", "export"]
+
+FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
+"""Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
+
+
+@click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
+@poses_options
+@click.option(
+    "-o", "--output", required=True, type=FilePath(), help="File (.glb, .ply), or folder for colmap and nerfstudio."
+)
+@click.option(
+    "--format", type=click.Choice(FORMATS),
+    help="glb: a textured mesh, for Blender and model-viewer. ply: points. splats: flat discs as Gaussian splats, for "
+    "SuperSplat. colmap: two models with depth, of panoramas and of six faces. nerfstudio: transforms.json with depth. "
+    " [default: glb or ply, by the file's ending]",
+)  # fmt: skip
+@click.option(
+    "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096, show_default=True,
+    help="Of the largest picture in a GLB; larger panoramas are reduced to it.",
+)  # fmt: skip
+@click.option(
+    "--stride", type=WholeRange(1), help="Pixels of the depth between points or discs.  [default: 1; 4 in data sets]"
+)
+@click.option(
+    "--sky/--no-sky", default=None,
+    help="Show what is infinitely far, on the dome.  [default: sky for glb and splats, else no-sky]",
+)  # fmt: skip
+@click.option(
+    "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0, show_default=True,
+    help="Radius of the sphere around each panorama on which everything lies that is farther.",
+)  # fmt: skip
+@preset_option
+@depth_options
+@cut_options
+@masks_option
+@nadir_option
+@device_option("Where networks run; auto takes a GPU if ONNX Runtime has one.")
+@threads_option
+@size_options
+@outside_option
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of its names.")
+@click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
+@json_option("the summary")
+@quiet_option
+@click.pass_context
+def export(
+    context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float, output: Path,
+    format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002
+) -> None:  # fmt: skip
+    """Write panoramas A, B and further ones, with their depth, for other programs.
+
+    \b
+    omnisyn export a.jpg b.jpg --poses poses.json -o place.glb
+    omnisyn export a.jpg b.jpg --poses poses.json -o place.ply --format splats --stride 2
+    omnisyn export a.jpg b.jpg c.jpg --poses auto -o dataset/ --format colmap
+
+    Poses, masks and depth are found as `omnisyn interpolate` finds them. Axes, units and origin of every format are in
+    docs/export.md: metres, and the origin of the poses, everywhere; what is up differs.
+
+    Names that begin with a dash go after ``--``.
+    """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
+    from omnisyn_cli.interpolation.job import InterpolationJob
+    from omnisyn_cli.interpolation.recipes import check_device
+
+    if options["cut"] is not None and options["cut_metres"] is not None:
+        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
+    tour = InterpolationJob(output=output, nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **options)
+    plan = plan_export(ExportJob(tour, format, texture, stride, sky, dome))
+    if not quiet:
+        for note in plan.notes:
+            click.echo(f"note: {note}", err=True)
+    if dry_run:
+        _print(plan.describe(), as_json=as_json)
+        return
+    check_device(plan.tour.recipe)
+    context.with_resource(say_when_compiling(is_quiet=quiet))
+    total = len(plan.tour.entries)
+    with counted_bar("depth", total, lambda done: "panoramas", is_quiet=quiet) as on_panorama:
+        summary = run_export(plan, on_panorama)
+    if not quiet:
+        for warning in summary.warnings():
+            click.echo(f"warning: {warning}", err=True)
+    if as_json:
+        print_json(summary.describe())
+    elif not quiet:
+        click.echo(_said(summary))
+
+
+def _print(values: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        print_json(values)
+        return
+    for key, value in values.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        if key != "notes" and shown != "":
+            click.echo(f"{key.replace('_', ' '):>18}: {shown}")
+
+
+def _said(summary: ExportSummary) -> str:
+    """What was written, in one line."""
+    plan, what = summary.plan, f"{summary.points:,} points"
+    if plan.format == "glb":
+        what = f"{summary.triangles:,} triangles"
+    elif plan.format == "splats":
+        what = f"{summary.points:,} discs"
+    count = len(plan.tour.entries)
+    return f"{plan.tour.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"

@@ -1,0 +1,15 @@
+"""A tour as a thing for other programs: a textured mesh, points, discs, or a data set with depth.
+
+``docs/export.md`` states axes, units and origin of every format; each is read back in the tests by a reader of others.
+"""
+
+from omnisyn_cli.interpolation.export.run import (
+    FORMATS,
+    ExportJob,
+    ExportPlan,
+    ExportSummary,
+    plan_export,
+    run_export,
+)
+
+__all__ = ["FORMATS", "ExportJob", "ExportPlan", "ExportSummary", "plan_export", "run_export"]

@@ -1,0 +1,171 @@
+"""Panoramas with poses, depth and points as data sets: COLMAP models and nerfstudio's ``transforms.json``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_scale
+from omnisyn_cli.interpolation.export.points import Points, ply_points
+from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.io.outputs import make_folder, write_parts
+from omnisyn_cli.io.ply import write_ply
+from omnisyn_cli.poses.formats import CAMERA_AXES, colmap_files, colmap_rig_files, nerfstudio_text
+
+__all__ = ["FACES", "DatasetView", "face_side", "safe_name", "write_colmap", "write_colmap_view", "write_nerfstudio",
+           "write_nerfstudio_view"]  # fmt: skip
+
+FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
+    "front": np.eye(3),
+    "right": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+    "back": np.diag([-1.0, 1.0, -1.0]),
+    "left": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "up": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "down": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+}
+"""Faces of a cube: rig-from-face in OpenCV's camera axes; "front" is the centre of the panorama."""
+
+PANORAMAS, RIG = "panoramas", "faces"
+"""Folders of the two models of COLMAP."""
+
+MODEL = "sparse/0"
+
+MILLIMETRES, MOST_MILLIMETRES = 1000.0, 65535
+"""In a metre; in samples of 16 bits."""
+
+
+@dataclass(frozen=True)
+class DatasetView:
+    """What a data set has of a panorama.
+
+    Attributes:
+        name: of its files, without an ending.
+        pose: world-from-camera, in our axes.
+        picture: ``(height, width, 3)`` RGB of 8 bits.
+        inverse_depth: 1/metre, of a size of its own; negative where it is not known, 0 where nothing is.
+        mask: of the picture's size, True where it may be used; None is everywhere.
+    """
+
+    name: str
+    pose: Pose
+    picture: UInt8[np.ndarray, "height width 3"]
+    inverse_depth: Float[np.ndarray, "rows cols"]
+    mask: Bool[np.ndarray, "height width"] | None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the picture."""
+        return self.picture.shape[0], self.picture.shape[1]
+
+    def usable(self) -> Bool[np.ndarray, "height width"]:
+        """The mask, written out."""
+        return np.ones(self.size, bool) if self.mask is None else self.mask
+
+
+def safe_name(index: int, image: Path) -> str:
+    """A name without spaces, which COLMAP's text files cannot hold, that sorts as the tour goes."""
+    return f"{index:04d}_{re.sub(r'[^A-Za-z0-9._-]', '_', image.stem)}"
+
+
+def face_side(size: tuple[int, int]) -> int:
+    """Rows of a face whose centre is as sharp as the panorama: its focal length is what a radian has pixels there."""
+    return max(2, 2 * round(pixel_scale(size)[0]))
+
+
+def write_colmap_view(folder: Path, view: DatasetView, side: int) -> None:
+    """Pictures, depth and masks of a panorama and of its six faces."""
+    whole, rig, name = folder / PANORAMAS, folder / RIG, f"{view.name}.jpg"
+    _write_picture(whole / "images" / name, view.picture)
+    make_folder(whole / "depth", "depth")
+    write_depth(whole / "depth" / f"{view.name}.exr", _depth(view.inverse_depth, np.inf))
+    _write_mask(whole / "masks" / f"{name}.png", view.usable())
+    focal = side / 2
+    aside = (np.arange(side) + 0.5) / focal - 1.0  # COLMAP's pixels are centred at one half
+    x, y = np.meshgrid(aside, aside)
+    rays = np.stack([x, y, np.ones_like(x)], -1)
+    for face, turn in FACES.items():
+        directions = rays @ (CAMERA_AXES["opencv"].T @ turn).T
+        _write_picture(rig / "images" / face / name, _seen_along(view.picture, directions))
+        along_axis = _depth(sample_nearest(view.inverse_depth, directions), 0.0) / np.linalg.norm(rays, axis=-1)
+        _write_map(rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin", along_axis.astype("<f4"))
+        _write_mask(rig / "masks" / face / f"{name}.png", sample_nearest(view.usable(), directions))
+
+
+def write_colmap(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]], side: int,
+                 points: Points) -> None:  # fmt: skip
+    """Both models; ``points`` are in COLMAP's world, poses in ours, by the names of views."""
+    lines = [
+        f"{' '.join(f'{number:.6g}' for number in place)} {' '.join(map(str, colour))}"
+        for place, colour in zip(points.position.tolist(), points.colour.tolist(), strict=True)
+    ]
+    files = {f"{name}.jpg": pose for name, pose in poses.items()}
+    whole = colmap_files(files, {f"{name}.jpg": size for name, size in sizes.items()}, lines)
+    rig = colmap_rig_files(files, FACES, side, lines)
+    for model, texts in ((PANORAMAS, whole), (RIG, rig)):
+        for name, text in texts.items():
+            _write_text(folder / model / ("" if name.endswith(".json") else MODEL) / name, text)
+
+
+def write_nerfstudio_view(folder: Path, view: DatasetView) -> None:
+    """Picture, depth in millimetres along the ray, mask."""
+    _write_picture(folder / "images" / f"{view.name}.jpg", view.picture)
+    millimetres = np.rint(MILLIMETRES * _depth(view.inverse_depth, 0.0))
+    known = np.where(millimetres <= MOST_MILLIMETRES, millimetres, 0)
+    _write_picture(folder / "depths" / f"{view.name}.png", known.astype(np.uint16))
+    _write_mask(folder / "masks" / f"{view.name}.png", view.usable())
+
+
+def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]],
+                     points: Points) -> None:  # fmt: skip
+    """``transforms.json`` and the points, which are in its world (z up)."""
+    companions = {name: {"depth_file_path": f"depths/{name}.png", "mask_path": f"masks/{name}.png"} for name in poses}
+    images: dict[str, Path | None] = {name: folder / "images" / f"{name}.jpg" for name in poses}
+    shared = {"depth_unit_scale_factor": 1.0 / MILLIMETRES, "ply_file_path": "points.ply"}
+    _write_text(folder / "transforms.json", nerfstudio_text(poses, sizes, images, folder, companions, shared))
+    write_ply(folder / "points.ply", ply_points(points), ["metres, z up"])
+
+
+def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.ndarray) -> np.ndarray:
+    """The panorama in some directions, bicubic; it goes on across the seam, and past the poles by repeated rows."""
+    row, col = direction_to_pixel(directions, picture.shape[:2])
+    border = 4
+    padded = np.pad(picture, ((0, 0), (border, border), (0, 0)), mode="wrap")
+    return np.asarray(
+        cv2.remap(padded, (col + border).astype(np.float32), row.astype(np.float32), cv2.INTER_CUBIC,
+                  borderMode=cv2.BORDER_REPLICATE)
+    )  # fmt: skip
+
+
+def _write_picture(path: Path, samples: np.ndarray) -> None:
+    make_folder(path.parent, "images")
+    write_image(path, samples)
+
+
+def _write_mask(path: Path, usable: np.ndarray) -> None:
+    _write_picture(path, np.where(usable, np.uint8(255), np.uint8(0)))
+
+
+def _depth(inverse_depth: np.ndarray, beyond: float) -> Float32[np.ndarray, "*shape"]:
+    """Metres; ``beyond`` where nothing is, or nothing is known."""
+    is_there = inverse_depth > 0
+    return np.where(is_there, 1.0 / np.where(is_there, inverse_depth, 1.0), beyond).astype(np.float32)
+
+
+def _write_map(path: Path, values: Float32[np.ndarray, "rows cols"]) -> None:
+    """COLMAP's dense maps: width, height and channels in words, then float32, row after row."""
+    make_folder(path.parent, "depth")
+    rows, cols = values.shape
+    write_parts(path, (f"{cols}&{rows}&1&".encode("ascii"), values.tobytes()))
+
+
+def _write_text(path: Path, text: str) -> None:
+    make_folder(path.parent, "the model")
+    write_parts(path, (text.encode(),))

@@ -1,0 +1,353 @@
+"""From a job to files for other programs: what is asked for is checked, then made panorama by panorama."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt
+from jaxtyping import UInt8
+
+from omnisyn_cli.errors import InputError, OutputPathError
+from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
+from omnisyn_cli.geometry.pose import STILL, Pose
+from omnisyn_cli.interpolation.export.datasets import (
+    DatasetView,
+    face_side,
+    safe_name,
+    write_colmap,
+    write_colmap_view,
+    write_nerfstudio,
+    write_nerfstudio_view,
+)
+from omnisyn_cli.interpolation.export.glb import GltfModel
+from omnisyn_cli.interpolation.export.mesh import textured_mesh
+from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
+from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
+from omnisyn_cli.interpolation.summary import warning_about
+from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
+from omnisyn_cli.io import check_output
+from omnisyn_cli.io.outputs import check_kept, check_staged_folder, staged_folder
+from omnisyn_cli.io.ply import write_ply
+from omnisyn_cli.poses.formats import foreign_from_pose
+from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.synthesis.segments import Stopwatch
+from omnisyn_cli.types import DepthEstimator
+
+__all__ = ["FORMATS", "ExportJob", "ExportPlan", "ExportSummary", "plan_export", "run_export"]
+
+
+class Format(NamedTuple):
+    """What there is to say about a format.
+
+    Attributes:
+        suffix: of its file; empty for those that fill a folder.
+        up: of its world, see :data:`omnisyn_cli.poses.formats.WORLD_UP`.
+        stride: pixels of the depth between its points, if nobody says so.
+        sky: whether what is infinitely far is shown, likewise.
+    """
+
+    suffix: str
+    up: str
+    stride: int
+    sky: bool
+
+
+FORMATS = MappingProxyType(
+    {
+        "glb": Format(".glb", "y", 1, sky=True),
+        "ply": Format(".ply", "y", 1, sky=False),
+        "splats": Format(".ply", "-y", 1, sky=True),
+        "colmap": Format("", "-y", 4, sky=False),
+        "nerfstudio": Format("", "z", 4, sky=False),
+    }
+)
+"""By name. A ``.ply`` without a name is points."""
+
+SHELLS = 0.01
+"""Share of its radius by which the dome of each panorama is larger than the last one's, so that none flickers."""
+
+ON_DOME = 1.0 - 1e-4
+"""What is as far as this share of the dome's radius lies on it."""
+
+
+@dataclass(frozen=True)
+class ExportJob:
+    """What a user asks for.
+
+    Attributes:
+        tour: panoramas, poses, where depth comes from; its output is what is written. Its video's fields say nothing.
+        format: one of :data:`FORMATS`; None goes by the ending of the output.
+        texture: columns of the largest texture of a GLB; larger panoramas are reduced.
+        stride: pixels of the depth between points; None is the format's.
+        sky: whether what is infinitely far is shown, on the dome; None is the format's.
+        dome: metres around each panorama beyond which everything lies on one sphere.
+    """
+
+    tour: InterpolationJob
+    format: str | None = None
+    texture: Annotated[int, Ge(16)] = 4096
+    stride: Annotated[int, Ge(1)] | None = None
+    sky: bool | None = None
+    dome: Annotated[float, Gt(0)] = 200.0
+
+
+@dataclass(frozen=True)
+class ExportPlan:
+    """A job that has been checked.
+
+    Attributes:
+        job: what was asked for.
+        tour: its panoramas, poses and depth.
+        format: one of :data:`FORMATS`.
+        stride, sky: as in the job, settled.
+    """
+
+    job: ExportJob
+    tour: TourPlan
+    format: str
+    stride: int
+    sky: bool
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+        images, entries = self.tour.job.images, self.tour.entries
+        still = [
+            f"{images[k].name} and {images[k + 1].name} have the same position: without depth files there is none"
+            for k, (a, b) in enumerate(pairwise(entry.pose.position for entry in entries))
+            if np.linalg.norm(b - a) <= STILL and self.tour.recipe.depth.kind != "file"
+        ]
+        return (*self.tour.notes, *still)
+
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        job, recipe = self.tour.job, self.tour.recipe
+        return {
+            "inputs": [str(image) for image in job.images], "output": str(job.output), "format": self.format,
+            "preset": job.preset, "depth": recipe.depth.kind, "model": recipe.depth.model or "",
+            "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
+            "notes": list(self.notes),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ExportSummary:
+    """What was done.
+
+    Attributes:
+        plan: what was planned.
+        points: that were written: of a cloud or a data set.
+        triangles: of a mesh.
+        seconds: wall time by stage; ``total`` is all of it.
+        pairs: how far depth can be relied on, by the index of the first panorama.
+    """
+
+    plan: ExportPlan
+    points: int
+    triangles: int
+    seconds: dict[str, float]
+    pairs: dict[int, PairConfidence] = field(default_factory=dict)
+
+    def describe(self) -> dict[str, Any]:
+        """The summary as plain values."""
+        stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
+        pairs = [{"first": index, **pair.describe()} for index, pair in self.pairs.items()]
+        counts = {"points": self.points, "triangles": self.triangles}
+        return {**self.plan.describe(), **counts, "stages": stages, "confidence": pairs}
+
+    def warnings(self) -> list[str]:
+        """A line for every pair that scores too low to be relied on."""
+        advice = "name depth files in the poses"
+        return [
+            warning_about(self.plan.tour, index, pair, advice)
+            for index, pair in self.pairs.items()
+            if pair.score < LEAST_SCORE
+        ]
+
+
+def plan_export(job: ExportJob) -> ExportPlan:
+    """Check a job without writing anything.
+
+    Raises:
+        InputError: a file is missing, poses do not fit, an option makes no sense.
+        OutputPathError: the output exists, cannot be written, or its ending says nothing of the format.
+    """
+    name, output = _format_of(job), job.tour.output
+    chosen = FORMATS[name]
+    if chosen.suffix:
+        check_output(output, job.tour.overwrite)
+    else:
+        _check_folder(output, job.tour.overwrite)
+    tour = plan_tour(job.tour)
+    companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
+    check_kept([output], (*tour.job.images, *tour.job.masks, tour.job.poses, *companions), whole_folders=True)
+    return ExportPlan(
+        job, tour, name, job.stride or chosen.stride, chosen.sky if job.sky is None else job.sky
+    )  # fmt: skip
+
+
+def _format_of(job: ExportJob) -> str:
+    output = job.tour.output
+    if job.format is not None and job.format not in FORMATS:
+        raise InputError(f"expected one of {', '.join(FORMATS)} as format, got {job.format!r}; choose one of these")
+    suffix = output.suffix.lower()
+    of_suffix = {known.suffix: name for name, known in [*FORMATS.items()][::-1] if known.suffix}
+    name = job.format or of_suffix.get(suffix)
+    if name is None:
+        raise OutputPathError(
+            f"{output}: expected a name ending in .glb or .ply, or a format for a folder, got '{suffix}'; name the "
+            f"format (--format {'|'.join(FORMATS)})"
+        )
+    if FORMATS[name].suffix not in ("", suffix):
+        raise OutputPathError(f"{output}: expected a name ending in {FORMATS[name].suffix} for {name}; change it")
+    return name
+
+
+def _check_folder(folder: Path, overwrite: bool) -> None:
+    check_staged_folder(folder)
+    if not overwrite and folder.is_dir() and any(folder.iterdir()):
+        raise OutputPathError(
+            f"{folder}: expected a new or empty folder, got one with files in it; choose another, or let files of the "
+            "same names be replaced (--overwrite)"
+        )
+
+
+def run_export(
+    plan: ExportPlan, on_panorama: Callable[[int], None] | None = None, *, estimator: DepthEstimator | None = None
+) -> ExportSummary:
+    """Write the files; all of them appear when everything has gone well.
+
+    Args:
+        plan: from :func:`plan_export`.
+        on_panorama: called with the number of finished panoramas, after each.
+        estimator: finds depth in place of what the plan asks for.
+
+    Raises:
+        InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown.
+        WriteError: the disk is full, or the folder went away.
+    """
+    begin, clock, pairs = time.perf_counter(), Stopwatch(), {}
+
+    def remembered() -> Iterator[PairSurfaces]:
+        for pair in tour_surfaces(plan.tour, estimator=estimator, clock=clock):
+            pairs[pair.index] = pair.check.confidence
+            yield pair
+
+    def surfaces() -> Iterator[PanoramaSurface]:
+        for done, surface in enumerate(panorama_surfaces(plan.tour, remembered()), start=1):
+            yield surface
+            if on_panorama:
+                on_panorama(done)
+
+    write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
+    points, triangles = write(plan, surfaces(), clock)
+    return ExportSummary(plan, points, triangles, {**clock.seconds, "total": time.perf_counter() - begin}, pairs)
+
+
+def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
+    from omnisyn_cli import __version__
+
+    model, triangles = GltfModel(f"omnisyn {__version__}"), 0
+    for surface in surfaces:
+        with clock("export"):
+            picture = _reduced(_samples(surface), plan.job.texture)
+            radius = plan.job.dome * (1.0 + SHELLS * surface.index)
+            whole = textured_mesh(_domed(plan, surface, radius), len(picture), plan.tour.job.threads)
+            near, sky = whole.split(radius * ON_DOME)
+            shown = {"": near, "sky": sky} if plan.sky else {"": near}
+            model.add(plan.tour.job.images[surface.index].name, surface.view.pose, shown, picture)
+            triangles += sum(len(mesh.triangles) for mesh in shown.values())
+    if not triangles:
+        raise InputError(_nothing(plan))
+    with clock("write"):
+        model.write(plan.tour.job.output)
+    return 0, triangles
+
+
+def _write_cloud(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
+    parts = []
+    for surface in surfaces:
+        with clock("export"):
+            parts.append(_points(plan, surface))
+    points = joined(parts)
+    if not len(points):
+        raise InputError(_nothing(plan))
+    with clock("write"):
+        is_of_discs = plan.format == "splats"
+        records = ply_splats(points) if is_of_discs else ply_points(points)
+        world = "y down, z forward" if is_of_discs else "y up, -z forward"
+        write_ply(plan.tour.job.output, records, [f"metres, right-handed, x right, {world}"])
+    return len(points), 0
+
+
+def _write_dataset(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
+    job, is_colmap = plan.tour.job, plan.format == "colmap"
+    poses: dict[str, Pose] = {}
+    sizes: dict[str, tuple[int, int]] = {}
+    side, parts = face_side(max(plan.tour.source_sizes)), []
+    with staged_folder(job.output, overwrite=job.overwrite) as staged:
+        for surface in surfaces:
+            with clock("export"):
+                name, pose = safe_name(surface.index, job.images[surface.index]), surface.view.pose
+                view = DatasetView(name, pose, _samples(surface), surface.mesh.inverse_depth, surface.view.mask)
+                poses[name], sizes[name] = pose, view.size
+                parts.append(_points(plan, surface))
+                if is_colmap:
+                    write_colmap_view(staged, view, side)
+                else:
+                    write_nerfstudio_view(staged, view)
+        with clock("write"):
+            points = joined(parts)
+            if is_colmap:
+                write_colmap(staged, poses, sizes, side, points)
+            else:
+                write_nerfstudio(staged, poses, sizes, points)
+    return len(points), 0
+
+
+def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
+    """Of one panorama, in the format's world."""
+    dome = plan.job.dome
+    pose = foreign_from_pose(surface.view.pose, camera="opengl", up=FORMATS[plan.format].up)
+    farthest = np.inf if plan.sky else ON_DOME * dome
+    mesh = _domed(plan, surface, dome)
+    return points_of(mesh, surface.depth.confidence, _samples(surface), pose, plan.stride, farthest)
+
+
+def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
+    """The surface with everything beyond a distance at that distance."""
+    recipe, depth = plan.tour.recipe, surface.depth
+    rho = np.maximum(depth.inverse_depth, np.float32(1.0 / radius))
+    cut, mask = Cut(recipe.cut, recipe.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
+    return build_mesh(rho, cut, mask, depth.confidence)
+
+
+def _samples(surface: PanoramaSurface) -> UInt8[np.ndarray, "height width 3"]:
+    """The photograph as 8 bits."""
+    texture = surface.texture()
+    if texture.dtype == np.uint8:
+        return texture
+    return np.asarray(np.rint(255.0 * np.clip(texture, 0.0, 1.0)), np.uint8)
+
+
+def _reduced(picture: UInt8[np.ndarray, "height width 3"], columns: int) -> UInt8[np.ndarray, "rows cols 3"]:
+    """A picture with at most so many columns."""
+    if picture.shape[1] <= columns:
+        return picture
+    return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
+
+
+def _nothing(plan: ExportPlan) -> str:
+    return (
+        f"{plan.tour.job.output}: expected something nearer than {plan.job.dome:g} m, got sky or masks everywhere; "
+        "name depth files, take panoramas that lie apart, or ask for the sky (--sky)"
+    )
