@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_scale
+from omnisyn_cli.geometry.sampling import add_columns, sample_nearest
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.outputs import make_folder, write_parts
@@ -40,6 +40,10 @@ MODEL = "sparse/0"
 
 MILLIMETRES, MOST_MILLIMETRES = 1000.0, 65535
 """In a metre; in samples of 16 bits."""
+
+
+BORDER, MOST_COLUMNS = 4, 32766
+"""Columns repeated across the seam; columns that OpenCV can look up."""
 
 
 @dataclass(frozen=True)
@@ -87,16 +91,16 @@ def write_colmap_view(folder: Path, view: DatasetView, side: int) -> None:
     make_folder(whole / "depth", "depth")
     write_depth(whole / "depth" / f"{view.name}.exr", _depth(view.inverse_depth, np.inf))
     _write_mask(whole / "masks" / f"{name}.png", view.usable())
-    focal = side / 2
-    aside = (np.arange(side) + 0.5) / focal - 1.0  # COLMAP's pixels are centred at one half
-    x, y = np.meshgrid(aside, aside)
+    u, v = pixel_to_texture(np.arange(side), np.arange(side), (side, side))
+    x, y = np.meshgrid(2.0 * u - 1.0, 2.0 * v - 1.0)
     rays = np.stack([x, y, np.ones_like(x)], -1)
     for face, turn in FACES.items():
         directions = rays @ (CAMERA_AXES["opencv"].T @ turn).T
         _write_picture(rig / "images" / face / name, _seen_along(view.picture, directions))
         along_axis = _depth(sample_nearest(view.inverse_depth, directions), 0.0) / np.linalg.norm(rays, axis=-1)
         _write_map(rig / "stereo" / "depth_maps" / face / f"{name}.geometric.bin", along_axis.astype("<f4"))
-        _write_mask(rig / "masks" / face / f"{name}.png", sample_nearest(view.usable(), directions))
+        usable = sample_nearest(view.usable().astype(np.float32), directions) > 0
+        _write_mask(rig / "masks" / face / f"{name}.png", usable)
 
 
 def write_colmap(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]], side: int,
@@ -135,13 +139,12 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
 
 def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.ndarray) -> np.ndarray:
     """The panorama in some directions, bicubic; it goes on across the seam, and past the poles by repeated rows."""
+    if picture.shape[1] + 2 * BORDER > MOST_COLUMNS:
+        picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     row, col = direction_to_pixel(directions, picture.shape[:2])
-    border = 4
-    padded = np.pad(picture, ((0, 0), (border, border), (0, 0)), mode="wrap")
-    return np.asarray(
-        cv2.remap(padded, (col + border).astype(np.float32), row.astype(np.float32), cv2.INTER_CUBIC,
-                  borderMode=cv2.BORDER_REPLICATE)
-    )  # fmt: skip
+    places = (col + BORDER).astype(np.float32), row.astype(np.float32)
+    seen = cv2.remap(add_columns(picture, BORDER), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen)
 
 
 def _write_picture(path: Path, samples: np.ndarray) -> None:

@@ -21,8 +21,8 @@ __all__ = ["FLATNESS", "TexturedMesh", "textured_mesh"]
 FLATNESS = 0.005
 """Share of its distance by which a point of the surface may be moved along its ray."""
 
-SHIFT = 0.5
-"""Texture pixels by which the picture may be shifted on the surface."""
+SHIFT = 0.25
+"""Texture pixels by which the picture may be shifted on the surface; twice as many cost 0.4 dB on a warehouse."""
 
 POLE_PIECES = 2
 """Points at the pole of a piece of a cap, which are the first two of its four."""

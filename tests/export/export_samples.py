@@ -1,0 +1,36 @@
+"""A hall whose exact surface is known, written for an export, and jobs about it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from interpolation_samples import CHAIN
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation.export import ExportJob, ExportSummary, plan_export, run_export
+from omnisyn_cli.interpolation.job import InterpolationJob
+from synthesis_samples import RADIUS, write_hall
+
+OPENCV = np.diag([1.0, -1.0, -1.0])
+"""Our axes and those of OpenCV, either way: x stays, y and z turn round."""
+
+
+def job_in(
+    folder: Path, output: str, *, chain: Sequence[Pose] = CHAIN, suffix: str = ".png", **options: object
+) -> ExportJob:
+    """Panoramas of the hall with their depth; two of the usual three are turned, and one is held askew as well."""
+    images = write_hall(folder, chain)
+    own = {key: options.pop(key) for key in ("format", "texture", "stride", "sky", "dome") if key in options}
+    tour = InterpolationJob(
+        tuple(images), folder / "poses.json", folder / output, fusion="geometric", threads=1, **options
+    )
+    return ExportJob(tour, **own)
+
+
+def exported(folder: Path, output: str, **options: object) -> ExportSummary:
+    return run_export(plan_export(job_in(folder, output, **options)))
+
+
+def off_wall(points: np.ndarray) -> np.ndarray:
+    """Metres between points of the world, in our axes, and the wall of the hall, which is a ball about its origin."""
+    return np.abs(np.linalg.norm(points, axis=-1) - RADIUS)

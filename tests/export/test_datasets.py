@@ -1,0 +1,162 @@
+"""Data sets as their programs read them: every pixel with its depth, through the stated camera, lies on the wall."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from export_samples import CHAIN, OPENCV, exported, off_wall
+from PIL import Image
+
+from omnisyn_cli.geometry.pose import rotation_from_quaternion
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.interpolation.export.datasets import FACES
+from omnisyn_cli.io import read_depth, write_image
+from synthesis_samples import SIZE, hall_image
+
+HALF_PIXEL = 0.02
+"""Metres: nearest depth on faces is up to half a pixel aside."""
+
+Z_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""Ours from a world with z up: its y is our −z."""
+
+
+def lines_of(path: Path) -> list[list[str]]:
+    """Fields of the lines that are no comments and not empty, as COLMAP's documentation defines its text files."""
+    texts = path.read_text(encoding="utf-8").splitlines()
+    return [line.split() for line in texts if line.strip() and not line.startswith("#")]
+
+
+def pixel_grid(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of pixel centres, half a pixel from the corner, as COLMAP and nerfstudio have them."""
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return x, y
+
+
+def read_map(path: Path) -> np.ndarray:
+    """A dense map of COLMAP, by its definition: width&height&channels& and float32, row after row."""
+    width, height, channels, data = path.read_bytes().split(b"&", 3)
+    assert int(channels) == 1
+    return np.frombuffer(data, "<f4").reshape(int(height), int(width))
+
+
+def test_colmaps_text_puts_the_pixels_of_six_faces_on_the_wall(tmp_path: Path) -> None:
+    exported(tmp_path, "out", format="colmap")
+    model = tmp_path / "out" / "faces" / "sparse" / "0"
+    cameras = {fields[0]: fields for fields in lines_of(model / "cameras.txt")}
+    images = lines_of(model / "images.txt")
+    assert len(images) == len(FACES) * len(CHAIN)
+    for _, *numbers, camera, name in images:
+        _, kind, width, height, *parameters = cameras[camera]
+        fx, fy, cx, cy = map(float, parameters)
+        assert kind == "PINHOLE"
+        x, y = pixel_grid(int(height), int(width))
+        depth = read_map(tmp_path / "out" / "faces" / "stereo" / "depth_maps" / f"{name}.geometric.bin")
+        local = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], -1) * depth[..., None]
+        rotation, shift = rotation_from_quaternion(np.array(numbers[:4], float)), np.array(numbers[4:], float)
+        world = (local - shift) @ rotation
+        assert off_wall(world).max() < HALF_PIXEL * 4
+        picture = np.asarray(Image.open(tmp_path / "out" / "faces" / "images" / name), float) / 255
+        direction = local @ rotation / np.linalg.norm(local, axis=-1, keepdims=True)
+        pose = CHAIN[int(name.split("/")[1][:4])]
+        seen = sample_bilinear(hall_image(pose), direction @ OPENCV @ pose.rotation)
+        assert np.abs(picture - seen).mean() < 0.01
+        mask = np.asarray(Image.open(tmp_path / "out" / "faces" / "masks" / f"{name}.png"))
+        assert mask.min() == 255
+
+
+def test_colmaps_text_puts_the_pixels_of_panoramas_on_the_wall(tmp_path: Path) -> None:
+    exported(tmp_path, "out", format="colmap")
+    folder = tmp_path / "out" / "panoramas"
+    cameras = {fields[0]: fields for fields in lines_of(folder / "sparse" / "0" / "cameras.txt")}
+    x, y = pixel_grid(*SIZE)
+    for _, *numbers, camera, name in lines_of(folder / "sparse" / "0" / "images.txt"):
+        assert cameras[camera][1:] == ["EQUIRECTANGULAR", "128", "64", "128", "64"]
+        longitude, latitude = (x / SIZE[1] - 0.5) * 2 * np.pi, (0.5 - y / SIZE[0]) * np.pi
+        ray = np.stack(
+            [np.cos(latitude) * np.sin(longitude), -np.sin(latitude), np.cos(latitude) * np.cos(longitude)], -1
+        )
+        depth = read_depth(folder / "depth" / name.replace(".jpg", ".exr"))
+        rotation, shift = rotation_from_quaternion(np.array(numbers[:4], float)), np.array(numbers[4:], float)
+        assert off_wall((ray * depth[..., None] - shift) @ rotation).max() < 1e-3
+        assert (folder / "images" / name).is_file()
+    points = np.array(lines_of(folder / "sparse" / "0" / "points3D.txt"), float)
+    assert off_wall(points[:, 1:4]).max() < 1e-3
+    assert np.array_equal(points[:, 0], np.arange(1, len(points) + 1))
+
+
+def test_pycolmap_reads_both_models_as_they_are_meant(tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    exported(tmp_path, "out", format="colmap")
+    rig = pycolmap.Reconstruction(tmp_path / "out" / "faces" / "sparse" / "0")
+    assert (rig.num_rigs(), rig.num_frames(), rig.num_images(), rig.num_cameras()) == (1, 3, 18, 6)
+    whole = pycolmap.Reconstruction(tmp_path / "out" / "panoramas" / "sparse" / "0")
+    assert whole.num_images() == 3
+    assert whole.num_points3D() == rig.num_points3D() > 100
+    for model in (rig, whole):
+        for image in model.images.values():
+            pose = CHAIN[int(Path(image.name).name[:4])]
+            np.testing.assert_allclose(image.projection_center() @ OPENCV, pose.position, atol=1e-9)
+    configured = json.loads((tmp_path / "out" / "faces" / "rig_config.json").read_text())[0]["cameras"]
+    for frame in rig.frames.values():
+        for data in frame.data_ids:
+            image = rig.image(data.id)
+            camera = configured[image.camera_id - 1]
+            assert image.name.startswith(camera["image_prefix"])
+            if "ref_sensor" not in camera:
+                turn = rotation_from_quaternion(np.array(camera["cam_from_rig_rotation"]))
+                expected = turn @ frame.rig_from_world.rotation.matrix()
+                np.testing.assert_allclose(image.cam_from_world().rotation.matrix(), expected, atol=1e-9)
+    camera, image = whole.camera(1), whole.image(1)
+    for point in list(whole.points3D.values())[:50]:
+        local = image.cam_from_world() * point.xyz
+        x, y = camera.img_from_cam(local[None])[0]
+        longitude, latitude = np.arctan2(local[0], local[2]), np.arcsin(-local[1] / np.linalg.norm(local))
+        assert x == pytest.approx((longitude / (2 * np.pi) + 0.5) * SIZE[1], abs=1e-6)
+        assert y == pytest.approx((0.5 - latitude / np.pi) * SIZE[0], abs=1e-6)
+
+
+def test_nerfstudios_rays_end_on_the_wall(tmp_path: Path) -> None:
+    """The rays of ``nerfstudio/cameras/cameras.py``: unit vectors, so its depth along the ray is Euclidean."""
+    exported(tmp_path, "out", format="nerfstudio")
+    folder = tmp_path / "out"
+    document = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))
+    assert document["camera_model"] == "EQUIRECTANGULAR"
+    assert len(document["frames"]) == len(CHAIN)
+    for pose, frame in zip(CHAIN, document["frames"], strict=True):
+        x, y = pixel_grid(frame["h"], frame["w"])
+        across, upward = (x - frame["cx"]) / frame["fl_x"], -(y - frame["cy"]) / frame["fl_y"]
+        theta, phi = -np.pi * across, np.pi * (0.5 - upward)
+        ray = np.stack([-np.sin(theta) * np.sin(phi), np.cos(phi), -np.cos(theta) * np.sin(phi)], -1)
+        depth = np.asarray(Image.open(folder / frame["depth_file_path"]), float) * document["depth_unit_scale_factor"]
+        matrix = np.array(frame["transform_matrix"])
+        np.testing.assert_allclose(Z_UP @ matrix[:3, 3], pose.position, atol=1e-9)
+        world = (ray * depth[..., None]) @ matrix[:3, :3].T + matrix[:3, 3]
+        assert off_wall(world).max() < 6e-4  # half a millimetre is rounded away
+        picture = np.asarray(Image.open(folder / frame["file_path"]), float) / 255
+        assert np.abs(picture - hall_image(pose)).mean() < 0.01
+        assert np.asarray(Image.open(folder / frame["mask_path"])).min() == 255
+    trimesh = pytest.importorskip("trimesh")
+    assert off_wall(trimesh.load(folder / document["ply_file_path"]).vertices).max() < 1e-4
+
+
+def test_what_is_unknown_or_too_far_for_millimetres_is_zero(tmp_path: Path) -> None:
+    from export_samples import job_in
+
+    from omnisyn_cli.interpolation.export import plan_export, run_export
+    from omnisyn_cli.io import write_depth
+
+    usable = np.full((*SIZE, 3), 255, np.uint8)
+    usable[50:] = 0
+    mask = tmp_path / "a mask.png"
+    write_image(mask, usable)
+    job = job_in(tmp_path, "out", format="nerfstudio", chain=CHAIN[:2], masks=(mask, mask))
+    depth = np.array(read_depth(tmp_path / "p0_depth.exr"))
+    depth[:10], depth[10:20] = np.inf, 70.0
+    write_depth(tmp_path / "p0_depth.exr", depth)
+    run_export(plan_export(job))
+    found = np.asarray(Image.open(tmp_path / "out" / "depths" / "0000_p0.png"))
+    assert not found[:20].any()
+    assert found[20:50].all()
+    assert not found[50:].any()
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "out" / "masks" / "0000_p0.png")), usable[..., 0])
