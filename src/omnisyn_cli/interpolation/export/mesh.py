@@ -18,8 +18,10 @@ from omnisyn_cli.render.simplify import flat_rectangles
 
 __all__ = ["FLATNESS", "TexturedMesh", "textured_mesh"]
 
-FLATNESS = 0.005
-"""Share of its distance by which a point of the surface may be moved along its ray."""
+FLATNESS = 0.01
+"""Share of its distance by which a point of the surface may be moved along its ray.
+
+With true depth that leaves one triangle in six and costs 0.03 dB half way; with estimated depth one in four."""
 
 SHIFT = 0.25
 """Texture pixels by which the picture may be shifted on the surface; twice as many cost 0.4 dB on a warehouse."""
