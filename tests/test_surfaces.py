@@ -50,6 +50,26 @@ def test_every_panorama_has_one_surface_and_the_more_confident_estimate_holds(tm
     np.testing.assert_allclose(middle.depth.confidence, 0.6)
 
 
+@pytest.mark.parametrize("larger", [0, 1])
+def test_estimates_of_two_sizes_meet_at_the_larger_one(tmp_path: Path, larger: int) -> None:
+    """The smaller one is nearest-neighbour, right way up and round: its upper left quarter is the surer one."""
+    plan = plan_tour(job_of(tmp_path, write_hall(tmp_path, CHAIN, with_depth=False)))
+    small, large = np.full((16, 32), 0.9, np.float32), np.full((64, 128), 0.2, np.float32)
+    sure = np.zeros((16, 32), np.float32)
+    sure[:8, :16] = 0.8
+    both = [DepthEstimate(small, sure), DepthEstimate(large, np.full_like(large, 0.5))]
+    answers = iter(both if larger else both[::-1])
+
+    def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        estimate = next(answers)
+        return estimate, estimate
+
+    _, middle, _ = surfaces_of(plan, estimator=estimator)
+    expected = large.copy()
+    expected[:32, :64] = 0.9
+    np.testing.assert_allclose(middle.depth.inverse_depth, expected)
+
+
 def test_masked_pixels_have_no_surface_and_no_colour_of_their_own(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
     painted = as_bytes(hall_image(CHAIN[0]))

@@ -9,7 +9,7 @@ from interpolation_samples import CHAIN
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import ExportJob, ExportSummary, plan_export, run_export
 from omnisyn_cli.interpolation.job import InterpolationJob
-from synthesis_samples import RADIUS, write_hall
+from synthesis_samples import PHASES, RADIUS, WAVES, write_hall
 
 OPENCV = np.diag([1.0, -1.0, -1.0])
 """Our axes and those of OpenCV, either way: x stays, y and z turn round."""
@@ -34,3 +34,8 @@ def exported(folder: Path, output: str, **options: object) -> ExportSummary:
 def off_wall(points: np.ndarray) -> np.ndarray:
     """Metres between points of the world, in our axes, and the wall of the hall, which is a ball about its origin."""
     return np.abs(np.linalg.norm(points, axis=-1) - RADIUS)
+
+
+def wall_colour(points: np.ndarray) -> np.ndarray:
+    """Of the wall at points of the world, in our axes: 0 to 255."""
+    return np.asarray(255 * (0.5 + 0.4 * np.sin(points @ WAVES.T + PHASES)))

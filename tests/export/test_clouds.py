@@ -7,7 +7,7 @@ import gsply
 import numpy as np
 import pytest
 import trimesh
-from export_samples import CHAIN, OPENCV, exported, job_in, off_wall
+from export_samples import CHAIN, OPENCV, exported, job_in, off_wall, wall_colour
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_quaternion
@@ -16,11 +16,7 @@ from omnisyn_cli.interpolation.export import plan_export, run_export
 from omnisyn_cli.interpolation.export.points import DISC, points_of
 from omnisyn_cli.io import read_depth, write_depth
 from omnisyn_cli.render.mesh import Cut, build_mesh
-from synthesis_samples import PHASES, RADIUS, SIZE, WAVES, posed
-
-
-def wall_colour(points: np.ndarray) -> np.ndarray:
-    return 255 * (0.5 + 0.4 * np.sin(points @ WAVES.T + PHASES))
+from synthesis_samples import RADIUS, SIZE, posed
 
 
 def test_points_lie_on_the_wall_in_its_colours(tmp_path: Path) -> None:
@@ -93,7 +89,7 @@ def test_a_disc_covers_its_pixel_on_a_slanted_floor() -> None:
 def test_normals_do_not_reach_across_cuts() -> None:
     rho = np.full(SIZE, 0.25, np.float32)
     rho[:, 40:80] = 1.0
-    rho[10, 10] = 2.0  # a point of its own looks back along its ray
+    rho[10, 10] = rho[:, 20] = rho[30, :] = 2.0  # a point and lines of their own look back along their rays
     points = points_of(build_mesh(rho, Cut(0.1)), np.ones(SIZE), np.zeros((*SIZE, 3), np.uint8), Pose.identity(), 1)
     toward = -points.position / np.linalg.norm(points.position, axis=1, keepdims=True)
     assert (points.normal * toward).sum(-1).min() > 0.98

@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_samples import CHAIN, OPENCV, exported, off_wall
+import trimesh
+from export_samples import CHAIN, OPENCV, exported, job_in, off_wall, wall_colour
 from PIL import Image
 
 from omnisyn_cli.geometry.pose import rotation_from_quaternion
 from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.interpolation.export import plan_export, run_export
 from omnisyn_cli.interpolation.export.datasets import FACES
-from omnisyn_cli.io import read_depth, write_image
+from omnisyn_cli.io import read_depth, write_depth, write_image
 from synthesis_samples import SIZE, hall_image
 
 HALF_PIXEL = 0.02
@@ -65,6 +67,21 @@ def test_colmaps_text_puts_the_pixels_of_six_faces_on_the_wall(tmp_path: Path) -
         assert mask.min() == 255
 
 
+def test_faces_go_on_where_the_front_ends(tmp_path: Path) -> None:
+    """Right and left of it, above and below; the back where the right one ends."""
+    exported(tmp_path, "out", format="colmap", chain=CHAIN[:2])
+    faces = {
+        face: np.asarray(Image.open(tmp_path / "out" / "faces" / "images" / face / "0001_p1.jpg"), float)
+        for face in FACES
+    }
+    front = faces["front"]
+    for edge, other in (
+        (front[:, -1], faces["right"][:, 0]), (front[:, 0], faces["left"][:, -1]),
+        (front[0], faces["up"][-1]), (front[-1], faces["down"][0]), (faces["right"][:, -1], faces["back"][:, 0]),
+    ):  # fmt: skip
+        assert np.abs(edge - other).mean() < 0.3 * np.abs(edge - other[::-1]).mean()
+
+
 def test_colmaps_text_puts_the_pixels_of_panoramas_on_the_wall(tmp_path: Path) -> None:
     exported(tmp_path, "out", format="colmap")
     folder = tmp_path / "out" / "panoramas"
@@ -82,6 +99,7 @@ def test_colmaps_text_puts_the_pixels_of_panoramas_on_the_wall(tmp_path: Path) -
         assert (folder / "images" / name).is_file()
     points = np.array(lines_of(folder / "sparse" / "0" / "points3D.txt"), float)
     assert off_wall(points[:, 1:4]).max() < 1e-3
+    assert np.abs(points[:, 4:7] - wall_colour(points[:, 1:4] @ OPENCV)).mean() < 10
     assert np.array_equal(points[:, 0], np.arange(1, len(points) + 1))
 
 
@@ -136,15 +154,13 @@ def test_nerfstudios_rays_end_on_the_wall(tmp_path: Path) -> None:
         picture = np.asarray(Image.open(folder / frame["file_path"]), float) / 255
         assert np.abs(picture - hall_image(pose)).mean() < 0.01
         assert np.asarray(Image.open(folder / frame["mask_path"])).min() == 255
-    trimesh = pytest.importorskip("trimesh")
-    assert off_wall(trimesh.load(folder / document["ply_file_path"]).vertices).max() < 1e-4
+    cloud = trimesh.load(folder / document["ply_file_path"])
+    assert off_wall(cloud.vertices).max() < 1e-4
+    # colours are those of a picture of 16 rows
+    assert np.abs(cloud.colors[:, :3] - wall_colour(cloud.vertices @ Z_UP.T)).mean() < 10
 
 
 def test_what_is_unknown_or_too_far_for_millimetres_is_zero(tmp_path: Path) -> None:
-    from export_samples import job_in
-
-    from omnisyn_cli.interpolation.export import plan_export, run_export
-    from omnisyn_cli.io import write_depth
 
     usable = np.full((*SIZE, 3), 255, np.uint8)
     usable[50:] = 0

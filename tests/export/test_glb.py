@@ -106,9 +106,12 @@ def signed_solid_angles(mesh: TexturedMesh) -> np.ndarray:
     return 2 * np.arctan2(triple, 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1))
 
 
-def test_edges_meet_edges_but_where_the_surface_is_cut() -> None:
-    """Every edge that is not on a cut has the same two ends in both triangles, however large they are."""
+@pytest.mark.parametrize("turn", [0, 4, 40])
+def test_edges_meet_edges_whatever_their_lengths(turn: int) -> None:
+    """Every edge has the same two ends in both triangles; small triangles lie beside large ones, at the seam too."""
     rho = (0.25 + 0.02 * np.abs(np.sin(np.arange(64) / 9.0))[None, :] * np.ones((32, 1))).astype(np.float32)
+    rho[4:28, 50:60] += np.float32(0.01) * np.random.default_rng(0).random((24, 10), np.float32)
+    rho = np.roll(rho, turn, axis=1)
     found = textured_mesh(build_mesh(rho, Cut(None)), 32)
     places = np.round(found.position, 4)  # caps are made in float32
     _, same = np.unique(places, axis=0, return_inverse=True)

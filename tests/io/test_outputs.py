@@ -46,6 +46,27 @@ def test_strangers_in_the_folder_stay(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a", "c"]
 
 
+def test_folders_in_it_are_made_or_added_to(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "mine").write_text("mine")
+    for text in ("first", "second"):
+        with staged_folder(tmp_path) as staged:
+            for folder in ("old", "new"):
+                (staged / folder / "deep").mkdir(parents=True)
+                (staged / folder / "deep" / "a").write_text(text)
+    files = {str(file.relative_to(tmp_path)): file.read_text() for file in tmp_path.rglob("*") if file.is_file()}
+    assert files == {"old/mine": "mine", "old/deep/a": "second", "new/deep/a": "second"}
+
+    def write_again() -> None:
+        with staged_folder(tmp_path, overwrite=False) as staged:
+            (staged / "new" / "deep").mkdir(parents=True)
+            (staged / "new" / "deep" / "a").write_text("third")
+
+    with pytest.raises(OutputPathError, match=r"deep/a: expected a new file"):
+        write_again()
+    assert (tmp_path / "new" / "deep" / "a").read_text() == "second"
+
+
 def test_a_folder_that_cannot_be_filled_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     check_staged_folder(tmp_path / "new")

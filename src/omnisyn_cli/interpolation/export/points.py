@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
+from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_tables, normalize, pixel_directions, pixel_scale, pixel_to_direction
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import BOTTOM, LEFT, TOP
@@ -80,8 +81,7 @@ def points_of(
     kept = (rho > 0) & (rho * farthest > 1)
     row, col, rho = row[kept], col[kept], rho[kept].astype(np.float64)
     direction = pixel_to_direction(row, col, mesh.size)
-    small = cv2.resize(picture, (max(width // stride, 1), max(height // stride, 1)), interpolation=cv2.INTER_AREA)
-    colour = small[row * len(small) // height, col * small.shape[1] // width]
+    colour = _colours(picture, direction, max(height // stride, 1))
     normal = _normals(mesh)[row, col]
     turn, cosine = _facing(direction, normal)
     across = DISC * stride / pixel_scale(mesh.size)[0] / rho
@@ -90,6 +90,15 @@ def points_of(
         pose.transform(direction / rho[:, None]), colour, confidence[row, col], normal @ pose.rotation.T, radius,
         quaternion_from_rotation(pose.rotation @ turn),
     )  # fmt: skip
+
+
+def _colours(
+    picture: UInt8[np.ndarray, "rows cols 3"], direction: Float[np.ndarray, "points 3"], rows: int
+) -> UInt8[np.ndarray, "points 3"]:
+    """What a panorama shows in some directions once it is reduced to so many rows, if it has more."""
+    if len(picture) > rows:
+        picture = np.asarray(cv2.resize(picture, (2 * rows, rows), interpolation=cv2.INTER_AREA))
+    return np.asarray(np.rint(sample_bilinear(picture.astype(np.float32), direction)), np.uint8)
 
 
 def _places(height: int, width: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
