@@ -17,8 +17,11 @@ from omnisyn_cli.render.quads import BOTTOM, LEFT, TOP
 
 __all__ = ["Points", "joined", "ply_points", "ply_splats", "points_of"]
 
-DISC = 0.6
-"""Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 94 %."""
+DISC = 0.55
+"""Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %.
+
+Half way through a warehouse 0.5 and 0.55 are best (24.6 dB, 0.6 has 24.1), and 0.5 lets twice as much through.
+"""
 
 THICKNESS = 0.01
 """Of a disc, in its radius."""
