@@ -93,19 +93,25 @@ class ExposureCurve:
         Rising from 0 to at most 1: what would be brighter than white is white. At the picture's own end of the way it
         is the identity.
         """
-        stored = np.linspace(0.0, 1.0, TABLE)
-        if t == float(of_second) or self.is_identity:
+        stored, share = np.linspace(0.0, 1.0, TABLE), t - float(of_second)
+        if share == 0.0 or self.is_identity:
             return np.tile(stored, (3, 1)).astype(np.float32)
-        stops = np.log2(np.maximum(linear_from_stored(stored), 1e-9))
-        tables = [self._moved(stops, gain, t, 0.5 if of_second else -0.5) for gain in self.gain]
-        moved = np.stack([np.where(stored > 0.0, stored_from_linear(np.exp2(y)), 0.0) for y in tables])
-        return np.asarray(np.minimum(moved, 1.0), np.float32)
+        moved = _stops(stored) + share * self.gains_of(stored, of_second=of_second)
+        table = np.where(stored > 0.0, stored_from_linear(np.exp2(moved)), 0.0)
+        return np.asarray(np.minimum(table, 1.0), np.float32)
 
-    def _moved(self, stops: np.ndarray, gain: np.ndarray, t: float, own: float) -> np.ndarray:
-        """Stops at ``t`` of what the picture ``own`` (−½ first, ½ second) shows at ``stops``."""
+    def gains_of(
+        self, stored: Float[np.ndarray, " values"], *, of_second: bool
+    ) -> Float[np.ndarray, "3 values"]:
+        """Stops between what the first and what the second picture show where one of them shows these values."""
         level = np.concatenate([[KNOTS[0] - 60.0], KNOTS, [KNOTS[-1] + 60.0]])
-        change = np.concatenate([gain[:1], gain, gain[-1:]])
-        return np.asarray(stops + (t - 0.5 - own) * np.interp(stops, level + own * change, change))
+        changes = np.concatenate([self.gain[:, :1], self.gain, self.gain[:, -1:]], axis=1)
+        own = 0.5 if of_second else -0.5
+        return np.stack([np.interp(_stops(stored), level + own * change, change) for change in changes])
+
+
+def _stops(stored: np.ndarray) -> np.ndarray:
+    return np.asarray(np.log2(np.maximum(linear_from_stored(stored), 1e-9)))
 
 
 def estimate_curve(

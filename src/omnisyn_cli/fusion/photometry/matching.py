@@ -13,7 +13,7 @@ from omnisyn_cli.fusion.photometry.curve import ExposureCurve, linear_from_store
 from omnisyn_cli.fusion.photometry.kernels import expose_rows
 from omnisyn_cli.types import Rendering
 
-__all__ = ["CLIPPING", "ExposureMatcher", "loss_of_white"]
+__all__ = ["CLIPPING", "MOST_LOSS", "ExposureMatcher", "loss_of_white"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

@@ -1,0 +1,151 @@
+"""What a walk consists of: panoramas, pairs of neighbours with their surfaces, and the program's rules as numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from omnisyn_cli.fusion.confidence import LEAST_SCORE
+from omnisyn_cli.fusion.photometry import ExposureCurve
+from omnisyn_cli.fusion.photometry.matching import CLIPPING, MOST_LOSS
+from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendOptions
+from omnisyn_cli.interpolation.plan import TourPlan
+from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
+from omnisyn_cli.interpolation.walk.packing import (
+    Blocks,
+    inverse_depth_codes,
+    packed_mask,
+    packed_photograph,
+    trust_codes,
+)
+from omnisyn_cli.render.mesh import Mesh
+from omnisyn_cli.render.quads import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
+from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
+from omnisyn_cli.types import BELIEF, UNSEEN
+
+__all__ = ["RULES", "Walk", "WalkOptions", "WalkPacker"]
+
+STORED_LEVELS = np.linspace(0.0, 1.0, 256)
+
+RULES: Mapping[str, float] = {
+    "UNSEEN": float(UNSEEN),
+    "BELIEF": BELIEF,
+    "DISAGREEMENT": BlendOptions.disagreement,
+    "HIDDEN": BlendOptions.hidden,
+    "ENDS": BlendOptions.ends,
+    "FAR_PREFERENCE": FAR_PREFERENCE,
+    "FINER": float(FINER),
+    "SPECIAL": float(SPECIAL),
+    "CLIPPING": float(CLIPPING),
+    "MOST_LOSS": MOST_LOSS,
+    "PI": math.pi,
+    "NEAR": 0.02,
+}
+"""Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
+
+
+@dataclass(frozen=True)
+class WalkOptions:
+    """How a walk is packed.
+
+    Attributes:
+        texture: columns that photographs have at most.
+        is_lossless: whether photographs are kept as PNG, several times as large, instead of JPEG.
+    """
+
+    texture: int = 4096
+    is_lossless: bool = False
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk that has been packed.
+
+    Attributes:
+        title: of the page.
+        manifest: plain values, see ``docs/view.md``; they name blocks by number.
+        blocks: bytes.
+    """
+
+    title: str
+    manifest: dict[str, Any]
+    blocks: Blocks
+
+
+class WalkPacker:
+    """Packs pairs of a tour as they come.
+
+    Args:
+        plan: of the tour.
+        options: how it is packed.
+    """
+
+    def __init__(self, plan: TourPlan, options: WalkOptions) -> None:
+        self._plan, self._options, self.blocks = plan, options, Blocks()
+        self._panoramas: list[dict[str, Any]] = []
+        self._pairs: list[dict[str, Any]] = []
+
+    def add(self, pair: PairSurfaces) -> None:
+        """The next pair, in order."""
+        for surface in pair.surfaces:
+            if surface.index == len(self._panoramas):
+                self._panoramas.append(self._panorama(surface))
+        is_doubtful = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < LEAST_SCORE
+        surfaces = [self._surface(surface.mesh) for surface in pair.surfaces]
+        self._pairs.append(
+            {"isCrossFade": is_doubtful, "exposure": _gains(pair.check.curve), "surfaces": surfaces}
+        )
+
+    def packed(self) -> Walk:
+        """All of it."""
+        names = [image.stem for image in self._plan.job.images]
+        tables = np.concatenate([QUARTER_INVERSE_DEPTHS.reshape(16, -1), QUARTER_DIRECTIONS.reshape(1, -1)])
+        manifest = {"panoramas": self._panoramas, "pairs": self._pairs, "tables": tables.ravel().tolist(), "files": None}
+        return Walk(" – ".join([names[0], *names[-1:]]), manifest, self.blocks)
+
+    def _panorama(self, surface: PanoramaSurface) -> dict[str, Any]:
+        view, width = surface.view, self._options.texture
+        content, kind = packed_photograph(surface.texture(), width, is_lossless=self._options.is_lossless)
+        mask = None
+        if view.mask is not None and not view.mask.all():
+            mask = self.blocks.add_map(packed_mask(view.mask, width))
+        return {
+            "name": self._plan.job.images[surface.index].name,
+            "position": view.pose.position.tolist(),
+            "rotation": view.pose.rotation.ravel().tolist(),
+            "photo": {"block": self.blocks.add(content), **kind},
+            "mask": mask,
+        }
+
+    def _surface(self, mesh: Mesh) -> dict[str, Any]:
+        codes, peak = inverse_depth_codes(mesh.inverse_depth)
+        trust = trust_codes(mesh)
+        return {
+            "rows": mesh.size[0],
+            "cols": mesh.size[1],
+            "peak": peak,
+            "poles": _poles(mesh),
+            "inverseDepth": self.blocks.add_map(codes),
+            "quads": self.blocks.add_map(mesh.quads),
+            "trust": None if trust is None else self.blocks.add_map(trust),
+        }
+
+
+def _poles(mesh: Mesh) -> list[float | None]:
+    """Inverse depth at either pole; None where the ring around it is cut."""
+    caps = mesh.piece_inverse_depths(mesh.inverse_depth)[-2 * mesh.size[1] :, 0].reshape(2, -1)
+    cuts = [(mesh.quads[row] & edge).any() for row, edge in ((0, TOP), (-1, BOTTOM))]
+    return [None if is_cut else float(cap[0]) for is_cut, cap in zip(cuts, caps, strict=True)]
+
+
+def _gains(curve: ExposureCurve) -> list[list[float]] | None:
+    """Stops of 256 levels of red, green and blue, of both pictures of a pair; None where both are exposed alike."""
+    if curve.is_identity:
+        return None
+    return [
+        np.round(curve.gains_of(STORED_LEVELS, of_second=of_second).T, 4).ravel().tolist() for of_second in (False, True)
+    ]

@@ -1,0 +1,136 @@
+// Pointers, wheel, keys and sensors move a walker.
+
+const KEYS = {
+  ArrowUp: [0, 0, 1], KeyW: [0, 0, 1], ArrowDown: [0, 0, -1], KeyS: [0, 0, -1],
+  KeyA: [-1, 0, 0], KeyD: [1, 0, 0], PageUp: [0, 1, 0], KeyE: [0, 1, 0], PageDown: [0, -1, 0], KeyQ: [0, -1, 0],
+};
+const TURNS = { ArrowLeft: -1, ArrowRight: 1 };
+const TURNING = 1.2; // radians a second
+
+class Controls {
+  constructor(element, walker, onChange, onTap) {
+    Object.assign(this, { element, walker, onChange, onTap });
+    this.pointers = new Map();
+    this.held = new Set();
+    element.addEventListener('pointerdown', (event) => this.press(event));
+    element.addEventListener('pointermove', (event) => this.move(event));
+    for (const kind of ['pointerup', 'pointercancel']) element.addEventListener(kind, (event) => this.release(event));
+    element.addEventListener('wheel', (event) => this.wheel(event), { passive: false });
+    element.addEventListener('contextmenu', (event) => event.preventDefault());
+    window.addEventListener('keydown', (event) => this.key(event, true));
+    window.addEventListener('keyup', (event) => this.key(event, false));
+    window.addEventListener('blur', () => this.held.clear());
+  }
+
+  get radiansPerPixel() {
+    return this.walker.fov / this.element.clientHeight;
+  }
+
+  press(event) {
+    this.element.setPointerCapture?.(event.pointerId);
+    this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    this.travelled = this.pointers.size > 1 ? Infinity : 0;
+  }
+
+  move(event) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) return;
+    const now = { x: event.clientX, y: event.clientY };
+    const others = [...this.pointers.entries()].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
+    const [dx, dy] = [now.x - before.x, now.y - before.y];
+    this.travelled += Math.hypot(dx, dy);
+    this.pointers.set(event.pointerId, now);
+    if (others.length === 0 && !(event.buttons & 2)) {
+      this.walker.turn(-dx * this.radiansPerPixel, this.walker.attitude ? 0 : dy * this.radiansPerPixel);
+    } else {
+      if (others.length === 1) {
+        const gap = (at) => Math.hypot(at.x - others[0].x, at.y - others[0].y);
+        this.walker.zoom(clamp(gap(before) / Math.max(gap(now), 1), 0.5, 2));
+      }
+      const metres = this.walker.reach / this.element.clientHeight; // two fingers or the right button: beside the way
+      this.walker.step(-dx * metres, dy * metres, 0);
+    }
+    this.onChange();
+  }
+
+  release(event) {
+    const at = this.pointers.get(event.pointerId);
+    this.pointers.delete(event.pointerId);
+    if (event.type === 'pointerup' && at && this.travelled < 6) this.onTap(at.x, at.y);
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    const lines = event.deltaMode === 1 ? 16 : 1;
+    if (event.ctrlKey) this.walker.zoom(Math.exp(0.01 * event.deltaY * lines)); // a pinch on a touch pad
+    else this.walker.walk(-this.walker.sense * 0.002 * event.deltaY * lines);
+    this.interrupt();
+  }
+
+  key(event, isDown) {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLInputElement) return;
+    if (!(event.code in KEYS) && !(event.code in TURNS)) return;
+    event.preventDefault();
+    this.held[isDown ? 'add' : 'delete'](event.code);
+    if (isDown) this.interrupt();
+  }
+
+  interrupt() {
+    Object.assign(this.walker, { isPlaying: false, goal: null });
+    this.onChange();
+  }
+
+  // Whether keys that are held moved anything in so many seconds.
+  advance(seconds) {
+    for (const code of this.held) {
+      if (code in TURNS) this.walker.turn(TURNS[code] * TURNING * seconds, 0);
+      else this.walker.step(...KEYS[code].map((part) => part * SPEED * seconds));
+    }
+    return this.held.size > 0;
+  }
+}
+
+// Turns a walker's look with the device. Browsers give orientations to pages from secure places only.
+class Gyroscope {
+  constructor(walker, onChange) {
+    Object.assign(this, { walker, onChange, isOn: false });
+    this.listen = (event) => this.turned(event);
+  }
+
+  static get isThere() {
+    return window.isSecureContext && 'DeviceOrientationEvent' in window && navigator.maxTouchPoints > 0;
+  }
+
+  async toggle() {
+    if (!this.isOn && DeviceOrientationEvent.requestPermission) {
+      if (await DeviceOrientationEvent.requestPermission() !== 'granted') return this.isOn;
+    }
+    this.isOn = !this.isOn;
+    window[this.isOn ? 'addEventListener' : 'removeEventListener']('deviceorientation', this.listen);
+    if (!this.isOn) this.stop();
+    return this.isOn;
+  }
+
+  stop() {
+    const look = lookOfDirection(rotated(this.walker.rotation, [0, 0, -1]));
+    Object.assign(this.walker, { ...look, attitude: null });
+  }
+
+  turned({ alpha, beta, gamma }) {
+    if (alpha === null) return;
+    const attitude = attitudeOfDevice(alpha, beta, gamma, screen.orientation?.angle ?? 0);
+    if (!this.walker.attitude) this.walker.yaw -= lookOfDirection(rotated(attitude, [0, 0, -1])).yaw; // heading is kept
+    this.walker.attitude = attitude;
+    this.onChange();
+  }
+}
+
+// The W3C's angles (z-x'-y'', degrees; z up) of a device whose screen is turned, as a rotation with y up.
+function attitudeOfDevice(alpha, beta, gamma, screenAngle) {
+  const [z, x, y, s] = [alpha, beta, gamma, -screenAngle].map((angle) => angle * Math.PI / 180);
+  const aboutZ = (a) => [Math.cos(a), -Math.sin(a), 0, Math.sin(a), Math.cos(a), 0, 0, 0, 1];
+  const aboutX = (a) => [1, 0, 0, 0, Math.cos(a), -Math.sin(a), 0, Math.sin(a), Math.cos(a)];
+  const aboutY = (a) => [Math.cos(a), 0, Math.sin(a), 0, 1, 0, -Math.sin(a), 0, Math.cos(a)];
+  const device = product(product(aboutZ(z), aboutX(x)), aboutY(y));
+  return product(product([1, 0, 0, 0, 0, 1, 0, -1, 0], device), aboutZ(s));
+}
