@@ -15,7 +15,7 @@ from omnisyn_cli.io.documents import place_of, sentence
 
 __all__ = ["OUTPUTS", "PLACES", "Line", "check_options", "explained"]
 
-OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence")
+OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
 """What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
 
 PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
@@ -50,6 +50,7 @@ class _Places(BaseModel):
     save_depth: Name | None = None
     save_frames: Name | None = None
     save_confidence: Name | None = None
+    view: Name | None = None
 
 
 CONSTRAINED: Mapping[str, Any] = {

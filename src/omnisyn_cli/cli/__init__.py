@@ -28,6 +28,7 @@ __all__ = ["cli", "main"]
 COMMANDS = {
     "interpolate": ("omnisyn_cli.cli.interpolate", "Make the 360° video between two or more posed panoramas."),
     "export": ("omnisyn_cli.cli.export", "Write panoramas and their depth for other programs: GLB, PLY, COLMAP."),
+    "view": ("omnisyn_cli.cli.view", "Make a page to walk through panoramas in a browser."),
     "batch": ("omnisyn_cli.cli.batch", "Make the videos of all pairs in a manifest, on one machine or a Ray cluster."),
     "info": ("omnisyn_cli.cli.info", "Show what the program sees in panoramas, depth, pose files and videos."),
     "train": ("omnisyn_cli.cli.train", "Train the networks on scenes that the program makes."),

@@ -19,6 +19,7 @@ from omnisyn_cli.cli.options import (
     poses_options,
     preset_option,
     print_json,
+    print_plan,
     quiet_option,
     size_options,
     threads_option,
@@ -104,7 +105,7 @@ def export(
         for note in plan.notes:
             click.echo(f"note: {note}", err=True)
     if dry_run:
-        _print(plan.describe(), as_json=as_json)
+        print_plan(plan.describe(), as_json=as_json)
         return
     check_device(plan.tour.recipe)
     context.with_resource(say_when_compiling(is_quiet=quiet))
@@ -118,16 +119,6 @@ def export(
         print_json(summary.describe())
     elif not quiet:
         click.echo(_said(summary))
-
-
-def _print(values: dict[str, Any], *, as_json: bool) -> None:
-    if as_json:
-        print_json(values)
-        return
-    for key, value in values.items():
-        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-        if key != "notes" and shown != "":
-            click.echo(f"{key.replace('_', ' '):>18}: {shown}")
 
 
 def _said(summary: ExportSummary) -> str:

@@ -18,6 +18,7 @@ from omnisyn_cli.cli.options import (
     poses_options,
     preset_option,
     print_json,
+    print_plan,
     quiet_option,
     size_options,
     threads_option,
@@ -27,7 +28,6 @@ from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
 from omnisyn_cli.synthesis.recipe import FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
 
 if TYPE_CHECKING:
-    from omnisyn_cli.interpolation.plan import InterpolationPlan
     from omnisyn_cli.interpolation.summary import Summary
 
 __all__ = ["interpolate"]
@@ -108,6 +108,12 @@ __all__ = ["interpolate"]
     type=FramePlace(),
     help="Keep the frames as images besides the video: PNG, or a pattern such as DIR/%05d.jpg.",
 )
+@click.option(
+    "--view",
+    metavar="FILE",
+    type=FilePath(),
+    help="Make a page to walk through as well (.html), see `omnisyn view`.",
+)
 @device_option(
     "Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer mesh, "
     "fusion geometric). Poses and matching are found on the processor."
@@ -159,7 +165,7 @@ def interpolate(
         for note in plan.notes:
             click.echo(f"note: {note}", err=True)
     if dry_run:
-        _print_plan(plan, as_json=as_json)
+        print_plan(plan.describe(), as_json=as_json)
         return
     from omnisyn_cli.interpolation.run import run_interpolation  # the kernels, which a plan does without
 
@@ -179,18 +185,6 @@ def _check_budget_decides(method: str) -> None:
         raise click.UsageError("expected --preset or --budget, which chooses one, got both; leave one of them out")
     if method != OMNISYN:
         raise click.UsageError(f"expected --budget only with --method {OMNISYN}, got {method}; leave one of them out")
-
-
-def _print_plan(plan: InterpolationPlan, *, as_json: bool) -> None:
-    values = plan.describe()
-    if as_json:
-        print_json(values)
-        return
-    del values["notes"]  # said before, a line each
-    for key, value in values.items():
-        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-        if shown != "":
-            click.echo(f"{key.replace('_', ' '):>18}: {shown}")
 
 
 def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: bool) -> None:

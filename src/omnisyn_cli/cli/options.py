@@ -24,6 +24,7 @@ __all__ = [
     "poses_options",
     "preset_option",
     "print_json",
+    "print_plan",
     "quiet_option",
     "report_option",
     "size_options",
@@ -135,3 +136,14 @@ def print_json(values: Any) -> None:
     import json
 
     click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def print_plan(values: dict[str, Any], *, as_json: bool) -> None:
+    """Print a plan, as JSON or a line for each of its values that says something; notes have been said before."""
+    if as_json:
+        print_json(values)
+        return
+    for key, value in values.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+        if key != "notes" and shown != "":
+            click.echo(f"{key.replace('_', ' '):>18}: {shown}")

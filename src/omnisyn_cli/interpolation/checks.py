@@ -141,12 +141,22 @@ def check_outputs(job: InterpolationJob, size: tuple[int, int]) -> None:
         check_video(place, size=size, overwrite=job.overwrite, **encoding)
     if job.save_confidence is not None:
         check_video(job.save_confidence, size=size, fps=job.fps, overwrite=job.overwrite)
-    _check_distinct(path for path in (job.output, job.save_frames, job.save_confidence) if path is not None)
+    if job.view is not None:
+        check_page(job.view, job.overwrite)
+    places = (job.output, job.save_frames, job.save_confidence, job.view)
+    _check_distinct(path for path in places if path is not None)
     if job.save_depth is not None:
         check_staged_folder(job.save_depth)
         for file in depth_files(job):
             if file.exists():
                 check_output(file, job.overwrite)
+
+
+def check_page(path: Path, overwrite: bool) -> None:
+    """Refuse (OutputPathError) a place that no page can be written to."""
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OutputPathError(f"{path}: expected a name ending in .html, got '{path.suffix}'; change it")
+    check_output(path, overwrite)
 
 
 def _check_distinct(targets: Iterable[Path]) -> None:
@@ -169,8 +179,7 @@ def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]
         OutputPathError: one would.
     """
     outputs = [job.output, *depth_files(job)]
-    if job.save_confidence is not None:
-        outputs.append(job.save_confidence)
+    outputs += [path for path in (job.save_confidence, job.view) if path is not None]
     for place in (job.output, job.save_frames, job.save_confidence):
         if place is not None and is_sequence(place):
             outputs.extend(image_sequence(place).existing())

@@ -88,6 +88,7 @@ class InterpolationJob:
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
         adaptive: draw flat surfaces with fewer triangles.
+        view: page to walk through besides the video, made of the same depth; None makes none.
     """
 
     images: tuple[Path, ...]
@@ -125,6 +126,7 @@ class InterpolationJob:
     baseline: Positive | None = None
     refine: bool = False
     adaptive: bool = False
+    view: Path | None = None
 
 
 def targets(job: InterpolationJob) -> dict[Path, dict[str, Any]]:

@@ -7,20 +7,23 @@ from collections.abc import Callable
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
-from omnisyn_cli.fusion.photometry import equalized
 from omnisyn_cli.interpolation.job import is_rounded, sample_types
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.saving import KeepDepth, confidence_sink, depth_keeper, frame_sinks, samples_of
 from omnisyn_cli.interpolation.summary import Summary, warning_about
+from omnisyn_cli.interpolation.surfaces import pair_surfaces
+from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
+from omnisyn_cli.interpolation.walk.page import write_page
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.io.background import FrameRing, frames_in_queue
 from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.making import make_method
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
-from omnisyn_cli.synthesis.segments import Stopwatch
-from omnisyn_cli.types import DepthEstimator
+from omnisyn_cli.synthesis.segments import Stopwatch, measure_pair
+from omnisyn_cli.types import DepthEstimate, DepthEstimator
 
 __all__ = ["run_interpolation"]
 
@@ -56,7 +59,7 @@ def run_interpolation(
             confidence_sink(plan) as keep_confidence,
             frame_sinks(plan) as sinks,  # finished first: if that fails, nothing else is kept either
         ):
-            keeper = _PairKeeper(plan, loader, keep_depth)
+            keeper = _PairKeeper(plan, loader, keep_depth, clock)
             rounds_early = is_rounded(plan.job) and isinstance(method, SurfaceMethod)
             ring = FrameRing(plan.size, frames_in_queue(plan.size)) if rounds_early else None
             frames = synthesize(loader, plan.path, method, ring, keeper)
@@ -69,18 +72,20 @@ def run_interpolation(
                 if on_frame:
                     on_frame(done)
             if isinstance(method, SurfaceMethod):
-                keeper.add_pairs_without_frames(method.estimator)
+                keeper.add_pairs_without_frames(method)
             with clock("encode"):
                 for sink in sinks:
                     sink.finish()
+    keeper.write_walk()
     return Summary(plan, {**clock.seconds, "total": time.perf_counter() - begin}, keeper.pairs, keeper.triangles)
 
 
 class _PairKeeper:
-    """Keeps what there is to know about each pair: its depth as files, how far it can be relied on for the summary."""
+    """Keeps what there is to know about each pair: its depth as files, a walk, its confidence for the summary."""
 
-    def __init__(self, plan: InterpolationPlan, loader: Loader, keep_depth: KeepDepth) -> None:
-        self._plan, self._loader, self._keep_depth = plan, loader, keep_depth
+    def __init__(self, plan: InterpolationPlan, loader: Loader, keep_depth: KeepDepth, clock: Stopwatch) -> None:
+        self._plan, self._loader, self._keep_depth, self._clock = plan, loader, keep_depth, clock
+        self._packer = None if plan.job.view is None else WalkPacker(plan, WalkOptions())
         self.pairs: dict[int, PairConfidence] = {}
         self.triangles: dict[int, tuple[int, int]] = {}
 
@@ -93,13 +98,27 @@ class _PairKeeper:
             self.triangles[index] = pair.segment.triangles
         if self._plan.recipe.fallback == "fail" and confidence.score < LEAST_SCORE:
             raise InputError(warning_about(self._plan, index, confidence))
-        self._keep_depth(index, pair.depths)
+        self._keep(index, pair.depths, pair.segment.check)
         for view in (index, index + 1):
             self._loader.forget_numbers(view)
 
-    def add_pairs_without_frames(self, estimator: DepthEstimator) -> None:
+    def add_pairs_without_frames(self, method: SurfaceMethod) -> None:
         """Keep the depth of neighbours that no frame lay between, if depth is kept."""
-        if self._plan.job.save_depth is not None:
-            for index in sorted(set(range(len(self._loader) - 1)) - self.pairs.keys()):
-                first, second = self._loader[index], self._loader[index + 1]
-                self._keep_depth(index, estimator(*equalized(first, second, self._plan.job.threads)))
+        if self._plan.job.save_depth is None and self._packer is None:
+            return
+        for index in sorted(set(range(len(self._loader) - 1)) - self.pairs.keys()):
+            views = self._loader[index], self._loader[index + 1]
+            self._keep(index, *measure_pair(*views, method.estimator, method.options, self._clock))
+
+    def _keep(self, index: int, depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck) -> None:
+        self._keep_depth(index, depths)
+        if self._packer is not None:
+            with self._clock("walk"):
+                views = self._loader[index], self._loader[index + 1]
+                self._packer.add(pair_surfaces(self._plan, index, views, depths, check))
+
+    def write_walk(self) -> None:
+        """The page, if one is asked for."""
+        if self._packer is not None and self._plan.job.view is not None:
+            with self._clock("walk"):
+                write_page(self._plan.job.view, self._packer.packed())

@@ -11,7 +11,7 @@ from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.synthesis.recipe import OMNISYN
 
-__all__ = ["Summary", "warning_about"]
+__all__ = ["Summary", "warning_about", "warnings_about"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Summary:
 
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
-        return [warning_about(self.plan, index, pair) for index, pair in self.pairs.items() if pair.score < LEAST_SCORE]
+        return warnings_about(self.plan, self.pairs)
 
     def _confidence(self) -> dict[str, Any] | None:
         """The clip's score is that of its worst pair; its shares are the means. None: nobody knows."""
@@ -57,9 +57,15 @@ class Summary:
         }
 
 
-def warning_about(
-    plan: TourPlan, index: int, pair: PairConfidence, advice: str = "show a cross-fade there (--fallback crossfade)"
-) -> str:
+FADE = "show a cross-fade there (--fallback crossfade)"
+
+
+def warnings_about(plan: TourPlan, pairs: Mapping[int, PairConfidence], advice: str = FADE) -> list[str]:
+    """A line for every pair, by the index of its first panorama, that scores too low to be relied on."""
+    return [warning_about(plan, index, pair, advice) for index, pair in pairs.items() if pair.score < LEAST_SCORE]
+
+
+def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str = FADE) -> str:
     """What is wrong with a pair and what to do about it, in one line."""
     first, second = plan.job.images[index : index + 2]
     return (

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, pairwise
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -26,7 +27,7 @@ from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions, measure_pair, usable_image
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-__all__ = ["PairSurfaces", "PanoramaSurface", "panorama_surfaces", "tour_surfaces"]
+__all__ = ["PairSurfaces", "PanoramaSurface", "pair_surfaces", "panorama_surfaces", "tour_surfaces"]
 
 SAME_PLACE = 0.05
 """Relative difference of inverse depth up to which two estimates of one panorama are averaged."""
@@ -51,6 +52,15 @@ class PanoramaSurface:
     def texture(self) -> Float[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]:
         """The photograph, with masked pixels painted over from around them: samples of 8 bits, or RGB in [0, 1]."""
         return usable_image(self.view, SynthesisOptions(self.mesh.size))
+
+    def samples(self, columns: int | None = None) -> UInt8[np.ndarray, "rows cols 3"]:
+        """That in 8 bits, at most so many columns wide."""
+        picture = self.texture()
+        if picture.dtype != np.uint8:
+            picture = np.rint(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8)
+        if columns is None or picture.shape[1] <= columns:
+            return picture
+        return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
 
 
 @dataclass(frozen=True)
@@ -87,20 +97,33 @@ def tour_surfaces(
         InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
     """
     clock, recipe, threads = clock or Stopwatch(), plan.recipe, plan.job.threads
-    cut = Cut(recipe.cut, recipe.cut_metres)
     loader = Loader(plan, clock, read)
     estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
     for first, second in pairwise(range(len(loader))):
         with limited_threads(threads):
             views = loader[first], loader[second]
-            options = SynthesisOptions(min(view.image.shape[:2] for view in views), cut=cut, threads=threads)
-            depths, check = measure_pair(*views, estimator, options, clock)
+            size, cut = min(view.image.shape[:2] for view in views), Cut(recipe.cut, recipe.cut_metres)
+            depths, check = measure_pair(*views, estimator, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
-                both = [
-                    _meshed(index, view, depth, cut)
-                    for index, view, depth in zip((first, second), views, depths, strict=True)
-                ]
-        yield PairSurfaces(first, (both[0], both[1]), check)
+                pair = pair_surfaces(plan, first, views, depths, check)
+        yield pair
+
+
+def pair_surfaces(
+    plan: TourPlan, index: int, views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck
+) -> PairSurfaces:
+    """The surfaces of a pair whose depth is known.
+
+    Args:
+        plan: of the tour; only where its recipe cuts surfaces matters.
+        index: of the first view.
+        views: both.
+        depths: of both.
+        check: what they say of each other.
+    """
+    cut = Cut(plan.recipe.cut, plan.recipe.cut_metres)
+    first, second = (_meshed(index + k, views[k], depths[k], cut) for k in (0, 1))
+    return PairSurfaces(index, (first, second), check)
 
 
 def _meshed(index: int, view: View, depth: DepthEstimate, cut: Cut) -> PanoramaSurface:

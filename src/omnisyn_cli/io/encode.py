@@ -94,8 +94,8 @@ def _is_readable(path: Path) -> bool:
     return last is not None and not complaint
 
 
-def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"]) -> bytes:
-    """An image of 8 bits as JPEG, at quality 95.
+def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"], quality: int = JPEG_QUALITY) -> bytes:
+    """An image of 8 bits as JPEG, of a quality from 1 to 100.
 
     Raises:
         ValueError: it is larger than JPEG allows.
@@ -105,9 +105,8 @@ def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"]) -> bytes:
     import cv2
 
     in_bgr_order = samples[..., ::-1] if samples.ndim == 3 else samples
-    is_encoded, data = cv2.imencode(
-        ".jpg", np.ascontiguousarray(in_bgr_order), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    )
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    is_encoded, data = cv2.imencode(".jpg", np.ascontiguousarray(in_bgr_order), options)
     if not is_encoded:
         raise ValueError(f"expected an image that fits JPEG's 65535 pixels, got {samples.shape}")
     return bytes(data.tobytes())

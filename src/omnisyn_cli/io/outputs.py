@@ -12,6 +12,7 @@ from pathlib import Path
 from omnisyn_cli.errors import OutputPathError, WriteError
 
 __all__ = [
+    "check_empty_folder",
     "check_folder",
     "check_kept",
     "check_name",
@@ -133,6 +134,16 @@ def write_errors(path: Path) -> Iterator[None]:
 def check_staged_folder(folder: Path) -> None:
     """Refuse (OutputPathError) what :func:`staged_folder` could not fill, before any work; its parent has to exist."""
     check_folder(folder if folder.exists() else folder.parent)
+
+
+def check_empty_folder(folder: Path, overwrite: bool) -> None:
+    """Refuse (OutputPathError) what is no folder of its own for new files, unless others of their names may go."""
+    check_staged_folder(folder)
+    if not overwrite and folder.is_dir() and any(folder.iterdir()):
+        raise OutputPathError(
+            f"{folder}: expected a new or empty folder, got one with files in it; choose another, or let files of the "
+            "same names be replaced (--overwrite)"
+        )
 
 
 @contextmanager

@@ -100,9 +100,7 @@ class ExposureCurve:
         table = np.where(stored > 0.0, stored_from_linear(np.exp2(moved)), 0.0)
         return np.asarray(np.minimum(table, 1.0), np.float32)
 
-    def gains_of(
-        self, stored: Float[np.ndarray, " values"], *, of_second: bool
-    ) -> Float[np.ndarray, "3 values"]:
+    def gains_of(self, stored: Float[np.ndarray, " values"], *, of_second: bool) -> Float[np.ndarray, "3 values"]:
         """Stops between what the first and what the second picture show where one of them shows these values."""
         level = np.concatenate([[KNOTS[0] - 60.0], KNOTS, [KNOTS[-1] + 60.0]])
         changes = np.concatenate([self.gain[:, :1], self.gain, self.gain[:, -1:]], axis=1)

@@ -6,17 +6,14 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt
-from jaxtyping import UInt8
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
+from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import STILL, Pose
 from omnisyn_cli.interpolation.export.datasets import (
     DatasetView,
@@ -32,10 +29,10 @@ from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
-from omnisyn_cli.interpolation.summary import warning_about
+from omnisyn_cli.interpolation.summary import warnings_about
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
-from omnisyn_cli.io.outputs import check_kept, check_staged_folder, staged_folder
+from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
@@ -166,12 +163,7 @@ class ExportSummary:
 
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
-        advice = "name depth files in the poses"
-        return [
-            warning_about(self.plan.tour, index, pair, advice)
-            for index, pair in self.pairs.items()
-            if pair.score < LEAST_SCORE
-        ]
+        return warnings_about(self.plan.tour, self.pairs, "name depth files in the poses")
 
 
 def plan_export(job: ExportJob) -> ExportPlan:
@@ -186,7 +178,7 @@ def plan_export(job: ExportJob) -> ExportPlan:
     if chosen.suffix:
         check_output(output, job.tour.overwrite)
     else:
-        _check_folder(output, job.tour.overwrite)
+        check_empty_folder(output, job.tour.overwrite)
     tour = plan_tour(job.tour)
     companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
     check_kept([output], (*tour.job.images, *tour.job.masks, tour.job.poses, *companions), whole_folders=True)
@@ -210,15 +202,6 @@ def _format_of(job: ExportJob) -> str:
     if FORMATS[name].suffix not in ("", suffix):
         raise OutputPathError(f"{output}: expected a name ending in {FORMATS[name].suffix} for {name}; change it")
     return name
-
-
-def _check_folder(folder: Path, overwrite: bool) -> None:
-    check_staged_folder(folder)
-    if not overwrite and folder.is_dir() and any(folder.iterdir()):
-        raise OutputPathError(
-            f"{folder}: expected a new or empty folder, got one with files in it; choose another, or let files of the "
-            "same names be replaced (--overwrite)"
-        )
 
 
 def run_export(
@@ -259,7 +242,7 @@ def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: S
     model, triangles = GltfModel(f"omnisyn {__version__}"), 0
     for surface in surfaces:
         with clock("export"):
-            picture = _reduced(_samples(surface), plan.job.texture)
+            picture = surface.samples(plan.job.texture)
             radius = plan.job.dome * (1.0 + SHELLS * surface.index)
             whole = textured_mesh(_domed(plan, surface, radius), len(picture), plan.tour.job.threads)
             near, sky = whole.split(radius * ON_DOME)
@@ -298,7 +281,7 @@ def _write_dataset(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock:
         for surface in surfaces:
             with clock("export"):
                 name, pose = safe_name(surface.index, job.images[surface.index]), surface.view.pose
-                view = DatasetView(name, pose, _samples(surface), surface.mesh.inverse_depth, surface.view.mask)
+                view = DatasetView(name, pose, surface.samples(), surface.mesh.inverse_depth, surface.view.mask)
                 poses[name], sizes[name] = pose, view.size
                 parts.append(_points(plan, surface))
                 if is_colmap:
@@ -320,7 +303,7 @@ def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
     pose = foreign_from_pose(surface.view.pose, camera="opengl", up=FORMATS[plan.format].up)
     farthest = np.inf if plan.sky else ON_DOME * dome
     mesh = _domed(plan, surface, dome)
-    return points_of(mesh, surface.depth.confidence, _samples(surface), pose, plan.stride, farthest)
+    return points_of(mesh, surface.depth.confidence, surface.samples(), pose, plan.stride, farthest)
 
 
 def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
@@ -329,21 +312,6 @@ def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
     rho = np.maximum(depth.inverse_depth, np.float32(1.0 / radius))
     cut, mask = Cut(recipe.cut, recipe.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
     return build_mesh(rho, cut, mask, depth.confidence)
-
-
-def _samples(surface: PanoramaSurface) -> UInt8[np.ndarray, "height width 3"]:
-    """The photograph as 8 bits."""
-    texture = surface.texture()
-    if texture.dtype == np.uint8:
-        return texture
-    return np.asarray(np.rint(255.0 * np.clip(texture, 0.0, 1.0)), np.uint8)
-
-
-def _reduced(picture: UInt8[np.ndarray, "height width 3"], columns: int) -> UInt8[np.ndarray, "rows cols 3"]:
-    """A picture with at most so many columns."""
-    if picture.shape[1] <= columns:
-        return picture
-    return np.asarray(cv2.resize(picture, (columns, columns // 2), interpolation=cv2.INTER_AREA))
 
 
 def _nothing(plan: ExportPlan) -> str:

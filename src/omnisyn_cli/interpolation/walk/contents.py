@@ -77,7 +77,7 @@ class Walk:
 
 
 class WalkPacker:
-    """Packs pairs of a tour as they come.
+    """Packs the pairs of a tour.
 
     Args:
         plan: of the tour.
@@ -86,30 +86,31 @@ class WalkPacker:
 
     def __init__(self, plan: TourPlan, options: WalkOptions) -> None:
         self._plan, self._options, self.blocks = plan, options, Blocks()
-        self._panoramas: list[dict[str, Any]] = []
-        self._pairs: list[dict[str, Any]] = []
+        self._panoramas: dict[int, dict[str, Any]] = {}
+        self._pairs: dict[int, dict[str, Any]] = {}
 
     def add(self, pair: PairSurfaces) -> None:
-        """The next pair, in order."""
+        """One more pair; in the end all of them have to be there."""
         for surface in pair.surfaces:
-            if surface.index == len(self._panoramas):
-                self._panoramas.append(self._panorama(surface))
+            if surface.index not in self._panoramas:
+                self._panoramas[surface.index] = self._panorama(surface)
         is_doubtful = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < LEAST_SCORE
         surfaces = [self._surface(surface.mesh) for surface in pair.surfaces]
-        self._pairs.append(
-            {"isCrossFade": is_doubtful, "exposure": _gains(pair.check.curve), "surfaces": surfaces}
-        )
+        self._pairs[pair.index] = {
+            "isCrossFade": is_doubtful, "exposure": _gains(pair.check.curve), "surfaces": surfaces,
+        }  # fmt: skip
 
     def packed(self) -> Walk:
         """All of it."""
         names = [image.stem for image in self._plan.job.images]
         tables = np.concatenate([QUARTER_INVERSE_DEPTHS.reshape(16, -1), QUARTER_DIRECTIONS.reshape(1, -1)])
-        manifest = {"panoramas": self._panoramas, "pairs": self._pairs, "tables": tables.ravel().tolist(), "files": None}
-        return Walk(" – ".join([names[0], *names[-1:]]), manifest, self.blocks)
+        panoramas, pairs = ([found[k] for k in sorted(found)] for found in (self._panoramas, self._pairs))
+        manifest = {"panoramas": panoramas, "pairs": pairs, "tables": tables.ravel().tolist(), "files": None}
+        return Walk(f"{names[0]} – {names[-1]}", manifest, self.blocks)
 
     def _panorama(self, surface: PanoramaSurface) -> dict[str, Any]:
         view, width = surface.view, self._options.texture
-        content, kind = packed_photograph(surface.texture(), width, is_lossless=self._options.is_lossless)
+        content, kind = packed_photograph(surface.samples(width), is_lossless=self._options.is_lossless)
         mask = None
         if view.mask is not None and not view.mask.all():
             mask = self.blocks.add_map(packed_mask(view.mask, width))
@@ -146,6 +147,5 @@ def _gains(curve: ExposureCurve) -> list[list[float]] | None:
     """Stops of 256 levels of red, green and blue, of both pictures of a pair; None where both are exposed alike."""
     if curve.is_identity:
         return None
-    return [
-        np.round(curve.gains_of(STORED_LEVELS, of_second=of_second).T, 4).ravel().tolist() for of_second in (False, True)
-    ]
+    of_both = [curve.gains_of(STORED_LEVELS, of_second=of_second) for of_second in (False, True)]
+    return [np.round(gains.T, 4).ravel().tolist() for gains in of_both]

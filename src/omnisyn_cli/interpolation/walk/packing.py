@@ -7,17 +7,24 @@ choice, PNG 1.2, section 6.6), all low bytes before all high bytes, deflated; ``
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt8, UInt16
+from jaxtyping import Bool, Float, UInt8, UInt16
 
+from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import CUT_EDGES
 
-__all__ = ["NO_SURFACE", "Blocks", "inverse_depth_codes", "packed_map", "packed_mask", "packed_photograph", "trust_codes"]
+__all__ = [
+    "NO_SURFACE",
+    "Blocks",
+    "inverse_depth_codes",
+    "packed_map",
+    "packed_mask",
+    "packed_photograph",
+    "trust_codes",
+]
 
 NO_SURFACE = 65535
 """Code of a vertex without a surface; those of inverse depths are smaller."""
@@ -77,18 +84,20 @@ def trust_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols"] | 
 
 
 def packed_photograph(
-    image: Shaped[np.ndarray, "height width 3"], width: int, *, is_lossless: bool
+    samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool
 ) -> tuple[bytes, dict[str, Any]]:
-    """A photograph, at most so wide, as a file; and its kind and size."""
-    samples = image if image.dtype == np.uint8 else np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
-    if samples.shape[1] > width:
-        samples = cv2.resize(samples, (width, width // 2), interpolation=cv2.INTER_AREA)
-    kind, options = ("png", []) if is_lossless else ("jpeg", [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    _, data = cv2.imencode(f".{kind}", np.ascontiguousarray(samples[..., ::-1]), options)
-    return data.tobytes(), {"type": f"image/{kind}", "width": samples.shape[1], "height": samples.shape[0]}
+    """A photograph as a file, and its kind and size."""
+    kind, data = ("png", _png_bytes(samples)) if is_lossless else ("jpeg", jpeg_bytes(samples, QUALITY))
+    return data, {"type": f"image/{kind}", "width": samples.shape[1], "height": samples.shape[0]}
+
+
+def _png_bytes(samples: UInt8[np.ndarray, "height width 3"]) -> bytes:
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(samples[..., ::-1]))[1].tobytes())
 
 
 def packed_mask(mask: Bool[np.ndarray, "height width"], width: int) -> UInt8[np.ndarray, "rows cols"]:
     """A mask, at most so wide: 255 where a photograph may be used."""
     values = np.where(mask, np.uint8(255), np.uint8(0))
-    return values if mask.shape[1] <= width else np.asarray(cv2.resize(values, (width, width // 2), interpolation=cv2.INTER_AREA))
+    if mask.shape[1] <= width:
+        return values
+    return np.asarray(cv2.resize(values, (width, width // 2), interpolation=cv2.INTER_AREA))

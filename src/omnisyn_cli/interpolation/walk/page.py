@@ -6,15 +6,15 @@ import base64
 import hashlib
 import json
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli.interpolation.walk.contents import RULES, Walk
+from omnisyn_cli.io.outputs import staged_folder, write_parts
 
-__all__ = ["MOST_BYTES", "page_files", "single_page"]
+__all__ = ["MOST_BYTES", "page_files", "single_page", "write_folder", "write_page"]
 
 MOST_BYTES = 32 * 2**20
 """Of one file: what phones open without running out of memory."""
@@ -23,6 +23,22 @@ SCRIPTS = (
     "vectors", "blocks", "shaders", "surface", "renderer", "world", "walker", "controls", "fade", "headset", "main",
 )  # fmt: skip
 """Files of ``web``, in the order in which they need each other."""
+
+
+def write_page(path: Path, walk: Walk) -> int:
+    """Write the walk as one file, whole or not at all; how many bytes it has."""
+    page = single_page(walk)
+    write_parts(path, [page])
+    return len(page)
+
+
+def write_folder(folder: Path, walk: Walk) -> int:
+    """Write the walk as a folder for a server; files of other walks in it stay. How many bytes it has."""
+    files = page_files(walk)
+    with staged_folder(folder) as staged:
+        for name, content in files.items():
+            write_parts(staged / name, [content])
+    return sum(map(len, files.values()))
 
 
 def single_page(walk: Walk) -> bytes:
@@ -48,12 +64,8 @@ def _page(walk: Walk, blocks: str, *, connect: str) -> bytes:
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
-    template = Environment(
-        loader=PackageLoader("omnisyn_cli.interpolation.walk", "web"), undefined=StrictUndefined, autoescape=True
-    ).get_template("page.html")
-    values = _for_script(walk.manifest)
-    page = template.render(policy=policy, title=walk.title, style=style, walk=values, blocks=blocks, script=script)
-    return page.encode()
+    values = {"policy": policy, "title": walk.title, "style": style, "blocks": blocks, "script": script}
+    return _web().get_template("page.html").render(values, walk=_for_script(walk.manifest)).encode()
 
 
 @cache
@@ -71,8 +83,17 @@ def _with_point(number: str) -> str:
     return number if "." in number or "e" in number else f"{number}.0"
 
 
+@cache
+def _web() -> Environment:
+    loader = PackageLoader("omnisyn_cli.interpolation.walk", "web")
+    return Environment(loader=loader, undefined=StrictUndefined, autoescape=True)
+
+
 def _read(name: str) -> str:
-    return (files("omnisyn_cli.interpolation.walk") / "web" / name).read_text(encoding="utf-8")
+    loader = _web().loader
+    if loader is None:
+        raise FileNotFoundError(name)
+    return loader.get_source(_web(), name)[0]
 
 
 def _hash(text: str) -> str:

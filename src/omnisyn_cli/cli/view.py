@@ -1,0 +1,128 @@
+"""``omnisyn view``: a page to walk through panoramas in a browser."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from omnisyn_cli.cli.options import (
+    cut_options,
+    depth_options,
+    device_option,
+    json_option,
+    masks_option,
+    nadir_option,
+    outside_option,
+    poses_options,
+    preset_option,
+    print_json,
+    print_plan,
+    quiet_option,
+    size_options,
+    threads_option,
+)
+from omnisyn_cli.cli.parameters import FilePath, WholeRange
+from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+from omnisyn_cli.synthesis.recipe import FALLBACKS
+
+__all__ = ["view"]
+
+
+@click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
+@poses_options
+@click.option("-o", "--output", required=True, type=FilePath(), help="Page (.html), or a folder with --folder.")
+@click.option(
+    "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096, show_default=True,
+    help="Of the photographs in the page; larger panoramas are reduced to it.",
+)  # fmt: skip
+@click.option("--lossless", is_flag=True, help="Keep photographs as PNG, several times as large as JPEG.")
+@click.option(
+    "--folder", is_flag=True, help="Write a folder for a server instead of one file, which may have 32 MiB at most."
+)
+@click.option("--serve", is_flag=True, help="Serve the folder to browsers on this machine until Ctrl-C.")
+@click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
+@preset_option
+@depth_options
+@cut_options
+@masks_option
+@nadir_option
+@click.option(
+    "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
+    help="Where confidence is low: warn only, cross-fade the photographs of that pair, or give up.",
+)  # fmt: skip
+@device_option("Where networks run; auto takes a GPU if ONNX Runtime has one.")
+@threads_option
+@size_options
+@outside_option
+@click.option("--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of its names.")
+@click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
+@json_option("the summary")
+@quiet_option
+@click.pass_context
+def view(
+    context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float, texture: int, lossless: bool,
+    folder: bool, serve: bool, is_opened: bool, **options: Any,
+) -> None:  # fmt: skip
+    """Make a page in which one walks from panorama A to B, and on through C and further ones.
+
+    \b
+    omnisyn view a.jpg b.jpg --poses poses.json -o walk.html --open
+    omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset accurate
+    omnisyn view *.jpg --poses poses.json -o walk/ --folder --serve --open
+
+    The page needs nothing beside itself: a double click opens it, without a network. Poses, masks and depth are found
+    as `omnisyn interpolate` finds them, and it shows what a video would show, from any place near the way.
+
+    Names that begin with a dash go after ``--``.
+    """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.interpolation.job import InterpolationJob
+    from omnisyn_cli.interpolation.recipes import check_device
+    from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk
+
+    if options["cut"] is not None and options["cut_metres"] is not None:
+        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
+    if serve and not folder:
+        raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
+    tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **options)
+    plan = plan_walk(WalkJob(tour, WalkOptions(texture, lossless), folder))
+    if not quiet:
+        for note in plan.tour.notes:
+            click.echo(f"note: {note}", err=True)
+    if dry_run:
+        print_plan(plan.describe(), as_json=as_json)
+        return
+    check_device(plan.tour.recipe)
+    context.with_resource(say_when_compiling(is_quiet=quiet))
+    with counted_bar("depth", len(plan.tour.entries) - 1, lambda done: "pairs", is_quiet=quiet) as on_pair:
+        summary = run_walk(plan, on_pair)
+    if not quiet:
+        for warning in summary.warnings():
+            click.echo(f"warning: {warning}", err=True)
+    if as_json:
+        print_json(summary.describe())
+    elif not quiet:
+        what = f"a walk through {len(plan.tour.entries)} panoramas, {summary.size / 1e6:.1f} MB"
+        click.echo(f"{tour.output}: {what}, in {summary.seconds['total']:.1f} s")
+    if serve:
+        _serve(tour.output, is_opened=is_opened, is_quiet=quiet)
+    elif is_opened:
+        click.launch(str(tour.output / "index.html" if folder else tour.output))
+
+
+def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
+    """Serve a folder until somebody ends it."""
+    from omnisyn_cli.interpolation.walk import served
+
+    with served(folder) as (address, server):
+        if not is_quiet:
+            click.echo(f"{address} shows the walk on this machine; Ctrl-C ends it", err=True)
+        if is_opened:
+            click.launch(address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            return
