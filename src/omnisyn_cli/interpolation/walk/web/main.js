@@ -222,9 +222,7 @@ class Page {
     const s = this.world.nearestTo(pose.position);
     await this.world.pair(this.world.pairAt(s).pair);
     const eye = { ...pose, lens: lensOf(fov * Math.PI / 180, size) };
-    const picture = this.renderer.capture(eye, this.world.sceneAt(this.gl, s), size);
-    this.change();
-    return picture;
+    return this.renderer.capture(eye, this.world.sceneAt(this.gl, s), size);
   }
 }
 

@@ -1,0 +1,231 @@
+"""Walking: every way to move moves, the page works without a network, without WebGL, and after a lost context."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interpolation_samples import job_of
+from omnisyn_cli.interpolation.walk import WalkJob, plan_walk, run_walk, served
+from synthesis_samples import posed, write_hall
+from walk.browser import Launch, WalkPage
+
+TOUR = [posed((0.3 * k, 0.05 * (k % 2), 0.2 * k), 0.2 * k) for k in range(5)]
+
+
+def written(folder: Path, *, is_folder: bool = False) -> Path:
+    output = folder / ("walk" if is_folder else "a walk.html")
+    run_walk(plan_walk(WalkJob(job_of(folder, write_hall(folder, TOUR), output=output), is_folder=is_folder)))
+    return output
+
+
+@pytest.fixture(scope="module")
+def opened(launch: Launch) -> Iterator[Any]:
+    with launch() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("tour"))
+
+
+@pytest.fixture
+def walk(opened: Any, tour: Path) -> Iterator[WalkPage]:
+    page = WalkPage(opened, tour, has_touch=True).wait()
+    yield page
+    assert page.errors == []
+    page.page.context.close()
+
+
+def test_nothing_is_fetched_and_the_first_picture_is_a_panorama(opened: Any, tour: Path) -> None:
+    page = WalkPage(opened, tour, offline=True).wait()
+    assert page.requests == [tour.as_uri()]
+    assert page.errors == []
+    assert page.walker("s") == 0
+    assert np.ptp(pixels(page)) > 40
+
+
+def pixels(page: WalkPage) -> np.ndarray:
+    """Of the middle of the canvas."""
+    found = page.page.evaluate("""() => {
+        const page = omnisyn.page;
+        page.draw(1);
+        const copy = document.createElement('canvas');
+        [copy.width, copy.height] = [64, 64];
+        const paper = copy.getContext('2d');
+        paper.drawImage(page.canvas, 0, 0, 64, 64);
+        return Array.from(paper.getImageData(0, 0, 64, 64).data);
+    }""")
+    return np.array(found, np.uint8).reshape(64, 64, 4)[..., :3]
+
+
+def test_playing_walks_from_end_to_end(walk: WalkPage) -> None:
+    walk.page.click("#play")
+    walk.until("omnisyn.page.walker.s >= 4 && !omnisyn.page.walker.isPlaying")
+    assert walk.walker("s") == 4
+    walk.until("location.hash.includes('t=4.000')")
+
+
+def test_keys_walk_and_turn(walk: WalkPage) -> None:
+    heading = walk.walker("yaw")
+    walk.page.keyboard.down("ArrowUp")
+    walk.until("omnisyn.page.walker.s > 1.1")
+    walk.page.keyboard.up("ArrowUp")
+    assert walk.walker("yaw") == heading
+    far = walk.walker("s")
+    walk.page.keyboard.down("ArrowDown")
+    walk.until(f"omnisyn.page.walker.s < {far} - 0.2")
+    walk.page.keyboard.up("ArrowDown")
+    walk.page.keyboard.down("ArrowRight")
+    walk.until(f"omnisyn.page.walker.yaw > {heading} + 0.1")
+    walk.page.keyboard.up("ArrowRight")
+
+
+def test_keys_go_aside_and_up_but_not_out_of_reach(walk: WalkPage) -> None:
+    for key in ("KeyD", "KeyE"):
+        walk.page.keyboard.down(key)
+    walk.until("omnisyn.page.walker.strangeness > 0.99")
+    for key in ("KeyD", "KeyE"):
+        walk.page.keyboard.up(key)
+    beside = np.array(walk.walker("beside"))
+    assert beside[1] > 0
+    assert np.linalg.norm(beside) <= walk.walker("reach") * 1.0001
+    assert walk.walker("s") < 1.0
+
+
+def test_drag_looks_where_the_hand_pulls(walk: WalkPage) -> None:
+    yaw, pitch = walk.walker("yaw"), walk.walker("pitch")
+    walk.page.mouse.move(160, 60)
+    walk.page.mouse.down()
+    walk.page.mouse.move(100, 90, steps=4)
+    walk.page.mouse.up()
+    per_pixel = walk.walker("fov") / 200
+    assert walk.walker("yaw") - yaw == pytest.approx(60 * per_pixel)
+    assert walk.walker("pitch") - pitch == pytest.approx(30 * per_pixel)
+
+
+def test_wheel_walks_and_control_wheel_zooms(walk: WalkPage) -> None:
+    walk.page.mouse.move(160, 60)
+    walk.page.mouse.wheel(0, -200)
+    walk.until("omnisyn.page.walker.s > 0.2")
+    fov = walk.walker("fov")
+    walk.page.keyboard.down("Control")
+    walk.page.mouse.wheel(0, -20)
+    walk.page.keyboard.up("Control")
+    walk.until(f"omnisyn.page.walker.fov < {fov}")
+
+
+def test_fingers_look_zoom_and_walk(walk: WalkPage) -> None:
+    session = walk.page.context.new_cdp_session(walk.page)
+
+    def touch(kind: str, *points: tuple[int, int]) -> None:
+        places = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+
+    yaw = walk.walker("yaw")
+    touch("touchStart", (160, 60))
+    touch("touchMove", (120, 60))
+    touch("touchMove", (80, 60))
+    touch("touchEnd")
+    walk.until(f"omnisyn.page.walker.yaw > {yaw} + 0.2")
+    fov = walk.walker("fov")
+    touch("touchStart", (140, 60), (180, 60))
+    touch("touchMove", (120, 60), (200, 60))
+    touch("touchMove", (80, 60), (240, 60))
+    touch("touchEnd")
+    walk.until(f"omnisyn.page.walker.fov < 0.8 * {fov}")
+    assert walk.walker("s") == 0
+    walk.page.evaluate("omnisyn.page.walker.yaw = omnisyn.page.walker.yaw = 2.6")
+    walk.page.touchscreen.tap(160, 60)
+    walk.until("omnisyn.page.walker.goal !== null || omnisyn.page.walker.s > 0")
+
+
+def test_a_ring_on_the_ground_leads_to_its_panorama(walk: WalkPage) -> None:
+    walk.page.evaluate("omnisyn.page.walker.pitch = -0.4; omnisyn.page.change()")
+    walk.page.wait_for_selector(".stop:not([hidden])")
+    walk.page.locator(".stop:not([hidden])").first.dispatch_event("click")
+    walk.until("omnisyn.page.walker.s === 1 && omnisyn.page.walker.goal === null")
+
+
+def test_the_slider_and_its_words_say_where_one_is(walk: WalkPage) -> None:
+    walk.page.fill("#place", "2.5")
+    walk.until("omnisyn.page.walker.s === 2.5")
+    walk.page.wait_for_timeout(100)
+    said = walk.page.get_attribute("#place", "aria-valuetext")
+    assert said == "50 % of the way from p2.png to p3.png"
+
+
+def test_the_address_leads_back_to_the_place(opened: Any, tour: Path) -> None:
+    page = WalkPage(opened, tour, "#t=2.25&yaw=30&pitch=-10&fov=60&beside=0.01,0.02,0").wait()
+    found = [page.walker(name) for name in ("s", "yaw", "pitch", "fov")]
+    np.testing.assert_allclose(found, [2.25, *np.radians([30, -10, 60])])
+    page.until("location.hash.includes('beside=0.010,0.020,0.000')")
+    odd = WalkPage(opened, tour, "#t=99&yaw=x&fov=1e9&beside=1,2").wait()
+    assert (odd.walker("s"), odd.walker("beside")) == (4, [0, 0, 0])
+    assert odd.errors == []
+
+
+def test_a_lost_context_comes_back(walk: WalkPage) -> None:
+    before = pixels(walk)
+    walk.page.evaluate("window.loss = omnisyn.page.gl.getExtension('WEBGL_lose_context'); loss.loseContext()")
+    walk.until("omnisyn.page.renderer === null")
+    assert walk.page.is_visible("#status")
+    walk.page.evaluate("loss.restoreContext()")
+    walk.until("omnisyn.page.renderer !== null && !omnisyn.page.gl.isContextLost()")
+    walk.page.wait_for_timeout(200)
+    np.testing.assert_allclose(pixels(walk).astype(float), before, atol=2)
+
+
+def test_without_webgl_the_panoramas_fade(tour: Path, launch: Launch) -> None:
+    with launch("--disable-3d-apis") as opened:
+        page = WalkPage(opened, tour).wait()
+        assert "cross-faded" in (page.page.text_content("#status") or "")
+        first = pixels(page)
+        assert np.ptp(first) > 40
+        page.page.fill("#place", "4")
+        page.until("omnisyn.page.walker.s === 4")
+        assert np.abs(pixels(page).astype(float) - first).mean() > 3
+        assert page.errors == []
+
+
+def test_who_wants_no_motion_gets_none(opened: Any, tour: Path) -> None:
+    page = WalkPage(opened, tour, reduced_motion="reduce").wait()
+    page.page.evaluate("omnisyn.page.goTo(3)")
+    assert (page.walker("s"), page.walker("goal")) == (3, None)
+
+
+def test_only_neighbours_stay_on_the_graphics_processor(walk: WalkPage) -> None:
+    for s in (0.5, 1.5, 2.5, 3.5):
+        walk.page.evaluate(f"omnisyn.page.walker.s = {s}; omnisyn.page.draw(1)")
+    kept = walk.page.evaluate("[...omnisyn.page.world.onGraphics.keys()]")
+    assert sorted(kept) == [
+        "photo 2",
+        "photo 3",
+        "photo 4",
+        *(f"surface {pair} {k}" for pair in (2, 3) for k in (0, 1)),
+    ]
+
+
+def test_a_served_folder_walks(opened: Any, tmp_path: Path) -> None:
+    from threading import Thread
+
+    with served(written(tmp_path, is_folder=True)) as (address, server):
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            page = WalkPage(opened, address).wait()
+            assert all(request.startswith(address) for request in page.requests)
+            assert page.errors == []
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_a_damaged_page_says_so(opened: Any, tour: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.html"
+    broken.write_text(tour.read_text().replace('id="block-2">', 'id="block-2">AAAA'))
+    page = WalkPage(opened, broken).wait("failed")
+    assert "cannot be shown" in (page.page.text_content("#status") or "")

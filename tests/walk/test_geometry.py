@@ -1,0 +1,212 @@
+"""A browser shows what the renderer shows: the same surfaces, the same colours, the same frames."""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from interpolation_samples import job_of
+from omnisyn_cli.evaluation.scene_files import write_scene
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.geometry.pose import Pose, slerp
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.interpolation.plan import TourPlan
+from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
+from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk
+from omnisyn_cli.interpolation.walk.contents import Walk, WalkPacker
+from omnisyn_cli.interpolation.walk.packing import packed_map
+from omnisyn_cli.interpolation.walk.page import write_page
+from omnisyn_cli.scenes import generate_scene, sample_path
+from omnisyn_cli.synthesis.making import make_method
+from omnisyn_cli.synthesis.recipe import Recipe
+from omnisyn_cli.synthesis.trajectory import Waypoint
+from omnisyn_cli.types import KnownDepth, View
+from synthesis_samples import ws_psnr
+from walk.browser import Launch, WalkPage, look, pinhole_rays
+
+SIZE = (256, 512)
+FARTHEST = 1e7
+"""Metres; Embree knows no infinity."""
+
+FACES = ((0, 0), (90, 0), (180, 0), (270, 0), (0, 90), (0, -90))
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A walk through a room with its true depth, in a browser."""
+
+    plan: TourPlan
+    pair: PairSurfaces
+    walk: Walk
+    page: WalkPage
+    opened: Any
+
+    @property
+    def views(self) -> list[View]:
+        return [replace(surface.view, known_depth=surface.depth) for surface in self.pair.surfaces]
+
+    def pose(self, t: float) -> Pose:
+        first, second = (view.pose for view in self.views)
+        return Pose(slerp(first.rotation, second.rotation, t), (1 - t) * first.position + t * second.position)
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory: pytest.TempPathFactory, launch: Launch) -> Iterator[Shot]:
+    with launch() as opened:
+        folder = tmp_path_factory.mktemp("room")
+        scene = generate_scene("room", 3)
+        path, names = sample_path(scene, 3, 2, baseline=0.8), ("0.png", "1.png")
+        write_scene(folder, scene, path, names, SIZE, 2)
+        job = job_of(folder, [folder / name for name in names], output=folder / "walk.html")
+        plan = plan_walk(WalkJob(job)).tour
+        (pair,) = tour_surfaces(plan)
+        packer = WalkPacker(plan, WalkOptions(is_lossless=True))
+        packer.add(pair)
+        write_page(job.output, packer.packed())
+        page = WalkPage(opened, job.output).wait()
+        yield Shot(plan, pair, packer.packed(), page, opened)
+        assert page.errors == []
+
+
+def traced(pair: PairSurfaces, view: int, eye: Pose, rays: np.ndarray) -> np.ndarray:
+    """Inverse depth along the rays of an eye, by Embree through the renderer's triangles; negative where none is hit."""
+    construction = pytest.importorskip("embreex.mesh_construction")
+    core = pytest.importorskip("embreex.rtcore_scene")
+    triangles = pair.surfaces[view].mesh.triangles()
+    depth = 1.0 / np.maximum(triangles.inverse_depth, 1.0 / FARTHEST)
+    points = (eye.inverse() @ pair.surfaces[view].view.pose).transform(triangles.direction * depth[..., None])
+    area = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    front = (area * points[:, 0]).sum(axis=-1) > 0  # clockwise from the eye, as the renderer has them
+    scene = core.EmbreeScene()
+    construction.TriangleMesh(scene, np.ascontiguousarray(points[front], np.float32))
+    flat = np.ascontiguousarray(rays.reshape(-1, 3), np.float32)
+    hit = scene.run(np.zeros_like(flat), flat, query="DISTANCE")
+    return np.where(hit >= 1e30, -1.0, 1.0 / hit).reshape(rays.shape[:2])
+
+
+@pytest.mark.parametrize("aside", [(0, 0, 0), (0.2, 0.1, -0.1)], ids=["on the way", "beside it"])
+def test_surfaces_are_the_renderer_s(shot: Shot, aside: tuple[float, float, float]) -> None:
+    eye = Pose(look(75, -20), shot.pose(0.4).position + np.array(aside))
+    size, fov = (160, 240), 80
+    _, found = shot.page.capture(eye.rotation, eye.position, fov, size)
+    rays = pinhole_rays(size, fov)
+    for view in (0, 1):
+        expected = traced(shot.pair, view, eye, rays)
+        both = (expected >= 0) & (found[view] >= 0)
+        assert ((expected >= 0) == (found[view] >= 0)).mean() > 0.995
+        off = np.abs(found[view] - expected)[both] / np.maximum(expected[both], 1e-3)  # a kilometre
+        assert (off < 1e-3).mean() >= 0.995
+        assert both.mean() > 0.5
+
+
+def silhouettes(depths: list[np.ndarray]) -> np.ndarray:
+    """Pixels within two of one where either inverse depth jumps, or something ends."""
+    found = np.zeros(depths[0].shape, np.uint8)
+    for rho in depths:
+        low, high = cv2.erode(rho, np.ones((3, 3))), cv2.dilate(rho, np.ones((3, 3)))
+        found |= ((high - low) > 0.04 * np.maximum(high, 1e-3)).astype(np.uint8)
+    return cv2.dilate(found, np.ones((5, 5), np.uint8)) > 0
+
+
+def shown(shot: Shot, view: int, eye: Pose, rays: np.ndarray, rho: np.ndarray) -> Shown:
+    """What the photograph has where a surface is seen, weighted by the mesh's trust."""
+    surface = shot.pair.surfaces[view]
+    seen = eye.inverse() @ surface.view.pose
+    directions = (rays - np.maximum(rho, 0)[..., None] * seen.position) @ seen.rotation
+    image = np.asarray(surface.view.image, np.float64)
+    row, col = direction_to_pixel(directions, surface.mesh.size)
+    rows, cols = surface.mesh.quads.shape
+    down, right = row - np.floor(row) >= 0.5, col - np.floor(col) >= 0.5
+    quad = np.clip(np.floor(row).astype(int), 0, rows - 1), np.floor(col).astype(int) % cols
+    trust = surface.mesh.trust[(*quad, 2 * down + right)]
+    colour = sample_bilinear(image, directions)
+    return Shown(colour, np.where(rho >= 0, trust, 0.0), rho.astype(np.float64), np.asarray(seen.position))
+
+
+def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
+    """With smooth photographs, in which every way to interpolate finds the same."""
+    smooth = [
+        np.ascontiguousarray(0.5 + 0.4 * np.sin(pixel_directions(*SIZE) @ np.array(waves)).clip(-1, 1))
+        for waves in ([[3, 1, 0], [0, 2, 3], [1, 0, 2]], [[1, 2, 3], [2, 0, 1], [0, 3, 1]])
+    ]
+    surfaces = [
+        replace(surface, view=replace(surface.view, image=np.rint(255 * image).astype(np.uint8) / 255, samples=None))
+        for surface, image in zip(shot.pair.surfaces, smooth, strict=True)
+    ]
+    painted = replace(shot, pair=replace(shot.pair, surfaces=(surfaces[0], surfaces[1])))
+    packer = WalkPacker(shot.plan, WalkOptions(is_lossless=True))
+    packer.add(painted.pair)
+    file = shot.plan.job.output.with_name("smooth.html")
+    write_page(file, packer.packed())
+    eye, size, fov, t = Pose(look(200, 10), shot.pose(0.35).position), (150, 200), 70, 0.35
+    colours, depths = WalkPage(shot.opened, file).wait().capture(eye.rotation, eye.position, fov, size)
+    rays = pinhole_rays(size, fov)
+    first, second = (shown(painted, view, eye, rays, depths[view]) for view in (0, 1))
+    picture, weight = blended(first, second, view_weights(first, second, rays, BlendRule.at(t, BlendOptions())))
+    expected = np.ascontiguousarray(picture, np.float32)
+    HoleFiller(size)(expected, np.ascontiguousarray(weight, np.float32))
+    inner = ~silhouettes(depths)
+    assert inner.mean() > 0.5
+    off = np.abs(colours - 255.0 * expected).max(axis=-1)[inner]
+    assert (off <= 2.0).mean() > 0.998
+    assert off.mean() < 0.7
+
+
+def unfolded(shot: Shot, pose: Pose, size: tuple[int, int], side: int) -> np.ndarray:
+    """Six captured faces put together to a panorama, ``(height, width, 3)`` in [0, 1]."""
+    directions, nearest = pixel_directions(*size), np.full(size, -1.0)
+    panorama = np.zeros((*size, 3), np.float32)
+    for yaw, pitch in FACES:
+        turn = look(yaw, pitch)
+        colours, _ = shot.page.capture(pose.rotation @ turn, pose.position, 90, (side, side))
+        x, y, z = np.moveaxis(directions @ turn, -1, 0)
+        ahead = np.maximum(-z, 1e-9)
+        col, row = (
+            ((x / ahead + 1) * side / 2 - 0.5).astype(np.float32),
+            ((1 - y / ahead) * side / 2 - 0.5).astype(np.float32),
+        )
+        face = cv2.remap(colours.astype(np.float32) / 255, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        here = -z > nearest
+        panorama[here], nearest[here] = face[here], -z[here]
+    return panorama
+
+
+def test_six_faces_are_the_frame_of_the_video(shot: Shot) -> None:
+    method = make_method(Recipe(cut=shot.plan.recipe.cut), SIZE, estimator=KnownDepth())
+    pair = method.prepare(0, *shot.views)
+    for t in (0.25, 0.5, 0.75):
+        frame = pair.frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
+        assert ws_psnr(unfolded(shot, shot.pose(t), SIZE, 2 * SIZE[0]), np.clip(frame, 0, 1)) >= 38.0
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_at_a_panorama_it_is_the_photograph(shot: Shot, end: int) -> None:
+    assert ws_psnr(unfolded(shot, shot.pose(end), SIZE, 2 * SIZE[0]), shot.views[end].image) >= 45.0
+
+
+def test_maps_are_unpacked_exactly(shot: Shot) -> None:
+    for k, surface in enumerate(shot.walk.manifest["pairs"][0]["surfaces"]):
+        for name in ("inverseDepth", "quads", "trust"):
+            if surface[name] is None:
+                continue
+            wanted = shot.walk.blocks.contents[surface[name]["block"]]
+            script = f"omnisyn.page.world.blocks.map(omnisyn.page.world.walk.pairs[0].surfaces[{k}].{name})"
+            values = np.array(shot.page.page.evaluate(f"{script}.then((map) => Array.from(map))"))
+            kind = np.uint16 if surface[name]["depth"] == 2 else np.uint8
+            values = values.reshape(surface[name]["rows"], surface[name]["cols"]).astype(kind)
+            assert zlib.decompress(packed_map(values)) == zlib.decompress(wanted)
+
+
+def test_tiles_out_of_sight_are_not_drawn(shot: Shot) -> None:
+    drawn = []
+    for fov in (20, 120):
+        shot.page.capture(look(0, 0), shot.pose(0.5).position, fov, (64, 64))
+        drawn.append(shot.page.page.evaluate("omnisyn.page.renderer.drawn"))
+    whole = 2 * shot.page.page.evaluate("omnisyn.page.world.onGraphics.get('surface 0 0').triangles")
+    assert drawn[0] < drawn[1] < 0.9 * whole

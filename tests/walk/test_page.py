@@ -1,0 +1,163 @@
+"""Pages hold together: policies name what they hold, nothing is fetched, names of files do no harm, sizes are kept."""
+
+import base64
+import hashlib
+import json
+import re
+from pathlib import Path
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+from interpolation_samples import CHAIN, job_of, listing
+from omnisyn_cli.errors import InputError, OutputPathError, PoseError
+from omnisyn_cli.fusion.photometry import ExposureCurve
+from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk, served
+from omnisyn_cli.interpolation.walk import run as walk_run
+from omnisyn_cli.interpolation.walk.contents import _gains
+from synthesis_samples import posed, write_hall
+
+
+def made(folder: Path, images: list[Path], *, is_folder: bool = False, **changes: object) -> Path:
+    output = folder / ("walk" if is_folder else "walk.html")
+    run_walk(plan_walk(WalkJob(job_of(folder, images, output=output, **changes), is_folder=is_folder)))
+    return output
+
+
+def manifest_of(page: str) -> dict:
+    found = re.search(r'<script type="application/json" id="walk">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return json.loads(found.group(1))
+
+
+def test_the_policy_admits_the_script_and_the_style_and_nothing_else(tmp_path: Path) -> None:
+    page = made(tmp_path, write_hall(tmp_path, CHAIN)).read_text()
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="(.*?)"', page)
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    for element, name in (("script", "script-src"), ("style", "style-src")):
+        (inside,) = re.findall(rf"<{element}>(.*?)</{element}>", page, re.DOTALL)
+        digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
+        assert rules[name] == f"'sha256-{digest}'"
+    assert (rules["default-src"], rules["connect-src"]) == ("'none'", "'none'")
+    assert not re.search(r"https?://|\son\w+=|\bsrc=|\bhref=", page)
+
+
+def test_blocks_are_those_that_the_manifest_names(tmp_path: Path) -> None:
+    page = made(tmp_path, write_hall(tmp_path, CHAIN)).read_text()
+    manifest = manifest_of(page)
+    assert (len(manifest["panoramas"]), len(manifest["pairs"])) == (3, 2)
+    named = {panorama["photo"]["block"] for panorama in manifest["panoramas"]}
+    for pair in manifest["pairs"]:
+        for surface in pair["surfaces"]:
+            named |= {surface[key]["block"] for key in ("inverseDepth", "quads", "trust") if surface[key]}
+    blocks = {int(k): base64.b64decode(text) for k, text in re.findall(r'id="block-(\d+)">(.*?)</script>', page)}
+    assert set(blocks) == named
+    first = blocks[manifest["panoramas"][0]["photo"]["block"]]
+    assert first.startswith(b"\xff\xd8\xff")
+    for pose, panorama in zip(CHAIN, manifest["panoramas"], strict=True):
+        np.testing.assert_allclose(panorama["position"], pose.position)
+        np.testing.assert_allclose(np.reshape(panorama["rotation"], (3, 3)), pose.rotation, atol=1e-12)
+
+
+def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
+    folder = tmp_path / "a place"
+    folder.mkdir()
+    images = write_hall(folder, CHAIN[:2])
+    odd = folder / "a <i>&amp;<!--\u2028.png"
+    images[0].rename(odd)
+    poses = json.loads((folder / "poses.json").read_text())
+    poses["panoramas"][odd.name] = poses["panoramas"].pop(images[0].name)
+    (folder / "poses.json").write_text(json.dumps(poses))
+    page = made(folder, [odd, images[1]]).read_text()
+    assert "<i>" not in page
+    assert "<!--" not in page
+    assert manifest_of(page)["panoramas"][0]["name"] == odd.name
+
+
+def test_a_folder_is_served_to_this_machine(tmp_path: Path) -> None:
+    folder = made(tmp_path, write_hall(tmp_path, CHAIN[:2]), is_folder=True)
+    page = (folder / "index.html").read_text()
+    manifest = manifest_of(page)
+    assert "connect-src 'self'" in page
+    assert "block-0" not in page
+    assert set(listing(folder)) == {"index.html", *manifest["files"]}
+    import threading
+
+    with served(folder) as (address, server):
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            assert address.startswith("http://127.0.0.1:")
+            for name in ("", manifest["files"][0]):
+                with urlopen(address + name) as answer:
+                    assert answer.read() == (folder / (name or "index.html")).read_bytes()
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_what_is_too_large_for_one_file_says_so_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = write_hall(tmp_path, CHAIN)
+    before = listing(tmp_path)
+    monkeypatch.setattr(walk_run, "MOST_BYTES", 4000)
+    with pytest.raises(OutputPathError, match="--folder"):
+        made(tmp_path, images)
+    assert listing(tmp_path) == before
+    made(tmp_path, images, is_folder=True)
+
+
+@pytest.mark.parametrize(
+    ("output", "words"), [("walk.mp4", "ending in .html"), ("p0.html", "one that exists"), ("no/walk.html", "folder")]
+)
+def test_unusable_places_are_refused_before_any_work(tmp_path: Path, output: str, words: str) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    (tmp_path / "p0.html").write_text("mine")
+    with pytest.raises(OutputPathError, match=words):
+        plan_walk(WalkJob(job_of(tmp_path, images, output=tmp_path / output)))
+    assert (tmp_path / "p0.html").read_text() == "mine"
+
+
+def test_too_little_is_refused(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2])
+    with pytest.raises(InputError, match="two or more"):
+        made(tmp_path, images[:1])
+    images[1].rename(tmp_path / "other.png")
+    with pytest.raises(PoseError, match=r"other\.png"):
+        made(tmp_path, [images[0], tmp_path / "other.png"])
+
+
+def test_photographs_are_reduced_to_the_texture(tmp_path: Path) -> None:
+    job = job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), output=tmp_path / "walk.html")
+    run_walk(plan_walk(WalkJob(job, WalkOptions(texture=64, is_lossless=True))))
+    photo = manifest_of((tmp_path / "walk.html").read_text())["panoramas"][0]["photo"]
+    assert (photo["width"], photo["height"], photo["type"]) == (64, 32, "image/png")
+
+
+def test_gains_take_a_picture_to_the_other_ones_exposure() -> None:
+    """What a page computes, stops in proportion to the share of the way, is the program's own table."""
+    curve = ExposureCurve(np.linspace(-0.8, 0.9, 18).reshape(3, 6))
+    both = _gains(curve)
+    assert both is not None
+    stored = np.linspace(0.0, 1.0, 256)
+    for of_second, gains in zip((False, True), both, strict=True):
+        stops = np.reshape(gains, (256, 3)).T
+        light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
+        moved = light * np.exp2((0.3 - of_second) * stops)
+        expected = curve.table(0.3, of_second=of_second)
+        back = np.where(moved <= 0.0031308, 12.92 * moved, 1.055 * moved ** (1 / 2.4) - 0.055)
+        places = np.linspace(0.0, 1.0, expected.shape[1])
+        found = np.stack([np.interp(stored, places, channel) for channel in expected])
+        np.testing.assert_allclose(np.minimum(back, 1.0), found, atol=2e-3)
+    assert _gains(ExposureCurve(np.zeros((3, 6)))) is None
+
+
+def test_panoramas_at_one_place_make_a_walk(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, [posed((0, 0, 0)), posed((0, 0, 0), heading=0.4)], with_depth=False)
+    assert len(manifest_of(made(tmp_path, images).read_text())["pairs"]) == 1
+
+
+def test_tiny_panoramas_make_a_walk(tmp_path: Path) -> None:
+    made(tmp_path, write_hall(tmp_path, CHAIN[:2], size=(4, 8)))
