@@ -75,7 +75,7 @@ def shot(tmp_path_factory: pytest.TempPathFactory, launch: Launch) -> Iterator[S
 
 
 def traced(pair: PairSurfaces, view: int, eye: Pose, rays: np.ndarray) -> np.ndarray:
-    """Inverse depth along the rays of an eye, by Embree through the renderer's triangles; negative where none is hit."""
+    """Inverse depth along rays, by Embree through the renderer's triangles; negative where none is hit."""
     construction = pytest.importorskip("embreex.mesh_construction")
     core = pytest.importorskip("embreex.rtcore_scene")
     triangles = pair.surfaces[view].mesh.triangles()
