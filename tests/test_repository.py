@@ -13,9 +13,9 @@ ROOT_FILES = {".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "READM
 KINDS = {
     ".ci": {""},
     "docs": {".md", ".png"},
-    "examples": {".jpg", ".json", ".md", ".py"},
+    "examples": {".html", ".jpg", ".json", ".md", ".py"},
     "models": {".md", ".onnx", ".pt", ".toml"},
-    "src": {".css", ".j2", ".json", ".py", ".typed"},
+    "src": {".css", ".html", ".j2", ".js", ".json", ".py", ".typed"},
     "tests": {".json", ".npz", ".py"},
 }
 """Folders at the root, and the endings of files in them."""
@@ -23,7 +23,7 @@ KINDS = {
 MOST = 32 << 10
 """Bytes of a file whose ending says nothing else: a text that somebody reads."""
 
-MOST_OF = {".jpg": 768 << 10, ".png": 96 << 10, ".json": 4 << 10, ".onnx": 9 << 20, ".pt": 8 << 20}
+MOST_OF = {".html": 3 << 20, ".jpg": 768 << 10, ".png": 96 << 10, ".json": 4 << 10, ".onnx": 9 << 20, ".pt": 8 << 20}
 """Bytes by ending."""
 
 MOST_TOGETHER = 64 << 20

@@ -94,7 +94,7 @@ class WalkPage:
     def capture(
         self, rotation: np.ndarray, position: np.ndarray, fov: float, size: tuple[int, int]
     ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Colours ``(height, width, 3)`` of 8 bits, inverse depths of both surfaces; fov: degrees from top to bottom."""
+        """Colours ``(height, width, 3)`` of 8 bits, and inverse depths of both surfaces; degrees from top to bottom."""
         pose = {"position": position.tolist(), "rotation": rotation.ravel().tolist()}
         height, width = size
         colours, *depths = (

@@ -197,9 +197,15 @@ def test_who_wants_no_motion_gets_none(opened: Any, tour: Path) -> None:
     assert (page.walker("s"), page.walker("goal")) == (3, None)
 
 
-def test_only_neighbours_stay_on_the_graphics_processor(walk: WalkPage) -> None:
-    for s in (0.5, 1.5, 2.5, 3.5):
-        walk.page.evaluate(f"omnisyn.page.walker.s = {s}; omnisyn.page.draw(1)")
+def test_only_neighbours_stay_unpacked(walk: WalkPage) -> None:
+    for pair in range(4):
+        walk.page.evaluate(f"omnisyn.page.walker.s = {pair + 0.5}; omnisyn.page.change()")
+        walk.until(f"omnisyn.page.world.near({pair}).every((near) => omnisyn.page.world.isReady(near))")
+    walk.page.evaluate("omnisyn.page.draw(1)")
+    assert walk.page.evaluate("[...omnisyn.page.world.maps.keys()].sort()") == [2, 3]
+    assert (
+        walk.page.evaluate("omnisyn.page.world.panoramas.map((one) => one.bitmap !== null)") == [False] * 2 + [True] * 3
+    )
     kept = walk.page.evaluate("[...omnisyn.page.world.onGraphics.keys()]")
     assert sorted(kept) == [
         "photo 2",

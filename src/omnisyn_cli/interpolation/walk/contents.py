@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -42,7 +41,6 @@ RULES: Mapping[str, float] = {
     "SPECIAL": float(SPECIAL),
     "CLIPPING": float(CLIPPING),
     "MOST_LOSS": MOST_LOSS,
-    "PI": math.pi,
     "NEAR": 0.02,
 }
 """Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""

@@ -64,7 +64,10 @@ class Page {
     $('whole').hidden = !document.fullscreenEnabled;
     $('sensors').hidden = !Gyroscope.isThere;
     $('sensors').addEventListener('click', async () => $('sensors').setAttribute('aria-pressed', await this.gyroscope.toggle()));
-    $('help').addEventListener('click', () => { $('hint').hidden = !$('hint').hidden; });
+    $('help').addEventListener('click', () => {
+      $('hint').hidden = !$('hint').hidden;
+      $('help').setAttribute('aria-expanded', !$('hint').hidden);
+    });
     Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
     $('headset').addEventListener('click', () => new Headset(this.gl, this.renderer, walker, world).enter(() => this.change()));
     window.addEventListener('keydown', (event) => {
@@ -113,27 +116,39 @@ class Page {
     this.goTo(isAhead ? Math.floor(walker.s + 1 + 1e-6) : Math.ceil(walker.s - 1 - 1e-6));
   }
 
+  // The panorama that is nearest first, then the pair that one stands in and its neighbours.
   async load() {
     const { world, walker } = this;
     const { pair, t } = world.pairAt(walker.s);
-    const nearest = pair + Math.round(t);
-    await world.photograph(nearest);
+    await world.photograph(pair + Math.round(t));
     this.change();
-    const others = world.walk.pairs.map((_, k) => k).sort((a, b) => Math.abs(a - pair) - Math.abs(b - pair));
-    let done = 0;
-    $('progress').max = others.length;
-    for (const index of this.fade ? [] : others) {
-      this.say(`Unpacking surfaces, ${done + 1} of ${others.length} …`);
-      $('progress').value = done;
-      await world.pair(index);
-      done += 1;
-      this.change();
-    }
     if (this.fade) await Promise.all(world.panoramas.map((_, k) => world.photograph(k)));
-    else this.say('');
+    else await this.unpack(pair);
     $('progress').hidden = true;
     document.body.dataset.state = 'ready';
     this.change();
+  }
+
+  // Pairs near the one that is walked through; what was near before is forgotten.
+  async unpack(pair) {
+    const { world } = this;
+    this.unpackedFor = pair;
+    const wanted = world.near(pair).filter((index) => !world.isReady(index));
+    $('progress').max = wanted.length;
+    for (const [done, index] of wanted.entries()) {
+      if (this.unpackedFor !== pair) return;
+      this.say(index === pair || document.body.dataset.state === 'loading' ? `Unpacking surfaces, ${done + 1} of ${wanted.length} …` : '');
+      $('progress').value = done;
+      await world.pair(index);
+      this.change();
+    }
+    this.say('');
+  }
+
+  failed(error) {
+    this.say(`This walk cannot be shown: ${error.message}`);
+    document.body.dataset.state = 'failed';
+    throw error;
   }
 
   say(words) {
@@ -155,6 +170,8 @@ class Page {
     this.before = isMoving || this.controls.held.size ? time : null;
     this.draw();
     this.showPlace();
+    const { pair } = this.world.pairAt(this.walker.s);
+    if (!this.fade && this.unpackedFor !== undefined && this.unpackedFor !== pair) this.unpack(pair).catch((error) => this.failed(error));
     if (isMoving || this.walker.isPlaying || this.walker.goal !== null) this.change();
     else this.settle();
   }
@@ -227,9 +244,5 @@ class Page {
 }
 
 const page = new Page(JSON.parse($('walk').textContent));
-const ready = page.load().catch((error) => {
-  page.say(`This walk cannot be shown: ${error.message}`);
-  document.body.dataset.state = 'failed';
-  throw error;
-});
+const ready = page.load().catch((error) => page.failed(error));
 window.omnisyn = { ready, page, capture: (pose, fov, size) => page.capture(pose, fov, size) };

@@ -4,6 +4,7 @@ const HEADER = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp sampler2D;
+const float PI = 3.14159265359;
 `;
 
 // A homogeneous point of a surface, direction and inverse depth: `rotation · direction + inverse depth · position`.

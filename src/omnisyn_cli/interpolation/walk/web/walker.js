@@ -2,7 +2,7 @@
 
 const REACH = 0.5; // of the distance between neighbours: how far beside the way one can go
 const SPEED = 1.2; // metres a second
-const FIELD = { least: 0.35, usual: 1.3, most: 2.0 }; // radians from top to bottom
+const FIELD = { least: 0.35, usual: 1.15, most: 2.0 }; // radians from top to bottom
 
 class Walker {
   constructor(world) {

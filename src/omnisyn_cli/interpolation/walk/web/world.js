@@ -104,8 +104,31 @@ class World {
     return this.onGraphics.get(key);
   }
 
-  // Only the pair that is walked through and its neighbours stay on the graphics processor.
+  // The pair that is walked through and its neighbours, nearest first.
+  near(pair) {
+    return [pair, pair + 1, pair - 1].filter((index) => index >= 0 && index < this.last);
+  }
+
+  // Of what lies farther away only the packed bytes stay.
   forgetFarFrom(gl, pair) {
+    const near = this.near(pair);
+    for (const index of this.maps.keys()) if (!near.includes(index)) this.forget(`pair ${index}`, () => this.maps.delete(index));
+    this.panoramas.forEach((panorama, index) => {
+      if (!panorama.bitmap || near.some((one) => one === index || one + 1 === index)) return;
+      this.forget(`photo ${index}`, () => {
+        panorama.bitmap.close();
+        panorama.bitmap = null;
+      });
+    });
+    this.forgetTextures(gl, pair);
+  }
+
+  forget(key, drop) {
+    this.pending.delete(key);
+    drop();
+  }
+
+  forgetTextures(gl, pair) {
     for (const [key, made] of this.onGraphics) {
       const [kind, index] = key.split(' ');
       const distance = Number(index) - pair;
