@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -56,22 +57,28 @@ class Shot:
         return Pose(slerp(first.rotation, second.rotation, t), (1 - t) * first.position + t * second.position)
 
 
+def taken(folder: Path, opened: Any, *, gain: float = 1.0, tilt: float = 0.0, **changes: Any) -> Shot:
+    """A room, its second photograph exposed otherwise, both tilted, and a job with some changes."""
+    scene, names = generate_scene("room", 3), ("0.png", "1.png")
+    write_scene(folder, scene, sample_path(scene, 3, 2, baseline=0.8, tilt=tilt), names, SIZE, 2)
+    if gain != 1.0:
+        file = str(folder / names[1])
+        cv2.imwrite(file, np.rint(255 * np.clip((cv2.imread(file) / 255) ** 2.2 * gain, 0, 1) ** (1 / 2.2)))
+    job = job_of(folder, [folder / name for name in names], output=folder / "walk.html", **changes)
+    plan = plan_walk(WalkJob(job)).tour
+    (pair,) = tour_surfaces(plan)
+    packer = WalkPacker(plan, WalkOptions(is_lossless=True))
+    packer.add(pair)
+    write_page(job.output, packer.packed())
+    return Shot(plan, pair, packer.packed(), WalkPage(opened, job.output).wait(), opened)
+
+
 @pytest.fixture(scope="module")
 def shot(tmp_path_factory: pytest.TempPathFactory, launch: Launch) -> Iterator[Shot]:
     with launch() as opened:
-        folder = tmp_path_factory.mktemp("room")
-        scene = generate_scene("room", 3)
-        path, names = sample_path(scene, 3, 2, baseline=0.8), ("0.png", "1.png")
-        write_scene(folder, scene, path, names, SIZE, 2)
-        job = job_of(folder, [folder / name for name in names], output=folder / "walk.html")
-        plan = plan_walk(WalkJob(job)).tour
-        (pair,) = tour_surfaces(plan)
-        packer = WalkPacker(plan, WalkOptions(is_lossless=True))
-        packer.add(pair)
-        write_page(job.output, packer.packed())
-        page = WalkPage(opened, job.output).wait()
-        yield Shot(plan, pair, packer.packed(), page, opened)
-        assert page.errors == []
+        made = taken(tmp_path_factory.mktemp("room"), opened)
+        yield made
+        assert made.page.errors == []
 
 
 def traced(pair: PairSurfaces, view: int, eye: Pose, rays: np.ndarray) -> np.ndarray:
@@ -177,12 +184,28 @@ def unfolded(shot: Shot, pose: Pose, size: tuple[int, int], side: int) -> np.nda
     return panorama
 
 
-def test_six_faces_are_the_frame_of_the_video(shot: Shot) -> None:
+def likeness(shot: Shot, t: float) -> float:
+    """WS-PSNR of six faces and of the frame of a video."""
     method = make_method(Recipe(cut=shot.plan.recipe.cut), SIZE, estimator=KnownDepth())
-    pair = method.prepare(0, *shot.views)
-    for t in (0.25, 0.5, 0.75):
-        frame = pair.frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
-        assert ws_psnr(unfolded(shot, shot.pose(t), SIZE, 2 * SIZE[0]), np.clip(frame, 0, 1)) >= 38.0
+    frame = method.prepare(0, *shot.views).frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
+    return ws_psnr(unfolded(shot, shot.pose(t), SIZE, 2 * SIZE[0]), np.clip(frame, 0, 1))
+
+
+@pytest.mark.parametrize("t", [0.25, 0.5, 0.75])
+def test_six_faces_are_the_frame_of_the_video(shot: Shot, t: float) -> None:
+    assert likeness(shot, t) >= 38.0
+
+
+@pytest.mark.parametrize(
+    "changes", [{"gain": 0.6}, {"tilt": 0.4}, {"nadir": 0.5}], ids=["other exposure", "tilted", "masked"]
+)
+def test_so_they_are_of_pairs_that_are_taken_otherwise(shot: Shot, tmp_path: Path, changes: dict[str, float]) -> None:
+    other = taken(tmp_path, shot.opened, **changes)
+    assert likeness(other, 0.4) >= 38.0
+    assert (other.pair.check.curve.is_identity, other.walk.manifest["panoramas"][0]["mask"] is None) == (
+        "gain" not in changes, "nadir" not in changes,
+    )  # fmt: skip
+    other.page.page.context.close()
 
 
 @pytest.mark.parametrize("end", [0, 1])
