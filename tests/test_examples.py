@@ -1,11 +1,13 @@
 """What lies in examples/ works."""
 
+import re
 import runpy
 import shutil
 from pathlib import Path
 
 import pytest
 
+from omnisyn_cli.interpolation.walk.page import page_code
 from omnisyn_cli.io import read_header, read_panorama
 from omnisyn_cli.poses.file import read_poses
 
@@ -28,3 +30,11 @@ def test_the_strip_shows_five_bands(tmp_path: Path) -> None:
     make_strip = runpy.run_path(str(EXAMPLES / "make_strip.py"))["make_strip"]
     header = read_header(make_strip(tmp_path, 256))
     assert (header.height, header.width) == (5 * 64 + 4 * 4, 256)
+
+
+def test_the_walk_is_what_view_makes_now() -> None:
+    """After a change of its scripts or its rules the page is made again: see examples/README.md."""
+    page = (EXAMPLES / "street" / "walk.html").read_text(encoding="utf-8")
+    (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    (style,) = re.findall(r"<style>(.*?)</style>", page, re.DOTALL)
+    assert (script, style) == page_code()

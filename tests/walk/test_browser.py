@@ -235,3 +235,12 @@ def test_a_damaged_page_says_so(opened: Any, tour: Path, tmp_path: Path) -> None
     broken.write_text(tour.read_text().replace('id="block-2">', 'id="block-2">AAAA'))
     page = WalkPage(opened, broken).wait("failed")
     assert "cannot be shown" in (page.page.text_content("#status") or "")
+
+
+def test_a_newcomer_is_told_how_until_they_move(walk: WalkPage) -> None:
+    assert walk.page.is_visible("#welcome")
+    walk.page.keyboard.press("ArrowRight")
+    walk.until("omnisyn.page.walker.hasMoved && document.body.dataset.moved === ''")
+    assert not walk.page.is_visible("#welcome")
+    walk.page.click("#help")
+    assert walk.page.is_visible("#hint")

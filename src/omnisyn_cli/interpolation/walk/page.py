@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from omnisyn_cli.interpolation.walk.contents import RULES, Walk
 from omnisyn_cli.io.outputs import staged_folder, write_parts
 
-__all__ = ["MOST_BYTES", "page_files", "single_page", "write_folder", "write_page"]
+__all__ = ["MOST_BYTES", "page_code", "page_files", "single_page", "write_folder", "write_page"]
 
 MOST_BYTES = 32 * 2**20
 """Of one file: what phones open without running out of memory."""
@@ -59,7 +59,7 @@ def page_files(walk: Walk) -> dict[str, bytes]:
 
 def _page(walk: Walk, blocks: str, *, connect: str) -> bytes:
     """Nothing runs or styles but what has these hashes; nothing is fetched but from ``connect``."""
-    script, style = _script(), _read("page.css")
+    script, style = page_code()
     policy = (
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
@@ -69,13 +69,14 @@ def _page(walk: Walk, blocks: str, *, connect: str) -> bytes:
 
 
 @cache
-def _script() -> str:
-    """All scripts as one, behind the rules as constants of theirs and of shaders."""
+def page_code() -> tuple[str, str]:
+    """All scripts as one, behind the rules as constants of theirs and of shaders; and the style."""
     numbers = {name: f"{value:.9g}" for name, value in RULES.items()}
     defines = "".join(f"#define {name} {_with_point(number)}\n" for name, number in numbers.items())
     constants = "".join(f"const {name} = {number};\n" for name, number in numbers.items())
     parts = "\n".join(_read(f"{name}.js") for name in SCRIPTS)
-    return f"'use strict';\n(() => {{\n{constants}const CONSTANTS = `{defines}`;\n{parts}}})();\n"
+    script = f"'use strict';\n(() => {{\n{constants}const CONSTANTS = `{defines}`;\n{parts}}})();\n"
+    return script, _read("page.css")
 
 
 def _with_point(number: str) -> str:

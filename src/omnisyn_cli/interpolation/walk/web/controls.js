@@ -72,7 +72,9 @@ class Controls {
     if (!(event.code in KEYS) && !(event.code in TURNS)) return;
     event.preventDefault();
     this.held[isDown ? 'add' : 'delete'](event.code);
-    if (isDown) this.interrupt();
+    if (!isDown) return;
+    this.interrupt();
+    if (!event.repeat) this.follow(event.code, 0.05); // a key that is only touched moves a little
   }
 
   interrupt() {
@@ -82,11 +84,13 @@ class Controls {
 
   // Whether keys that are held moved anything in so many seconds.
   advance(seconds) {
-    for (const code of this.held) {
-      if (code in TURNS) this.walker.turn(TURNS[code] * TURNING * seconds, 0);
-      else this.walker.step(...KEYS[code].map((part) => part * SPEED * seconds));
-    }
+    for (const code of this.held) this.follow(code, seconds);
     return this.held.size > 0;
+  }
+
+  follow(code, seconds) {
+    if (code in TURNS) this.walker.turn(TURNS[code] * TURNING * seconds, 0);
+    else this.walker.step(...KEYS[code].map((part) => part * SPEED * seconds));
   }
 }
 

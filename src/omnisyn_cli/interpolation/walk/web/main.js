@@ -165,6 +165,7 @@ class Page {
 
   frame(time) {
     this.isWaiting = false;
+    if (this.walker.hasMoved) document.body.dataset.moved = '';
     const seconds = this.before === null ? 0 : Math.min((time - this.before) / 1000, 0.1);
     const keys = this.controls.advance(seconds), isMoving = this.walker.advance(seconds) || keys;
     this.before = isMoving || this.controls.held.size ? time : null;

@@ -34,6 +34,7 @@ class Walker {
   }
 
   turn(right, up) {
+    this.hasMoved = true;
     this.yaw += right;
     this.pitch = clamp(this.pitch + up, -Math.PI / 2, Math.PI / 2);
   }
@@ -44,6 +45,7 @@ class Walker {
 
   // Along the way, by so many metres; panoramas at one place are a metre apart then.
   walk(metres) {
+    this.hasMoved = true;
     let rest = metres;
     while (rest !== 0) {
       const { pair } = this.world.pairAt(rest < 0 ? Math.ceil(this.s) - 1 : this.s);
