@@ -5,10 +5,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 from jaxtyping import install_import_hook
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # who waits for a core lets others have theirs
 install_import_hook("omnisyn_cli.geometry", "typechecker.check").__enter__()
+
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")  # what takes long on a busy machine is not wrong
 
 MOST_WORKERS = 4
 """Each of them holds up to 3 GiB."""

@@ -172,7 +172,7 @@ def test_a_preset_without_its_network_is_unavailable_and_says_which(
 def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(
     hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls = []
+    calls, taken = [], []
 
     def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         calls.append((first, second))
@@ -187,7 +187,8 @@ def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(
     for changed in (method, points, replace(method, depth_size=(16, 32))):
         clock = Stopwatch()
         MethodAtWork(changed, hall.views, threads=1, known=known)(hall.size, clock)
-        assert clock.seconds["depth"] == pytest.approx(0.2, abs=0.15)
+        taken.append(clock.seconds["depth"])
+    assert min(taken) >= 0.19, "the others would be done at once"
     assert len(calls) == 1
     other = replace(method, recipe=Recipe(DepthSource("matching", 256)))
     MethodAtWork(other, hall.views, threads=1, known=known)(hall.size, clock)

@@ -77,16 +77,24 @@ def test_after_an_error_no_frame_waits_for_ever() -> None:
         sink.frame_count = 0
 
 
+def open_when_dropped(background: BackgroundSink, gate: threading.Event) -> None:
+    """Let the frame that is being written arrive once those that wait for it are dropped."""
+    waiting = background._pending[-1]
+    while not waiting.cancelled():
+        time.sleep(0.01)
+    gate.set()
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
 def test_an_error_of_the_writer_drops_what_waits_and_ends_the_thread(error: type[BaseException]) -> None:
     gate = threading.Event()
-    sink = Sink(lambda index: gate.wait(5))
+    sink = Sink(lambda index: gate.wait(300))
 
     def write_and_fail() -> None:
         with BackgroundSink(sink) as background:
             for frame in FRAMES[: FRAMES_IN_QUEUE + 1]:
                 background.write(frame)
-            threading.Timer(0.1, gate.set).start()
+            threading.Thread(target=open_when_dropped, args=(background, gate)).start()
             raise error
 
     with pytest.raises(error):
@@ -97,7 +105,7 @@ def test_an_error_of_the_writer_drops_what_waits_and_ends_the_thread(error: type
 
 def test_memory_is_bounded_by_the_queue() -> None:
     gate = threading.Event()
-    with BackgroundSink(Sink(lambda index: gate.wait(5))) as background:
+    with BackgroundSink(Sink(lambda index: gate.wait(300))) as background:
         written = 0
 
         def write() -> None:

@@ -132,7 +132,7 @@ def test_a_truncated_file_is_an_input_error(tmp_path: Path, variants: dict[str, 
             read_spherical(cut)
 
 
-@settings(max_examples=150, deadline=5000)
+@settings(max_examples=150)
 @given(st.data())
 def test_any_damage_to_the_movie_box_is_an_input_error_or_harmless(
     plain: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

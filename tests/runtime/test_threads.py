@@ -55,7 +55,7 @@ def test_a_forked_process_gets_threads_of_its_own() -> None:
     run_bands(lambda begin, end: None, 64, 2)
     child = os.fork()
     if child == 0:
-        signal.alarm(20)  # a pool that came through the fork would wait forever
+        signal.alarm(300)  # a pool that came through the fork would wait forever
         run_bands(lambda begin, end: None, 64, 2)
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0

@@ -35,7 +35,7 @@ def test_a_scene_without_room_is_skipped_but_no_other_failure(tmp_path, monkeypa
 def first_fails(folder: Path, seed: int) -> Path:
     """Work for another process that leaves a trace."""
     (folder / str(seed)).touch()
-    time.sleep(0.02)
+    time.sleep(0.05)
     if seed == 0:
         raise WriteError("full")
     return folder / str(seed)

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import io
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import TextIO
 
 import click
 
 from omnisyn_cli import __version__
 from omnisyn_cli.cli.lazy import LazyGroup
+from omnisyn_cli.cli.signals import Terminated, signals_raised
 from omnisyn_cli.errors import OmnisynError
 
 __all__ = ["cli", "main"]
@@ -44,13 +41,6 @@ COMMANDS = {
 
 INTERRUPTED = 130
 
-ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""Requests to end that are treated like Ctrl-C: half-written files are removed first."""
-
-
-class Terminated(BaseException):
-    """Another process, or the terminal that was closed, asked the program to end; ``args[0]`` is the signal."""
-
 
 @click.group(cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="omnisyn")
@@ -72,9 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a file's name may be what the terminal cannot show
-    with _signals_raised():
-        code = _run(arguments)
-    sys.exit(code)
+    sys.exit(_run(arguments))
 
 
 def _nowhere() -> TextIO:
@@ -85,7 +73,8 @@ def _nowhere() -> TextIO:
 def _run(arguments: Sequence[str] | None) -> int:
     given = None if arguments is None else list(arguments)
     try:
-        result = cli.main(args=given, prog_name="omnisyn", standalone_mode=False)
+        with signals_raised():
+            result = cli.main(args=given, prog_name="omnisyn", standalone_mode=False)
     except click.exceptions.Exit as exit_request:
         return exit_request.exit_code
     except click.ClickException as error:
@@ -119,21 +108,3 @@ def _failed(message: str, code: int) -> int:
     """Say why in one line, whatever characters a file's name brought into it."""
     click.echo("omnisyn: " + " ".join(message.splitlines()), err=True)
     return code
-
-
-@contextmanager
-def _signals_raised() -> Iterator[None]:
-    """Turn ending signals into :class:`Terminated`, unless they are ignored (nohup) or somebody else's."""
-
-    def end(number: int, frame: FrameType | None) -> None:
-        raise Terminated(number)
-
-    is_main = threading.current_thread() is threading.main_thread()
-    ours = [number for number in ENDING_SIGNALS if is_main and signal.getsignal(number) is signal.SIG_DFL]
-    for number in ours:
-        signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number in ours:
-            signal.signal(number, signal.SIG_DFL)
