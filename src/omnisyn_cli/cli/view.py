@@ -122,7 +122,4 @@ def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
             click.echo(f"{address} shows the walk on this machine; Ctrl-C ends it", err=True)
         if is_opened:
             click.launch(address)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            return
+        server.serve_forever()

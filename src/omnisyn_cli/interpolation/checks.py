@@ -28,7 +28,7 @@ __all__ = [
 
 OF_OWN_FRAMES = (
     "preset", "depth", "model", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback", "save_confidence",
-    "save_depth",
+    "save_depth", "view",
 )  # fmt: skip
 """Fields of a job that mean nothing to the methods that it is compared with."""
 

@@ -1,0 +1,95 @@
+"""``omnisyn view`` from the command line, and the page that ``interpolate --view`` makes beside a video."""
+
+import json
+import signal
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+
+from cli.cli_samples import run_cli, start_cli
+from interpolation_samples import CHAIN, listing
+from synthesis_samples import write_hall
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def tour(tmp_path: Path) -> list[Path]:
+    folder = tmp_path / "a walk"
+    folder.mkdir()
+    return write_hall(folder, CHAIN)
+
+
+def given(tour: list[Path], *more: object) -> list[object]:
+    return [*tour, "--poses", tour[0].parent / "poses.json", "--threads", 1, *more]
+
+
+def test_a_page_is_written_and_said(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
+    page = tmp_path / "a b.html"
+    result = run_cli(capsys, "view", *given(tour, "-o", page))
+    assert (result.code, result.err) == (0, "")
+    assert result.out.startswith(f"{page}: a walk through 3 panoramas, ")
+    again = run_cli(capsys, "view", *given(tour, "-o", page))
+    assert (again.code, again.err.count("\n")) == (3, 1)
+    assert "--overwrite" in again.err
+    before = page.read_bytes()
+    assert run_cli(capsys, "view", *given(tour, "-o", page, "--overwrite", "--quiet")).out == ""
+    assert page.read_bytes() == before
+
+
+def test_a_video_s_page_is_the_page_of_view(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
+    """Of the same depth, pairs without a frame of their own included."""
+    assert run_cli(capsys, "view", *given(tour, "-o", tmp_path / "own.html")).code == 0
+    more = ("--frames", 3, "-o", tmp_path / "frames", "--view", tmp_path / "beside.html")
+    assert run_cli(capsys, "interpolate", *given(tour, *more)).code == 0
+    assert (tmp_path / "beside.html").read_bytes() == (tmp_path / "own.html").read_bytes()
+    assert len(listing(tmp_path / "frames")) == 3
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--view", "walk.mp4"), "ending in .html"),
+        (("--view", "there.html"), "one that exists"),
+        (("--view", "new.html", "--method", "synsin"), "no view"),
+    ],
+)
+def test_a_page_that_cannot_be_is_refused_before_any_frame(
+    tour: list[Path], tmp_path: Path, capsys: Capture, more: tuple[str, ...], words: str
+) -> None:
+    (tmp_path / "there.html").write_text("mine")
+    placed = [tmp_path / text if text.endswith((".html", ".mp4")) else text for text in more]
+    before = listing(tmp_path)
+    result = run_cli(capsys, "interpolate", *given(tour, "-o", tmp_path / "frames", *placed))
+    assert (result.code, result.out) == (3, "")
+    assert words in result.err
+    assert listing(tmp_path) == before
+
+
+def test_a_dry_run_says_what_would_be_done(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
+    result = run_cli(capsys, "view", *given(tour, "-o", tmp_path / "walk.html", "--dry-run", "--json"))
+    plan = json.loads(result.out)
+    assert (plan["texture"], plan["depth"], plan["folder"]) == (4096, "file", False)
+    assert not (tmp_path / "walk.html").exists()
+
+
+@pytest.mark.parametrize("more", [("--serve",), ("--cut", "0.1", "--cut-metres", "1")])
+def test_options_that_contradict_each_other_are_wrong_usage(
+    tour: list[Path], tmp_path: Path, capsys: Capture, more: tuple[str, ...]
+) -> None:
+    assert run_cli(capsys, "view", *given(tour, "-o", tmp_path / "walk.html", *more)).code == 2
+
+
+def test_a_folder_is_served_until_it_is_ended(tour: list[Path], tmp_path: Path) -> None:
+    process = start_cli("view", *given(tour, "-o", tmp_path / "walk", "--folder", "--serve"), folder=tmp_path)
+    try:
+        assert process.stderr is not None
+        line = next(line for line in process.stderr if b"http://" in line)
+        with urlopen(line.split()[0].decode()) as answer:  # noqa: S310 - this machine
+            assert answer.read() == (tmp_path / "walk" / "index.html").read_bytes()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 130
+    finally:
+        process.kill()
+        process.communicate()
