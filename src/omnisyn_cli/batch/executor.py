@@ -4,8 +4,6 @@ An :class:`Executor` is a number of workers (:mod:`.local_executor`: processes o
 actors of a cluster). Each holds one work function, made once from a :class:`Work`, and is given one job at a time.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import platform

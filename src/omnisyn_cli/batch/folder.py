@@ -3,8 +3,6 @@
 A worker that cannot see the folder (on another machine) works in a temporary one and sends the files.
 """
 
-from __future__ import annotations
-
 import re
 import secrets
 import shutil

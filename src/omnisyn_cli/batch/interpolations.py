@@ -1,7 +1,5 @@
 """The work function of ``omnisyn batch``: one line of a manifest becomes one interpolation."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

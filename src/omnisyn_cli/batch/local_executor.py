@@ -3,8 +3,6 @@
 Each is started afresh (spawn), so that none inherits threads or locks, and ends by itself when this process is gone.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

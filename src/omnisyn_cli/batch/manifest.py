@@ -9,8 +9,6 @@ File names are relative to the manifest, outputs to the folder of the batch, ang
 names the columns, empty cells are left out and ``inputs`` and ``masks`` are separated by ``;``.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

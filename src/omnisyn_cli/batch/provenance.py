@@ -1,7 +1,5 @@
 """What a result was made of: the files and the networks with their hashes, the poses, the options."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence

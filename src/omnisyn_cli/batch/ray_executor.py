@@ -4,8 +4,6 @@ Ray places them, gives them their share of processors and GPUs, and starts them 
 process or their node dies. A job that was lost that way goes to whichever actor is ready first.
 """
 
-from __future__ import annotations
-
 import logging
 from typing import Any, Self
 

@@ -4,8 +4,6 @@ A line is on the disk before the next job is recorded. What a power cut left of 
 opened again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -3,8 +3,6 @@
 Only a few of each are kept, so the memory of a worker does not grow with the number of its jobs.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable

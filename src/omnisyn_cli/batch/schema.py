@@ -1,7 +1,5 @@
 """One line of a manifest as a type: its files, and every option of an interpolation with the values it takes."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """Manifests from tours and trajectories: which panoramas are neighbours, and which jobs share work."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """``omnisyn bench``: what settings cost in time and memory, and what they are worth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``omnisyn depth-table``: the paper's depth table, on scenes that no network was trained on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

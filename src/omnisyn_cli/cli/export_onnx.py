@@ -1,7 +1,5 @@
 """``omnisyn export-onnx``: a checkpoint becomes a model that `interpolate` can use."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

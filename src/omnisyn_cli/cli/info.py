@@ -1,7 +1,5 @@
 """``omnisyn info``: what the program sees in a file, before anything is done with it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

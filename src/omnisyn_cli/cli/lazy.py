@@ -1,7 +1,5 @@
 """Groups of commands: imported when they are called, so that ``--help`` is instant, and listed in whole sentences."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from typing import Any

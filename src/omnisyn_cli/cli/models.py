@@ -1,7 +1,5 @@
 """``omnisyn models``: the networks that came with the program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

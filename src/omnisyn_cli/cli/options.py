@@ -1,7 +1,5 @@
 """Options that several commands have, and how they say and print what there is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import reduce
 from typing import Any

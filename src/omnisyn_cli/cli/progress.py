@@ -1,7 +1,5 @@
 """What is said on stderr while a command works: how far it is, and why nothing happens for a while."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager

@@ -1,7 +1,5 @@
 """``omnisyn train``: making the networks. Everything goes on where it was left."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

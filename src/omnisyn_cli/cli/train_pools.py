@@ -1,7 +1,5 @@
 """``omnisyn train pool``, ``convert``, ``evidence`` and ``fusion-pool``: what networks learn from."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The verbs of ``import omnisyn_cli`` that compare; the others are in :mod:`omnisyn_cli.interpolation.api`."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

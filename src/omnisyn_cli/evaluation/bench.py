@@ -3,8 +3,6 @@
 Interrupted and started again with the same folder, a run goes on where it was.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import platform

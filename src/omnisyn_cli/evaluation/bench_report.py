@@ -1,7 +1,5 @@
 """The figures of a bench as tables and as a page."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

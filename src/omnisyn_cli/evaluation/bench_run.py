@@ -3,8 +3,6 @@
 A run wants a process of its own, started for it alone: peak memory and the time to load are facts about processes.
 """
 
-from __future__ import annotations
-
 import math
 import shutil
 import sys

@@ -3,8 +3,6 @@
 Only presets of the scale from fast to accurate are chosen: what is there to compare with is neither.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path

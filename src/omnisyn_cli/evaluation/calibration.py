@@ -4,8 +4,6 @@ One step sees two surfaces with a texture from in between and fuses them: the ke
 to, on as many threads as the job has. What is compiled or loaded at the first call is not timed.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable

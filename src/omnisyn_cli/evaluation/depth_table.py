@@ -5,8 +5,6 @@ the report's folder as soon as it is there (:mod:`omnisyn_cli.evaluation.results
 them. Both panoramas of a pair are scored.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

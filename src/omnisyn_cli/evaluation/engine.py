@@ -4,8 +4,6 @@ Interrupted and started again, a run goes on where it was: units whose inputs, o
 in ``results.jsonl`` are not done again. What is broken or unavailable is tried again, for it may have been repaired.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

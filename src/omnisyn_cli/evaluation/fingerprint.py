@@ -1,7 +1,5 @@
 """What a result depends on, as a hash: files, poses, method, options, and the program with its own sources."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Records of finished units, sorted into the groups that tables and diagrams show."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence

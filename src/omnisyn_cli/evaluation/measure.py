@@ -5,8 +5,6 @@ both panoramas, :data:`CLIP_STEP` of the way apart (two seconds of video at 30 f
 :data:`CLIP_HEIGHT` rows high. They follow the method's own geometry, so methods without geometry have none.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

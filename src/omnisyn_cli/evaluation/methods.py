@@ -12,8 +12,6 @@ else as it is, without that network): ``matching:cut=0.02``, ``oracle-depth:metr
 ``omnisyn-accurate:model=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

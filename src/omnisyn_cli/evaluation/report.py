@@ -5,8 +5,6 @@ The page shows the worst frames of every method first, and depth beside the true
 folder of the report, made small and put into the page itself.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A mean is over all frames (or panoramas, or pairs) that a method measured. A met
 measured is not called the best, since it may have been lucky with what it measured; tables show the numbers.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Pages and Markdown, made from the files in ``templates``; whatever comes from values is escaped there."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Sequence

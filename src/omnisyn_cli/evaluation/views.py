@@ -1,7 +1,5 @@
 """The pictures of a pair read into memory: two views, the true frames between, where and when they were taken."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors and depth in colours, and the pictures of a report: frames, truths, errors and depth as JPEG files."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from dataclasses import replace

@@ -4,8 +4,6 @@ The plain, readable form, for numpy and torch (differentiable in image and direc
 and is tested against these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

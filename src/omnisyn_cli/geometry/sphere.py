@@ -13,8 +13,6 @@ Pixel coordinates below are *indices*: 0.0 is the centre of the first pixel. Eve
 torch tensors with any leading axes and answers in kind.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -11,8 +11,6 @@ direction from the first, so moving a point from one to the other depends on ``i
 Singular, and said here once: at the two epipoles parallax is zero whatever the depth.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

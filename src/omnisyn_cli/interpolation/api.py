@@ -5,8 +5,6 @@ estimator of depth or a fuser of your own is any callable with the signature of
 :class:`~omnisyn_cli.types.DepthEstimator` or :class:`~omnisyn_cli.types.Fuser`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain

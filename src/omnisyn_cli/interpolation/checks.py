@@ -1,7 +1,5 @@
 """What can be refused for a job's own words and for what the headers of its files say."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the program sees in a file: panorama, depth, pose file or video, as plain values that JSON can hold."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

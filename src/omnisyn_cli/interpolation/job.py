@@ -1,7 +1,5 @@
 """What a user asks for, and what follows from that alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Panoramas with their masks and depth, read from files when they are needed and held as small as they can be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from weakref import ref

@@ -1,7 +1,5 @@
 """A job that has been checked: its poses and path, where its depth comes from, what there is to say about it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """What frames are made with: where a job leaves it open, its preset and the pose file decide."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The work itself: panoramas are decoded, frames are made of them and handed to where they go."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Where frames, their confidence and the depth of panoramas go; all of it appears when everything has gone well."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 

@@ -1,7 +1,5 @@
 """What was done: how long it took, and how far it can be relied on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from statistics import fmean

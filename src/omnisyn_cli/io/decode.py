@@ -5,8 +5,6 @@ its end marker, and a JPEG whose missing part has been painted grey. What it doe
 here: the GPano tags of its XMP packet.
 """
 
-from __future__ import annotations
-
 import html
 import math
 import os

@@ -1,7 +1,5 @@
 """Depth files: Euclidean distance from the optical centre in metres, infinity where there is nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

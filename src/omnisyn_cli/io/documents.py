@@ -1,7 +1,5 @@
 """Text and JSON files that users and other programs write, read whole, and what is wrong with them said in one line."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import re

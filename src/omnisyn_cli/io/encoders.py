@@ -1,7 +1,5 @@
 """What can be encoded and with which arguments; ffmpeg is told that it is BT.709, or to convert to it."""
 
-from __future__ import annotations
-
 import functools
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Panoramas and masks read from files: upright, complete spheres, RGB in [0, 1], W = 2H; what of them may be used."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

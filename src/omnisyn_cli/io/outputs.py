@@ -1,7 +1,5 @@
 """Where files go: checks before any work begins, and writing that is seen whole or not at all."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import shutil

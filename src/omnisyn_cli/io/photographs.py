@@ -1,7 +1,5 @@
 """Photographs of any shape, as textures for procedural scenes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the stored pixels lie on the full sphere: cropped panoramas and OpenEXR windows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

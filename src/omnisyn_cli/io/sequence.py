@@ -1,7 +1,5 @@
 """Numbered images in a folder as a place for frames."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -7,8 +7,6 @@ Source: Google, "Spherical Video RFC" (version 1) and "Spherical Video V2 RFC",
 https://github.com/google/spatial-media/tree/master/docs.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from bisect import bisect_right

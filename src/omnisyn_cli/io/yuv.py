@@ -9,8 +9,6 @@ Sources: Recommendation ITU-R BT.709-6, items 3.2 to 3.4 and 4.6; Recommendation
 figure E-1 (type 0).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import UInt8
 

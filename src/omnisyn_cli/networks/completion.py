@@ -15,8 +15,6 @@ Source: two modes instead of one value at edges: Tosi et al., SMD-Nets: Stereo m
 skip: OmniSyn, section 3.3; attention: Vaswani et al., Attention is all you need, 2017.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

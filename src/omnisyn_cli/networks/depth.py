@@ -18,8 +18,6 @@ Source: OmniSyn, sections 3.1 to 3.4, for the sphere sweep, CoordConv and the mo
 upsampling.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """What makes one stereo network differ from another, and those that there are."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A trained network as one ONNX file, proven to say the same as torch."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -61,7 +59,9 @@ def export_network(network: Network, path: Path) -> None:
     onnx.checker.check_model(str(path), full_check=True)
 
 
-def largest_difference(network: Network, path: Path, examples: Iterable[tuple[Float32[np.ndarray, ...], ...]]) -> float:
+def largest_difference(
+    network: Network, path: Path, examples: Iterable[tuple[Float32[np.ndarray, "..."], ...]]
+) -> float:
     """Between torch and ONNX Runtime over all outputs of all examples, relative to the largest value of each output.
 
     Args:

@@ -10,8 +10,6 @@ are as sharp as they are, at any size.
 Source: OmniSyn, section 3.5.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

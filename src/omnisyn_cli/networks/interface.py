@@ -1,7 +1,5 @@
 """What all networks have in common: a configuration, an answer, and what goes in and out of their files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Self

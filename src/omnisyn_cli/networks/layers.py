@@ -5,8 +5,6 @@ zeros beyond the poles. Upsampling is nearest or convex, so that rolling the col
 coarsest stride rolls the output: nothing here knows where the seam is.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -17,8 +17,6 @@ sweep and every enlargement go across the seam, the frame is turned in full 3-D,
 Source: OmniSyn, sections 3.1 to 3.4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -3,8 +3,6 @@
 Source: OmniSyn, section 3.1.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

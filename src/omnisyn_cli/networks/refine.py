@@ -13,8 +13,6 @@ Source: choosing instead of averaging at edges: Tosi et al., SMD-Nets: Stereo mi
 skip: OmniSyn, section 3.3.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -3,8 +3,6 @@
 Source: OmniSyn, section 3.2, for the sweep; RAFT for the lookup.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -14,8 +14,6 @@ are three networks and three files.
 Source: Wiles et al., SynSin (CVPR 2020); on the sphere as the baseline of OmniSyn, section 4.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -3,8 +3,6 @@
 Fusion, refinement and completion are each one of these with planes of their own and answers of their own.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The entries of ``poses.json``, of either kind, as pydantic models, and the pose that one means."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import PurePosixPath, PureWindowsPath

@@ -4,8 +4,6 @@ Pairs are taken in the order of the panoramas; every picture is read once. What 
 the distance between two panoramas, and how the first one was held.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

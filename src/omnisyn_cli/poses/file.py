@@ -5,8 +5,6 @@ position too; camera-to-world), or ``latitude, longitude, altitude, heading`` wi
 and ``mask``, file names relative to the pose file.
 """
 
-from __future__ import annotations
-
 import difflib
 import json
 import os

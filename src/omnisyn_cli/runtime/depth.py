@@ -1,7 +1,5 @@
 """Depth of a pair by a trained network: turned into the network's frame, run both ways, checked, turned back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -3,8 +3,6 @@
 Where no folder can be written (a read-only installation without a home), they are compiled by every process.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -19,8 +19,6 @@
     delta_25 = 0.9
 """
 
-from __future__ import annotations
-
 import hashlib
 import tomllib
 from collections.abc import Mapping

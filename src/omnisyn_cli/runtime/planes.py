@@ -1,7 +1,5 @@
 """Networks in ONNX Runtime that are shown planes of evidence, at any size that they can halve often enough."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """ONNX Runtime sessions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -81,7 +79,7 @@ def run_depth_network(
 
 def run_network(
     session: Any, inputs: Mapping[str, np.ndarray], shapes: Sequence[tuple[int, ...]]
-) -> list[Float32[np.ndarray, ...]]:
+) -> list[Float32[np.ndarray, "..."]]:
     """All outputs of a model, finite, of these shapes.
 
     Args:

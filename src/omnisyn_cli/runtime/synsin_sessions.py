@@ -1,7 +1,5 @@
 """SynSin's networks in ONNX Runtime: depth of one panorama, features of its pixels, a picture of blended points."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

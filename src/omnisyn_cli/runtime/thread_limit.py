@@ -1,7 +1,5 @@
 """How many threads the compiled loops of this package and OpenCV may use, and two things done at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager

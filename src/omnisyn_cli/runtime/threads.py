@@ -3,8 +3,6 @@
 The kernels release the GIL and write only their own rows, so the result does not depend on the number of threads.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

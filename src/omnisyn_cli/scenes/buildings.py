@@ -1,7 +1,5 @@
 """Buildings along a street: town houses, offices, suburban houses. The front faces the road at ``base``."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Both answers are conservative: a shape may be listed in vain but is never missed.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Weather: sun, sky and haze of a day."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

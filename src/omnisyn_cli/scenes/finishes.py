@@ -1,7 +1,5 @@
 """What walls, floors and things are made of."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

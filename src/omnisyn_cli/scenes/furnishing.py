@@ -1,7 +1,5 @@
 """How a room is furnished: what stands against its walls and on its floor, and what hangs there."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

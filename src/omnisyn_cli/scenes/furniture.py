@@ -1,7 +1,5 @@
 """What stands in rooms: every function adds one thing to the floor, its front looking along the local +z axis."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

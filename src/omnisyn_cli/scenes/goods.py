@@ -1,7 +1,5 @@
 """What is stored: cartons, pallets and racks; every function adds one thing to the floor, as those of furniture do."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.scenes import palette

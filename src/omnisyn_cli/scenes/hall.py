@@ -1,7 +1,5 @@
 """Warehouses and workshops: racks, pallets, columns, beams, lights and markings on the floor."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

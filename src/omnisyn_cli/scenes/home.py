@@ -1,7 +1,5 @@
 """Homes: rooms on a grid with doorways and windows, furniture close to the way, walls with hardly any texture."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Places that no architect planned: halls, vaults, courts and yards full of blocks, bars, arches and shapes adrift."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Materials: a pattern of up to three colours, and how it takes the light."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """What makes depth hard to find: shapes adrift, thin things, dark gaps, what stands or hangs close to the way."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

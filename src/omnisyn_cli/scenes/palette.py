@@ -1,7 +1,5 @@
 """Colours as they occur: plaster, brick, stone, wood, paint, cloth. sRGB in [0, 1]."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scenes to panoramas: one call per set of positions that share a rotation."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
@@ -97,7 +95,7 @@ def _render_band(fixed: tuple[Any, ...], image: np.ndarray, depth: np.ndarray, b
 
 
 def distances(
-    scene: Scene, position: Float[np.ndarray, 3], directions: Float[np.ndarray, "n 3"]
+    scene: Scene, position: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Cast single rays from one position.
 

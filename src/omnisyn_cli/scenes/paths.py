@@ -1,7 +1,5 @@
 """Where cameras go: straight lines through free space."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -93,7 +91,7 @@ def _usual_length(rng: np.random.Generator, walkway: Walkway, attempt: int, shar
     return max(low, low * math.exp(share * math.log(high / low)) * math.exp(attempt * math.log(_SHORTER)))
 
 
-def _is_too_near(scene: Scene, walkway: Walkway, start: Float[np.ndarray, 3], end: Float[np.ndarray, 3]) -> bool:
+def _is_too_near(scene: Scene, walkway: Walkway, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> bool:
     """Whether a path is too long for what is beside its ends."""
     if walkway.nearness is None:
         return False
@@ -102,7 +100,7 @@ def _is_too_near(scene: Scene, walkway: Walkway, start: Float[np.ndarray, 3], en
     return float(np.linalg.norm(end - start)) > walkway.nearness * nearest
 
 
-def _is_free(scene: Scene, start: Float[np.ndarray, 3], end: Float[np.ndarray, 3], keep: float) -> bool:
+def _is_free(scene: Scene, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], keep: float) -> bool:
     """Whether a segment stays out of every shape's box, grown by ``keep`` on all sides, and above the ground."""
     if min(start @ scene.ground[:3], end @ scene.ground[:3]) < scene.ground[3] + keep:
         return False
@@ -119,14 +117,14 @@ def _may_leave(walkway: Walkway) -> bool:
     return any(walkway.heading) and walkway.nearness is None
 
 
-def _is_indoors(scene: Scene, point: Float[np.ndarray, 3]) -> bool:
+def _is_indoors(scene: Scene, point: Float[np.ndarray, "3"]) -> bool:
     """Whether a point lies over a walkway, rather than beyond a window."""
     return any(w.low[0] <= point[0] <= w.high[0] and w.low[2] <= point[2] <= w.high[2] for w in scene.walkways)
 
 
 def _line(
     rng: np.random.Generator, scene: Scene, walkway: Walkway, length: float, *, upright: bool, strict: bool
-) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Both ends of a candidate; heights count from the ground."""
     low, high = np.array(walkway.low), np.array(walkway.high)
     start = rng.uniform(low, high)

@@ -4,8 +4,6 @@ A photograph takes the place of a material's colours. Tiled, it is mirrored at i
 seam; what repeats itself is hidden by noise on walls, and by patches that are turned on the ground.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

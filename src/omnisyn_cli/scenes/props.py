@@ -1,7 +1,5 @@
 """Things that stand in a street: trees, lamps, signs, cars, people; every function adds one to the ground."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ground of a street: road, crossings, kerbs, pavements and yards, all of which follow the slope."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

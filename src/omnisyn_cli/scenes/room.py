@@ -1,7 +1,5 @@
 """Rooms: one to three in a row with real openings between them and to the outside, or one large hall."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ box of half sizes ``half`` that is rotated and moved. :class:`SceneBuilder` coll
 walks down its street.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -138,7 +136,7 @@ class Scene:
     variation: Int[np.ndarray, " n"]
     casts_shadow: Bool[np.ndarray, " n"]
     materials: Float[np.ndarray, "m p"]
-    ground: Float[np.ndarray, 4]
+    ground: Float[np.ndarray, "4"]
     ground_material: int
     lamps: Float[np.ndarray, "l 6"]
     lighting: Lighting

@@ -1,7 +1,5 @@
 """Streets: a road along z with kerbs, pavements, house fronts, crossings and all that stands between them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

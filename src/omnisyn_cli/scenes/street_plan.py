@@ -1,7 +1,5 @@
 """What a street is like, before anything stands in it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

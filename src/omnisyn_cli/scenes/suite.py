@@ -4,8 +4,6 @@ All baselines of a scene begin at the same first panorama and go the same way, s
 and by nothing else. Poses are rounded so far that they are the same numbers on every machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A local frame to build a thing in: turned about the vertical and moved to where it stands."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The shell of a room: floor, ceiling, and walls with real openings, each wall a row of slabs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

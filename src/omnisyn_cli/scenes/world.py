@@ -1,7 +1,5 @@
 """A scene packed for the kernels: few flat arrays, because each array costs time at every call."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -162,7 +160,7 @@ def papers_of(scene: Scene) -> Papers:
     return Papers(scene.papering.texels, scene.papering.levels, scene.papering.chosen)
 
 
-def _light_scalars(scene: Scene) -> Float[np.ndarray, 24]:
+def _light_scalars(scene: Scene) -> Float[np.ndarray, "24"]:
     light = scene.lighting
     colours = [
         *light.sun,
@@ -178,7 +176,7 @@ def _light_scalars(scene: Scene) -> Float[np.ndarray, 24]:
     )
 
 
-def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, 3]) -> tuple[World, Bounds]:
+def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, "3"]) -> tuple[World, Bounds]:
     """Finish a pack for one place of the eye."""
     offset = scene.centre - eye
     unit = -np.squeeze(packed.to_unit @ offset[:, :, None], -1)

@@ -3,8 +3,6 @@
 Source: Zabih and Woodfill, Non-parametric local transforms for computing visual correspondence, 1994.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt64

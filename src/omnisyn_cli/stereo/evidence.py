@@ -4,8 +4,6 @@ Everything is dimensionless: distances count in baselines, and inverse depth ent
 even steps of which are nearly even steps of parallax.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ distance in linear time.
 Source: filter: Gastal and Oliveira, Domain transform for edge-aware image and video processing, 2011.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,8 +1,6 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 """The fit of a plane around every pixel, see :mod:`omnisyn_cli.stereo.filling`, in numba."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.runtime.jit import kernel

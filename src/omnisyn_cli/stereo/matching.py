@@ -5,8 +5,6 @@ ways (:mod:`.semi_global`), let large planes explain what they can (:mod:`.surfa
 on, find the sky (:mod:`.sky`), fill the rest and move edges to where the image has them (:mod:`.filling`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial

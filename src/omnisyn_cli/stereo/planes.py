@@ -4,8 +4,6 @@ Seen from a panorama a plane is a *linear* function of the direction, ``inverse_
 one is a 3×3 system.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from jaxtyping import Float, Int

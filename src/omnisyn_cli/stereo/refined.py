@@ -1,7 +1,5 @@
 """Depth of a pair by matching, made better by a network that has seen many rooms and streets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

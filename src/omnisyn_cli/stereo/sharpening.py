@@ -4,8 +4,6 @@ Around every pixel the surfaces of the smaller map within some pixels span a ban
 matched, so that a larger size costs little more than a smaller one, and what repeats elsewhere cannot mislead.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import cv2

@@ -1,7 +1,5 @@
 """The sizes that depth is looked for at; nothing heavy is imported for them."""
 
-from __future__ import annotations
-
 __all__ = ["coarse_rows", "doubled_sizes", "estimate_sizes"]
 
 REFINED_ROWS = 512

@@ -5,8 +5,6 @@ reaches the zenith, and that wherever it does show something (clouds, a gradient
 that something has no parallax.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float

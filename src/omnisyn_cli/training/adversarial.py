@@ -4,8 +4,6 @@ Source: Wiles et al., SynSin, section 3.4; Lim and Ye, Geometric GAN (2017) for 
 2018), section 3.2, for patches at several scales, here on the sphere and with spectral norms instead of instance norms.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """One file with everything to go on training, written so that a kill at any moment leaves a whole one."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

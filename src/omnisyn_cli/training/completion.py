@@ -7,8 +7,6 @@ the depth networks and are turned from the frame of the epipoles to a camera hel
 real matching is (:mod:`omnisyn_cli.stereo.evidence`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -12,8 +12,6 @@ Any two views are a stereo pair of some baseline; read from the other end (turne
 A batch depends on the seed, the step and the pool alone, so a run can stop and go on anywhere.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields

@@ -11,8 +11,6 @@ The colours are varied before matching, and some poses are a little wrong, as in
 the truth is the nearer one: a mesh of that size then shows the least of what is wrong at silhouettes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

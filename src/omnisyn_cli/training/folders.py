@@ -4,8 +4,6 @@ What is written is what :mod:`omnisyn_cli.training.data` describes, with two vie
 is not known (holes of a scan, masked pixels), and nothing is taught there.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Training pairs in the frame of a network: pools have the other camera at the zenith, the paper straight ahead."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path

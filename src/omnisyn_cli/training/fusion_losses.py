@@ -1,7 +1,5 @@
 """What the fusion network is told about its pictures, and the figures it is judged by."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float
 from torch import Tensor

@@ -10,8 +10,6 @@ place ``k``:
 Renderings are made at twice that size and reduced as in the program, and some poses are a little wrong, as in life.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -5,8 +5,6 @@ time is up, :attr:`TrainConfig.cooldown_steps` more steps take the rate to zero 
 steps: a run that is paused, killed or continued goes the same way, bit for bit on one machine.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

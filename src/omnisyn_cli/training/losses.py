@@ -6,8 +6,6 @@ be NaN where the truth is not known (:func:`depth_loss`, :func:`paper_loss`, :fu
 judged there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import torch

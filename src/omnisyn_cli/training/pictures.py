@@ -1,7 +1,5 @@
 """What networks say, to look at while they learn: the picture, the answer, the truth, and the error; TensorBoard."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

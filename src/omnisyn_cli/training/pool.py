@@ -4,8 +4,6 @@ What differs between two photographs beyond colour is made here: how far apart t
 poses (each view is turned by a fraction of a degree that nobody is told).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed

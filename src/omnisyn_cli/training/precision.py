@@ -1,7 +1,5 @@
 """Where a network is trained, and in how many bits: bfloat16 where the machine multiplies in it, else single."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 

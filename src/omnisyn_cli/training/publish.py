@@ -1,7 +1,5 @@
 """From a checkpoint to a model of the program: exported, compared with torch, entered into the manifest."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields

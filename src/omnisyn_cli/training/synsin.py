@@ -4,8 +4,6 @@ The depth network is told the true inverse depth as well as what is wrong with t
 find a depth that suits them, in no unit that could be compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

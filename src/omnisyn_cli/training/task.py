@@ -1,7 +1,5 @@
 """What the training loop has to know of a kind of network: what it is shown, how it is taught, how it is judged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """All kinds of networks, and what each is taught."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ the inner one is the truth. The depth network sees the pair as two cameras might
 from are the colours as they are, so that the fused picture can be compared with the truth at all.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

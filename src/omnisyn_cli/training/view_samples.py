@@ -3,8 +3,6 @@
 Samples come from pools of scenes (:mod:`omnisyn_cli.training.data`), turned upright, looking anywhere.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -17,8 +17,6 @@ What is assumed (from the authors' ``data_readers/carla_reader.py``, Augmentariu
 Frames without both pictures are left out, as the authors do. Every run is one scene.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import partial

@@ -13,8 +13,6 @@
 A single scene or tour is a data set of one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path

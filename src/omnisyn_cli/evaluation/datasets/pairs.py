@@ -6,8 +6,6 @@ with one pair a line: scene, first and second frame, separated by white space; f
 a comment. Scenes that such a file does not name are not evaluated.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

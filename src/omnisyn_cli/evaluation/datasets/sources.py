@@ -1,7 +1,5 @@
 """A scene as the evaluation sees it, whatever layout it has on disk: posed panoramas in walking order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How close an estimated depth is to the true one: the figures of the paper's depth table, and a few more."""
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Bool, Float
 

@@ -4,8 +4,6 @@ Pictures are RGB in [0, 1], both of one size, and at least 11×11 pixels for str
 others. The names with ``ws_`` weight every pixel by its share of the sphere.
 """
 
-from __future__ import annotations
-
 import math
 
 import cv2

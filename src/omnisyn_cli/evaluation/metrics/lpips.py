@@ -1,7 +1,5 @@
 """Learned perceptual distance by a network that the user has: mean over the six faces of a cube around the panorama."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,8 +8,6 @@ pose, world-from-camera. ValueError for too few frames, numbers or sizes that do
 nothing in common.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ right, y up, −z forward; metres) and one line for everything it had to assume.
 A PoseError says what is missing, malformed, or no panorama.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

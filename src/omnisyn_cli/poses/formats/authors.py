@@ -8,8 +8,6 @@ Source: AugmentariumLab/omnisyn, ``data_readers/carla_reader.py`` (``calculate_r
 ``helpers/my_torch_helpers.py`` (``rotate_equirectangular_image``).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from omnisyn_cli.errors import PoseError

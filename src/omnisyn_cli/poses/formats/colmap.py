@@ -8,8 +8,6 @@ fixed orientation; after most reconstructions y points down.
 Source: COLMAP documentation, "Output Format"; ``src/colmap/sensor/models.h``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Errors name the file and the line. Panoramas are kept inside the source's folder.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Places on earth with compass headings, as poses in one local world: x east, y up, −z north at its origin."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ Habitat's frame: x right, y up, −z forward, which is ours. ``depth.png`` holds
 Source: PanSplat, ``src/dataset/dataset_mp3d.py`` (``convert_poses``); PanoGRF's data preparation.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ Every format says camera-to-world or its inverse, in axes of its own. A pose of 
 rotations: what is left-handed (ZInD) is mirrored by its own reader.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ them, but for a scale in it (or in ``applied_scale``), which is undone.
 Source: nerfstudio documentation, "Data conventions"; ``nerfstudio/cameras/cameras.py``.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

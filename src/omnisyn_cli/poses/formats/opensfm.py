@@ -7,8 +7,6 @@ world has x east, y north, z up at ``reference_lla``, in metres where the images
 Source: OpenSfM documentation, "Geometric Models" and "Reconstruction file format".
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

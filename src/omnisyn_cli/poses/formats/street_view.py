@@ -5,8 +5,6 @@ JSON may be a list of objects, an object of objects by image name, or either of 
 GPano defines them.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Mapping

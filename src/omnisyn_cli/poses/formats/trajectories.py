@@ -7,8 +7,6 @@ what the axes are: usually OpenCV's (x right, y down, z forward) in the world of
 Source: TUM RGB-D benchmark, "File Formats"; KITTI odometry benchmark, development kit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Imported poses written as ``poses.json``, and our poses written for other programs."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath

@@ -9,8 +9,6 @@ so these coordinates are left-handed and x is negated here. Camera heights are 1
 Source: ZInD, ``data_organization.md``; ``code/transformations.py``.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Any

@@ -4,8 +4,6 @@ A correction takes both camera-to-world poses as they were given to what they we
 alone and then in pairs, in the order of their stages: numbers are read before transforms are inverted, axes come last.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Do the poses of two panoramas fit what they see, and if not, which convention hypothesis would explain it?"""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A diagnosis in words, and as values for programs."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -7,8 +7,6 @@ second camera. Two directions of one point fulfil ``d₁ · (t × R·d₂) = 0``
 Source: Hartley and Zisserman, Multiple View Geometry, chapter 9, with directions in place of pixels.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ numbers, each step in the tangent space, damped as by Levenberg and Marquardt. W
 so that wrong matches lose their influence; the scale shrinks from step to step down to the noise that is found.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ ten cubic equations ``det E = 0`` and ``2EEᵀE − tr(EEᵀ)E = 0`` leave up to
 Source: Stewénius, Engels, Nistér, Recent developments on direct relative orientation, ISPRS 2006.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -6,8 +6,6 @@ equal poses. That the cameras stand in one place, so that no direction can be to
 explaining as much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
