@@ -5,13 +5,11 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette, props
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
 __all__ = ["house", "office", "town_house"]
-
-Point = tuple[float, float, float]
 
 DARK_GLASS = Material(Pattern.PLAIN, (0.12, 0.14, 0.16), grain=0.1, gloss=1.0)
 
@@ -37,16 +35,8 @@ def _facade(rng: np.random.Generator, floor: float, shop: bool) -> Material:
 
 def _flank(rng: np.random.Generator, wall: palette.Colour) -> Material:
     if rng.random() < 0.3:
-        return Material(
-            Pattern.BRICK,
-            wall,
-            palette.darker(wall, 0.85),
-            palette.darker(wall, 1.25),
-            cell=(0.26, 0.085),
-            line=0.012,
-            grain=0.15,
-        )
-    return Material(Pattern.PLAIN, wall, palette.darker(wall, 0.75), grain=0.15, grain_size=2.5, detail=0.35)
+        return shaded(Pattern.BRICK, wall, 0.85, 1.25, cell=(0.26, 0.085), line=0.012, grain=0.15)
+    return shaded(Pattern.PLAIN, wall, 0.75, grain=0.15, grain_size=2.5, detail=0.35)
 
 
 def town_house(
@@ -72,19 +62,13 @@ def town_house(
     if facing_z:
         build.add(Shape.BOX, (x, y + 0.5 * tall, z), (0.5 * wide, 0.5 * tall, 0.5 * deep), front, cap=roof)
         return
-    build.add(
-        Shape.BOX,
-        (x + side * 0.5 * deep, y + 0.5 * tall, z),
-        (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01),
-        front,
-        cap=roof,
-    )
+    _block(build, base, (deep, tall, wide), side, front, roof)
     if not detailed:
         return
-    trim = Material(Pattern.PLAIN, front.third, palette.darker(front.third, 0.85), grain=0.12)
-    _band(build, base, wide, side, tall, 0.25, trim, 0.28)
+    trim = shaded(Pattern.PLAIN, front.third, 0.85, grain=0.12)
+    _band(build, base, wide, tall, 0.25, trim, 0.28)
     if rng.random() < 0.6:
-        _band(build, base, wide, side, floor - 0.05, 0.14, trim, rng.uniform(0.08, 0.3))
+        _band(build, base, wide, floor - 0.05, 0.14, trim, rng.uniform(0.08, 0.3))
     if rng.random() < 0.35:
         _pilasters(build, base, wide, tall, trim)
     if rng.random() < 0.5:
@@ -99,9 +83,14 @@ def town_house(
         build.add(Shape.BOX, (x + side * 2.0, y + tall + 0.7, z + 0.3 * wide), (0.35, 0.9, 0.5), chimney)
 
 
-def _band(
-    build: SceneBuilder, base: Point, wide: float, side: float, at: float, half: float, trim: Material, out: float
-) -> None:
+def _block(build: SceneBuilder, base: Point, size: Point, side: float, front: Material, roof: Material) -> None:
+    """Add the body of a house, as deep, tall and wide as ``size`` says."""
+    deep, tall, wide = size
+    centre = (base[0] + side * 0.5 * deep, base[1] + 0.5 * tall, base[2])
+    build.add(Shape.BOX, centre, (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01), front, cap=roof)
+
+
+def _band(build: SceneBuilder, base: Point, wide: float, at: float, half: float, trim: Material, out: float) -> None:
     """Add a ledge across the front that sticks out by ``out``."""
     build.add(Shape.BOX, (base[0], base[1] + at, base[2]), (out, half, 0.5 * wide), trim)
 
@@ -185,15 +174,7 @@ def _pitched_roof(build: SceneBuilder, middle: Point, deep: float, wide: float, 
     clay = palette.darker(pick(rng, palette.BRICK), rng.uniform(0.6, 1.0))
     if rng.random() < 0.4:
         clay = (0.27, 0.27, 0.29)
-    tiles = Material(
-        Pattern.BRICK,
-        clay,
-        palette.darker(clay, 0.8),
-        palette.darker(clay, 0.5),
-        cell=(0.3, 0.25),
-        line=0.03,
-        grain=0.2,
-    )
+    tiles = shaded(Pattern.BRICK, clay, 0.8, 0.5, cell=(0.3, 0.25), line=0.03, grain=0.2)
     angle = rng.uniform(0.4, 0.75)
     span = 0.5 * (deep if along_z else wide) + 0.4
     run = 0.5 * span / math.cos(angle)
@@ -232,22 +213,16 @@ def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detail
     )
     x, y, z = base
     roof = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), grain=0.2)
-    build.add(
-        Shape.BOX,
-        (x + side * 0.5 * deep, y + 0.5 * tall, z),
-        (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01),
-        front,
-        cap=roof,
-    )
+    _block(build, base, (deep, tall, wide), side, front, roof)
     if not detailed:
         return
     trim = Material(Pattern.PLAIN, palette.darker(wall, rng.uniform(0.7, 1.15)), grain=0.08)
-    _band(build, base, wide, side, tall, 0.4, trim, 0.1)
+    _band(build, base, wide, tall, 0.4, trim, 0.1)
     if rng.random() < 0.4:
         _pilasters(build, base, wide, tall, trim)
     elif rng.random() < 0.6:
         for level in range(1, min(9, int(tall / floor))):
-            _band(build, base, wide, side, level * floor, 0.15, trim, rng.uniform(0.3, 0.9))
+            _band(build, base, wide, level * floor, 0.15, trim, rng.uniform(0.3, 0.9))
     if rng.random() < 0.6:  # entrance with a canopy on columns
         build.add(Shape.BOX, (x - side * 1.2, y + 3.0, z), (1.3, 0.15, 2.5), trim)
         for end in (-2.2, 2.2):

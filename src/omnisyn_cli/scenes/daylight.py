@@ -4,15 +4,13 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.scenes.palette import mixed
-from omnisyn_cli.scenes.scene import Lighting
+from omnisyn_cli.scenes.palette import Colour, mixed
+from omnisyn_cli.scenes.scene import Lighting, Point
 
 __all__ = ["daylight", "sun_at"]
 
-Colour = tuple[float, float, float]
 
-
-def sun_at(bearing: float, elevation: float) -> tuple[float, float, float]:
+def sun_at(bearing: float, elevation: float) -> Point:
     """Unit vector to a sun at a height above the horizon (radians); the bearing turns it about the vertical."""
     flat = math.cos(elevation)
     return flat * math.sin(bearing), math.sin(elevation), flat * math.cos(bearing)

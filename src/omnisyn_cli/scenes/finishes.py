@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
 
 __all__ = ["any_finish", "faint_finish", "floor_finish", "wall_finish"]
@@ -41,27 +41,9 @@ def wall_finish(rng: np.random.Generator, use: str) -> Material:
         )
     if kind < (0.4 if use != "hall" else 0.3):
         brick = pick(rng, palette.BRICK) if rng.random() < 0.5 else tone
-        return Material(
-            Pattern.BRICK,
-            brick,
-            palette.darker(brick, 0.8),
-            palette.darker(brick, 1.25),
-            cell=(0.25, 0.08),
-            line=0.011,
-            grain=0.12,
-            seed=seed,
-        )
+        return shaded(Pattern.BRICK, brick, 0.8, 1.25, cell=(0.25, 0.08), line=0.011, grain=0.12, seed=seed)
     if use == "hall" and kind < 0.6:
-        return Material(
-            Pattern.RIBS,
-            tone,
-            palette.darker(tone, 0.85),
-            palette.darker(tone, 0.6),
-            cell=(0.3, 2.5),
-            line=0.03,
-            grain=0.06,
-            seed=seed,
-        )
+        return shaded(Pattern.RIBS, tone, 0.85, 0.6, cell=(0.3, 2.5), line=0.03, grain=0.06, seed=seed)
     if kind < 0.5:
         return Material(
             Pattern.PLANKS,
@@ -73,10 +55,10 @@ def wall_finish(rng: np.random.Generator, use: str) -> Material:
             grain=0.05,
             seed=seed,
         )
-    return Material(
+    return shaded(
         Pattern.PLAIN,
         tone,
-        palette.darker(tone, rng.uniform(0.78, 0.97)),
+        rng.uniform(0.78, 0.97),
         grain=rng.uniform(0.02, 0.1),
         grain_size=rng.uniform(0.5, 3.0),
         detail=rng.uniform(0.2, 0.6),
@@ -90,11 +72,11 @@ def floor_finish(rng: np.random.Generator, use: str) -> Material:
     kind = rng.random()
     if use == "hall":
         tone = pick(rng, palette.CONCRETE)
-        return Material(
+        return shaded(
             Pattern.TILES,
             tone,
-            palette.darker(tone, 0.96),
-            palette.darker(tone, 0.75),
+            0.96,
+            0.75,
             cell=(5.0, 5.0),
             line=0.012,
             grain=0.16,
@@ -104,11 +86,11 @@ def floor_finish(rng: np.random.Generator, use: str) -> Material:
         )
     if kind < 0.45:
         tone = pick(rng, palette.WOOD)
-        return Material(
+        return shaded(
             Pattern.PLANKS,
             tone,
-            palette.darker(tone, 0.75),
-            palette.darker(tone, 0.4),
+            0.75,
+            0.4,
             cell=(rng.uniform(0.6, 2.2), rng.uniform(0.07, 0.2)),
             line=0.005,
             grain=0.06,
@@ -133,15 +115,7 @@ def floor_finish(rng: np.random.Generator, use: str) -> Material:
             seed=seed,
         )
     tone = pick(rng, palette.CLOTH)
-    return Material(
-        Pattern.PLAIN,
-        tone,
-        palette.darker(tone, 0.8),
-        grain=0.2,
-        grain_size=rng.choice([0.05, 0.3]),
-        detail=0.4,
-        seed=seed,
-    )
+    return shaded(Pattern.PLAIN, tone, 0.8, grain=0.2, grain_size=rng.choice([0.05, 0.3]), detail=0.4, seed=seed)
 
 
 def any_finish(rng: np.random.Generator, size: float) -> Material:
@@ -170,10 +144,10 @@ def faint_finish(rng: np.random.Generator, use: str) -> Material:
     if rng.random() < 0.3:
         return wall_finish(rng, use)
     tone = pick(rng, palette.INTERIOR)
-    return Material(
+    return shaded(
         Pattern.PLAIN,
         tone,
-        palette.darker(tone, rng.uniform(0.96, 1.0)),
+        rng.uniform(0.96, 1.0),
         grain=rng.uniform(0.0, 0.015),
         grain_size=rng.uniform(0.3, 4.0),
         detail=rng.uniform(0.0, 0.4),

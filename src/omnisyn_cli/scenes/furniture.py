@@ -6,9 +6,9 @@ import numpy as np
 
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.goods import CARTON
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder
+from omnisyn_cli.scenes.scene import Point, SceneBuilder
 from omnisyn_cli.scenes.turned import Turned
 
 __all__ = [
@@ -28,8 +28,6 @@ __all__ = [
     "wood",
 ]
 
-Point = tuple[float, float, float]
-
 BLACK = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
 
@@ -38,15 +36,13 @@ def wood(rng: np.random.Generator, plank: float = 0.5) -> Material:
     """Draw a varnished or painted board."""
     if rng.random() < 0.3:
         paint = pick(rng, palette.INTERIOR)
-        return Material(
-            Pattern.PLAIN, paint, palette.darker(paint, 0.9), grain=0.05, gloss=0.15, seed=int(rng.integers(1, 1000))
-        )
+        return shaded(Pattern.PLAIN, paint, 0.9, grain=0.05, gloss=0.15, seed=int(rng.integers(1, 1000)))
     tone = pick(rng, palette.WOOD)
-    return Material(
+    return shaded(
         Pattern.PLANKS,
         tone,
-        palette.darker(tone, 0.8),
-        palette.darker(tone, 0.5),
+        0.8,
+        0.5,
         cell=(2.0, plank),
         line=0.004,
         grain=0.05,
@@ -61,9 +57,7 @@ def _cloth(rng: np.random.Generator) -> Material:
         return Material(
             Pattern.WALLPAPER, tone, palette.darker(tone, 1.3), pick(rng, palette.CLOTH), cell=(0.15, 0.15), grain=0.1
         )
-    return Material(
-        Pattern.PLAIN, tone, palette.darker(tone, 0.85), grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000))
-    )
+    return shaded(Pattern.PLAIN, tone, 0.85, grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000)))
 
 
 def table(build: SceneBuilder, base: Point, yaw: float, size: tuple[float, float] | None = None) -> None:
@@ -94,7 +88,7 @@ def clutter(at: Turned, half: tuple[float, float], height: float, count: int) ->
         stuff = Material(
             Pattern.COLLAGE, colour, pick(rng, palette.INTERIOR), pick(rng, palette.SIGN), cell=(0.1, 0.06), grain=0.05
         )
-        plain = Material(Pattern.PLAIN, colour, palette.darker(colour, 0.9), grain=0.05, gloss=0.3)
+        plain = shaded(Pattern.PLAIN, colour, 0.9, grain=0.05, gloss=0.3)
         kind = rng.random()
         if kind < 0.5:
             size = (rng.uniform(0.05, 0.17), rng.uniform(0.01, 0.12), rng.uniform(0.05, 0.13))
@@ -192,11 +186,11 @@ def cabinet(build: SceneBuilder, base: Point, yaw: float) -> None:
     at = Turned(build, base, yaw)
     wide, height, deep = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
-    face = Material(
+    face = shaded(
         Pattern.TILES,
         tone,
-        palette.darker(tone, 0.93),
-        palette.darker(tone, 0.35),
+        0.93,
+        0.35,
         cell=(wide / max(1, round(wide / 0.4)), height / int(rng.integers(1, 5))),
         line=0.012,
         grain=0.08,
@@ -265,7 +259,7 @@ def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
     rng = build.rng
     at = Turned(build, base, yaw)
     clay = pick(rng, palette.BRICK)
-    at.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, Material(Pattern.PLAIN, clay, palette.darker(clay, 0.9), grain=0.1))
+    at.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, shaded(Pattern.PLAIN, clay, 0.9, grain=0.1))
     green = pick(rng, palette.FOLIAGE)
     leaves = Material(
         Pattern.LEAVES, palette.darker(green, 0.6), palette.darker(green, 1.3), cell=(0.1, 0.1), detail=0.75

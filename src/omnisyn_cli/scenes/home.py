@@ -1,6 +1,7 @@
 """Homes: rooms on a grid with doorways and windows, furniture close to the way, walls with hardly any texture."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,19 +61,15 @@ def indoor_light(rng: np.random.Generator, *, is_lamp_lit: bool) -> Lighting:
     strength = rng.uniform(0.8, 1.6) if is_sided else rng.uniform(0.2, 0.8)
     elevation = rng.uniform(0.35, 0.9) if is_sided or not is_lamp_lit else rng.uniform(1.15, 1.5)
     level *= 0.6 if is_sided else 1.0
-    return Lighting(
+    return replace(
+        day,
         sun_direction=sun_at(rng.uniform(-math.pi, math.pi), elevation),
         sun=(strength * tone[0], strength * tone[1], strength * tone[2]),
         sky=(level * tone[0], level * tone[1], level * tone[2]),
         bounce=(0.8 * level * tone[0], 0.77 * level * tone[1], 0.7 * level * tone[2]),
         softness=rng.uniform(0.02, 0.2),
-        zenith=day.zenith,
-        horizon=day.horizon,
-        cloud=day.cloud,
-        cloud_cover=day.cloud_cover,
-        cloud_scale=day.cloud_scale,
+        haze=0.0,
         exposure=rng.uniform(1.0, 2.0),
-        seed=day.seed,
     )
 
 

@@ -9,7 +9,7 @@ from omnisyn_cli.scenes import obstacles, palette, props
 from omnisyn_cli.scenes.daylight import daylight
 from omnisyn_cli.scenes.finishes import any_finish, faint_finish, floor_finish, wall_finish
 from omnisyn_cli.scenes.home import BASELINES, NEARNESS, indoor_light
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.obstacles import Space, Way
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
@@ -123,9 +123,9 @@ def _ground(rng: np.random.Generator) -> Material:
         )
     tone = pick(rng, palette.PAVING)
     side = rng.uniform(0.15, 1.2)
-    return Material(
-        Pattern.TILES if rng.random() < 0.7 else Pattern.BRICK, tone, palette.darker(tone, rng.uniform(0.8, 1.0)),
-        palette.darker(tone, 0.6), cell=(side, side * rng.uniform(0.5, 1.0)), line=0.012, grain=rng.uniform(0.03, 0.2),
+    return shaded(
+        Pattern.TILES if rng.random() < 0.7 else Pattern.BRICK, tone, rng.uniform(0.8, 1.0), 0.6,
+        cell=(side, side * rng.uniform(0.5, 1.0)), line=0.012, grain=rng.uniform(0.03, 0.2),
         seed=int(rng.integers(1, 1000)),
     )  # fmt: skip
 

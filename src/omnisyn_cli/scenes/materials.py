@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["Column", "Material", "Pattern", "pack_materials"]
+from omnisyn_cli.scenes.palette import Colour, darker
 
-Colour = tuple[float, float, float]
+__all__ = ["Column", "Material", "Pattern", "pack_materials", "shaded"]
 
 
 class Pattern(IntEnum):
@@ -87,6 +88,13 @@ class Material:
     gloss: float = 0.0
     glow: float = 0.0
     seed: int = 1
+
+
+def shaded(pattern: Pattern, tone: Colour, second: float, third: float | None = None, **look: Any) -> Material:
+    """A material of one colour: its second and third are that colour made darker by a factor, the rest is ``look``."""
+    if third is not None:
+        look["third"] = darker(tone, third)
+    return Material(pattern, tone, darker(tone, second), **look)
 
 
 _OPEN = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)

@@ -9,14 +9,12 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.finishes import any_finish
 from omnisyn_cli.scenes.furniture import wood
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Walkway
 from omnisyn_cli.scenes.turned import Turned
 
 __all__ = ["Space", "Way", "adrift", "arch", "bars", "blocks", "chandelier", "platform", "tripod", "unit", "wires"]
-
-Point = tuple[float, float, float]
 
 BLACK = Material(Pattern.PLAIN, (0.03, 0.03, 0.03), (0.02, 0.02, 0.02), grain=0.02)
 
@@ -150,7 +148,7 @@ def wires(build: SceneBuilder, space: Space, count: int) -> None:
         between = [tuple(start + share * (end - start)) for share in np.linspace(0.0, 1.0, 25)]
         if np.linalg.norm(end - start) > 0.3 and all(space.way.is_clear_of(point, 0.12) for point in between):
             tone = pick(rng, palette.METAL if rng.random() < 0.6 else palette.SIGN)
-            material = Material(Pattern.PLAIN, tone, palette.darker(tone, 0.8), grain=0.03, gloss=rng.uniform(0.0, 0.6))
+            material = shaded(Pattern.PLAIN, tone, 0.8, grain=0.03, gloss=rng.uniform(0.0, 0.6))
             radius = math.exp(rng.uniform(math.log(0.004), math.log(0.04)))
             build.rod(tuple(map(float, start)), tuple(map(float, end)), radius, material)  # type: ignore[arg-type]
 
@@ -170,7 +168,7 @@ def bars(build: SceneBuilder, space: Space) -> None:
         ]
         if all(space.way.is_clear_of(place, 0.2) for place in places):
             tone = pick(rng, palette.METAL if rng.random() < 0.6 else palette.WOOD)
-            iron = Material(Pattern.PLAIN, tone, palette.darker(tone, 0.8), grain=0.05, gloss=0.15)
+            iron = shaded(Pattern.PLAIN, tone, 0.8, grain=0.05, gloss=0.15)
             for k in range(count):
                 at.rod(((k + 0.5) * step - reach, 0.0, 0.0), ((k + 0.5) * step - reach, tall, 0.0), radius, iron)
             for y in (0.08, tall):

@@ -6,13 +6,11 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
 __all__ = ["bench", "bollard", "bush", "car", "conifer", "hedge", "lamp_post", "person", "sign", "tree", "waste_bin"]
-
-Point = tuple[float, float, float]
 
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)
@@ -158,7 +156,7 @@ def car(build: SceneBuilder, base: Point, yaw: float) -> None:
     """Add a car: body, cabin of glass, bumpers, wheels and lights; its nose points along the local −z."""
     rng = build.rng
     paint = pick(rng, palette.CAR)
-    body = Material(Pattern.PLAIN, paint, palette.darker(paint, 0.9), grain=0.02, gloss=0.5, grain_size=2.0)
+    body = shaded(Pattern.PLAIN, paint, 0.9, grain=0.02, gloss=0.5, grain_size=2.0)
     dark = Material(Pattern.PLAIN, (0.09, 0.09, 0.1), grain=0.05, gloss=0.2)
     glass = Material(
         Pattern.WINDOW,

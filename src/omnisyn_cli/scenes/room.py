@@ -1,7 +1,7 @@
 """Rooms: one to three in a row with real openings between them and to the outside, or one large hall."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,21 +85,8 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
     else:
         direction, softness = sun_at(rng.choice([0.0, math.pi]) + rng.normal(0, 0.5), rng.uniform(0.35, 0.9)), 0.008
         sun = (2.6, 2.35, 1.9)
-    return Lighting(
-        sun_direction=direction,
-        sun=sun,
-        sky=sky,
-        bounce=bounce,
-        softness=softness,
-        zenith=day.zenith,
-        horizon=day.horizon,
-        cloud=day.cloud,
-        cloud_cover=day.cloud_cover,
-        cloud_scale=day.cloud_scale,
-        haze=0.0,
-        exposure=rng.uniform(1.2, 1.9),
-        seed=day.seed,
-    )
+    day = replace(day, sun_direction=direction, sun=sun, sky=sky, bounce=bounce, softness=softness)
+    return replace(day, haze=0.0, exposure=rng.uniform(1.2, 1.9))
 
 
 def _outside(build: SceneBuilder, level: float) -> None:

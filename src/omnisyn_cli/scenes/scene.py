@@ -16,12 +16,12 @@ from jaxtyping import Bool, Float, Int, Int64, UInt8
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material, pack_materials
+from omnisyn_cli.scenes.palette import Colour
 
 __all__ = ["Lighting", "Papering", "Scene", "SceneBuilder", "Shape", "Walkway"]
 
-Colour = tuple[float, float, float]
-Vector = tuple[float, float, float]
-Turn: TypeAlias = float | Vector | np.ndarray
+Point = tuple[float, float, float]
+Turn: TypeAlias = float | Point | np.ndarray
 
 
 class Shape(IntEnum):
@@ -51,7 +51,7 @@ class Lighting:
         seed: of the clouds.
     """
 
-    sun_direction: tuple[float, float, float]
+    sun_direction: Point
     sun: Colour
     sky: Colour
     bounce: Colour
@@ -80,8 +80,8 @@ class Walkway:
         slope: standard deviation of the climb of those paths that are not level, a tangent.
     """
 
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
+    low: Point
+    high: Point
     heading: tuple[float, float]
     baselines: tuple[float, float]
     clearance: float
@@ -148,9 +148,9 @@ class _Added(NamedTuple):
     """One shape; ``turn`` is its yaw, or the direction of its y axis, or its rotation."""
 
     shape: int
-    centre: Vector
+    centre: Point
     turn: Turn
-    half: Vector
+    half: Point
     material: tuple[int, int]
     tint: Colour
     casts_shadow: bool
@@ -172,8 +172,8 @@ class SceneBuilder:
     def add(
         self,
         shape: Shape,
-        centre: tuple[float, float, float],
-        half: tuple[float, float, float],
+        centre: Point,
+        half: Point,
         material: Material,
         *,
         cap: Material | None = None,
@@ -190,8 +190,8 @@ class SceneBuilder:
 
     def box(
         self,
-        low: tuple[float, float, float],
-        high: tuple[float, float, float],
+        low: Point,
+        high: Point,
         material: Material,
         *,
         cap: Material | None = None,
@@ -203,18 +203,12 @@ class SceneBuilder:
         half = (0.5 * abs(high[0] - low[0]), 0.5 * abs(high[1] - low[1]), 0.5 * abs(high[2] - low[2]))
         self.add(Shape.BOX, centre, half, material, cap=cap, tint=tint, casts_shadow=casts_shadow)
 
-    def pole(self, bottom: tuple[float, float, float], height: float, radius: float, material: Material) -> None:
+    def pole(self, bottom: Point, height: float, radius: float, material: Material) -> None:
         """Add a vertical cylinder that stands on ``bottom``."""
         centre = (bottom[0], bottom[1] + 0.5 * height, bottom[2])
         self.add(Shape.CYLINDER, centre, (radius, 0.5 * height, radius), material)
 
-    def rod(
-        self,
-        start: tuple[float, float, float],
-        end: tuple[float, float, float],
-        radius: float,
-        material: Material,
-    ) -> None:
+    def rod(self, start: Point, end: Point, radius: float, material: Material) -> None:
         """Add a cylinder between two points."""
         length = math.dist(start, end)
         axis = ((end[0] - start[0]) / length, (end[1] - start[1]) / length, (end[2] - start[2]) / length)
@@ -223,7 +217,7 @@ class SceneBuilder:
         row = self._row(material)
         self._shapes.append(_Added(int(Shape.CYLINDER), centre, axis, half, (row, row), (1.0, 1.0, 1.0), True))
 
-    def ball(self, centre: tuple[float, float, float], radius: float, material: Material) -> None:
+    def ball(self, centre: Point, radius: float, material: Material) -> None:
         """Add a sphere."""
         self.add(Shape.ELLIPSOID, centre, (radius, radius, radius), material)
 

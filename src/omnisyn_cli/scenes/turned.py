@@ -4,11 +4,9 @@ import math
 from dataclasses import dataclass
 
 from omnisyn_cli.scenes.materials import Material
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
 __all__ = ["Turned"]
-
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.finishes import floor_finish, wall_finish
 from omnisyn_cli.scenes.furniture import wood
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 from omnisyn_cli.scenes.turned import Turned
@@ -95,7 +95,7 @@ def _ceiling(build: SceneBuilder, cell: Cell, use: str, casts_shadow: bool) -> N
             glow=2.5,
         )
     else:
-        surface = Material(Pattern.PLAIN, white, palette.darker(white, 0.92), grain=0.04, grain_size=1.5)
+        surface = shaded(Pattern.PLAIN, white, 0.92, grain=0.04, grain_size=1.5)
     build.box((x0, cell.tall, z0), (x1, cell.tall + 0.3, z1), surface, casts_shadow=casts_shadow)
     if use != "hall" and rng.random() < 0.3:
         beam = wood(rng, 0.3) if rng.random() < 0.6 else surface
