@@ -26,7 +26,7 @@ from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
 from omnisyn_cli.io import read_header
 from omnisyn_cli.runtime.threads import available_threads
 
-__all__ = ["BatchOptions", "BatchReport", "Progress", "make_executor", "run_batch"]
+__all__ = ["BatchOptions", "BatchReport", "Progress", "run_batch"]
 
 FRAMES_PER_DEPTH = 12.0
 """Finding the depth of a pair of 2048×1024 takes as long as making so many frames; see docs/batch.md."""

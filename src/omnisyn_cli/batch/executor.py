@@ -16,8 +16,6 @@ from typing import Any, Protocol
 
 from omnisyn_cli.errors import OmnisynError
 
-__all__ = ["MOST_DEATHS", "Answer", "Executor", "Job", "Outcome", "Report", "Work", "Worker", "run_jobs"]
-
 MOST_DEATHS = 2
 """A job during which so many workers died is not tried again."""
 

@@ -18,18 +18,6 @@ from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.outputs import check_folder, check_kept, temporary_name, write_errors
 
-__all__ = [
-    "attempt_folder",
-    "is_as_measured",
-    "measure",
-    "open_workshop",
-    "pack",
-    "prepare_folder",
-    "publish",
-    "unpack",
-    "workshop_is_seen",
-]
-
 Files = Mapping[str, bytes]
 
 

@@ -15,8 +15,6 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.recipe import OMNISYN
 
-__all__ = ["Settings", "make_interpolator"]
-
 MOST_ESTIMATORS = 4
 """Kept at a time by a worker; jobs that want depth found in more ways than that load networks again."""
 

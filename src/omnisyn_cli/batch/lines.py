@@ -12,8 +12,6 @@ from typing import Any
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.documents import parse_json, read_text
 
-__all__ = ["read_lines"]
-
 LARGEST_FILE = 1 << 30
 
 LISTS = frozenset({"inputs", "masks"})

@@ -14,7 +14,7 @@ from typing import Self
 
 from omnisyn_cli.batch.executor import Job, Report, Work, Worker
 
-__all__ = ["LocalExecutor", "end_with_parent"]
+__all__ = ["end_with_parent"]
 
 SECONDS_TO_LEAVE = 10
 

@@ -27,7 +27,7 @@ from omnisyn_cli.io import check_encoding
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.poses.file import PoseFile, read_poses
 
-__all__ = ["RECORDS", "WORKSHOP", "BatchJob", "Manifest", "read_manifest"]
+__all__ = ["Manifest", "read_manifest"]
 
 RECORDS = "results.jsonl"
 """File in the folder of a batch that says what became of every job."""

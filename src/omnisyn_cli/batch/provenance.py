@@ -14,8 +14,6 @@ from omnisyn_cli.interpolation.recipes import recipe_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
-__all__ = ["digest_of_network", "files_of", "has_same_sources", "hash_file", "sources", "stamp"]
-
 Stamp = tuple[str, int, int]
 
 

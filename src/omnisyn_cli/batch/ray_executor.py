@@ -10,8 +10,6 @@ from typing import Any, Self
 from omnisyn_cli.batch.executor import Job, Report, Work, Worker
 from omnisyn_cli.errors import InputError, OmnisynError
 
-__all__ = ["RayExecutor"]
-
 
 class RayExecutor:
     """An :class:`~omnisyn_cli.batch.executor.Executor` of Ray actors.

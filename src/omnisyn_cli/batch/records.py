@@ -14,8 +14,6 @@ from typing import Any, Self
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.outputs import write_errors
 
-__all__ = ["Records", "recorded_places"]
-
 if sys.platform == "win32":  # pragma: no cover
 
     def _lock(descriptor: int) -> None:

@@ -16,8 +16,6 @@ from omnisyn_cli.interpolation.loading import KeptPanorama
 from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-__all__ = ["MOST_PANORAMAS", "DepthMemory", "PanoramaMemory", "Recent"]
-
 MOST_PANORAMAS = 3
 """Two for the pair at work, one that it shares with the next pair."""
 

@@ -11,8 +11,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob
 from omnisyn_cli.io.documents import place_of, sentence
 
-__all__ = ["OUTPUTS", "PLACES", "Line", "check_options", "explained"]
-
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
 """What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
 

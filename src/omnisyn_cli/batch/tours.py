@@ -21,7 +21,7 @@ from omnisyn_cli.io import check_output
 from omnisyn_cli.io.outputs import replaced_when_complete
 from omnisyn_cli.poses.file import read_poses
 
-__all__ = ["TourOptions", "neighbours", "plan_tours", "walks", "write_manifest"]
+__all__ = ["TourOptions", "plan_tours", "write_manifest"]
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from omnisyn_cli.batch.batch import BatchReport, Progress
     from omnisyn_cli.batch.manifest import Manifest
 
-__all__ = ["batch", "plan"]
-
-
 MOST_SHOWN = 20
 """Failures in the table at the end; all of them are in results.jsonl and in --json."""
 

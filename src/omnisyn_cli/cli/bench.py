@@ -11,9 +11,6 @@ from omnisyn_cli.cli.parameters import FilePath, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, working_folder
 from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 
-__all__ = ["bench"]
-
-
 QUICK: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512), "frames": 8}
 """What ``--quick`` stands for."""
 

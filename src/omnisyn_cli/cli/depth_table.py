@@ -10,8 +10,6 @@ from omnisyn_cli.cli.options import device_option, json_option, quiet_option, re
 from omnisyn_cli.cli.parameters import Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, working_folder
 
-__all__ = ["depth_table"]
-
 
 @click.command(
     "depth-table", epilog="Exit codes: 0 done, 1 a method broke, 2 wrong usage, 3 unusable input, 130 interrupted."

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from omnisyn_cli.evaluation.results import UnitRecord
     from omnisyn_cli.evaluation.tables import Table
 
-__all__ = ["LAYOUTS", "eval_", "print_records", "print_table"]
-
-
 LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
 """Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
 

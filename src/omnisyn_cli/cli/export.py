@@ -30,8 +30,6 @@ from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.export import ExportSummary
 
-__all__ = ["FORMATS", "export"]
-
 FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 """Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
 

@@ -6,8 +6,6 @@ import click
 
 from omnisyn_cli.cli.parameters import FilePath
 
-__all__ = ["export_onnx"]
-
 FOLDER = FilePath(file_okay=False)
 
 

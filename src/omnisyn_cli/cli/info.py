@@ -8,8 +8,6 @@ import click
 
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 
-__all__ = ["info"]
-
 
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath())

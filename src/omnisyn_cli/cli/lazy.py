@@ -6,8 +6,6 @@ from typing import Any
 
 import click
 
-__all__ = ["LazyGroup", "PlainGroup"]
-
 
 class LazyGroup(click.Group):
     """A group whose commands are imported when they are called.

@@ -7,8 +7,6 @@ import click
 from omnisyn_cli.cli.options import print_json
 from omnisyn_cli.cli.parameters import FilePath
 
-__all__ = ["models"]
-
 
 @click.command()
 @click.argument("folder", required=False, type=FilePath(file_okay=False, exists=True))

@@ -10,25 +10,6 @@ from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
 from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, DEVICES
 
-__all__ = [
-    "all_of",
-    "cut_options",
-    "depth_options",
-    "device_option",
-    "json_option",
-    "masks_option",
-    "nadir_option",
-    "outside_option",
-    "poses_options",
-    "preset_option",
-    "print_json",
-    "print_plan",
-    "quiet_option",
-    "report_option",
-    "size_options",
-    "threads_option",
-]
-
 
 def all_of(*options: Callable[..., Any]) -> Callable[..., Any]:
     """Several options as one decorator, in the order in which they are listed."""

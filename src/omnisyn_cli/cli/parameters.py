@@ -14,15 +14,6 @@ if TYPE_CHECKING:
 else:
     SizeType = click.ParamType  # older releases of click have no generic one
 
-__all__ = [
-    "FilePath",
-    "FiniteRange",
-    "FramePlace",
-    "FrameRate",
-    "Size",
-    "WholeRange",
-]
-
 SEPARATORS = tuple(filter(None, (os.sep, os.altsep)))
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 else:
     PlaceType = click.ParamType  # older releases of click have no generic one
 
-__all__ = ["poses"]
-
 IMPORT_FORMATS = (
     "auto", "exif", "table", "colmap", "opensfm", "nerfstudio", "tum", "kitti", "habitat", "zind", "authors",
 )  # fmt: skip

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import click
 
-__all__ = ["counted_bar", "is_watched", "say_when_compiling", "working_folder"]
-
 COMPILING = "note: compiling the kernels, once per installation: about a minute"
 
 COMPILING_AGAIN = (

@@ -15,8 +15,6 @@ from omnisyn_cli.cli.progress import say_when_compiling
 if TYPE_CHECKING:
     from omnisyn_cli.scenes.suite import SuiteScene
 
-__all__ = ["KINDS", "TEXTURES", "scenes"]
-
 KINDS = ("street", "room", "home", "jumble", "yard")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
 

@@ -1,7 +1,5 @@
 """Signals that ask the program to end become exceptions, so that half-written files are removed on the way out."""
 
-from __future__ import annotations
-
 import signal
 import threading
 import time
@@ -9,8 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
-
-__all__ = ["Terminated", "signals_raised"]
 
 FORMER: dict[str, Callable[[int, FrameType | None], Any] | signal.Handlers] = {
     "SIGINT": signal.default_int_handler,

@@ -12,8 +12,6 @@ from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
 
-__all__ = ["train"]
-
 FOLDER = FilePath(file_okay=False)
 
 DEVICES = ("auto", "cpu", "cuda")

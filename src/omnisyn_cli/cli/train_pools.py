@@ -11,8 +11,6 @@ from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
 
-__all__ = ["convert", "evidence", "fusion_pool", "pool"]
-
 FOLDER = FilePath(file_okay=False)
 
 POOL_MULTIPLE = 64

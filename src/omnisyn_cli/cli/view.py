@@ -1,7 +1,5 @@
 """``omnisyn view``: a page to walk through panoramas in a browser."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any
@@ -27,8 +25,6 @@ from omnisyn_cli.cli.options import (
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
 from omnisyn_cli.synthesis.recipe import FALLBACKS
-
-__all__ = ["view"]
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")

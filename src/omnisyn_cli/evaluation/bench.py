@@ -29,7 +29,7 @@ from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.scenes.suite import SEEDS
 from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 
-__all__ = ["BenchJob", "BenchPlan", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
+__all__ = ["BenchJob", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
 
 RESULTS_NAME = "bench.jsonl"
 

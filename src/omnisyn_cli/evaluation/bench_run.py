@@ -32,8 +32,6 @@ from omnisyn_cli.synthesis.making import make_estimator, make_method
 from omnisyn_cli.synthesis.presets import PRESETS
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-__all__ = ["BenchRun", "measure_setting"]
-
 PHOTOGRAPHS = 2
 """The first and the last frame of a clip, which are not rendered."""
 

@@ -14,7 +14,7 @@ from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
 from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.synthesis.presets import SCALE
 
-__all__ = ["Choice", "apply_budget", "choose_preset", "shipped_table"]
+__all__ = ["apply_budget"]
 
 
 @dataclass(frozen=True)

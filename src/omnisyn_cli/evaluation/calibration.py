@@ -16,8 +16,6 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer
 
-__all__ = ["SECONDS", "calibrate"]
-
 SECONDS = 0.8
 """How long steps are repeated; with the last one that is below two seconds on any machine worth using."""
 

@@ -36,18 +36,7 @@ from omnisyn_cli.synthesis.presets import PRESETS
 from omnisyn_cli.synthesis.recipe import DepthSource
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-__all__ = [
-    "BASELINE",
-    "FIRST_SEED",
-    "LEAST_SEED",
-    "SOURCES",
-    "DepthTableJob",
-    "depth_sources",
-    "depth_tables",
-    "make_pair",
-    "run_depth_table",
-    "write_depth_tables",
-]
+__all__ = ["DepthTableJob", "depth_sources", "depth_tables", "run_depth_table", "write_depth_tables"]
 
 BASELINE = 1.0
 """Metres between the two panoramas (the paper's)."""

@@ -33,16 +33,7 @@ from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.io.outputs import make_folder
 
-__all__ = [
-    "EvaluationJob",
-    "EvaluationPlan",
-    "Known",
-    "evaluate",
-    "one_line",
-    "plan_evaluation",
-    "recorded",
-    "run_evaluation",
-]
+__all__ = ["EvaluationJob", "evaluate", "plan_evaluation", "run_evaluation"]
 
 Known = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""

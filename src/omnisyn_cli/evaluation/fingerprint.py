@@ -12,8 +12,6 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair
 from omnisyn_cli.runtime.models import sha256_of
 
-__all__ = ["Fingerprints", "digest_of_sources"]
-
 FORM = 1
 """Counts up when the same inputs are measured or recorded in another way."""
 

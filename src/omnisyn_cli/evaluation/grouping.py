@@ -7,20 +7,6 @@ from dataclasses import dataclass
 
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-__all__ = [
-    "Gap",
-    "distance_band",
-    "figures_of",
-    "finished",
-    "frames_of",
-    "gaps",
-    "is_bound",
-    "pair_names",
-    "ranked_methods",
-    "stages_of",
-    "time_band",
-]
-
 BOUNDS = frozenset({"oracle-depth"})
 """Methods that are told what the others have to find out, whatever their parameters."""
 

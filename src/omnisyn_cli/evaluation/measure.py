@@ -35,8 +35,6 @@ from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["Measurement", "PairMaker", "Perceptual", "depth_records", "frame_scores", "measure"]
-
 CLIP_FRAMES = 9
 
 CLIP_STEP = 1 / 60

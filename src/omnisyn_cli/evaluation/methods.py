@@ -35,16 +35,7 @@ from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
-__all__ = [
-    "METHODS",
-    "ComparedMethod",
-    "MethodAtWork",
-    "MethodUnavailableError",
-    "PairDepths",
-    "find_method",
-    "find_methods",
-    "ingredients_of",
-]
+__all__ = ["METHODS"]
 
 AT_FIRST = 1e-9
 """Share of the way at which the exposure of a frame is still that of the first view."""

@@ -19,22 +19,7 @@ from omnisyn_cli import __version__
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import replaced_when_complete
 
-__all__ = [
-    "FRAME_STAGES",
-    "STANDARD_FRAMES",
-    "Figures",
-    "ParetoTable",
-    "Setting",
-    "Workload",
-    "expected_seconds",
-    "first_seconds",
-    "frame_seconds",
-    "pair_stages",
-    "pareto_front",
-    "read_table",
-    "standard_seconds",
-    "write_table",
-]
+__all__ = ["write_table"]
 
 FRAME_STAGES = ("render", "fuse", "encode", "convert")
 """``encode`` is the time that the other stages waited for the encoder; ``convert`` makes samples of floats."""

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["PLOT_TITLES", "pareto_plot", "report_plots"]
-
 PLOT_TITLES = {
     "ws-psnr-by-distance": "WS-PSNR against the distance from the nearer panorama",
     "ws-psnr-by-share": "WS-PSNR along the way",

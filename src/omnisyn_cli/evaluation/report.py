@@ -26,8 +26,6 @@ from omnisyn_cli.evaluation.templating import data_uri, render_markdown, render_
 from omnisyn_cli.evaluation.visualization import ERROR_SCALE
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
-__all__ = ["CSV_COLUMNS", "REPORT_NAME", "write_report"]
-
 REPORT_NAME = "report"
 """Of the files, before the extensions ``.html``, ``.md``, ``.json`` and ``.csv``."""
 

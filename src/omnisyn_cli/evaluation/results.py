@@ -20,18 +20,7 @@ from pydantic import ConfigDict, TypeAdapter
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_errors
 
-__all__ = [
-    "RESULTS_NAME",
-    "DepthRecord",
-    "FrameRecord",
-    "Status",
-    "UnitRecord",
-    "append_record",
-    "json_values",
-    "latest_records",
-    "mean",
-    "read_records",
-]
+__all__ = ["UnitRecord"]
 
 RESULTS_NAME = "results.jsonl"
 

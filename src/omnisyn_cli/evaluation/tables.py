@@ -23,7 +23,7 @@ from omnisyn_cli.evaluation.grouping import (
 )
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-__all__ = ["Cell", "Column", "Row", "Table", "depth_table", "format_value", "mean_table", "report_tables"]
+__all__ = ["Table", "format_value", "report_tables"]
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from omnisyn_cli.evaluation.grouping import Gap
 from omnisyn_cli.evaluation.tables import Table, format_value
 
-__all__ = ["data_uri", "render_markdown", "render_page"]
-
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
 
 

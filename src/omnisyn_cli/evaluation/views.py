@@ -13,7 +13,7 @@ from omnisyn_cli.synthesis.frames import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["LoadedPair", "TrueFrame", "baseline_of", "load_pair"]
+__all__ = ["load_pair"]
 
 UNTURNED = Pose.identity()
 

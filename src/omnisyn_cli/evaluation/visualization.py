@@ -18,8 +18,6 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.io.outputs import write_errors
 from omnisyn_cli.types import DepthEstimate
 
-__all__ = ["ERROR_SCALE", "PictureWriter", "error_map", "has_all_pictures", "turbo"]
-
 ERROR_SCALE = 0.25
 """Mean absolute difference of the channels that has the brightest colour; fixed, so that maps can be compared."""
 

@@ -15,14 +15,7 @@ from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.synthesis.recipe import OMNISYN
 
-__all__ = [
-    "check_choices",
-    "check_companions",
-    "check_inputs_survive",
-    "check_names",
-    "check_outputs",
-    "source_size",
-]
+__all__ = ["check_choices"]
 
 OF_OWN_FRAMES = (
     "preset", "depth", "model", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback", "save_confidence",

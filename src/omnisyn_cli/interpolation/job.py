@@ -13,16 +13,7 @@ from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, DEVICES, FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
 from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
 
-__all__ = [
-    "CHOICES",
-    "POSES_FROM_PICTURES",
-    "InterpolationJob",
-    "depth_files",
-    "depth_name",
-    "is_rounded",
-    "sample_types",
-    "targets",
-]
+__all__ = ["CHOICES", "POSES_FROM_PICTURES", "InterpolationJob", "targets"]
 
 Positive = Annotated[float, Gt(0)]
 

@@ -15,7 +15,7 @@ from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["KeptPanorama", "Loader", "PanoramaReader"]
+__all__ = ["KeptPanorama"]
 
 PanoramaReader = Callable[..., Panorama]
 """Called as :func:`omnisyn_cli.io.read_panorama` is: with a path, ``allow_aspect`` and ``max_pixels``."""

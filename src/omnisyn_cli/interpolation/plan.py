@@ -32,15 +32,7 @@ from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
 
-__all__ = [
-    "SECONDS_PER_PAIR",
-    "InterpolationPlan",
-    "TourPlan",
-    "frame_count",
-    "plan_interpolation",
-    "plan_tour",
-    "with_preset",
-]
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpolation", "with_preset"]
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""

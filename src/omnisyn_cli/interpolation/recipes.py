@@ -10,7 +10,7 @@ from omnisyn_cli.runtime.session import check_device_of_networks
 from omnisyn_cli.synthesis.presets import PRESETS
 from omnisyn_cli.synthesis.recipe import DEPTH_MODELS, NETWORKED_DEPTH, OMNISYN, DepthSource, Recipe
 
-__all__ = ["check_device", "notes_about_gpu", "recipe_of"]
+__all__ = ["check_device", "recipe_of"]
 
 
 def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:

@@ -18,8 +18,6 @@ from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.synthesis.frames import Frame
 from omnisyn_cli.types import DepthEstimate
 
-__all__ = ["KeepDepth", "confidence_sink", "depth_keeper", "frame_sinks", "samples_of"]
-
 KeepDepth = Callable[[int, tuple[DepthEstimate, DepthEstimate]], None]
 """Called with the index of a pair and the depth of its two panoramas."""
 

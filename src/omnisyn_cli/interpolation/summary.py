@@ -9,7 +9,7 @@ from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.synthesis.recipe import OMNISYN
 
-__all__ = ["Summary", "warning_about", "warnings_about"]
+__all__ = ["Summary"]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ and preset; :func:`panorama_surfaces` makes one surface of each panorama, where 
 have different opinions of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -26,8 +24,6 @@ from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions, measure_pair, usable_image
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
-
-__all__ = ["PairSurfaces", "PanoramaSurface", "pair_surfaces", "panorama_surfaces", "tour_surfaces"]
 
 SAME_PLACE = 0.05
 """Relative difference of inverse depth up to which two estimates of one panorama are averaged."""

@@ -16,18 +16,6 @@ from typing import BinaryIO
 
 from omnisyn_cli.errors import InputError
 
-__all__ = [
-    "Box",
-    "FileBox",
-    "child",
-    "children_of",
-    "mapped",
-    "parse_movie",
-    "serialize",
-    "shift_offsets",
-    "top_level_boxes",
-]
-
 LARGEST_MOVIE_BOX = 256 << 20
 """Bytes of ``moov`` that are read into memory; hours of video need a few of these megabytes."""
 

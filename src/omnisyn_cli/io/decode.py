@@ -21,7 +21,7 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import ImageError
 
-__all__ = ["MAX_PIXELS", "ImageHeader", "check_is_file", "check_pixel_count", "decode_image", "read_header"]
+__all__ = ["MAX_PIXELS", "ImageHeader", "check_is_file", "read_header"]
 
 MAX_PIXELS = 2 * 16384 * 8192
 """Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""

@@ -10,7 +10,7 @@ from omnisyn_cli.errors import OutputPathError, WriteError
 from omnisyn_cli.io.images import INTEGER_PEAKS as PEAKS
 from omnisyn_cli.io.outputs import check_output, replaced_when_complete
 
-__all__ = ["IMAGE_SUFFIXES", "image_suffix", "jpeg_bytes", "write_channels", "write_image"]
+__all__ = ["IMAGE_SUFFIXES", "image_suffix", "jpeg_bytes"]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 

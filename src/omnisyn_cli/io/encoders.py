@@ -15,16 +15,7 @@ import imageio_ffmpeg
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
 from omnisyn_cli.io.sequence import is_doubtful
 
-__all__ = [
-    "CODECS",
-    "PLANAR",
-    "EncoderSettings",
-    "VideoCodec",
-    "check_settings",
-    "encoder_command",
-    "ffmpeg_program",
-    "raw_format",
-]
+__all__ = ["CODECS", "ffmpeg_program"]
 
 X26X_PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",

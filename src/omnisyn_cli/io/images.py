@@ -13,16 +13,7 @@ from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.decode import MAX_PIXELS, ImageHeader, check_pixel_count, decode_image
 from omnisyn_cli.io.placement import TRANSPOSING_ORIENTATIONS, Placement, placement_of
 
-__all__ = [
-    "INTEGER_PEAKS",
-    "Panorama",
-    "check_mask_size",
-    "outside_nadir",
-    "read_mask",
-    "read_panorama",
-    "sphere_size",
-    "usable_part",
-]
+__all__ = ["INTEGER_PEAKS", "check_mask_size", "read_panorama", "sphere_size", "usable_part"]
 
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""

@@ -16,7 +16,6 @@ __all__ = [
     "check_name",
     "check_output",
     "check_staged_folder",
-    "hidden_folder",
     "make_folder",
     "replaced_when_complete",
     "staged_folder",

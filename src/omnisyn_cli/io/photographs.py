@@ -9,8 +9,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.decode import decode_image
 from omnisyn_cli.io.images import colour_and_alpha, unit_range, upright
 
-__all__ = ["LONGEST", "list_photographs", "read_photographs"]
-
 SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 
 LONGEST = 768

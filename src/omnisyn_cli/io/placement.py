@@ -8,7 +8,7 @@ from jaxtyping import Shaped
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.io.decode import ImageHeader
 
-__all__ = ["Placement", "placement_of"]
+__all__ = ["placement_of"]
 
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 

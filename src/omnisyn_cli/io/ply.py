@@ -3,8 +3,6 @@
 Source: Turk, The PLY Polygon File Format, 1994.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

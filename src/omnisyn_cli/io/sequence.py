@@ -13,7 +13,7 @@ from omnisyn_cli.errors import EncodingError, OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES, image_suffix, write_image
 from omnisyn_cli.io.outputs import check_staged_folder, hidden_folder, write_errors
 
-__all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_doubtful", "is_sequence", "open_sequence"]
+__all__ = ["NUMBER", "ImageSequence", "image_sequence", "is_sequence"]
 
 DEFAULT_NUMBER = "%06d"
 

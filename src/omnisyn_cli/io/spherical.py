@@ -29,7 +29,7 @@ from omnisyn_cli.io.boxes import (
 )
 from omnisyn_cli.io.outputs import replaced_when_complete
 
-__all__ = ["SphericalMetadata", "inject_spherical", "read_spherical"]
+__all__ = ["read_spherical"]
 
 SPHERICAL_UUID = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
 

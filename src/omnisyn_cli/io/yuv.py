@@ -14,8 +14,6 @@ from jaxtyping import UInt8
 
 from omnisyn_cli.runtime.jit import fast_kernel
 
-__all__ = ["PlanarFrames"]
-
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
 """Shares of the channels in luma."""
 

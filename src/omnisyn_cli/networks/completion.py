@@ -27,7 +27,7 @@ from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, begin_sm
 from omnisyn_cli.networks.refine import FILLED_PLANE
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
-__all__ = ["COMPLETION_VARIANTS", "CompletionConfig", "CompletionNetwork", "CompletionPrediction", "SphereAttention"]
+__all__ = ["COMPLETION_VARIANTS", "CompletionConfig", "CompletionNetwork", "CompletionPrediction"]
 
 CORRECTION = 0.3
 """Scale of the corrections, so that a fresh network leaves the filled map nearly as it is."""

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.networks.interface import NetworkConfig
 
-__all__ = ["VARIANTS", "DepthConfig", "level_roots"]
+__all__ = ["VARIANTS", "DepthConfig"]
 
 
 @dataclass(frozen=True)

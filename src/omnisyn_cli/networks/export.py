@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from omnisyn_cli.networks.interface import Network
 
-__all__ = ["OPSET", "PARITY", "export_network", "largest_difference"]
+__all__ = ["PARITY", "export_network", "largest_difference"]
 
 OPSET = 18
 

@@ -23,14 +23,7 @@ from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
 from omnisyn_cli.networks.paper_layers import Block, enlarged
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
-__all__ = [
-    "FUSION_VARIANTS",
-    "FusionConfig",
-    "FusionCorrections",
-    "FusionNetwork",
-    "PaintingNetwork",
-    "build_fusion",
-]
+__all__ = ["FUSION_VARIANTS", "FusionConfig", "FusionCorrections", "FusionNetwork", "PaintingNetwork", "build_fusion"]
 
 GREATEST_SHIFT = 8.0
 """Of the log-ratio of two weights: enough to turn almost any of them round."""

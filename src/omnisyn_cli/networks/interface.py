@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from omnisyn_cli.networks.layers import sizes
 
-__all__ = ["DepthAnswer", "Network", "NetworkConfig", "PairNetwork", "Ports", "check_multiple"]
+__all__ = ["DepthAnswer", "Network"]
 
 
 @dataclass(frozen=True)

@@ -15,21 +15,7 @@ from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 
-__all__ = [
-    "LEAK",
-    "ResidualBlock",
-    "WrappedConv",
-    "at_least_single",
-    "begin_small",
-    "convex_upsample",
-    "coordinate_channels",
-    "initialise",
-    "normalised_patches",
-    "sizes",
-    "unit_groups",
-    "upsample_nearest",
-    "wrap_columns",
-]
+__all__ = ["WrappedConv"]
 
 LEAK = 0.1
 """Slope of every LeakyReLU below zero."""

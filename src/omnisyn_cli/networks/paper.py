@@ -33,16 +33,7 @@ from omnisyn_cli.networks.interface import DepthAnswer, NetworkConfig, PairNetwo
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
 from omnisyn_cli.networks.paper_layers import Block, UNet, enlarged
 
-__all__ = [
-    "AHEAD",
-    "PAPER_VARIANTS",
-    "PaperConfig",
-    "PaperNetwork",
-    "PaperPrediction",
-    "sphere_inverse_depths",
-    "sweep_grid",
-    "sweep_volume",
-]
+__all__ = ["PAPER_VARIANTS", "PaperConfig", "PaperNetwork", "PaperPrediction"]
 
 FEATURE_STRIDE = 4
 """Pixels of the image per cell of the sphere volume."""

@@ -24,17 +24,7 @@ from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.layers import begin_small, sizes, wrap_columns
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
-__all__ = [
-    "AGREED_PLANE",
-    "FILLED_PLANE",
-    "REFINE_VARIANTS",
-    "SKY_PLANE",
-    "RefineConfig",
-    "RefineNetwork",
-    "RefinePrediction",
-    "candidates_of",
-    "where_sure",
-]
+__all__ = ["FILLED_PLANE", "REFINE_VARIANTS", "RefineConfig", "RefineNetwork", "RefinePrediction", "where_sure"]
 
 FILLED_PLANE, MATCHED_PLANE = 3, 4
 """Of the input: the roots that candidates come from."""

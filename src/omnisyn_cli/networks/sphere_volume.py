@@ -14,8 +14,6 @@ from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_to_angles
 from omnisyn_cli.geometry.sweep import parallax_from_inverse_depth
 from omnisyn_cli.networks.layers import at_least_single, sizes
 
-__all__ = ["lookup", "meridian_products", "resampling_matrix", "sphere_volume"]
-
 
 def resampling_matrix(
     roots: Float[np.ndarray, " levels"], rows_first: int, rows_second: int

@@ -26,15 +26,7 @@ from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_lea
 from omnisyn_cli.networks.paper_layers import row_channel
 from omnisyn_cli.networks.unet import Hourglass
 
-__all__ = [
-    "SYNSIN_VARIANTS",
-    "FeatureEncoder",
-    "MonocularNetwork",
-    "RefinementDecoder",
-    "SynSinConfig",
-    "SynSinNetwork",
-    "inverse_depth_of",
-]
+__all__ = ["SYNSIN_VARIANTS", "SynSinConfig", "SynSinNetwork", "inverse_depth_of"]
 
 COLOURS = 3
 

@@ -21,8 +21,6 @@ from omnisyn_cli.networks.layers import (
     upsample_nearest,
 )
 
-__all__ = ["CorrectingConfig", "CorrectingUNet", "Hourglass"]
-
 
 @dataclass(frozen=True)
 class CorrectingConfig(NetworkConfig):

@@ -18,20 +18,6 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_quaternion,
 )
 
-__all__ = [
-    "GEOGRAPHIC_KEYS",
-    "RIGID_KEYS",
-    "GeographicEntry",
-    "PoseDocument",
-    "RigidEntry",
-    "checked_quaternion",
-    "checked_rotation",
-    "origin_of",
-    "path_problem",
-    "pose_of",
-    "rigid_rotation",
-]
-
 UNIT_TOLERANCE = 1e-3
 """How far from unit length a quaternion, and from orthonormal a matrix, may be written."""
 

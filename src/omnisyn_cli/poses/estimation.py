@@ -21,15 +21,7 @@ from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
 from omnisyn_cli.poses.registration.robust import LEAST_INLIERS, Estimate, estimate_relative_pose
 
-__all__ = [
-    "DEFAULT_BASELINE",
-    "FoundPoses",
-    "PairDiagnosis",
-    "PictureOptions",
-    "check_poses",
-    "estimate_poses",
-    "refine_poses",
-]
+__all__ = ["PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
 
 DEFAULT_BASELINE = 1.0
 """Metres between two panoramas if nobody knows."""

@@ -30,14 +30,7 @@ from omnisyn_cli.poses.entries import (
     rigid_rotation,
 )
 
-__all__ = [
-    "PoseFile",
-    "PosedPanorama",
-    "check_companions_named",
-    "check_names_tell_apart",
-    "read_poses",
-    "write_poses",
-]
+__all__ = ["PoseFile", "PosedPanorama", "check_companions_named", "check_names_tell_apart", "read_poses", "write_poses"]
 
 VERSION = 1
 

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["MULTIPLE", "SessionFusion", "SessionPainter", "SessionRefinement"]
+__all__ = ["SessionFusion", "SessionPainter", "SessionRefinement"]
 
 MULTIPLE = 32
 """The refinement network halves its input five times: heights and widths are multiples of this."""

@@ -9,7 +9,7 @@ from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["DEVICES", "check_device_of_networks", "open_session", "run_depth_network", "run_network"]
+__all__ = ["check_device_of_networks", "open_session"]
 
 DEVICES = ("auto", "cpu", "cuda")
 

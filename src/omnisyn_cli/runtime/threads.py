@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import pairwise
 
-__all__ = ["available_threads", "bands", "run_bands"]
+__all__ = ["available_threads", "run_bands"]
 
 BANDS_PER_THREAD = 4
 """More bands than threads, because some rows are more work than others."""

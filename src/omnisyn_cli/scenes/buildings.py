@@ -9,8 +9,6 @@ from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
-__all__ = ["house", "office", "town_house"]
-
 DARK_GLASS = Material(Pattern.PLAIN, (0.12, 0.14, 0.16), grain=0.1, gloss=1.0)
 
 

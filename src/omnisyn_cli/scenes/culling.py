@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 
 from omnisyn_cli.scenes.jit import kernel
 
-__all__ = ["light_grid", "list_tile", "tile_planes"]
-
 GRID = 96
 """Cells of the light grid along each axis."""
 

@@ -7,8 +7,6 @@ import numpy as np
 from omnisyn_cli.scenes.palette import Colour, mixed
 from omnisyn_cli.scenes.scene import Lighting, Point
 
-__all__ = ["daylight", "sun_at"]
-
 
 def sun_at(bearing: float, elevation: float) -> Point:
     """Unit vector to a sun at a height above the horizon (radians); the bearing turns it about the vertical."""

@@ -8,8 +8,6 @@ from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
 
-__all__ = ["any_finish", "faint_finish", "floor_finish", "wall_finish"]
-
 EVERYWHERE = (
     Pattern.PLAIN, Pattern.PLAIN, Pattern.BRICK, Pattern.TILES, Pattern.CHECKER, Pattern.PLANKS, Pattern.STRIPES,
     Pattern.COLLAGE, Pattern.COLLAGE, Pattern.GRASS, Pattern.WALLPAPER, Pattern.RIBS, Pattern.CARTON, Pattern.RUG,

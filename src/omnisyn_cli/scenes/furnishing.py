@@ -12,8 +12,6 @@ from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 from omnisyn_cli.scenes.turned import Turned
 from omnisyn_cli.scenes.walls import Cell, Openings
 
-__all__ = ["furnish"]
-
 Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]
 
 AT_HOME: tuple[Thing, ...] = (

@@ -11,23 +11,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder
 from omnisyn_cli.scenes.turned import Turned
 
-__all__ = [
-    "armchair",
-    "bed",
-    "cabinet",
-    "chair",
-    "clutter",
-    "floor_lamp",
-    "office_chair",
-    "plant",
-    "screen",
-    "shelf",
-    "sofa",
-    "stairs",
-    "table",
-    "wood",
-]
-
 BLACK = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
 

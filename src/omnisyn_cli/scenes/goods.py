@@ -8,8 +8,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder
 from omnisyn_cli.scenes.turned import Turned
 
-__all__ = ["CARTON", "carton_pile", "loaded_pallet", "rack"]
-
 CARTON = Material(
     Pattern.CARTON, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), (0.88, 0.87, 0.84), grain=0.08, grain_size=0.4, seed=3
 )

@@ -10,8 +10,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 from omnisyn_cli.scenes.walls import Cell
 
-__all__ = ["furnish_hall"]
-
 
 def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
     """Fill a hall, leaving aisles along x."""

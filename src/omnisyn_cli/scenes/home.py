@@ -15,8 +15,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape, Walkway
 from omnisyn_cli.scenes.walls import Cell, Opening, Openings, enclose
 
-__all__ = ["home", "indoor_light"]
-
 NEAR_THE_WAY = (
     furniture.bed, furniture.table, furniture.chair, furniture.chair, furniture.armchair, furniture.sofa,
     furniture.cabinet, furniture.office_chair, furniture.plant, furniture.floor_lamp, furniture.shelf, obstacles.unit,

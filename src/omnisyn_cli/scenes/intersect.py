@@ -8,8 +8,6 @@ import math
 
 from omnisyn_cli.scenes.jit import inlined, kernel
 
-__all__ = ["MISS", "enter", "leave_ellipsoid"]
-
 MISS = 1e30
 _NEAR = 1e-5
 _TINY = 1e-12

@@ -5,8 +5,6 @@ from functools import partial
 from omnisyn_cli.runtime import jit
 from omnisyn_cli.runtime.jit import Decorator
 
-__all__ = ["inlined", "kernel"]
-
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # all of fastmath but the promise that nothing is infinite
 
 kernel: Decorator = partial(jit.kernel, fastmath=_FAST)

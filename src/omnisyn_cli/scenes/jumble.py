@@ -14,8 +14,6 @@ from omnisyn_cli.scenes.obstacles import Space, Way
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
 
-__all__ = ["jumble", "yard"]
-
 Finish = Callable[[np.random.Generator, str], Material]
 
 

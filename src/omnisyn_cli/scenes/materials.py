@@ -10,8 +10,6 @@ from jaxtyping import Float
 
 from omnisyn_cli.scenes.palette import Colour, darker
 
-__all__ = ["Column", "Material", "Pattern", "pack_materials", "shaded"]
-
 
 class Pattern(IntEnum):
     """What :mod:`omnisyn_cli.scenes.textures` draws; ``first``, ``second``, ``third`` are the material's colours."""

@@ -12,9 +12,6 @@ from jaxtyping import Float
 
 from omnisyn_cli.scenes.jit import kernel
 
-__all__ = ["cell_hash", "fractal_noise", "lattice", "pulse", "smooth_noise", "smooth_noise_3d"]
-
-
 _PERIOD = 128  # lattice points before the noise repeats, a power of two
 _MASK = _PERIOD - 1
 

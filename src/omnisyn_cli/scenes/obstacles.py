@@ -14,8 +14,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Walkway
 from omnisyn_cli.scenes.turned import Turned
 
-__all__ = ["Space", "Way", "adrift", "arch", "bars", "blocks", "chandelier", "platform", "tripod", "unit", "wires"]
-
 BLACK = Material(Pattern.PLAIN, (0.03, 0.03, 0.03), (0.02, 0.02, 0.02), grain=0.02)
 
 TRIES = 12

@@ -4,25 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = [
-    "ASPHALT",
-    "BRICK",
-    "CAR",
-    "CLOTH",
-    "CONCRETE",
-    "FOLIAGE",
-    "GLASS",
-    "INTERIOR",
-    "METAL",
-    "PAVING",
-    "PLASTER",
-    "SIGN",
-    "WOOD",
-    "darker",
-    "mixed",
-    "pick",
-]
-
 Colour = tuple[float, float, float]
 Palette = Sequence[Colour]
 

@@ -15,8 +15,6 @@ from omnisyn_cli.scenes.render import render_tiles
 from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.world import pack, papers_of, seen_from
 
-__all__ = ["distances", "render_panorama", "render_views"]
-
 _TILES = (16, 4)  # pixels; chosen by timing
 
 

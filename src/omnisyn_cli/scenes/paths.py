@@ -10,8 +10,6 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes.panorama import distances
 from omnisyn_cli.scenes.scene import Scene, Walkway
 
-__all__ = ["clearance", "sample_path"]
-
 _ATTEMPTS = 400
 _HIGHEST_CLIMB = 2.0  # metres, of a path that goes straight up, unless more is asked for
 _SHORTER = 0.985  # factor on a baseline at every attempt, where it may be shortened

@@ -5,8 +5,6 @@ import math
 from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.noise import cell_hash, smooth_noise
 
-__all__ = ["FITTED", "UNDER", "photo_at"]
-
 UNDER, FITTED = 1.0, 2.0
 """As in :class:`omnisyn_cli.scenes.photos.Use`."""
 

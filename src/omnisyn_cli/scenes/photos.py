@@ -17,8 +17,6 @@ from jaxtyping import Float, Int64, UInt8
 from omnisyn_cli.scenes.materials import Column, Pattern
 from omnisyn_cli.scenes.scene import Papering, Scene
 
-__all__ = ["Photos", "Use", "pack_photos", "with_photos"]
-
 LEVELS = 12
 """Mip levels that there is room for; the last of a photograph is repeated."""
 

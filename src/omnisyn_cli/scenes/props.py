@@ -10,8 +10,6 @@ from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
-__all__ = ["bench", "bollard", "bush", "car", "conifer", "hedge", "lamp_post", "person", "sign", "tree", "waste_bin"]
-
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)
 RIM = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.25, 0.25, 0.26), grain=0.3, grain_size=0.2, gloss=0.4)

@@ -10,8 +10,6 @@ from omnisyn_cli.scenes.jit import inlined, kernel
 from omnisyn_cli.scenes.textures import is_hole
 from omnisyn_cli.scenes.world import GROUND, SKY, Kind, Packed, Scalar
 
-__all__ = ["cast_rays", "first_hit", "is_shadowed", "normal_at", "place_on"]
-
 EYE, NEAR, HALF = int(Packed.EYE), int(Packed.NEAR), int(Packed.HALF)
 SHAPE, SIDES, CAPS, VARIATION, OPEN = (int(k) for k in (Kind.SHAPE, Kind.SIDES, Kind.CAPS, Kind.VARIATION, Kind.OPEN))
 PLANE, WORLD_EYE, ACROSS, CELLS = int(Scalar.GROUND), int(Scalar.EYE), int(Scalar.ACROSS), int(Scalar.GRID)

@@ -13,8 +13,6 @@ from omnisyn_cli.scenes.raycast import first_hit
 from omnisyn_cli.scenes.shading import shade, tone
 from omnisyn_cli.scenes.world import SKY, Scalar
 
-__all__ = ["render_tiles"]
-
 EXPOSURE = int(Scalar.EXPOSURE)
 
 

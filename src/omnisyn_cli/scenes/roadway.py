@@ -11,8 +11,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 from omnisyn_cli.scenes.street_plan import StreetPlan
 
-__all__ = ["lay_pavement", "lay_roadway"]
-
 
 def _tilted(
     build: SceneBuilder,

@@ -15,8 +15,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Walkway
 from omnisyn_cli.scenes.walls import Cell, Opening, Openings, enclose
 
-__all__ = ["room"]
-
 
 @dataclass(frozen=True)
 class _Plan:

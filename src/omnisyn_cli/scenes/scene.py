@@ -18,8 +18,6 @@ from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes.materials import Material, pack_materials
 from omnisyn_cli.scenes.palette import Colour
 
-__all__ = ["Lighting", "Papering", "Scene", "SceneBuilder", "Shape", "Walkway"]
-
 Point = tuple[float, float, float]
 Turn: TypeAlias = float | Point | np.ndarray
 

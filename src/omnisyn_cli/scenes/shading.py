@@ -10,8 +10,6 @@ from omnisyn_cli.scenes.raycast import is_shadowed, normal_at, place_on
 from omnisyn_cli.scenes.textures import pattern_at
 from omnisyn_cli.scenes.world import GROUND, SKY, Kind, Packed, Scalar
 
-__all__ = ["shade", "tone"]
-
 GLOSS, GLOW, FIRST, SECOND, THIRD, PATTERN = (
     int(c) for c in (Column.GLOSS, Column.GLOW, Column.FIRST, Column.SECOND, Column.THIRD, Column.PATTERN)
 )

@@ -15,8 +15,6 @@ from omnisyn_cli.scenes.roadway import lay_pavement, lay_roadway
 from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
 from omnisyn_cli.scenes.street_plan import StreetPlan, draw_plan
 
-__all__ = ["street"]
-
 
 def street(seed: int) -> Scene:
     """Generate a street; equal seeds give equal streets."""

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["StreetPlan", "draw_plan"]
-
 END = 85.0
 """Half the length of the street, metres."""
 

@@ -13,7 +13,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes.paths import sample_path
 from omnisyn_cli.scenes.scene import Scene
 
-__all__ = ["BASELINES", "FRAMES", "SEEDS", "STANDARD_KINDS", "SuiteScene", "suite_of", "suite_path"]
+__all__ = ["FRAMES", "SEEDS", "STANDARD_KINDS", "SuiteScene", "suite_of"]
 
 STANDARD_KINDS = ("street", "room")
 """Generators of the standard set and of the depth table; others may come, these stay what they are."""

@@ -12,8 +12,6 @@ from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.materials import Column
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
 
-__all__ = ["is_hole", "pattern_at"]
-
 CELL_U, CELL_V, LINE, DETAIL = int(Column.CELL_U), int(Column.CELL_V), int(Column.LINE), int(Column.DETAIL)
 GRAIN, GRAIN_SIZE, SEED, OPEN = int(Column.GRAIN), int(Column.GRAIN_SIZE), int(Column.SEED), int(Column.OPEN)
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from omnisyn_cli.scenes.materials import Material
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
-__all__ = ["Turned"]
-
 
 @dataclass(frozen=True)
 class Turned:

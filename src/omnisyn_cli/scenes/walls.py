@@ -13,8 +13,6 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 from omnisyn_cli.scenes.turned import Turned
 
-__all__ = ["Cell", "Opening", "Openings", "enclose"]
-
 THICKNESS = 0.06
 """Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""
 

@@ -13,8 +13,6 @@ from omnisyn_cli.scenes.materials import Column
 from omnisyn_cli.scenes.noise import lattice
 from omnisyn_cli.scenes.scene import Scene
 
-__all__ = ["GROUND", "SKY", "Bounds", "Kind", "Packed", "Papers", "Scalar", "World", "pack", "papers_of", "seen_from"]
-
 GROUND = -1
 """Number of the ground among the shapes."""
 SKY = -2

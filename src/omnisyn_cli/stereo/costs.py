@@ -10,8 +10,6 @@ from jaxtyping import Bool, Float, Float32, UInt64
 from omnisyn_cli.runtime.jit import compiled_kernel, one_at_a_time, parallel_kernel
 from omnisyn_cli.stereo.semi_global import Bands
 
-__all__ = ["FORBIDDEN", "OUTSIDE", "census", "sweep_cost", "warp_cost"]
-
 HALF_WINDOW = 3
 NOISE = np.float32(0.004)
 """A neighbour counts as brighter when it is so by more than one grey level."""

@@ -14,7 +14,7 @@ from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 
-__all__ = ["GREATEST_ROOT", "PLANES", "Evidence", "evidence_planes"]
+__all__ = ["GREATEST_ROOT", "Evidence", "evidence_planes"]
 
 GREATEST_ROOT = 2.0
 """Roots are clipped here: a quarter of a baseline away."""

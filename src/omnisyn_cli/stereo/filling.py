@@ -20,7 +20,7 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.runtime.jit import parallel_kernel
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
-__all__ = ["fill", "median_around", "remove_speckles", "upsample"]
+__all__ = ["fill"]
 
 REACHES = (0.8, 0.2, 0.05)
 """Radians over which planes are carried on, widest first; each is the fallback of the next."""

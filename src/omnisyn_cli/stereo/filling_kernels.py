@@ -5,8 +5,6 @@ import numpy as np
 
 from omnisyn_cli.runtime.jit import kernel
 
-__all__ = ["fitted_values", "normal_equations"]
-
 SUMS = 9
 """Numbers per pixel: the upper triangle of the matrix, row after row, and the right side."""
 

@@ -23,7 +23,7 @@ from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["HINT", "SPECKLE", "MatchingDepthEstimator", "MatchingOptions", "agreeing", "is_measurable"]
+__all__ = ["HINT", "MatchingDepthEstimator", "MatchingOptions"]
 
 HINT = 0.002
 """Weight of a disparity that only one direction believes, against 1 for what both agree on."""

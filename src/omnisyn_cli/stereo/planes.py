@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 
 from omnisyn_cli.runtime.jit import parallel_kernel
 
-__all__ = ["find_planes"]
-
 BLOCKS = (12, 32, 64)
 """Side lengths of the square windows, in pixels, that propose one plane each."""
 

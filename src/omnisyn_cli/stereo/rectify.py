@@ -19,8 +19,6 @@ from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
 from omnisyn_cli.runtime.thread_limit import both
 from omnisyn_cli.types import View
 
-__all__ = ["RectifiedPair", "rectify", "resize_area", "usable_pixels"]
-
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
 

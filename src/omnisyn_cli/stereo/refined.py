@@ -17,7 +17,7 @@ from omnisyn_cli.stereo.sharpening import Answer, sharpened
 from omnisyn_cli.stereo.sizes import doubled_sizes
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["RefinedDepthEstimator", "Refinement"]
+__all__ = ["RefinedDepthEstimator"]
 
 
 class Refinement(Protocol):

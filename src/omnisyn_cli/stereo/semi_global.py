@@ -20,8 +20,6 @@ from jaxtyping import Float, Float32, Int32, Int64
 
 from omnisyn_cli.runtime.jit import parallel_kernel
 
-__all__ = ["Bands", "aggregate", "choose"]
-
 RUN_UP = 64
 """Columns that a horizontal path walks before the seam, so that the seam is no border."""
 

@@ -20,8 +20,6 @@ from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians
 from omnisyn_cli.types import View
 
-__all__ = ["Answer", "sharpened"]
-
 Answer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
 """Inverse depth in 1/baselines, and confidence."""
 

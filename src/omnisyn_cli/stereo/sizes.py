@@ -1,6 +1,6 @@
 """The sizes that depth is looked for at; nothing heavy is imported for them."""
 
-__all__ = ["coarse_rows", "doubled_sizes", "estimate_sizes"]
+__all__ = ["coarse_rows", "estimate_sizes"]
 
 REFINED_ROWS = 512
 """Rows of matching up to which the refinement network is used: it has been trained at these and half of them."""

@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["find_sky"]
-
 NO_PARALLAX = 0.02
 """Inverse depth in 1/baselines that a working resolution of a few hundred rows cannot tell from 0."""
 

@@ -24,8 +24,6 @@ from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair
 from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
 
-__all__ = ["Matches", "MatchingOptions", "Meridians", "assign_surfaces", "match_freely"]
-
 NO_ORDER = 1e6
 """Step penalty between labels that have no order."""
 

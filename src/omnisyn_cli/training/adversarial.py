@@ -17,15 +17,6 @@ from torch.nn.utils.parametrizations import spectral_norm
 from omnisyn_cli.networks.layers import WrappedConv
 from omnisyn_cli.networks.paper_layers import row_channel
 
-__all__ = [
-    "Discriminator",
-    "PatchDiscriminator",
-    "adversarial_loss",
-    "adversarial_weight",
-    "discriminator_loss",
-    "feature_loss",
-]
-
 ALONE, RAMP = 400, 200
 """Steps in which the discriminator only watches, and over which its say rises to the whole weight after them."""
 

@@ -11,7 +11,7 @@ import torch
 
 from omnisyn_cli.errors import InputError, WriteError
 
-__all__ = ["compact", "load_checkpoint", "of_this_version", "save_checkpoint"]
+__all__ = ["compact", "load_checkpoint", "save_checkpoint"]
 
 NEEDED = frozenset({"kind", "network", "training", "step", "average"})
 """What every checkpoint has, compact or not."""

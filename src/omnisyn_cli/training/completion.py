@@ -26,8 +26,6 @@ from omnisyn_cli.stereo.matching import HINT
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, load_scene, vary_colours
 from omnisyn_cli.training.pool import held_askew
 
-__all__ = ["completion_pair", "draw_completion"]
-
 TILTS = (0.0, 0.02, 0.1)
 """Standard deviations of pitch and roll in radians that a pair draws one of."""
 

@@ -29,24 +29,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.io.outputs import write_errors
 
-__all__ = [
-    "Augmentation",
-    "Batch",
-    "EvidenceBatch",
-    "PoolScene",
-    "as_tensor",
-    "check_height",
-    "draw_batch",
-    "draw_way",
-    "list_pool",
-    "load_samples",
-    "load_scene",
-    "save_arrays",
-    "save_samples",
-    "save_scene",
-    "stacked",
-]
-
 TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0"}
 """By the command that makes pools of a kind, an array that only these have."""
 

@@ -26,7 +26,7 @@ from omnisyn_cli.training.data import Augmentation, EvidenceBatch, load_samples,
 from omnisyn_cli.training.pool import STOPS, TiltedConfig, as_told, held_askew, scene_path
 from omnisyn_cli.types import View
 
-__all__ = ["EvidencePair", "draw_evidence", "make_evidence", "stored_evidence"]
+__all__ = ["make_evidence"]
 
 PAIRS = 4
 """Ordered pairs per scene."""

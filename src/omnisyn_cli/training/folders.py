@@ -19,7 +19,7 @@ from omnisyn_cli.io.outputs import write_errors
 from omnisyn_cli.training.data import PoolScene, save_scene
 from omnisyn_cli.types import View
 
-__all__ = ["add_pair", "pair_path", "pool_scene"]
+__all__ = ["add_pair", "pair_path"]
 
 
 def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:

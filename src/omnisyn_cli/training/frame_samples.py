@@ -14,15 +14,6 @@ from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.training.data import Augmentation, Batch, draw_batch
 
-__all__ = [
-    "EPIPOLE_FROM_FORWARD",
-    "draw_pairs",
-    "exchanged_panoramas",
-    "forward_batch",
-    "turned_colours",
-    "turned_roots",
-]
-
 EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The same rotation for every pair: straight ahead becomes the zenith, up becomes the rear (the seam's middle)."""
 

@@ -8,8 +8,6 @@ from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 
-__all__ = ["corrected", "fused_by", "fusion_loss", "fusion_scores", "inputs_of"]
-
 SQUARED_WEIGHT = 4.0
 """Of squared errors beside absolute ones: both count alike at an error of a quarter."""
 

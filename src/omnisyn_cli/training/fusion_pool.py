@@ -35,15 +35,7 @@ from omnisyn_cli.training.data import load_samples, save_samples, stacked
 from omnisyn_cli.training.pool import TiltedConfig, as_told, held_askew, scene_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-__all__ = [
-    "FusionBatch",
-    "FusionPoolConfig",
-    "FusionSample",
-    "draw_fusion",
-    "exchanged",
-    "make_fusion_scene",
-    "stored_fusion",
-]
+__all__ = ["FusionPoolConfig", "make_fusion_scene"]
 
 OVERSIZE = 2
 """Photographs and renderings are this many times as high as the planes."""

@@ -41,19 +41,7 @@ from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
 from omnisyn_cli.training.triples import Triples
 
-__all__ = [
-    "JointAnswer",
-    "JointConfig",
-    "JointNetwork",
-    "PairPrediction",
-    "filled",
-    "joint_answer",
-    "joint_loss",
-    "joint_pictures",
-    "joint_scores",
-    "planes_between",
-    "view_between",
-]
+__all__ = ["JointConfig"]
 
 FUSION_WEIGHT = 1.0
 """Of the loss of the picture beside that of the depth."""

@@ -30,7 +30,7 @@ from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.task import Task, TrainConfig, on_device
 from omnisyn_cli.training.tasks import TASKS, NetworkConfig, parts_of, task_named, task_of
 
-__all__ = ["TrainConfig", "Trainer", "load_network", "part_of", "train"]
+__all__ = ["TrainConfig", "part_of", "train"]
 
 PROCESSOR = Precision(torch.device("cpu"))
 

@@ -20,17 +20,6 @@ from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.networks.refine import RefinePrediction
 
-__all__ = [
-    "completion_loss",
-    "completion_scores",
-    "depth_loss",
-    "depth_scores",
-    "paper_loss",
-    "polar_weights",
-    "refine_loss",
-    "root_loss",
-]
-
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
 

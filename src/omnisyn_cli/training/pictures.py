@@ -12,7 +12,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.io.outputs import write_errors
 
-__all__ = ["Board", "as_array", "contact_sheet", "depth_pictures", "fused_pictures"]
+__all__ = ["Board"]
 
 LARGEST_ERROR = 0.25
 """Difference of roots that has the brightest colour; fixed, so that pictures of different steps can be compared."""

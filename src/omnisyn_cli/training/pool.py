@@ -25,17 +25,7 @@ from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 
-__all__ = [
-    "STOPS",
-    "PoolConfig",
-    "SceneConfig",
-    "TiltedConfig",
-    "as_told",
-    "fill_pool",
-    "held_askew",
-    "render_to_pool",
-    "scene_path",
-]
+__all__ = ["PoolConfig", "TiltedConfig", "fill_pool", "render_to_pool"]
 
 STOPS = 9
 """Positions along a path that views are chosen from; the ends are always taken."""

@@ -7,7 +7,7 @@ import torch
 
 from omnisyn_cli.errors import InputError
 
-__all__ = ["DEVICES", "Precision", "choose_precision"]
+__all__ = ["choose_precision"]
 
 DEVICES = ("auto", "cpu", "cuda")
 

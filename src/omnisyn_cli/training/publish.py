@@ -21,7 +21,7 @@ from omnisyn_cli.training.task import Task, TrainConfig
 from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
 from omnisyn_cli.training.view_samples import draw_views
 
-__all__ = ["publish", "write_manifest"]
+__all__ = ["publish"]
 
 COMPARED = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""

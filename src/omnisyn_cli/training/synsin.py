@@ -25,17 +25,6 @@ from omnisyn_cli.training.losses import depth_scores, polar_weights, root_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.view_samples import ViewSample, view_sample
 
-__all__ = [
-    "Made",
-    "adversarial_losses",
-    "blend_points",
-    "make_pictures",
-    "own_loss",
-    "stored_views",
-    "synsin_pictures",
-    "synsin_scores",
-]
-
 DEPTH_WEIGHT = 0.5
 """Of the absolute error of roots beside that of colours."""
 

@@ -11,8 +11,6 @@ from torch import Tensor
 
 from omnisyn_cli.training.data import Augmentation, list_pool
 
-__all__ = ["Task", "TrainConfig", "on_device"]
-
 VALIDATION_SEED = 1
 
 

@@ -34,7 +34,7 @@ from omnisyn_cli.training.task import Task
 from omnisyn_cli.training.triples import draw_triples
 from omnisyn_cli.training.view_samples import draw_views
 
-__all__ = ["TASKS", "NetworkConfig", "kinds_for", "parts_of", "role_of", "task_named", "task_of"]
+__all__ = ["TASKS", "kinds_for", "task_of"]
 
 NetworkConfig = (
     DepthConfig | PaperConfig | RefineConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig

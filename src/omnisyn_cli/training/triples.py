@@ -26,8 +26,6 @@ from omnisyn_cli.training.data import (
 )
 from omnisyn_cli.training.frame_samples import exchanged_panoramas, turned_colours, turned_roots
 
-__all__ = ["Triples", "draw_triples"]
-
 LEAST_VIEWS = 3
 
 

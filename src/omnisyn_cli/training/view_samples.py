@@ -15,8 +15,6 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions, turned_image
 from omnisyn_cli.training.data import PoolScene, load_scene
 
-__all__ = ["ViewSample", "draw_views", "view_sample"]
-
 LEVEL = 1e-3
 """Least length of the horizontal part of a way for it to be a direction."""
 

@@ -31,8 +31,6 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth
 from omnisyn_cli.io.documents import ForeignModel, read_json, validated
 
-__all__ = ["carla_scenes", "read_face_depth"]
-
 POSES = "gnss_data.json"
 
 SAME_LENGTH = 0.05

@@ -27,8 +27,6 @@ from omnisyn_cli.poses.formats.habitat import habitat_pose
 from omnisyn_cli.poses.formats.zind import POSES as TOUR
 from omnisyn_cli.poses.formats.zind import Panorama, pose_on_floor, read_tour
 
-__all__ = ["habitat_scenes", "own_scenes", "zind_scenes"]
-
 POSES = "poses.json"
 
 HABITAT_POSITION = "*/tran.txt"

@@ -15,8 +15,6 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets.sources import Scene, SceneFrame
 from omnisyn_cli.io.documents import read_text
 
-__all__ = ["Pair", "choose_pairs"]
-
 
 @dataclass(frozen=True)
 class Pair:

@@ -11,8 +11,6 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_inverse_depth
 
-__all__ = ["NoScaleError", "Scene", "SceneFrame", "SceneSource", "scene_folders"]
-
 
 class NoScaleError(PoseError):
     """The poses of a scene are known up to an unknown scale only, so it cannot be used; nothing is broken."""

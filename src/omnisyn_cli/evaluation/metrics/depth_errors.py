@@ -5,8 +5,6 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.evaluation.metrics.image import check_same_size, row_weights
 
-__all__ = ["FAR_BOUND", "SCORED_DEPTH", "depth_metrics", "scored_pixels"]
-
 SCORED_DEPTH = (1.0, 50.0)
 """Metres; pixels whose true depth lies strictly between are scored, in every metric the same ones."""
 

@@ -13,8 +13,6 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import pixel_to_angles
 
-__all__ = ["check_same_size", "end_psnr", "lrce", "psnr", "row_weights", "ssim", "ws_psnr", "ws_ssim"]
-
 Picture = Float[np.ndarray, "height width 3"]
 
 PEAK = 1.0

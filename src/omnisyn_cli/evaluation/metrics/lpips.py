@@ -13,8 +13,6 @@ from omnisyn_cli.geometry.sampling import sample_bicubic
 from omnisyn_cli.geometry.sphere import FORWARD
 from omnisyn_cli.runtime.session import open_session
 
-__all__ = ["Lpips", "cube_directions"]
-
 FACES = (FORWARD, -FORWARD, *np.eye(3)[:2], *-np.eye(3)[:2])
 """Where the six faces look: forward, backward, right, up, left, down."""
 

@@ -19,8 +19,6 @@ from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 
-__all__ = ["flicker", "warping_error"]
-
 TOLERANCE = 0.05
 """Relative difference in inverse depth up to which two frames see the same point."""
 

@@ -1,7 +1,5 @@
 """Panoramas with poses, depth and points as data sets: COLMAP models and nerfstudio's ``transforms.json``."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,9 +17,6 @@ from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.outputs import make_folder, write_parts
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats import CAMERA_AXES, colmap_files, colmap_rig_files, nerfstudio_text
-
-__all__ = ["FACES", "DatasetView", "face_side", "safe_name", "write_colmap", "write_colmap_view", "write_nerfstudio",
-           "write_nerfstudio_view"]  # fmt: skip
 
 FACES: Mapping[str, Float[np.ndarray, "3 3"]] = {
     "front": np.eye(3),

@@ -4,8 +4,6 @@ glTF's frame is ours: right-handed, y up, metres; panoramas look along their nod
 specification, section 4 (GLB) and ``KHR_materials_unlit``.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterator
@@ -20,8 +18,6 @@ from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.interpolation.export.mesh import TexturedMesh
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
-
-__all__ = ["GltfModel"]
 
 MOST_BYTES = 2**32 - 1
 """Lengths in a GLB are numbers of 32 bits."""

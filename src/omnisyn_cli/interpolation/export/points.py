@@ -1,7 +1,5 @@
 """The pixels of a surface as points, and as flat discs that lie in it (Gaussian splats)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -14,8 +12,6 @@ from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_tables, normalize, pixel_directions, pixel_scale, pixel_to_direction
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import BOTTOM, LEFT, TOP
-
-__all__ = ["Points", "joined", "ply_points", "ply_splats", "points_of"]
 
 DISC = 0.55
 """Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %.

@@ -1,7 +1,5 @@
 """From a job to files for other programs: what is asked for is checked, then made panorama by panorama."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -38,8 +36,6 @@ from omnisyn_cli.poses.formats import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimator
-
-__all__ = ["FORMATS", "ExportJob", "ExportPlan", "ExportSummary", "plan_export", "run_export"]
 
 
 class Format(NamedTuple):

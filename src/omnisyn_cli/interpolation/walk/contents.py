@@ -1,7 +1,5 @@
 """What a walk consists of: panoramas, pairs of neighbours with their surfaces, and the program's rules as numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,8 +23,6 @@ from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.types import BELIEF, UNSEEN
-
-__all__ = ["RULES", "Walk", "WalkOptions", "WalkPacker"]
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 

@@ -4,8 +4,6 @@ A map of whole numbers is kept as what each is above ``left + above − above le
 choice, PNG 1.2, section 6.6), all low bytes before all high bytes, deflated; ``web/blocks.js`` undoes it exactly.
 """
 
-from __future__ import annotations
-
 import zlib
 from typing import Any
 
@@ -15,16 +13,6 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.render.mesh import Mesh
-
-__all__ = [
-    "NO_SURFACE",
-    "Blocks",
-    "inverse_depth_codes",
-    "packed_map",
-    "packed_mask",
-    "packed_photograph",
-    "trust_codes",
-]
 
 NO_SURFACE = 65535
 """Code of a vertex without a surface; those of inverse depths are smaller."""

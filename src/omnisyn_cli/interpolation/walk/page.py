@@ -1,7 +1,5 @@
 """A packed walk as one HTML file that loads nothing, or as a folder for a server."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -13,8 +11,6 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli.interpolation.walk.contents import RULES, Walk
 from omnisyn_cli.io.outputs import staged_folder, write_parts
-
-__all__ = ["MOST_BYTES", "page_code", "page_files", "single_page", "write_folder", "write_page"]
 
 MOST_BYTES = 32 * 2**20
 """Of one file: what phones open without running out of memory."""

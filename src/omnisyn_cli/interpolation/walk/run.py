@@ -1,7 +1,5 @@
 """From a job to a walk: what is asked for is checked, depth is found, the page is written."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,8 +17,6 @@ from omnisyn_cli.interpolation.walk.page import MOST_BYTES, write_folder, write_
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept
 from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimator
-
-__all__ = ["WalkJob", "WalkPlan", "WalkSummary", "check_walk", "plan_walk", "run_walk"]
 
 
 @dataclass(frozen=True)

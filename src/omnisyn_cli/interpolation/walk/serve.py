@@ -1,14 +1,10 @@
 """A server for walks that are folders: of this machine, for this machine."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-
-__all__ = ["served"]
 
 HOST = "127.0.0.1"
 

@@ -16,8 +16,6 @@ from omnisyn_cli.poses.entries import checked_rotation
 from omnisyn_cli.poses.formats.files import images_in, read_array, usual_folder
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions
 
-__all__ = ["ROTATIONS", "read_authors"]
-
 ROTATIONS, TRANSLATIONS = "rotations.npy", "translations.npy"
 
 

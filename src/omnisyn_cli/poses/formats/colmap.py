@@ -23,8 +23,6 @@ from omnisyn_cli.poses.entries import checked_quaternion
 from omnisyn_cli.poses.formats.files import data_lines, find_view, numbers
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreign_from_pose, noted
 
-__all__ = ["IMAGES", "colmap_files", "colmap_rig_files", "model_folder", "read_colmap"]
-
 IMAGES = "images.txt"
 
 PANORAMIC = "EQUIRECTANGULAR"

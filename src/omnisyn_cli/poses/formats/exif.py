@@ -19,8 +19,6 @@ from omnisyn_cli.poses.formats.files import images_in
 from omnisyn_cli.poses.formats.geographic import Place, altitudes_note, imported_places
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions
 
-__all__ = ["read_exif"]
-
 ELLIPSOID = (2, 3)
 
 

@@ -18,18 +18,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.formats.model import ImportedView, ImportOptions
 
-__all__ = [
-    "IMAGE_SUFFIXES",
-    "data_lines",
-    "entries",
-    "find_image",
-    "find_view",
-    "images_in",
-    "natural_key",
-    "numbers",
-    "read_array",
-    "usual_folder",
-]
+__all__ = ["natural_key"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".webp"})
 

@@ -12,8 +12,6 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
 
-__all__ = ["Place", "altitudes_note", "imported_places", "local_world", "origin_note"]
-
 FAR = 1e6
 """Metres along a plumb line; any length serves, a long one keeps more digits."""
 

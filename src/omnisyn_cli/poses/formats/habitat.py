@@ -16,7 +16,7 @@ from omnisyn_cli.poses.entries import checked_rotation
 from omnisyn_cli.poses.formats.files import data_lines, entries, images_in, natural_key, numbers
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, noted
 
-__all__ = ["habitat_folders", "habitat_pose", "read_habitat"]
+__all__ = ["habitat_pose"]
 
 TURNED = 1e-6
 """Radians above which a rotation is worth a remark."""

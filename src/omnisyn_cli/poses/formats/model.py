@@ -14,18 +14,6 @@ import numpy as np
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 
-__all__ = [
-    "CAMERA_AXES",
-    "WORLD_UP",
-    "ImportOptions",
-    "ImportedPoses",
-    "ImportedView",
-    "Origin",
-    "foreign_from_pose",
-    "leveled",
-    "noted",
-]
-
 CANCELLED = 1e-3
 """Length of a mean of unit vectors that has no direction."""
 

@@ -25,8 +25,6 @@ from omnisyn_cli.poses.entries import checked_rotation
 from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreign_from_pose, noted
 
-__all__ = ["nerfstudio_text", "read_nerfstudio"]
-
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 Matrix = Annotated[list[Row], Field(min_length=3, max_length=4)]

@@ -20,8 +20,6 @@ from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.geographic import local_world, origin_note
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, noted
 
-__all__ = ["read_opensfm"]
-
 SPHERICAL = frozenset({"spherical", "equirectangular"})
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]

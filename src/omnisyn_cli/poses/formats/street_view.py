@@ -17,8 +17,6 @@ from omnisyn_cli.poses.formats.files import find_image, numbers
 from omnisyn_cli.poses.formats.geographic import LIMITS, Place, altitudes_note, imported_places
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, noted
 
-__all__ = ["read_table"]
-
 COLUMNS = {
     "image": ("image", "file", "filename", "file_name", "name", "path", "pano_id", "panoid", "id"),
     "latitude": ("latitude", "lat"),

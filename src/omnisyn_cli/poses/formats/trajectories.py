@@ -20,8 +20,6 @@ from omnisyn_cli.poses.entries import checked_quaternion, checked_rotation
 from omnisyn_cli.poses.formats.files import data_lines, find_view, images_in, numbers, usual_folder
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, foreign_from_pose, noted
 
-__all__ = ["read_kitti", "read_tum", "tum_text"]
-
 NAME_COMMENT = "# image "
 """How :func:`tum_text` keeps names, which the format has no place for: ``# image TIMESTAMP NAME``."""
 

@@ -21,8 +21,6 @@ from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, noted
 from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text
 from omnisyn_cli.poses.formats.trajectories import tum_text
 
-__all__ = ["EXPORT_FORMATS", "export_poses", "write_imported"]
-
 EXPORT_FORMATS = ("colmap", "nerfstudio", "tum")
 
 

@@ -22,7 +22,7 @@ from omnisyn_cli.io.documents import ForeignModel, listed, read_json, validated
 from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions
 
-__all__ = ["POSES", "Panorama", "Tour", "pose_on_floor", "read_tour", "read_zind"]
+__all__ = ["POSES", "Panorama", "pose_on_floor", "read_tour"]
 
 POSES = "zind_data.json"
 

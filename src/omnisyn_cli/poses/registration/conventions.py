@@ -22,14 +22,6 @@ from omnisyn_cli.geometry.pose import (
 )
 from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
 
-__all__ = [
-    "ConventionHypothesis",
-    "combined_hypotheses",
-    "degree_hypotheses",
-    "heading_angles",
-    "single_hypotheses",
-]
-
 NUMBERS, TRANSFORMS, AXES, PAIR = range(4)
 """Stages."""
 

@@ -25,8 +25,6 @@ from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import noise_of, robust_misfit
 from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_scale, supporting
 
-__all__ = ["Diagnosis", "Explanation", "Fit", "Verdict", "diagnose"]
-
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
 taken from one place, only rotations can be judged; ``unknown``: too few matches."""

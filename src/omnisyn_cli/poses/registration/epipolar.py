@@ -16,15 +16,6 @@ from omnisyn_cli.geometry.pose import Pose, rotation_angle
 from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.poses.registration.features import Matches
 
-__all__ = [
-    "angle_between",
-    "direction_error",
-    "epipolar_residual",
-    "is_in_front",
-    "relative_pose",
-    "rotation_error",
-]
-
 STRAIGHT = 1e-12
 """Squared sine below which directions have no plane in common but all."""
 

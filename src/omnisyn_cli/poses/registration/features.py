@@ -18,8 +18,6 @@ from omnisyn_cli.geometry.sampling import add_columns, sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_pixel, pixel_scale, pixel_to_direction
 from omnisyn_cli.runtime.thread_limit import limited_threads
 
-__all__ = ["Features", "Matches", "find_features", "match_features"]
-
 MOST_ROWS = 1024
 """Larger panoramas are reduced to this height: features are then found within about 0.05°."""
 

@@ -14,8 +14,6 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector, rotat
 from omnisyn_cli.poses.registration.epipolar import epipolar_residual, is_in_front
 from omnisyn_cli.poses.registration.features import Matches
 
-__all__ = ["Uncertainty", "moved", "noise_of", "refine_pose", "robust_misfit", "uncertainty"]
-
 STEPS = 20
 
 SETTLED = 1e-8

@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose
 
-__all__ = ["essential_candidates", "poses_of_essential"]
-
 CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3))
 BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
 """Exponents of x, y, z: the monomials that are eliminated, and those that span what is left."""

@@ -19,8 +19,6 @@ from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import Uncertainty, refine_pose, uncertainty
 from omnisyn_cli.poses.registration.minimal import essential_candidates, poses_of_essential
 
-__all__ = ["LEAST_INLIERS", "Estimate", "estimate_relative_pose", "inlier_scale", "supporting"]
-
 LEAST_INLIERS = 24
 """Fewer matches that agree may agree by chance."""
 
