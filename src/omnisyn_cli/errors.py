@@ -13,15 +13,7 @@ Every message is one line that says what was expected, what was found and what t
     └── WriteError          the disk is full, or the file went away while it was written
 """
 
-__all__ = [
-    "EncodingError",
-    "ImageError",
-    "InputError",
-    "OmnisynError",
-    "OutputPathError",
-    "PoseError",
-    "WriteError",
-]
+__all__ = ["EncodingError", "ImageError", "InputError", "OmnisynError", "OutputPathError", "PoseError", "WriteError"]
 
 
 class OmnisynError(Exception):

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from omnisyn_cli.cli.options import (
-    device_option,
-    json_option,
-    print_json,
-    quiet_option,
-    report_option,
-    threads_option,
-)
+from omnisyn_cli.cli.options import device_option, json_option, print_json, quiet_option, report_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, Size
 from omnisyn_cli.cli.progress import counted_bar, working_folder
 

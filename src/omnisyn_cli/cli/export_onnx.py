@@ -13,8 +13,7 @@ FOLDER = FilePath(file_okay=False)
 @click.argument("checkpoint", type=FilePath(dir_okay=False))
 @click.option("-o", "--output", required=True, type=FOLDER, help="Folder of models.")
 @click.option(
-    "--name",
-    help="What `--model` will call it; of several networks the first word.  [default: KIND-VARIANT]",
+    "--name", help="What `--model` will call it; of several networks the first word.  [default: KIND-VARIANT]"
 )
 @click.option("--pairs", "pool", type=FOLDER, help="Pool of its kind to compare on as well.")
 @click.option("--training", default="", help="On what and for how long it was trained, for the manifest.")

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import count
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -55,13 +54,11 @@ FORM = 1
 """Counts up when the same scenes are measured or recorded in another way."""
 
 
-SOURCES: Mapping[str, DepthSource] = MappingProxyType(
-    {
-        "synsin": find_method("monocular").recipe.depth,
-        "matching": find_method("matching").recipe.depth,
-        **{f"omnisyn-{preset.name}": preset.recipe.depth for preset in PRESETS.values()},
-    }
-)
+SOURCES: Mapping[str, DepthSource] = {
+    "synsin": find_method("monocular").recipe.depth,
+    "matching": find_method("matching").recipe.depth,
+    **{f"omnisyn-{preset.name}": preset.recipe.depth for preset in PRESETS.values()},
+}
 """The rows of the table: SynSin's monocular network, matching alone, and the presets; ``paper`` is a network alone."""
 
 NETWORK = "network:"

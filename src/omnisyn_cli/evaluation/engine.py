@@ -21,14 +21,7 @@ from omnisyn_cli.evaluation.methods import (
     PairDepths,
     find_methods,
 )
-from omnisyn_cli.evaluation.results import (
-    FrameRecord,
-    Status,
-    UnitRecord,
-    append_record,
-    latest_records,
-    read_records,
-)
+from omnisyn_cli.evaluation.results import FrameRecord, Status, UnitRecord, append_record, latest_records, read_records
 from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.io.outputs import make_folder

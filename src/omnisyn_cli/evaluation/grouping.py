@@ -48,9 +48,7 @@ def frames_of(records: Iterable[UnitRecord], method: str) -> Iterator[tuple[floa
         yield from ((frame.scores[MAIN_SCORE], frame) for frame in record.frames if MAIN_SCORE in frame.scores)
 
 
-def figures_of(
-    record: UnitRecord,
-) -> Iterator[tuple[tuple[str, str, float | str, float | str], Mapping[str, float]]]:
+def figures_of(record: UnitRecord) -> Iterator[tuple[tuple[str, str, float | str, float | str], Mapping[str, float]]]:
     """What was measured of what: subject, name, t and distance, as far as there are any, and the figures by metric."""
     for frame in record.frames:
         yield ("frame", frame.name, frame.t, frame.distance), frame.scores

@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 
@@ -187,37 +186,35 @@ class _FirstOfPair:
 
 _DEFAULT = PRESETS[DEFAULT_PRESET].recipe
 
-BASES: Mapping[str, ComparedMethod] = MappingProxyType(
-    {
-        name: ComparedMethod(name, description, recipe, shows_first_only=name == "first-view-only")
-        for name, description, recipe in (
-            ("crossfade", "both panoramas, turned, averaged by time", Recipe(method="crossfade")),
-            ("flow", "both panoramas moved along optical flow (DIS), averaged by time", Recipe(method="flow")),
-            ("synsin", "SynSin from the nearer panorama", Recipe(method="synsin")),
-            ("synsin-2view", "SynSin from both panoramas", Recipe(method="synsin-2view")),
-            ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"))),
-            *((f"omnisyn-{name}", f"the preset {name}", preset.recipe) for name, preset in SCALE.items()),
-            (
-                "omnisyn-paper", "the preset paper: the method of the paper with narrower networks",
-                PRESETS["paper"].recipe,
-            ),
-            (
-                "omnisyn-points", "the default preset with a cloud of points instead of the mesh",
-                replace(_DEFAULT, renderer="points"),
-            ),
-            (
-                "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
-                replace(_DEFAULT, renderer="two-pass"),
-            ),
-            ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
-            (
-                "monocular", "depth from each panorama alone, mesh, geometric fusion",
-                Recipe(DepthSource("monocular", model=SYNSIN_MODELS[0])),
-            ),
-            ("oracle-depth", "the true depth: an upper bound", Recipe(DepthSource("file"))),
-        )
-    }
-)  # fmt: skip
+BASES: Mapping[str, ComparedMethod] = {
+    name: ComparedMethod(name, description, recipe, shows_first_only=name == "first-view-only")
+    for name, description, recipe in (
+        ("crossfade", "both panoramas, turned, averaged by time", Recipe(method="crossfade")),
+        ("flow", "both panoramas moved along optical flow (DIS), averaged by time", Recipe(method="flow")),
+        ("synsin", "SynSin from the nearer panorama", Recipe(method="synsin")),
+        ("synsin-2view", "SynSin from both panoramas", Recipe(method="synsin-2view")),
+        ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"))),
+        *((f"omnisyn-{name}", f"the preset {name}", preset.recipe) for name, preset in SCALE.items()),
+        (
+            "omnisyn-paper", "the preset paper: the method of the paper with narrower networks",
+            PRESETS["paper"].recipe,
+        ),
+        (
+            "omnisyn-points", "the default preset with a cloud of points instead of the mesh",
+            replace(_DEFAULT, renderer="points"),
+        ),
+        (
+            "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
+            replace(_DEFAULT, renderer="two-pass"),
+        ),
+        ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
+        (
+            "monocular", "depth from each panorama alone, mesh, geometric fusion",
+            Recipe(DepthSource("monocular", model=SYNSIN_MODELS[0])),
+        ),
+        ("oracle-depth", "the true depth: an upper bound", Recipe(DepthSource("file"))),
+    )
+}  # fmt: skip
 """Methods without parameters, by name."""
 
 FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
@@ -286,7 +283,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     )
 
 
-METHODS: Mapping[str, ComparedMethod] = MappingProxyType({name: find_method(name) for name in (*BASES, *VARIANTS)})
+METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}
 """What ``all`` stands for, by name."""
 
 

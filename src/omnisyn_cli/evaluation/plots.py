@@ -9,14 +9,7 @@ from collections.abc import Sequence
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
-from omnisyn_cli.evaluation.grouping import (
-    distance_band,
-    finished,
-    frames_of,
-    ranked_methods,
-    stages_of,
-    time_band,
-)
+from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
 from omnisyn_cli.evaluation.pareto import STANDARD_FRAMES, Figures, pareto_front, standard_seconds
 from omnisyn_cli.evaluation.results import UnitRecord, mean
 

@@ -119,9 +119,7 @@ def sweep_directions(
 
 
 def free_space_agreement(
-    inverse_depth: Float[np.ndarray, "height width"],
-    other: Float[np.ndarray, "height width"],
-    other_from_this: Pose,
+    inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
 ) -> Float[np.ndarray, "height width"]:
     """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Interval
@@ -20,19 +19,17 @@ Positive = Annotated[float, Gt(0)]
 POSES_FROM_PICTURES = Path("auto")
 """Stands for a pose file where there is none."""
 
-CHOICES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "method": METHODS,
-        "preset": tuple(PRESETS),
-        "depth": ("auto", *DEPTH_SOURCES),
-        "renderer": ("auto", *RENDERERS),
-        "fusion": ("auto", *FUSIONS),
-        "ease": EASES,
-        "heading": HEADINGS,
-        "device": DEVICES,
-        "fallback": FALLBACKS,
-    }
-)
+CHOICES: Mapping[str, tuple[str, ...]] = {
+    "method": METHODS,
+    "preset": tuple(PRESETS),
+    "depth": ("auto", *DEPTH_SOURCES),
+    "renderer": ("auto", *RENDERERS),
+    "fusion": ("auto", *FUSIONS),
+    "ease": EASES,
+    "heading": HEADINGS,
+    "device": DEVICES,
+    "fallback": FALLBACKS,
+}
 """Names that fields of a job take."""
 
 

@@ -43,12 +43,7 @@ from omnisyn_cli.networks.layers import (
     upsample_nearest,
     wrap_columns,
 )
-from omnisyn_cli.networks.sphere_volume import (
-    lookup,
-    meridian_products,
-    resampling_matrix,
-    sphere_volume,
-)
+from omnisyn_cli.networks.sphere_volume import lookup, meridian_products, resampling_matrix, sphere_volume
 
 __all__ = ["DepthNetwork", "DepthPrediction"]
 

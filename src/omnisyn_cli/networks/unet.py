@@ -12,14 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
-from omnisyn_cli.networks.layers import (
-    LEAK,
-    ResidualBlock,
-    WrappedConv,
-    at_least_single,
-    initialise,
-    upsample_nearest,
-)
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, initialise, upsample_nearest
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from omnisyn_cli.errors import PoseError
@@ -144,7 +143,7 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     _check_one_world(path, entries)
     origin = next((origin_of(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {name: _posed(path, name, entry, origin) for name, entry in entries.items()}
-    return PoseFile(path, MappingProxyType(panoramas))
+    return PoseFile(path, panoramas)
 
 
 def _entry(path: Path, name: str, value: Any, allow_outside: bool) -> RigidEntry | GeographicEntry:

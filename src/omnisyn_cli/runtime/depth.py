@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -114,12 +113,10 @@ class _Frame:
     onwards: tuple[float, float, float]
 
 
-FRAMES: Mapping[str, _Frame] = MappingProxyType(
-    {
-        "epipole": _Frame(epipole_frame, exchanged_in_epipole_frame, (0.0, 1.0, 0.0)),
-        "forward": _Frame(forward_frame, exchanged_in_forward_frame, (0.0, 0.0, -1.0)),
-    }
-)
+FRAMES: Mapping[str, _Frame] = {
+    "epipole": _Frame(epipole_frame, exchanged_in_epipole_frame, (0.0, 1.0, 0.0)),
+    "forward": _Frame(forward_frame, exchanged_in_forward_frame, (0.0, 0.0, -1.0)),
+}
 """By the name in a model's metadata."""
 
 

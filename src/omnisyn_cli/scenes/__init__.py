@@ -5,7 +5,6 @@ their pictures.
 """
 
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 
 from omnisyn_cli.scenes.home import home
 from omnisyn_cli.scenes.jumble import jumble, yard
@@ -32,9 +31,13 @@ __all__ = [
     "sample_path",
 ]
 
-GENERATORS: Mapping[str, Callable[[int], Scene]] = MappingProxyType(
-    {"street": street, "room": room, "home": home, "jumble": jumble, "yard": yard}
-)
+GENERATORS: Mapping[str, Callable[[int], Scene]] = {
+    "street": street,
+    "room": room,
+    "home": home,
+    "jumble": jumble,
+    "yard": yard,
+}
 """Generators by the name of what they make."""
 
 

@@ -19,12 +19,7 @@ _TILES = (16, 4)  # pixels; chosen by timing
 
 
 def render_panorama(
-    scene: Scene,
-    pose: Pose,
-    size: tuple[int, int],
-    *,
-    supersample: int = 2,
-    threads: int | None = None,
+    scene: Scene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
     """Render one panorama.
 

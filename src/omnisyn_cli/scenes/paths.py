@@ -31,13 +31,7 @@ def clearance(scene: Scene, positions: Float[np.ndarray, "p 3"]) -> Float[np.nda
 
 
 def sample_path(
-    scene: Scene,
-    seed: int,
-    frames: int,
-    *,
-    baseline: float | None = None,
-    vertical: float = 0.05,
-    tilt: float = 0.0,
+    scene: Scene, seed: int, frames: int, *, baseline: float | None = None, vertical: float = 0.05, tilt: float = 0.0
 ) -> list[Pose]:
     """Draw a straight path of cameras that keep clear of everything.
 

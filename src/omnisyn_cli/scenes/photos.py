@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -38,26 +37,24 @@ class Use(IntEnum):
     FITTED = 2  # once, cropped to the face; the pattern's third colour stays (a frame)
 
 
-SIZES: Mapping[Pattern, tuple[tuple[Use, ...], float, float]] = MappingProxyType(
-    {
-        Pattern.PLAIN: ((Use.TILED,), 0.4, 4.0),
-        Pattern.BRICK: ((Use.TILED,), 0.8, 5.0),
-        Pattern.TILES: ((Use.TILED,), 0.6, 4.0),
-        Pattern.CHECKER: ((Use.TILED,), 0.6, 4.0),
-        Pattern.PLANKS: ((Use.TILED,), 0.5, 3.0),
-        Pattern.FACADE: ((Use.TILED, Use.UNDER), 3.0, 14.0),
-        Pattern.STRIPES: ((Use.TILED,), 0.5, 3.0),
-        Pattern.COLLAGE: ((Use.FITTED,), 1.0, 1.0),
-        Pattern.ROAD: ((Use.UNDER,), 1.5, 8.0),
-        Pattern.GRASS: ((Use.TILED,), 1.0, 8.0),
-        Pattern.WALLPAPER: ((Use.TILED,), 0.5, 3.5),
-        Pattern.PANELS: ((Use.UNDER,), 0.6, 3.0),
-        Pattern.RIBS: ((Use.TILED,), 0.8, 4.0),
-        Pattern.CARTON: ((Use.UNDER,), 0.3, 1.0),
-        Pattern.PICTURE: ((Use.FITTED,), 1.0, 1.0),
-        Pattern.RUG: ((Use.FITTED, Use.TILED), 0.5, 2.0),
-    }
-)
+SIZES: Mapping[Pattern, tuple[tuple[Use, ...], float, float]] = {
+    Pattern.PLAIN: ((Use.TILED,), 0.4, 4.0),
+    Pattern.BRICK: ((Use.TILED,), 0.8, 5.0),
+    Pattern.TILES: ((Use.TILED,), 0.6, 4.0),
+    Pattern.CHECKER: ((Use.TILED,), 0.6, 4.0),
+    Pattern.PLANKS: ((Use.TILED,), 0.5, 3.0),
+    Pattern.FACADE: ((Use.TILED, Use.UNDER), 3.0, 14.0),
+    Pattern.STRIPES: ((Use.TILED,), 0.5, 3.0),
+    Pattern.COLLAGE: ((Use.FITTED,), 1.0, 1.0),
+    Pattern.ROAD: ((Use.UNDER,), 1.5, 8.0),
+    Pattern.GRASS: ((Use.TILED,), 1.0, 8.0),
+    Pattern.WALLPAPER: ((Use.TILED,), 0.5, 3.5),
+    Pattern.PANELS: ((Use.UNDER,), 0.6, 3.0),
+    Pattern.RIBS: ((Use.TILED,), 0.8, 4.0),
+    Pattern.CARTON: ((Use.UNDER,), 0.3, 1.0),
+    Pattern.PICTURE: ((Use.FITTED,), 1.0, 1.0),
+    Pattern.RUG: ((Use.FITTED, Use.TILED), 0.5, 2.0),
+}
 """Of a pattern: uses, one of which is drawn, and the least and the greatest width of a photograph in metres."""
 
 

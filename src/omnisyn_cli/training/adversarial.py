@@ -85,11 +85,7 @@ class Discriminator:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
-        return {
-            "weights": self.network.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "begun": self.begun,
-        }
+        return {"weights": self.network.state_dict(), "optimizer": self.optimizer.state_dict(), "begun": self.begun}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint; from one that says no more than where it begins, afresh."""

@@ -68,12 +68,7 @@ def fusion_scores(
     hole = (planes[:, plane.SEEN : plane.SEEN + 2].sum(dim=1, keepdim=True) == 0).expand_as(truth)
     ours, theirs = (_decibels(x, truth) for x in (picture, geometric))
     errors = [float((x - truth).abs()[hole].mean()) for x in (picture, geometric)]
-    return {
-        "ws_psnr": ours,
-        "gain": ours - theirs,
-        "hole_error": errors[0],
-        "hole_gain": errors[1] - errors[0],
-    }
+    return {"ws_psnr": ours, "gain": ours - theirs, "hole_error": errors[0], "hole_gain": errors[1] - errors[0]}
 
 
 def _decibels(picture: Tensor, truth: Tensor) -> float:

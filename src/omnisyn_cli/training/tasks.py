@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -80,76 +79,74 @@ _STEREO = Task(
     pictures=_depth_pictures,
 )
 
-TASKS: Mapping[str, Task] = MappingProxyType(
-    {
-        "depth": _STEREO,
-        "paper": replace(
-            _STEREO,
-            config=PaperConfig,
-            variants=PAPER_VARIANTS,
-            build=PaperNetwork,
-            loss=lambda answer, batch: losses.paper_loss(answer, batch.root),
-            role="depth",
-            rate=1e-4,  # the authors'
+TASKS: Mapping[str, Task] = {
+    "depth": _STEREO,
+    "paper": replace(
+        _STEREO,
+        config=PaperConfig,
+        variants=PAPER_VARIANTS,
+        build=PaperNetwork,
+        loss=lambda answer, batch: losses.paper_loss(answer, batch.root),
+        role="depth",
+        rate=1e-4,  # the authors'
+    ),
+    "refine": Task(
+        RefineConfig,
+        REFINE_VARIANTS,
+        RefineNetwork,
+        draw=lambda pool, rng, stage, *_: draw_evidence(pool, rng, stage.batch),
+        loss=lambda answer, batch: losses.refine_loss(answer, batch.root),
+        scores=_depth_scores,
+        held_out=lambda path, turn, _: stored_evidence(path, turn),
+        pool="evidence",
+    ),
+    "completion": Task(
+        CompletionConfig,
+        COMPLETION_VARIANTS,
+        CompletionNetwork,
+        draw=lambda pool, rng, stage, _, varied: draw_completion(pool, rng, stage.batch, stage.size, varied),
+        loss=_completion_loss,
+        scores=_completion_scores,
+        pictures=_completion_pictures,
+    ),
+    "fusion": Task(
+        FusionConfig,
+        FUSION_VARIANTS,
+        build_fusion,
+        draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
+        inputs=lambda network, batch: (fusion_losses.inputs_of(network.config, batch.planes),),
+        answer=lambda network, batch: fusion_losses.fused_by(network, batch.planes),
+        loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth),
+        scores=lambda answer, batch: fusion_losses.fusion_scores(answer, batch.planes, batch.truth),
+        held_out=lambda path, turn, _: stored_fusion(path, turn),
+        pool="fusion-pool",
+    ),
+    "joint": Task(
+        joint.JointConfig,
+        {},
+        joint.JointNetwork,
+        draw=lambda pool, rng, stage, network, varied: draw_triples(
+            pool, rng, stage.batch, stage.size, network.depth.frame, varied, network.depth.config.greatest_root
         ),
-        "refine": Task(
-            RefineConfig,
-            REFINE_VARIANTS,
-            RefineNetwork,
-            draw=lambda pool, rng, stage, *_: draw_evidence(pool, rng, stage.batch),
-            loss=lambda answer, batch: losses.refine_loss(answer, batch.root),
-            scores=_depth_scores,
-            held_out=lambda path, turn, _: stored_evidence(path, turn),
-            pool="evidence",
-        ),
-        "completion": Task(
-            CompletionConfig,
-            COMPLETION_VARIANTS,
-            CompletionNetwork,
-            draw=lambda pool, rng, stage, _, varied: draw_completion(pool, rng, stage.batch, stage.size, varied),
-            loss=_completion_loss,
-            scores=_completion_scores,
-            pictures=_completion_pictures,
-        ),
-        "fusion": Task(
-            FusionConfig,
-            FUSION_VARIANTS,
-            build_fusion,
-            draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
-            inputs=lambda network, batch: (fusion_losses.inputs_of(network.config, batch.planes),),
-            answer=lambda network, batch: fusion_losses.fused_by(network, batch.planes),
-            loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth),
-            scores=lambda answer, batch: fusion_losses.fusion_scores(answer, batch.planes, batch.truth),
-            held_out=lambda path, turn, _: stored_fusion(path, turn),
-            pool="fusion-pool",
-        ),
-        "joint": Task(
-            joint.JointConfig,
-            {},
-            joint.JointNetwork,
-            draw=lambda pool, rng, stage, network, varied: draw_triples(
-                pool, rng, stage.batch, stage.size, network.depth.frame, varied, network.depth.config.greatest_root
-            ),
-            answer=joint.joint_answer,
-            loss=joint.joint_loss,
-            scores=joint.joint_scores,
-            pictures=joint.joint_pictures,
-        ),
-        "synsin": Task(
-            SynSinConfig,
-            SYNSIN_VARIANTS,
-            SynSinNetwork,
-            draw=lambda pool, rng, stage, *_: draw_views(pool, rng, stage.batch, stage.size),
-            answer=synsin.make_pictures,
-            loss=synsin.own_loss,
-            scores=synsin.synsin_scores,
-            pictures=synsin.synsin_pictures,
-            adversarial=synsin.adversarial_losses,
-            held_out=lambda path, _, stage: synsin.stored_views(path, stage.size),
-            is_repeated=False,
-        ),
-    }
-)
+        answer=joint.joint_answer,
+        loss=joint.joint_loss,
+        scores=joint.joint_scores,
+        pictures=joint.joint_pictures,
+    ),
+    "synsin": Task(
+        SynSinConfig,
+        SYNSIN_VARIANTS,
+        SynSinNetwork,
+        draw=lambda pool, rng, stage, *_: draw_views(pool, rng, stage.batch, stage.size),
+        answer=synsin.make_pictures,
+        loss=synsin.own_loss,
+        scores=synsin.synsin_scores,
+        pictures=synsin.synsin_pictures,
+        adversarial=synsin.adversarial_losses,
+        held_out=lambda path, _, stage: synsin.stored_views(path, stage.size),
+        is_repeated=False,
+    ),
+}
 """By the kind that a checkpoint names."""
 
 

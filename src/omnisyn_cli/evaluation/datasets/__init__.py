@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets.carla import carla_scenes
@@ -15,9 +14,12 @@ __all__ = ["FORMATS", "NoScaleError", "Pair", "Scene", "SceneFrame", "SceneSourc
 
 Finder = Callable[[Path], list[SceneSource]]
 
-FORMATS: Mapping[str, Finder] = MappingProxyType(
-    {"omnisyn": own_scenes, "carla": carla_scenes, "m3d": habitat_scenes, "zind": zind_scenes}
-)
+FORMATS: Mapping[str, Finder] = {
+    "omnisyn": own_scenes,
+    "carla": carla_scenes,
+    "m3d": habitat_scenes,
+    "zind": zind_scenes,
+}
 """What finds the scenes of a folder, by the name of the layout; tried in this order."""
 
 EXPECTED = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
