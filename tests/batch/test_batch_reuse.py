@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from batch_samples import write_row
 
-from omnisyn_cli.batch.reuse import MOST_PANORAMAS, DepthMemory, PanoramaMemory
+from omnisyn_cli.batch.interpolations import MOST_PANORAMAS, DepthMemory, PanoramaMemory
 from omnisyn_cli.fusion.photometry import equalized
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama, write_image

@@ -19,7 +19,7 @@ from omnisyn_cli.batch import interpolations, provenance
 from omnisyn_cli.batch.batch import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.batch.executor import Work
 from omnisyn_cli.batch.folder import WORKSHOP, open_workshop, unpack
-from omnisyn_cli.batch.interpolations import Settings, make_interpolator
+from omnisyn_cli.batch.interpolations import Interpolator, Settings
 from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.geometric import GeometricFuser
@@ -234,7 +234,7 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(
     jobs = read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
     (tmp_path / "out").mkdir()
     with open_workshop(tmp_path / "out") as token:
-        work = make_interpolator(Settings(tmp_path / "out", token, 1))
+        work = Interpolator(Settings(tmp_path / "out", token, 1))
         for _ in range(2):
             for job in jobs:
                 work(job)
@@ -436,9 +436,9 @@ def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path: Path) -
     there, elsewhere = tmp_path / "there", tmp_path / "elsewhere"
     there.mkdir()
     with open_workshop(there) as token:
-        seen = make_interpolator(Settings(there, token, 1))(job)
-        sent = make_interpolator(Settings(elsewhere, token, 1))(job)
-        other = make_interpolator(Settings(there, "another token", 1))(job)
+        seen = Interpolator(Settings(there, token, 1))(job)
+        sent = Interpolator(Settings(elsewhere, token, 1))(job)
+        other = Interpolator(Settings(there, "another token", 1))(job)
     assert seen["files"] is None
     assert not elsewhere.exists()
     assert set(sent["files"]) == set(contents(there)) == set(other["files"])

@@ -4,7 +4,7 @@ from io_samples import smooth_image, write_with
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.io import list_photographs, read_photographs
-from omnisyn_cli.io.photographs import LONGEST
+from omnisyn_cli.io.images import LONGEST
 
 
 def test_photographs_of_any_kind_are_read_in_the_order_of_their_names(tmp_path):

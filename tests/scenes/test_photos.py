@@ -15,9 +15,9 @@ from omnisyn_cli.io import write_image
 from omnisyn_cli.scenes import generate_scene, pack_photos, render_panorama, sample_path
 from omnisyn_cli.scenes.materials import Column, Material, Pattern
 from omnisyn_cli.scenes.noise import cell_hash, lattice
-from omnisyn_cli.scenes.photo_kernels import FITTED, UNDER, photo_at
 from omnisyn_cli.scenes.photos import Use, with_photos
 from omnisyn_cli.scenes.scene import Papering
+from omnisyn_cli.scenes.shading import FITTED, UNDER, photo_at
 from omnisyn_cli.training.data import load_scene
 from omnisyn_cli.training.pool import PoolConfig, render_to_pool
 

@@ -8,10 +8,10 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.stereo.costs import census, sweep_cost, warp_cost
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
+from omnisyn_cli.stereo.matching import find_sky
 from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import rectify, resize_area
 from omnisyn_cli.stereo.semi_global import Bands
-from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Meridians, _nearness
 
 SMALL = (48, 96)

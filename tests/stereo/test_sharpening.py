@@ -9,7 +9,7 @@ from stereo_samples import OPENINGS, SIZE, room
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.stereo.matching import MatchingOptions
 from omnisyn_cli.stereo.rectify import resize_area
-from omnisyn_cli.stereo.sharpening import sharpened
+from omnisyn_cli.stereo.refined import sharpened
 from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
 from omnisyn_cli.types import View
 

@@ -14,8 +14,8 @@ from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.training.data import draw_batch, list_pool, load_scene
-from omnisyn_cli.training.folders import add_pair, pair_path, pool_scene
 from omnisyn_cli.training.losses import depth_loss, depth_scores
+from omnisyn_cli.training.pool import add_pair, pair_path, pool_scene
 from omnisyn_cli.types import DepthEstimate, View
 
 RADIUS, CENTRE = 3.0, np.array([0.3, -0.2, 0.4])

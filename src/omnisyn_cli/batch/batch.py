@@ -132,7 +132,7 @@ def run_batch(
         tell = on_progress or (lambda _: None)
         tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
         executor = make_executor(
-            "omnisyn_cli.batch.interpolations:make_interpolator",
+            "omnisyn_cli.batch.interpolations:Interpolator",
             lambda threads: Settings(folder.absolute(), token, threads), options, len(jobs),
         )  # fmt: skip
         with closing(run_jobs(jobs, executor)) as outcomes:

@@ -17,8 +17,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from omnisyn_cli.batch.lines import read_lines
-from omnisyn_cli.batch.schema import OUTPUTS, PLACES, Line, explained
+from omnisyn_cli.batch.schema import OUTPUTS, PLACES, Line, explained, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets

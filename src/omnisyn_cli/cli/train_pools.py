@@ -68,7 +68,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
     from omnisyn_cli.evaluation.views import load_pair
-    from omnisyn_cli.training.folders import add_pair, pair_path
+    from omnisyn_cli.training.pool import add_pair, pair_path
 
     choose = choose_pairs(pairs)
     for source in find_scenes(dataset, layout):

@@ -45,7 +45,7 @@ class EvaluationJob:
         report: folder for results and pictures; made if it is not there.
         methods: ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
         layout: of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``.
-        pairs: which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.pairs`.
+        pairs: which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.sources`.
         size: (height, width) of the comparison; None means that of the true frames.
         lpips: ONNX file for a perceptual distance.
         pictures: keep frames, error maps and depth as pictures.

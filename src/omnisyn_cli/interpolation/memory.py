@@ -70,7 +70,7 @@ def estimated_memory(
         size: height and width of the frames.
         sources: those of the panoramas.
         depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
-            to their size by :mod:`omnisyn_cli.stereo.sharpening`.
+            to their size by :mod:`omnisyn_cli.stereo.refined`.
 
     Raises:
         ImageError: a panorama is missing or unreadable.

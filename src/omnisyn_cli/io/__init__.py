@@ -3,9 +3,8 @@
 from omnisyn_cli.io.decode import MAX_PIXELS, read_header
 from omnisyn_cli.io.depth_files import read_depth, read_inverse_depth, write_depth
 from omnisyn_cli.io.encode import write_image
-from omnisyn_cli.io.images import Panorama, read_mask, read_panorama
+from omnisyn_cli.io.images import Panorama, list_photographs, read_mask, read_panorama, read_photographs
 from omnisyn_cli.io.outputs import check_output
-from omnisyn_cli.io.photographs import list_photographs, read_photographs
 from omnisyn_cli.io.spherical import inject_spherical, read_spherical
 from omnisyn_cli.io.video import FrameSink, check_encoding, check_video, open_video, sample_type
 

@@ -8,8 +8,7 @@ import numpy as np
 from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.buildings import office
 from omnisyn_cli.scenes.daylight import daylight, sun_at
-from omnisyn_cli.scenes.furnishing import furnish
-from omnisyn_cli.scenes.hall import furnish_hall
+from omnisyn_cli.scenes.furnishing import furnish, furnish_hall
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Walkway

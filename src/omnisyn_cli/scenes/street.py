@@ -11,9 +11,8 @@ from omnisyn_cli.scenes.buildings import house, office, town_house
 from omnisyn_cli.scenes.daylight import daylight
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.roadway import lay_pavement, lay_roadway
+from omnisyn_cli.scenes.roadway import StreetPlan, draw_plan, lay_pavement, lay_roadway
 from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
-from omnisyn_cli.scenes.street_plan import StreetPlan, draw_plan
 
 
 def street(seed: int) -> Scene:

@@ -2,15 +2,16 @@
 
 The steps, each in a module of its own: turn the pair until epipolar lines are meridians (:mod:`.rectify`), match both
 ways (:mod:`.semi_global`), let large planes explain what they can (:mod:`.surfaces`), keep what both directions agree
-on, find the sky (:mod:`.sky`), fill the rest and move edges to where the image has them (:mod:`.filling`).
+on, find the sky, fill the rest and move edges to where the image has them (:mod:`.filling`).
 """
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import cv2
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
@@ -19,7 +20,6 @@ from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.stereo.evidence import Evidence
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
-from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -155,3 +155,68 @@ def _is_sideways(grid: Meridians) -> Bool[np.ndarray, "height width"]:
     """Farther than 20° from both epipoles: having no parallax here means being far."""
     sideways = np.sin(grid.polar_angle) > math.sin(math.radians(20.0))
     return np.asarray(np.broadcast_to(sideways, grid.directions.shape[:2]))
+
+
+NO_PARALLAX = 0.02
+"""Inverse depth in 1/baselines that a working resolution of a few hundred rows cannot tell from 0."""
+
+EVIDENCE = 0.05
+"""Share of the region where texture must have decided for no parallax."""
+
+LEAST = 0.01
+"""Share of the sphere: a smaller region is no sky."""
+
+SPOT = 0.003
+"""Share of the sphere: openings in the sky smaller than this are closed."""
+
+
+def find_sky(
+    inverse_depth: Float[np.ndarray, "height width"],
+    seen: Bool[np.ndarray, "height width"],
+    rise: Float[np.ndarray, "height width"],
+    solid_angle: Float[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:
+    """Where the panorama shows the sky: infinitely far, recognised by what both views say about it, not by its colour.
+
+    A bright wall, an overexposed ceiling or a lamp is as smooth as a cloudless sky. What sets the sky apart is that it
+    reaches the zenith, and that wherever it does show something (clouds, a gradient, the rims of what stands before it)
+    that something has no parallax.
+
+    Args:
+        inverse_depth: in 1/baselines.
+        seen: where texture decided about it.
+        rise: sine of the elevation above the horizon.
+        solid_angle: of every pixel.
+    """
+    far = (inverse_depth < NO_PARALLAX) & (rise > 0.0)
+    region: np.ndarray = _touching_zenith(far, rise)
+    size, evidence = (solid_angle * region).sum(), (solid_angle * (region & seen)).sum()
+    if size < LEAST * solid_angle.sum() or evidence < EVIDENCE * size:
+        return np.zeros_like(far)
+    return np.asarray(region | _spots(~region & (rise > 0.0), solid_angle))
+
+
+def _touching_zenith(mask: np.ndarray, rise: np.ndarray) -> np.ndarray:
+    labels = _components(mask)
+    inside = np.unique(labels[(rise > 0.9) & mask])
+    return np.asarray(np.isin(labels, inside[inside > 0]))
+
+
+def _spots(mask: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
+    """Small components of a mask."""
+    labels = _components(mask)
+    size = np.bincount(labels.ravel(), solid_angle.ravel())
+    small = size < SPOT * solid_angle.sum()
+    small[0] = False
+    return np.asarray(small[labels])
+
+
+def _components(mask: np.ndarray) -> np.ndarray:
+    """Connected components across the seam; 0 is outside."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    parent = np.arange(labels.max() + 1)
+    for left, right in zip(labels[:, 0], labels[:, -1], strict=True):
+        if left and right:
+            low, high = sorted((parent[left], parent[right]))
+            parent[parent == high] = low
+    return np.asarray(parent[labels])

@@ -1,23 +1,132 @@
-"""Depth of a pair by matching, made better by a network that has seen many rooms and streets."""
+"""Depth of a pair by matching, made better by a network that has seen many rooms and streets, and sharpened.
+
+At a larger size it is known which surfaces there are, and measured again where exactly they lie and end. Around every
+pixel the surfaces of the smaller map within some pixels span a band of disparities. Only these are matched, so that a
+larger size costs little more than a smaller one, and what repeats elsewhere cannot mislead.
+"""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
+import cv2
 import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest, turned_directions
 from omnisyn_cli.geometry.sweep import free_space_agreement
 from omnisyn_cli.runtime.thread_limit import both, limited_threads
+from omnisyn_cli.stereo.costs import sweep_cost
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
-from omnisyn_cli.stereo.filling import median_around
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator
-from omnisyn_cli.stereo.rectify import usable_pixels
-from omnisyn_cli.stereo.sharpening import Answer, sharpened
+from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample
+from omnisyn_cli.stereo.matching import SPECKLE, MatchingDepthEstimator, agreeing, is_measurable
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
 from omnisyn_cli.stereo.sizes import doubled_sizes
+from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["RefinedDepthEstimator"]
+
+Answer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
+"""Inverse depth in 1/baselines, and confidence."""
+
+NEIGHBOURHOOD = 12
+"""Pixels: edges of the smaller map are no farther from those of the things than this."""
+
+SLACK = 4
+"""Rows by which a disparity may lie beyond those of its neighbourhood."""
+
+MOST = 128
+"""Rows that a band is long at most, around the disparity of its pixel."""
+
+SAME = 0.1
+"""Relative difference of inverse depth up to which what was found at two sizes is the same surface."""
+
+SURE = np.float32(0.8)
+"""Least confidence of what was measured again."""
+
+
+def sharpened(
+    first: View, second: View, answers: tuple[Answer, Answer], size: tuple[int, int], options: MatchingOptions
+) -> tuple[Answer, Answer]:
+    """Both panoramas' answers at a larger size; the panoramas must not stand at one position.
+
+    Args:
+        first: a panorama.
+        second: the other one.
+        answers: of both, at a smaller size, each in the frame of its own camera.
+        size: height and width of the answers wanted.
+        options: of the matching.
+    """
+    views = (first, second)
+    bases = both(*(partial(_enlarged, view, answer, size) for view, answer in zip(views, answers, strict=True)))
+    pair = rectify(first, second, size)
+    pairs = (pair, pair.reversed())
+    grids = [Meridians.of(each) for each in pairs]
+    there, back = (  # one after the other: costs take much memory
+        _match(each, grid, _in_pair(base[0], view, each), options)
+        for each, grid, base, view in zip(pairs, grids, bases, views, strict=True)
+    )
+    matches = agreeing((there, back), options)
+    return both(*(partial(_measured, *each) for each in zip(views, bases, pairs, grids, matches, strict=True)))
+
+
+def _enlarged(view: View, answer: Answer, size: tuple[int, int]) -> Answer:
+    """The answer at a larger size, its edges at those of the picture."""
+    inverse_depth, confidence = answer
+    low_guide, guide = (resize_area(view.image, each) for each in (inverse_depth.shape, size))
+    return upsample(inverse_depth, low_guide, guide), resize_area(confidence, size)
+
+
+def _in_pair(inverse_depth: np.ndarray, view: View, pair: RectifiedPair) -> np.ndarray:
+    """A map of a camera in the frame of the pair that it is the first of."""
+    directions = turned_directions(pair.size, view.pose.rotation, pair.world_from_frame)
+    return np.asarray(sample_nearest(inverse_depth, directions))
+
+
+def _match(pair: RectifiedPair, grid: Meridians, known: np.ndarray, options: MatchingOptions) -> Matches:
+    """The best disparities among those around what is known."""
+    bands = _bands(grid.disparity(known))
+    cost = sweep_cost(pair.first, pair.second, pair.second_usable, bands, options.colour_share, options.truncation)
+    total = aggregate(cost, bands, pair.first.mean(-1), options.step, options.jump, options.contrast)
+    disparity, margin = choose(total, bands, is_all=False)
+    return Matches(disparity, (margin > options.margin) & pair.first_usable)
+
+
+def _bands(known: Float32[np.ndarray, "height width"]) -> Bands:
+    """What the neighbourhood of every pixel spans."""
+    least, greatest = _range_around(known)
+    lowest = np.maximum(np.maximum(np.floor(least) - SLACK, np.rint(known) - MOST // 2), 0)
+    highest = np.minimum(np.ceil(greatest) + SLACK, lowest + MOST - 1)
+    return Bands.between(lowest.astype(np.int32), highest.astype(np.int32))
+
+
+def _range_around(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest value within the neighbourhood of every pixel, over the seam."""
+    window = np.ones((2 * NEIGHBOURHOOD + 1, 2 * NEIGHBOURHOOD + 1), np.uint8)
+    least, greatest = (
+        filter_across_seam(partial(extreme, kernel=window), values, NEIGHBOURHOOD)
+        for extreme in (cv2.erode, cv2.dilate)
+    )
+    return least, greatest
+
+
+def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, matches: Matches) -> Answer:
+    """The answer with everything replaced that matching is sure of and that lies on a surface known around there.
+
+    Single pixels are noise more often than things: every pixel then takes the median of those around it.
+    """
+    size = pair.size
+    exact = pair.to_camera(grid.inverse_depth(matches.disparity), view.pose, size).astype(np.float32)
+    is_sure = pair.to_camera(matches.seen & is_measurable(grid, matches.disparity), view.pose, size)
+    is_sure = remove_speckles(exact, is_sure & usable_pixels(view, size), SPECKLE, 0.1)
+    least, greatest = _range_around(base[0])
+    is_known = (exact >= (1.0 - SAME) * least) & (exact <= (1.0 + SAME) * greatest)
+    taken = is_sure & is_known
+    inverse_depth = median_around(np.where(taken, exact, base[0]))
+    return inverse_depth, np.where(taken, np.maximum(base[1], SURE), base[1])
 
 
 class Refinement(Protocol):
@@ -37,7 +146,7 @@ class RefinedDepthEstimator:
 
     In a larger picture matching and the network see less of the scene around a pixel, but matching measures more
     exactly. So they say what is there, and its place is measured again at twice the size, until there are enough rows
-    (:mod:`omnisyn_cli.stereo.sharpening`).
+    (:mod:`omnisyn_cli.stereo.refined`).
 
     Panoramas from one position have no parallax: everything is then 0 with confidence 0.
 

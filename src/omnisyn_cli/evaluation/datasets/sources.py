@@ -1,15 +1,17 @@
-"""A scene as the evaluation sees it, whatever layout it has on disk: posed panoramas in walking order."""
+"""A scene as the evaluation sees it, whatever layout it has on disk: posed panoramas in walking order; its pairs."""
 
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.errors import PoseError
+from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_inverse_depth
+from omnisyn_cli.io.documents import read_text
 
 
 class NoScaleError(PoseError):
@@ -74,3 +76,86 @@ def scene_folders(folder: Path, pattern: str) -> list[tuple[str, Path]]:
     if any(folder.glob(pattern)):
         return [(folder.resolve().name, folder)]
     return [(path.name, path) for path in sorted(folder.glob("*/")) if any(path.glob(pattern))]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two frames of a scene and what lies strictly between them, in walking order."""
+
+    scene: str
+    first: SceneFrame
+    second: SceneFrame
+    between: tuple[SceneFrame, ...]
+
+
+PairChooser = Callable[[Scene], list[Pair]]
+"""Takes a scene to its pairs; raises InputError where a frame that was asked for is not there."""
+
+
+def choose_pairs(text: str | None) -> PairChooser:
+    """What ``--pairs`` means: which frames of a scene are inputs; those between are the truth.
+
+    By default the first and the last frame are the inputs. ``0:4,1:3`` names others by their index in every scene;
+    ``every:4`` takes frames 0 and 4, 4 and 8 and so on, which suits long drives. Otherwise the text is the name of a
+    file with one pair a line: scene, first and second frame, separated by white space; frames are names or indices,
+    ``#`` begins a comment. Scenes that such a file does not name are not evaluated.
+
+    Raises:
+        InputError: neither a list of pairs nor a readable file of them.
+    """
+    if text is None:
+        return lambda scene: [_pair(scene, 0, len(scene.frames) - 1)] if len(scene.frames) > 1 else []
+    if Path(text).is_file():
+        return _from_file(Path(text))
+    plain = "".join(text.split())
+    if match := re.fullmatch(r"every:0*([1-9]\d*)", plain):
+        step = int(match[1])
+        return lambda scene: [_pair(scene, at, at + step) for at in range(0, len(scene.frames) - step, step)]
+    if not re.fullmatch(r"\d+:\d+(,\d+:\d+)*", plain):
+        raise InputError(
+            f"expected pairs such as 0:4,1:3, or every:4, or the name of a file with pairs, got {text!r}; correct it"
+        )
+    wanted = list(dict.fromkeys((int(first), int(second)) for first, second in re.findall(r"(\d+):(\d+)", plain)))
+    return lambda scene: [_pair(scene, first, second) for first, second in wanted]
+
+
+def _from_file(path: Path) -> PairChooser:
+    wanted = list(dict.fromkeys(_lines(path)))
+
+    def choose(scene: Scene) -> list[Pair]:
+        names = [frame.name for frame in scene.frames]
+        return [
+            _pair(scene, _number(first, names, scene), _number(second, names, scene))
+            for name, first, second in wanted
+            if name == scene.name
+        ]
+
+    return choose
+
+
+def _lines(path: Path) -> Iterator[tuple[str, str, str]]:
+    text = read_text(path, "a text file with pairs", error=InputError)
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if words and len(words) != 3:
+            raise InputError(
+                f"{path}: expected scene, first and second frame in line {number}, got {line!r}; correct it"
+            )
+        if words:
+            yield words[0], words[1], words[2]
+
+
+def _number(word: str, names: list[str], scene: Scene) -> int:
+    if word in names:
+        return names.index(word)
+    if word.isdecimal():
+        return int(word)
+    raise InputError(f"expected a frame of {scene.name} ({', '.join(names[:4])}, …), got {word!r}; correct the pairs")
+
+
+def _pair(scene: Scene, first: int, second: int) -> Pair:
+    last = len(scene.frames) - 1
+    if not 0 <= first < second <= last:
+        raise InputError(f"expected two frames in ascending order between 0 and {last}, got {first}:{second}")
+    frames = scene.frames
+    return Pair(scene.name, frames[first], frames[second], frames[first + 1 : second])
