@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from omnisyn_cli.batch.records import Records
+from omnisyn_cli.batch.folder import Records
 from omnisyn_cli.errors import OutputPathError, WriteError
 
 

@@ -12,7 +12,7 @@ from cli_samples import listing, run_cli
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
-from omnisyn_cli.poses.registration.epipolar import direction_error, relative_pose, rotation_error
+from omnisyn_cli.poses.registration.least_squares import direction_error, relative_pose, rotation_error
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 Capture = pytest.CaptureFixture[str]

@@ -15,7 +15,7 @@ from omnisyn_cli.evaluation import bench, bench_run
 from omnisyn_cli.evaluation.bench import BenchJob, make_scenes, plan_bench, run_bench
 from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
-from omnisyn_cli.evaluation.calibration import calibrate
+from omnisyn_cli.evaluation.budget import calibrate
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -175,9 +175,9 @@ def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(
 
 def test_calibration_is_the_median_of_three_steps_or_more(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
-    monkeypatch.setattr("omnisyn_cli.evaluation.calibration._step", lambda _: lambda: calls.append(1))
+    monkeypatch.setattr("omnisyn_cli.evaluation.budget._step", lambda _: lambda: calls.append(1))
     marks = iter([0.0, 1.0, 9.0, 11.0])
-    monkeypatch.setattr("omnisyn_cli.evaluation.calibration.time.perf_counter", lambda: next(marks))
+    monkeypatch.setattr("omnisyn_cli.evaluation.budget.time.perf_counter", lambda: next(marks))
     assert calibrate(1, seconds=0.0) == 2.0
     assert len(calls) == 1 + 3
 

@@ -261,7 +261,7 @@ def _batch(kind: str) -> Target:
 
 
 def _batch_results() -> Target:
-    from omnisyn_cli.batch.records import Records
+    from omnisyn_cli.batch.folder import Records
 
     lines = [
         {"id": f"job{index}", "status": "done", "key": "0" * 64, "outputs": {"output": "a.mp4"}} for index in range(4)

@@ -12,8 +12,8 @@ from omnisyn_cli.geometry.pose import (
     rotation_from_rotation_vector,
     rotation_vector_from_rotation,
 )
-from omnisyn_cli.poses.registration.epipolar import relative_pose
 from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.least_squares import relative_pose
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 PIXEL = np.pi / 512

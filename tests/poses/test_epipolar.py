@@ -5,7 +5,8 @@ import pytest
 from registration_samples import matches_of, random_pose, seen, unit, world_points
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.poses.registration.epipolar import (
+from omnisyn_cli.poses.registration.features import Matches
+from omnisyn_cli.poses.registration.least_squares import (
     angle_between,
     direction_error,
     epipolar_residual,
@@ -13,7 +14,6 @@ from omnisyn_cli.poses.registration.epipolar import (
     relative_pose,
     rotation_error,
 )
-from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.robust import essential_candidates, poses_of_essential
 
 seeds = pytest.mark.parametrize("seed", range(8))

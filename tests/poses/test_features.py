@@ -7,8 +7,8 @@ from registration_samples import street_image, street_matches, street_truth
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import sample_bicubic
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
-from omnisyn_cli.poses.registration.epipolar import angle_between, direction_error, rotation_error
 from omnisyn_cli.poses.registration.features import find_features, match_features
+from omnisyn_cli.poses.registration.least_squares import angle_between, direction_error, rotation_error
 from omnisyn_cli.poses.registration.robust import estimate_relative_pose
 
 

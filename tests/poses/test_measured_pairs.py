@@ -11,8 +11,8 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.poses.registration.diagnosis import diagnose
-from omnisyn_cli.poses.registration.epipolar import direction_error, relative_pose, rotation_error
 from omnisyn_cli.poses.registration.features import Matches, find_features, match_features
+from omnisyn_cli.poses.registration.least_squares import direction_error, relative_pose, rotation_error
 from omnisyn_cli.poses.registration.robust import estimate_relative_pose
 
 DATA = Path(__file__).parents[3] / "shared" / "data"

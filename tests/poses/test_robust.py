@@ -5,9 +5,15 @@ import pytest
 from registration_samples import PIXEL, matches_of, random_pose, seen, unit, world_points
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.poses.registration.epipolar import direction_error, relative_pose, rotation_error
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.least_squares import moved, refine_pose, uncertainty
+from omnisyn_cli.poses.registration.least_squares import (
+    direction_error,
+    moved,
+    refine_pose,
+    relative_pose,
+    rotation_error,
+    uncertainty,
+)
 from omnisyn_cli.poses.registration.robust import LEAST_INLIERS, estimate_relative_pose, inlier_scale
 
 

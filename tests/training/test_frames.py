@@ -9,7 +9,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import epipole_frame, forward_frame, sweep_directions
 from omnisyn_cli.networks.paper import AHEAD
 from omnisyn_cli.training.data import Batch, draw_batch, list_pool
-from omnisyn_cli.training.frame_samples import EPIPOLE_FROM_FORWARD, forward_batch
+from omnisyn_cli.training.triples import EPIPOLE_FROM_FORWARD, forward_batch
 
 
 def test_the_rotation_between_both_frames_is_the_same_for_every_pair():

@@ -23,7 +23,6 @@ from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool, save_scene
-from omnisyn_cli.training.frame_samples import exchanged_panoramas
 from omnisyn_cli.training.fusion_losses import fused_by
 from omnisyn_cli.training.joint import (
     JointAnswer,
@@ -37,7 +36,7 @@ from omnisyn_cli.training.joint import (
 )
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, part_of, train
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.triples import draw_triples
+from omnisyn_cli.training.triples import draw_triples, exchanged_panoramas
 from omnisyn_cli.types import Rendering
 
 FUSION = FusionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)

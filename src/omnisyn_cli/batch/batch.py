@@ -15,12 +15,11 @@ from typing import Any, Literal
 
 from omnisyn_cli import __version__
 from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
-from omnisyn_cli.batch.folder import is_as_measured, open_workshop, prepare_folder, unpack
+from omnisyn_cli.batch.folder import Records, is_as_measured, open_workshop, prepare_folder, unpack
 from omnisyn_cli.batch.interpolations import Settings
 from omnisyn_cli.batch.local_executor import LocalExecutor
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, sources
-from omnisyn_cli.batch.records import Records
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
 from omnisyn_cli.io import read_header

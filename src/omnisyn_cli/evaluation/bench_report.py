@@ -18,8 +18,7 @@ from omnisyn_cli.evaluation.pareto import (
     standard_seconds,
 )
 from omnisyn_cli.evaluation.plots import pareto_plot
-from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table
-from omnisyn_cli.evaluation.templating import render_page
+from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, render_page
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 __all__ = ["bench_tables", "write_bench_report"]

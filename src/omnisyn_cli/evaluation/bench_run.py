@@ -15,7 +15,7 @@ from statistics import fmean
 
 import numpy as np
 
-from omnisyn_cli.evaluation.calibration import calibrate
+from omnisyn_cli.evaluation.budget import calibrate
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting

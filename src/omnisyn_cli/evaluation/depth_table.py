@@ -24,8 +24,7 @@ from omnisyn_cli.evaluation.grouping import gaps
 from omnisyn_cli.evaluation.measure import depth_records
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.results import UnitRecord
-from omnisyn_cli.evaluation.tables import Row, Table, depth_table
-from omnisyn_cli.evaluation.templating import render_markdown
+from omnisyn_cli.evaluation.tables import Row, Table, depth_table, render_markdown
 from omnisyn_cli.io.outputs import replaced_when_complete
 from omnisyn_cli.runtime.models import find_model, sha256_of
 from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path

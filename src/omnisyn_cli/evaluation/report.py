@@ -21,8 +21,7 @@ from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.grouping import figures_of, finished, gaps, pair_names, ranked_methods
 from omnisyn_cli.evaluation.plots import PLOT_TITLES, report_plots
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord, json_values, latest_records
-from omnisyn_cli.evaluation.tables import Table, format_value, report_tables
-from omnisyn_cli.evaluation.templating import data_uri, render_markdown, render_page
+from omnisyn_cli.evaluation.tables import Table, data_uri, format_value, render_markdown, render_page, report_tables
 from omnisyn_cli.evaluation.visualization import ERROR_SCALE
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 

@@ -4,12 +4,18 @@ A mean is over all frames (or panoramas, or pairs) that a method measured. A met
 measured is not called the best, since it may have been lucky with what it measured; tables show the numbers.
 """
 
+import base64
 import math
+import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from omnisyn_cli.evaluation.grouping import (
+    Gap,
     distance_band,
     figures_of,
     finished,
@@ -253,3 +259,40 @@ def format_value(value: float, digits: int) -> str:
     if math.isnan(value):
         return "–"
     return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:.{digits}f}"
+
+
+SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
+
+
+def render_page(template: str, **values: Any) -> str:
+    """A page that needs nothing beside itself."""
+    return _environment(autoescape=True).get_template(template).render(values)
+
+
+def render_markdown(tables: Sequence[Table], gaps: Sequence[Gap], version: str) -> str:
+    """All tables and what was not measured; the best figures are bold."""
+    template = _environment(finalize=_escaped).get_template("report.md.j2")
+    return template.render(tables=tables, gaps=gaps, version=version)
+
+
+def data_uri(data: bytes, kind: str) -> str:
+    """A picture file of a kind (``png``, ``jpeg``) as an address that holds all of it."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _environment(**options: Any) -> Environment:
+    environment = Environment(  # noqa: S701 - Markdown is escaped by `finalize`
+        loader=PackageLoader("omnisyn_cli.evaluation"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        **options,
+    )
+    environment.filters.update(figure=format_value, data_uri=data_uri)
+    return environment
+
+
+def _escaped(value: Any) -> str:
+    """Text that Markdown shows as it is, on one line."""
+    return SPECIAL.sub(r"\\\1", " ".join(str(value).split()))

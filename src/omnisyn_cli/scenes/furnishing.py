@@ -8,8 +8,7 @@ import numpy as np
 from omnisyn_cli.scenes import furniture, goods, palette, props
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape
-from omnisyn_cli.scenes.turned import Turned
+from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
 from omnisyn_cli.scenes.walls import Cell, Openings
 
 Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]

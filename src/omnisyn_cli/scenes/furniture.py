@@ -8,8 +8,7 @@ from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.goods import CARTON
 from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder
-from omnisyn_cli.scenes.turned import Turned
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Turned
 
 BLACK = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)

@@ -5,8 +5,7 @@ import numpy as np
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder
-from omnisyn_cli.scenes.turned import Turned
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Turned
 
 CARTON = Material(
     Pattern.CARTON, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), (0.88, 0.87, 0.84), grain=0.08, grain_size=0.4, seed=3

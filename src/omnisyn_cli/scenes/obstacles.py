@@ -11,8 +11,7 @@ from omnisyn_cli.scenes.finishes import any_finish
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Walkway
-from omnisyn_cli.scenes.turned import Turned
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Turned, Walkway
 
 BLACK = Material(Pattern.PLAIN, (0.03, 0.03, 0.03), (0.02, 0.02, 0.02), grain=0.02)
 

@@ -10,8 +10,7 @@ from omnisyn_cli.scenes.finishes import floor_finish, wall_finish
 from omnisyn_cli.scenes.furniture import wood
 from omnisyn_cli.scenes.materials import Material, Pattern, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape
-from omnisyn_cli.scenes.turned import Turned
+from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
 
 THICKNESS = 0.06
 """Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""

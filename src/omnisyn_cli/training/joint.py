@@ -35,11 +35,10 @@ from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
-from omnisyn_cli.training.frame_samples import EPIPOLE_FROM_FORWARD, exchanged_panoramas
 from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores
 from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
-from omnisyn_cli.training.triples import Triples
+from omnisyn_cli.training.triples import EPIPOLE_FROM_FORWARD, Triples, exchanged_panoramas
 
 __all__ = ["JointConfig"]
 

@@ -14,15 +14,16 @@ from omnisyn_cli.poses.registration.conventions import (
     degree_hypotheses,
     single_hypotheses,
 )
-from omnisyn_cli.poses.registration.epipolar import (
+from omnisyn_cli.poses.registration.features import Matches
+from omnisyn_cli.poses.registration.least_squares import (
     direction_error,
     epipolar_residual,
     is_in_front,
+    noise_of,
     relative_pose,
+    robust_misfit,
     rotation_error,
 )
-from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.least_squares import noise_of, robust_misfit
 from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_scale, supporting
 
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]

@@ -14,9 +14,15 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose, nearest_rotation
 from omnisyn_cli.geometry.sphere import FORWARD
-from omnisyn_cli.poses.registration.epipolar import angle_between, epipolar_residual, is_in_front
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.least_squares import Uncertainty, refine_pose, uncertainty
+from omnisyn_cli.poses.registration.least_squares import (
+    Uncertainty,
+    angle_between,
+    epipolar_residual,
+    is_in_front,
+    refine_pose,
+    uncertainty,
+)
 
 CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3))
 BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
