@@ -6,17 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omnisyn_cli import __version__
+from omnisyn_cli.evaluation import pareto
 from omnisyn_cli.evaluation.bench import machine_in_words
-from omnisyn_cli.evaluation.pareto import (
-    FRAME_STAGES,
-    STANDARD_FRAMES,
-    Figures,
-    first_seconds,
-    frame_seconds,
-    pair_stages,
-    pareto_front,
-    standard_seconds,
-)
+from omnisyn_cli.evaluation.pareto import Figures
 from omnisyn_cli.evaluation.plots import pareto_plot
 from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, render_page
 from omnisyn_cli.io.outputs import staged_folder, write_errors
@@ -62,14 +54,14 @@ def bench_tables(measured: Sequence[Figures]) -> list[Table]:
 def _choice_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
     columns = {
         WS_PSNR: _ws_psnr,
-        Column(f"{STANDARD_FRAMES} frames, s", -1, 1): standard_seconds,
-        Column("First frame, s", -1, 1): first_seconds,
-        Column("Each further frame, s", -1, 3): frame_seconds,
+        Column(f"{pareto.STANDARD_FRAMES} frames, s", -1, 1): pareto.standard_seconds,
+        Column("First frame, s", -1, 1): pareto.first_seconds,
+        Column("Each further frame, s", -1, 3): pareto.frame_seconds,
         MEMORY: _megabytes,
     }
     rows = tuple(
-        Row(f"from {standard_seconds(f):.1f} s: {f.setting.name}", tuple(Cell(of(f)) for of in columns.values()))
-        for f in pareto_front(measured)
+        Row(f"from {pareto.standard_seconds(f):.1f} s: {f.setting.name}", tuple(Cell(of(f)) for of in columns.values()))
+        for f in pareto.pareto_front(measured)
     )
     note = "The most accurate setting that fits; from fewer seconds than in the first line on, the first one."
     title = f"Which setting for which budget, {size[1]}x{size[0]}"
@@ -77,14 +69,14 @@ def _choice_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
 
 
 def _stage_table(measured: Sequence[Figures]) -> Table:
-    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in pair_stages(figures)))
-    stages = ("start", *of_pairs, *FRAME_STAGES)
-    columns = (*(Column(stage, -1, 3 if stage in FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
+    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in pareto.pair_stages(figures)))
+    stages = ("start", *of_pairs, *pareto.FRAME_STAGES)
+    columns = (*(Column(stage, -1, 3 if stage in pareto.FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
     rows = tuple(_stage_row(figures, stages) for figures in measured)
     note = (
-        f"Seconds: start once, {', '.join(of_pairs)} for each pair, {', '.join(FRAME_STAGES)} for each frame. The "
-        "encoder runs beside the other stages: encode is the time that they waited for it. Memory is the peak of the "
-        "program without the encoder."
+        f"Seconds: start once, {', '.join(of_pairs)} for each pair, {', '.join(pareto.FRAME_STAGES)} for each frame. "
+        "The encoder runs beside the other stages: encode is the time that they waited for it. Memory is the peak of "
+        "the program without the encoder."
     )
     return Table("All settings", note, "Setting", columns, rows)
 

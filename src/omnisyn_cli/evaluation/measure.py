@@ -12,17 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.evaluation.metrics import (
-    depth_metrics,
-    end_psnr,
-    lrce,
-    psnr,
-    row_weights,
-    scored_pixels,
-    ssim,
-    ws_psnr,
-    ws_ssim,
-)
+from omnisyn_cli.evaluation import metrics
 from omnisyn_cli.evaluation.metrics.temporal import flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
@@ -124,10 +114,17 @@ def frame_scores(
 
     Pictures of fewer than 11 rows have no structural similarity.
     """
-    scores = {"ws_psnr": ws_psnr(image, truth), "psnr": psnr(image, truth), "lrce": lrce(image, truth)}
-    scores.update(psnr_top=end_psnr(image, truth, is_bottom=False), psnr_bottom=end_psnr(image, truth, is_bottom=True))
+    scores = {
+        "ws_psnr": metrics.ws_psnr(image, truth),
+        "psnr": metrics.psnr(image, truth),
+        "lrce": metrics.lrce(image, truth),
+    }
+    scores.update(
+        psnr_top=metrics.end_psnr(image, truth, is_bottom=False),
+        psnr_bottom=metrics.end_psnr(image, truth, is_bottom=True),
+    )
     if len(truth) >= WINDOW:
-        scores.update(ws_ssim=ws_ssim(image, truth), ssim=ssim(image, truth))
+        scores.update(ws_ssim=metrics.ws_ssim(image, truth), ssim=metrics.ssim(image, truth))
     if perceptual is not None:
         scores["lpips"] = perceptual(image, truth)
     return scores
@@ -145,12 +142,12 @@ def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
         return DepthRecord(name)
     known = view.known_depth
     truth = np.where(known.confidence > 0, known.inverse_depth, np.nan).astype(np.float64)
-    if not scored_pixels(truth).any():
+    if not metrics.scored_pixels(truth).any():
         return DepthRecord(name)
     estimate = found.inverse_depth.astype(np.float64)
     if estimate.shape != truth.shape:
         estimate = sample_bilinear(estimate, pixel_directions(*truth.shape))
-    plain, weighted = (depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
+    plain, weighted = (metrics.depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
     return DepthRecord(name, plain, weighted)
 
 
@@ -182,7 +179,7 @@ def _end_errors(made: Pair, pair: LoadedPair, threads: int | None) -> dict[str, 
         shown, truth = _shown(made.frame(Waypoint(0, t, view.pose)).image), view.image
         if truth.shape[:2] != pair.size:
             truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
-        weights = row_weights(pair.size[0])
+        weights = metrics.row_weights(pair.size[0])
         squared = ((shown.astype(np.float64) - _shown(truth)) ** 2).mean(axis=(1, 2))
         errors.append(math.sqrt(float(np.average(squared, weights=weights))))
     return {"end_first": errors[0], "end_second": errors[1]}

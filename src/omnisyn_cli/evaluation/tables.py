@@ -14,19 +14,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omnisyn_cli.evaluation.grouping import (
-    Gap,
-    distance_band,
-    figures_of,
-    finished,
-    frames_of,
-    gaps,
-    is_bound,
-    pair_names,
-    ranked_methods,
-    stages_of,
-    time_band,
-)
+from omnisyn_cli.evaluation import grouping
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
 __all__ = ["Table", "format_value", "report_tables"]
@@ -129,7 +117,7 @@ def mean_table(records: Sequence[UnitRecord]) -> Table:
     note = "Mean over all frames between the panoramas; each is compared with the true one."
     table = _method_table("Means per method", note, "Frames", records, "frame", FRAME_COLUMNS)
     shown = {row.name for row in table.rows}
-    absent = [Row(name, (), _reasons(records, name)) for name in ranked_methods(records) if name not in shown]
+    absent = [Row(name, (), _reasons(records, name)) for name in grouping.ranked_methods(records) if name not in shown]
     return replace(table, rows=(*table.rows, *absent))
 
 
@@ -150,7 +138,7 @@ def _temporal_table(records: Sequence[UnitRecord]) -> Table:
 
 def _seconds_table(records: Sequence[UnitRecord]) -> Table:
     """Mean wall time per pair by stage and in total; a stage that a method does not have took no time."""
-    zeros = dict.fromkeys(stages_of(records), 0.0)
+    zeros = dict.fromkeys(grouping.stages_of(records), 0.0)
     timed = [
         replace(unit, seconds=zeros | {"total": math.fsum(unit.seconds.values())} | dict(unit.seconds))
         for unit in records
@@ -162,12 +150,12 @@ def _seconds_table(records: Sequence[UnitRecord]) -> Table:
 
 def _score_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
     """WS-PSNR by pair, by the share of the way, and by the distance to the nearer and between both panoramas."""
-    names = pair_names(records)
+    names = grouping.pair_names(records)
     for title, corner, group in (
         ("Scenes", "Scene", lambda unit, _: (0, names[unit.pair])),
-        ("Share of the way", "t", lambda _, frame: time_band(frame.t)),
-        ("Distance to the nearer panorama", "Distance", lambda _, frame: distance_band(frame.distance)),
-        ("Baseline", "Between the panoramas", lambda unit, _: distance_band(unit.baseline)),
+        ("Share of the way", "t", lambda _, frame: grouping.time_band(frame.t)),
+        ("Distance to the nearer panorama", "Distance", lambda _, frame: grouping.distance_band(frame.distance)),
+        ("Baseline", "Between the panoramas", lambda unit, _: grouping.distance_band(unit.baseline)),
     ):
         yield _score_table(title, corner, records, group)
 
@@ -176,7 +164,7 @@ def _method_table(
     title: str, note: str, counted: str, records: Sequence[UnitRecord], subject: str, columns: Mapping[str, Column]
 ) -> Table:
     """One row for each method, best first; columns that nobody has are left out, the last one counts the values."""
-    found = {method: _placed(records, method, subject) for method in ranked_methods(records)}
+    found = {method: _placed(records, method, subject) for method in grouping.ranked_methods(records)}
     placed = {method: listed for method, listed in found.items() if listed}
     every = [one for listed in placed.values() for one in listed]
     present = [key for key in columns if any(key in values for _, values in every)]
@@ -184,22 +172,24 @@ def _method_table(
         _marked(
             [_cell(listed, key) for listed in placed.values()],
             len({where for where, values in every if key in values}),
-            [0 if is_bound(method) else columns[key].better for method in placed],
+            [0 if grouping.is_bound(method) else columns[key].better for method in placed],
         )
         for key in present
     ]
     counts = [Cell(len(listed)) for listed in placed.values()]
     rows = zip(placed, zip(*marked, counts, strict=True), strict=True)
     shown = (*(columns[key] for key in present), Column(counted, 0, 0))
-    return Table(title, note, "Method", shown, tuple(Row(name, cells, "", is_bound(name)) for name, cells in rows))
+    return Table(
+        title, note, "Method", shown, tuple(Row(name, cells, "", grouping.is_bound(name)) for name, cells in rows)
+    )
 
 
 def _placed(records: Sequence[UnitRecord], method: str, subject: str) -> list[Placed]:
     """What a method measured of a subject, each with its pair and its number there, which are the same for all."""
     return [
         ((record.pair, number), values)
-        for record in finished(records, method)
-        for number, values in enumerate(values for about, values in figures_of(record) if about[0] == subject)
+        for record in grouping.finished(records, method)
+        for number, values in enumerate(values for about, values in grouping.figures_of(record) if about[0] == subject)
         if values
     ]
 
@@ -211,10 +201,10 @@ def _score_table(
     group: Callable[[UnitRecord, FrameRecord], tuple[float, str]],
 ) -> Table:
     """Mean WS-PSNR with a column for each method and a row for each ``group`` of frames, which has order and name."""
-    methods = [method for method in ranked_methods(records) if any(frames_of(records, method))]
-    better = [0 if is_bound(method) else 1 for method in methods]
+    methods = [method for method in grouping.ranked_methods(records) if any(grouping.frames_of(records, method))]
+    better = [0 if grouping.is_bound(method) else 1 for method in methods]
     groups: defaultdict[tuple[float, str], list[tuple[str, tuple[str, ...], float]]] = defaultdict(list)
-    for record in finished(records):
+    for record in grouping.finished(records):
         for frame in record.frames:
             if "ws_psnr" in frame.scores:
                 which = (*record.pair, frame.name)
@@ -250,7 +240,7 @@ def _cell(listed: Sequence[Placed], key: str) -> Cell:
 
 def _reasons(records: Sequence[UnitRecord], method: str) -> str:
     """Why a method measured nothing: each reason once, the most frequent first."""
-    found = sorted((gap for gap in gaps(records) if gap.method == method), key=lambda gap: -len(gap.pairs))
+    found = sorted((gap for gap in grouping.gaps(records) if gap.method == method), key=lambda gap: -len(gap.pairs))
     return "; ".join(f"{gap.status}: {gap.reason}" for gap in found) or "no frame between the panoramas"
 
 
@@ -269,7 +259,7 @@ def render_page(template: str, **values: Any) -> str:
     return _environment(autoescape=True).get_template(template).render(values)
 
 
-def render_markdown(tables: Sequence[Table], gaps: Sequence[Gap], version: str) -> str:
+def render_markdown(tables: Sequence[Table], gaps: Sequence[grouping.Gap], version: str) -> str:
     """All tables and what was not measured; the best figures are bold."""
     template = _environment(finalize=_escaped).get_template("report.md.j2")
     return template.render(tables=tables, gaps=gaps, version=version)

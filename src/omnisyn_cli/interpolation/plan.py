@@ -11,14 +11,7 @@ import numpy as np
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
-from omnisyn_cli.interpolation.checks import (
-    check_choices,
-    check_companions,
-    check_inputs_survive,
-    check_names,
-    check_outputs,
-    source_size,
-)
+from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.interpolation.memory import estimated_memory
 from omnisyn_cli.interpolation.recipes import notes_about_gpu, recipe_of
@@ -109,8 +102,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     tour = plan_tour(job)
     entries, sources, recipe = tour.entries, tour.source_sizes, tour.recipe
     size = job.size or _even(max(sources))
-    check_outputs(job, size)
-    check_inputs_survive(job, entries)
+    checks.check_outputs(job, size)
+    checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
     path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
     return InterpolationPlan(
@@ -128,14 +121,14 @@ def plan_tour(job: InterpolationJob) -> TourPlan:
     """
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
-    check_names(job)
+    checks.check_names(job)
     check_names_tell_apart(job.images)
-    check_choices(job)
+    checks.check_choices(job)
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
-    source_sizes = tuple(source_size(job, image) for image in job.images)
+    source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     recipe = _installed_recipe(job, entries)
-    check_companions(job, entries, source_sizes, recipe.depth.kind)
+    checks.check_companions(job, entries, source_sizes, recipe.depth.kind)
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
 
 

@@ -26,23 +26,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from omnisyn_cli.networks import layers
 from omnisyn_cli.networks.depth_config import DepthConfig, level_roots
 from omnisyn_cli.networks.interface import DepthAnswer, PairNetwork
-from omnisyn_cli.networks.layers import (
-    LEAK,
-    ResidualBlock,
-    WrappedConv,
-    at_least_single,
-    begin_small,
-    convex_upsample,
-    coordinate_channels,
-    initialise,
-    normalised_patches,
-    sizes,
-    unit_groups,
-    upsample_nearest,
-    wrap_columns,
-)
 from omnisyn_cli.networks.sphere_volume import lookup, meridian_products, resampling_matrix, sphere_volume
 
 __all__ = ["DepthNetwork", "DepthPrediction"]
@@ -92,16 +78,16 @@ class DepthNetwork(PairNetwork):
         self.coarse = CoarseMatcher(config)
         strides = [config.coarse_stride >> (i + 1) for i in range(len(config.refined_widths))]
         self.refinements = nn.ModuleList(Refinement(config, index, stride) for index, stride in enumerate(strides))
-        initialise(self)
-        begin_small(self.coarse.logits, self.coarse.upsample, std=0.02)  # even shares, even upsampling
+        layers.initialise(self)
+        layers.begin_small(self.coarse.logits, self.coarse.upsample, std=0.02)  # even shares, even upsampling
         for stage in self.refinements:
-            begin_small(stage.choice, stage.upsample, stage.confidence)  # the estimate stays as it is
+            layers.begin_small(stage.choice, stage.upsample, stage.confidence)  # the estimate stays as it is
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
     ) -> DepthPrediction:
         """Estimate; ValueError for a size that is not 1:2 or no multiple of ``config.size_multiple``."""
-        height, width = sizes(first)[-2:]
+        height, width = layers.sizes(first)[-2:]
         multiple = self.config.size_multiple
         if height % multiple or width != 2 * height:
             raise ValueError(f"expected images 1:2 with multiples of {multiple} rows, got {height}×{width}")
@@ -123,14 +109,14 @@ class Encoder(nn.Module):
         super().__init__()
         count = config.coarse_stride.bit_length() - 2  # strides 2 … coarse_stride / 2
         widths = config.widths
-        self.stem = ResidualBlock(3 * 4 + 2, widths[0])
-        self.down = nn.ModuleList(ResidualBlock(widths[i], widths[i + 1], (2, 2)) for i in range(count - 1))
-        self.narrow = ResidualBlock(widths[count - 1], widths[count], (1, 2))
+        self.stem = layers.ResidualBlock(3 * 4 + 2, widths[0])
+        self.down = nn.ModuleList(layers.ResidualBlock(widths[i], widths[i + 1], (2, 2)) for i in range(count - 1))
+        self.narrow = layers.ResidualBlock(widths[count - 1], widths[count], (1, 2))
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> list[Tensor]:
         """``[stride 2, stride 4, …, narrow]``; ``narrow`` has twice as many rows as the sphere volume."""
         x = functional.pixel_unshuffle(image - 0.5, 2)
-        features = [self.stem(torch.cat([x, coordinate_channels(x)], dim=1))]
+        features = [self.stem(torch.cat([x, layers.coordinate_channels(x)], dim=1))]
         for block in self.down:
             features.append(block(features[-1]))
         return [*features, self.narrow(features[-1])]
@@ -144,7 +130,7 @@ class CoarseMatcher(nn.Module):
         self.config = config
         count = config.coarse_stride.bit_length() - 2
         width, hidden = config.widths[count], config.hidden
-        self.rows = ResidualBlock(width, width, (2, 1))
+        self.rows = layers.ResidualBlock(width, width, (2, 1))
         self.match_first = nn.Conv2d(width, config.match_channels, 1)
         self.match_second = nn.Conv2d(width, config.match_channels, 1)
         similarities = config.match_groups + CLASSICAL_SCALES
@@ -152,12 +138,12 @@ class CoarseMatcher(nn.Module):
         self.spheres = nn.Conv2d(config.levels * (config.volume_filters or similarities), hidden, 1)
         deeper = config.widths[count + 1 :]
         self.context_down = nn.ModuleList(
-            ResidualBlock(a, b, (2, 2)) for a, b in zip((width, *deeper[:-1]), deeper, strict=True)
+            layers.ResidualBlock(a, b, (2, 2)) for a, b in zip((width, *deeper[:-1]), deeper, strict=True)
         )
         self.context_up = nn.ModuleList(nn.Conv2d(channels, hidden, 1) for channels in (width, *deeper))
-        self.enter = ResidualBlock(hidden + 2, hidden)
-        self.down = nn.ModuleList(ResidualBlock(hidden, hidden, (2, 2)) for _ in range(3))
-        self.up = nn.ModuleList(ResidualBlock(hidden, hidden) for _ in range(3))
+        self.enter = layers.ResidualBlock(hidden + 2, hidden)
+        self.down = nn.ModuleList(layers.ResidualBlock(hidden, hidden, (2, 2)) for _ in range(3))
+        self.up = nn.ModuleList(layers.ResidualBlock(hidden, hidden) for _ in range(3))
         self.logits = nn.Conv2d(hidden, config.levels, 1)
         self.upsample = nn.Conv2d(hidden, 36, 1)
 
@@ -167,23 +153,24 @@ class CoarseMatcher(nn.Module):
         """The root at half the coarse stride, and the hidden state at the coarse stride."""
         narrow = self.rows(of_first[-1])
         volume = self.volume(first, second, narrow, of_second[-1])
-        x = functional.leaky_relu(self.spheres(volume) + self.context(narrow), LEAK)
-        x = self.aggregate(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
-        logits = at_least_single(self.logits(x))
+        x = functional.leaky_relu(self.spheres(volume) + self.context(narrow), layers.LEAK)
+        x = self.aggregate(self.enter(torch.cat([x, layers.coordinate_channels(x)], dim=1)))
+        logits = layers.at_least_single(self.logits(x))
         roots = torch.from_numpy(level_roots(self.config)).to(logits).view(1, -1, 1, 1)
         root = (logits.softmax(dim=1) * roots).sum(dim=1, keepdim=True)
-        return convex_upsample(root, at_least_single(self.upsample(x))), x
+        return layers.convex_upsample(root, layers.at_least_single(self.upsample(x))), x
 
     def volume(self, first: Tensor, second: Tensor, narrow: Tensor, of_second: Tensor) -> Tensor:
         """Similarity of the first image to each sphere, ``(batch, levels·kinds, height, width)``."""
         groups = self.config.match_groups
         learned = meridian_products(
-            unit_groups(self.match_first(narrow), groups), unit_groups(self.match_second(of_second), groups)
+            layers.unit_groups(self.match_first(narrow), groups),
+            layers.unit_groups(self.match_second(of_second), groups),
         )
         with torch.autocast(first.device.type, enabled=False):
             classical = classical_products(first, second, self.config.coarse_stride)
         products = torch.cat([learned, classical], dim=1)
-        matrix = _resampling_tensor(self.config, *sizes(products)[-2:]).to(products)
+        matrix = _resampling_tensor(self.config, *layers.sizes(products)[-2:]).to(products)
         return torch.flatten(self.filters(sphere_volume(products, matrix)), 1, 2)
 
     def context(self, narrow: Tensor) -> Tensor:
@@ -193,7 +180,7 @@ class CoarseMatcher(nn.Module):
             features.append(block(features[-1]))
         x: Tensor = self.context_up[-1](features[-1])
         for project, skip in zip(reversed(self.context_up[:-1]), reversed(features[:-1]), strict=True):
-            x = functional.leaky_relu(upsample_nearest(x) + project(skip), LEAK)
+            x = functional.leaky_relu(layers.upsample_nearest(x) + project(skip), layers.LEAK)
         return x
 
     def aggregate(self, x: Tensor) -> Tensor:
@@ -203,7 +190,7 @@ class CoarseMatcher(nn.Module):
             skips.append(x)
             x = block(x)
         for block, skip in zip(self.up, reversed(skips), strict=True):
-            x = block(upsample_nearest(x) + skip)
+            x = block(layers.upsample_nearest(x) + skip)
         return x
 
 
@@ -219,8 +206,8 @@ class VolumeFilters(nn.Module):
         """``(batch, channels, levels, height, width)``."""
         x: Tensor = self.enter(volume)
         for i in range(0, len(self.layers), 2):
-            inner = functional.leaky_relu(self.layers[i](wrap_columns(x, 1, 1)), LEAK)
-            x = functional.leaky_relu(self.layers[i + 1](wrap_columns(inner, 1, 1)) + x, LEAK)
+            inner = functional.leaky_relu(self.layers[i](layers.wrap_columns(x, 1, 1)), layers.LEAK)
+            x = functional.leaky_relu(self.layers[i + 1](layers.wrap_columns(inner, 1, 1)) + x, layers.LEAK)
         return x
 
 
@@ -237,8 +224,8 @@ def classical_products(first: Tensor, second: Tensor, coarse_stride: int) -> Ten
         shrink = coarse_stride // 4 << scale
         stride = coarse_stride // shrink
         small_first, small_second = (shrunk(image, shrink) for image in (first, second))
-        patches = normalised_patches(small_first, CLASSICAL_PATCH, (stride, stride)).unsqueeze(1)
-        others = normalised_patches(small_second, CLASSICAL_PATCH, (stride // 2, stride)).unsqueeze(1)
+        patches = layers.normalised_patches(small_first, CLASSICAL_PATCH, (stride, stride)).unsqueeze(1)
+        others = layers.normalised_patches(small_second, CLASSICAL_PATCH, (stride // 2, stride)).unsqueeze(1)
         products.append(meridian_products(patches, others))
     return torch.cat(products, dim=1)
 
@@ -259,11 +246,11 @@ class Refinement(nn.Module):
         self.from_hidden = nn.Conv2d(before, width, 1)
         self.from_features = nn.Conv2d(channels, width, 1)
         self.from_similarity = nn.Conv2d(2 * candidates + 1, width, 1)
-        self.enter = ResidualBlock(width + 2, width)
-        self.mix = ResidualBlock(width, width)
-        self.choice = WrappedConv(width, candidates)
-        self.upsample = WrappedConv(width, 36)
-        self.confidence = WrappedConv(width, 1)
+        self.enter = layers.ResidualBlock(width + 2, width)
+        self.mix = layers.ResidualBlock(width, width)
+        self.choice = layers.WrappedConv(width, candidates)
+        self.upsample = layers.WrappedConv(width, 36)
+        self.confidence = layers.WrappedConv(width, 1)
 
     def forward(
         self,
@@ -283,22 +270,24 @@ class Refinement(nn.Module):
         with torch.autocast(first.device.type, enabled=False):
             classical = lookup(self.classical(first, second), candidates).squeeze(1)
         x = self.from_similarity(torch.cat([learned, classical, root.detach()], dim=1)) + self.from_features(own)
-        x = functional.leaky_relu(x + upsample_nearest(self.from_hidden(hidden)), LEAK)
-        x = self.mix(self.enter(torch.cat([x, coordinate_channels(x)], dim=1)))
-        choice = at_least_single(self.choice(x)).softmax(dim=1)
+        x = functional.leaky_relu(x + layers.upsample_nearest(self.from_hidden(hidden)), layers.LEAK)
+        x = self.mix(self.enter(torch.cat([x, layers.coordinate_channels(x)], dim=1)))
+        choice = layers.at_least_single(self.choice(x)).softmax(dim=1)
         refined = root + (choice * offsets).sum(dim=1, keepdim=True)
         both = torch.cat([refined, self.confidence(x).to(refined.dtype)], dim=1)
-        upsample = at_least_single(self.upsample(x))
-        fine_root, fine_confidence = convex_upsample(both, upsample).chunk(2, dim=1)
+        upsample = layers.at_least_single(self.upsample(x))
+        fine_root, fine_confidence = layers.convex_upsample(both, upsample).chunk(2, dim=1)
         return fine_root, x, fine_confidence
 
     def products(self, own: Tensor, other: Tensor) -> Tensor:
         """Learned similarities of all rows of each meridian."""
-        return meridian_products(unit_groups(self.match_first(own), 1), unit_groups(self.match_second(other), 1))
+        return meridian_products(
+            layers.unit_groups(self.match_first(own), 1), layers.unit_groups(self.match_second(other), 1)
+        )
 
     @torch.no_grad()
     def classical(self, first: Tensor, second: Tensor) -> Tensor:
         """Classical similarity of all rows of each meridian."""
         images = (shrunk(image, self.stride // 2) for image in (first, second))
-        own, other = (normalised_patches(image, REFINED_PATCH, (2, 2)).unsqueeze(1) for image in images)
+        own, other = (layers.normalised_patches(image, REFINED_PATCH, (2, 2)).unsqueeze(1) for image in images)
         return meridian_products(own, other)

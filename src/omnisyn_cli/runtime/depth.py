@@ -8,16 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry import sweep
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest, turned_directions, turned_image
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import (
-    epipole_frame,
-    exchanged_in_epipole_frame,
-    exchanged_in_forward_frame,
-    forward_frame,
-    free_space_agreement,
-)
 from omnisyn_cli.runtime.session import run_depth_network
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -67,8 +61,8 @@ class LearnedDepthEstimator:
         images = [self._rectified(view, frame) for view in (first, second)]
         there, trust_there = self._run(images[0], images[1])
         back, trust_back = (exchange(x) for x in self._run(exchange(images[1]), exchange(images[0])))
-        trust_there = trust_there * free_space_agreement(there, back, Pose(np.eye(3), -onwards))
-        trust_back = trust_back * free_space_agreement(back, there, Pose(np.eye(3), onwards))
+        trust_there = trust_there * sweep.free_space_agreement(there, back, Pose(np.eye(3), -onwards))
+        trust_back = trust_back * sweep.free_space_agreement(back, there, Pose(np.eye(3), onwards))
         return (
             self._estimate(first, frame, there / np.float32(baseline), trust_there),
             self._estimate(second, frame, back / np.float32(baseline), trust_back),
@@ -114,8 +108,8 @@ class _Frame:
 
 
 FRAMES: Mapping[str, _Frame] = {
-    "epipole": _Frame(epipole_frame, exchanged_in_epipole_frame, (0.0, 1.0, 0.0)),
-    "forward": _Frame(forward_frame, exchanged_in_forward_frame, (0.0, 0.0, -1.0)),
+    "epipole": _Frame(sweep.epipole_frame, sweep.exchanged_in_epipole_frame, (0.0, 1.0, 0.0)),
+    "forward": _Frame(sweep.forward_frame, sweep.exchanged_in_forward_frame, (0.0, 0.0, -1.0)),
 }
 """By the name in a model's metadata."""
 

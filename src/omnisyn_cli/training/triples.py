@@ -18,18 +18,7 @@ from torch import Tensor
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
-from omnisyn_cli.training.data import (
-    Augmentation,
-    Batch,
-    as_tensor,
-    at_block_centres,
-    check_pool_size,
-    draw_batch,
-    draw_way,
-    load_scene,
-    reduced,
-    vary_colours,
-)
+from omnisyn_cli.training import data
 
 EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The same rotation for every pair: straight ahead becomes the zenith, up becomes the rear (the seam's middle)."""
@@ -51,14 +40,14 @@ def exchanged_panoramas(x: Float[Tensor, "*batch height width"], frame: str) -> 
 
 def draw_pairs(
     pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int], frame: str,
-    augmentation: Augmentation | None = None, greatest_root: float = 2.0,
-) -> Batch:  # fmt: skip
+    augmentation: data.Augmentation | None = None, greatest_root: float = 2.0,
+) -> data.Batch:  # fmt: skip
     """Random pairs in a frame, see :func:`omnisyn_cli.training.data.draw_batch`."""
-    drawn = draw_batch(pool, rng, batch, (size[0], 2 * size[0]), augmentation, greatest_root)
+    drawn = data.draw_batch(pool, rng, batch, (size[0], 2 * size[0]), augmentation, greatest_root)
     return forward_batch(drawn, size) if frame == "forward" else drawn
 
 
-def forward_batch(batch: Batch, size: tuple[int, int]) -> Batch:
+def forward_batch(batch: data.Batch, size: tuple[int, int]) -> data.Batch:
     """A batch in the epipole frame, turned into the forward frame and taken to ``size``, which may be square.
 
     Colours are interpolated with cubic weights, roots linearly on surfaces and not at all across edges.
@@ -133,7 +122,7 @@ def draw_triples(
     batch: int,
     size: tuple[int, int],
     frame: str,
-    augmentation: Augmentation | None = None,
+    augmentation: data.Augmentation | None = None,
     greatest_root: float = 2.0,
 ) -> Triples:
     """Random threes of views of random scenes; read from either end and mirrored at random.
@@ -153,14 +142,14 @@ def draw_triples(
     whole = (size[0], 2 * size[0])
     drawn = [_draw(pool[rng.integers(len(pool))], rng, whole, augmentation) for _ in range(batch)]
     outer, roots, middle, share, baseline = (np.stack(column) for column in zip(*drawn, strict=True))
-    images = [as_tensor(outer[:, k]) for k in range(outer.shape[1])]
+    images = [data.as_tensor(outer[:, k]) for k in range(outer.shape[1])]
     roots = roots.swapaxes(0, 1).clip(max=greatest_root)
     if frame == "forward":
         images = [turned_colours(image, whole, size) for image in images]
         roots = np.stack([[turned_roots(root, size) for root in one] for one in roots])
     first, second, first_texture, second_texture = images
     root = torch.from_numpy(roots).unsqueeze(2)
-    between = as_tensor(middle)
+    between = data.as_tensor(middle)
     return Triples(
         first, second, first_texture, second_texture,
         roots=torch.stack([root[0], exchanged_panoramas(root[1], frame)]),
@@ -171,35 +160,35 @@ def draw_triples(
 
 
 def _draw(
-    path: Path, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
+    path: Path, rng: np.random.Generator, size: tuple[int, int], augmentation: data.Augmentation | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
     """Of three views in the epipole frame.
 
     Colours of the outer ones for the network, then as they are; roots of both; colours of the inner one, at the size of
     the pool; its share of the way; metres.
     """
-    scene = load_scene(path)
-    check_pool_size(scene, size)
+    scene = data.load_scene(path)
+    data.check_pool_size(scene, size)
     if len(scene.along) < LEAST_VIEWS:
         raise InputError(
             f"expected scenes of at least {LEAST_VIEWS} views, got {len(scene.along)} in {path}; "
             "make them with `omnisyn train pool`"
         )
-    views, inverse_depths, along = draw_way(scene, LEAST_VIEWS, rng)
+    views, inverse_depths, along = data.draw_way(scene, LEAST_VIEWS, rng)
     colours = views.astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
         colours = _lit(colours, rng, augmentation)
-    outer = textures = np.stack([reduced(image, size) for image in colours[[0, -1]]])
+    outer = textures = np.stack([data.reduced(image, size) for image in colours[[0, -1]]])
     if augmentation is not None:
-        outer = vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
+        outer = data.vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
     baseline = abs(float(along[-1] - along[0]))
-    rho = np.stack([at_block_centres(one, size) for one in inverse_depths[[0, -1]]])
+    rho = np.stack([data.at_block_centres(one, size) for one in inverse_depths[[0, -1]]])
     root = np.sqrt(rho * baseline).astype(np.float32)
     return np.concatenate([outer, textures]), root, colours[1], abs(float(along[1] - along[0])) / baseline, baseline
 
 
 def _lit(
-    views: Float32[np.ndarray, "views height width 3"], rng: np.random.Generator, augmentation: Augmentation
+    views: Float32[np.ndarray, "views height width 3"], rng: np.random.Generator, augmentation: data.Augmentation
 ) -> Float32[np.ndarray, "views height width 3"]:
     """Another light, the same for all views."""
     gain = (1 + augmentation.exposure * rng.uniform(-1, 1)) * (1 + augmentation.relative * rng.uniform(-1, 1, 3))

@@ -5,15 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from omnisyn_cli.errors import PoseError
+from omnisyn_cli.io import outputs
 from omnisyn_cli.io.decode import read_header
 from omnisyn_cli.io.documents import listed
-from omnisyn_cli.io.outputs import (
-    check_output,
-    check_staged_folder,
-    replaced_when_complete,
-    staged_folder,
-    write_errors,
-)
 from omnisyn_cli.io.placement import placement_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, write_poses
 from omnisyn_cli.poses.formats.colmap import colmap_files
@@ -42,24 +36,24 @@ def export_poses(
     if format_name not in EXPORT_FORMATS:
         raise ValueError(f"expected one of {', '.join(EXPORT_FORMATS)}, got {format_name!r}")
     if format_name == "colmap":
-        check_staged_folder(output)
+        outputs.check_staged_folder(output)
     else:
-        check_output(output, overwrite)
+        outputs.check_output(output, overwrite)
     for name in colmap_files({}, {}) if format_name == "colmap" and output.is_dir() else ():
-        check_output(output / name, overwrite)
+        outputs.check_output(output / name, overwrite)
     chosen = {name: panorama.pose for name, panorama in poses.panoramas.items()}
     if format_name == "tum":
-        with replaced_when_complete(output) as temporary:
+        with outputs.replaced_when_complete(output) as temporary:
             temporary.write_text(tum_text(chosen), encoding="utf-8")
         return ("time stamps: the numbers of the panoramas; their names are in comments",)
     folder = images or poses.path.parent
     files = {name: folder / name if (folder / name).is_file() else None for name in chosen}
     sizes = {name: size or _size(poses.path, name, folder, file) for name, file in files.items()}
     if format_name == "nerfstudio":
-        with replaced_when_complete(output) as temporary:
+        with outputs.replaced_when_complete(output) as temporary:
             temporary.write_text(nerfstudio_text(chosen, sizes, files, output.parent), encoding="utf-8")
         return ("world: z up; depth and masks are not written",)
-    with staged_folder(output, overwrite=overwrite) as staged, write_errors(output):
+    with outputs.staged_folder(output, overwrite=overwrite) as staged, outputs.write_errors(output):
         for name, text in colmap_files(chosen, sizes).items():
             (staged / name).write_text(text, encoding="utf-8")
     return ("world: y down; cameras are EQUIRECTANGULAR, which older versions of COLMAP do not know; no points",)
@@ -92,7 +86,7 @@ def write_imported(
         OutputPathError: a file exists, or there is no folder to write into.
         WriteError: the disk is full, or the folder went away.
     """
-    check_output(output, overwrite)
+    outputs.check_output(output, overwrite)
     missing = [view.name for view in imported.views if view.image is None]
     if copy_images:
         if missing:
@@ -149,11 +143,11 @@ def _write_copies(output: Path, views: Mapping[str, ImportedView], overwrite: bo
         for copy, file in ((name, view.image), (depths.get(name), view.depth)):
             target = output.parent / (copy or "")
             if copy is not None and file is not None and not (target.exists() and target.samefile(file)):
-                check_output(target, overwrite)
+                outputs.check_output(target, overwrite)
                 copies[copy] = file
-    with staged_folder(output.parent, overwrite=overwrite) as staged:
+    with outputs.staged_folder(output.parent, overwrite=overwrite) as staged:
         for copy, file in copies.items():
-            with write_errors(output.parent / copy):
+            with outputs.write_errors(output.parent / copy):
                 shutil.copyfile(file, staged / copy)
         entries = {
             name: PosedPanorama(view.pose, staged / depths[name] if name in depths else None)

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.poses.registration import least_squares
 from omnisyn_cli.poses.registration.conventions import (
     ConventionHypothesis,
     combined_hypotheses,
@@ -15,15 +16,6 @@ from omnisyn_cli.poses.registration.conventions import (
     single_hypotheses,
 )
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.least_squares import (
-    direction_error,
-    epipolar_residual,
-    is_in_front,
-    noise_of,
-    relative_pose,
-    robust_misfit,
-    rotation_error,
-)
 from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_scale, supporting
 
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]
@@ -113,7 +105,7 @@ class Diagnosis:
 
 def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
     """Judge the camera-to-world poses of a pair by its matches."""
-    given_relative = relative_pose(first, second)
+    given_relative = least_squares.relative_pose(first, second)
     known = [given_relative] if given_relative.position.any() else []
     estimate = estimate_relative_pose(matches, known)
     if estimate is None:
@@ -129,8 +121,8 @@ def _fit(first_from_second: Pose, estimate: Estimate, matches: Matches) -> Fit:
     agreed, scale = matches.select(estimate.inliers), inlier_scale(matches)
     return Fit(
         *_off(first_from_second, estimate),
-        float(np.median(np.abs(epipolar_residual(first_from_second, agreed)))),
-        float(np.mean(is_in_front(first_from_second, agreed, scale))),
+        float(np.median(np.abs(least_squares.epipolar_residual(first_from_second, agreed)))),
+        float(np.mean(least_squares.is_in_front(first_from_second, agreed, scale))),
         int(supporting(first_from_second, matches, scale).sum()),
     )
 
@@ -161,7 +153,7 @@ def _explanations(
         in_degrees = degree_hypotheses(first, second, estimate.first_from_second, EXPLAINED_BY_DEGREES[0])
         kinds.append((in_degrees, EXPLAINED_BY_DEGREES))
     for hypotheses, limits in kinds:
-        corrected = ((each, relative_pose(*each.correct(first, second))) for each in hypotheses)
+        corrected = ((each, least_squares.relative_pose(*each.correct(first, second))) for each in hypotheses)
         found = [
             Explanation(hypothesis, _fit(relative, estimate, matches))
             for hypothesis, relative in corrected
@@ -178,18 +170,18 @@ def _explanations(
 
 def _off(relative: Pose, estimate: Estimate) -> tuple[float, float]:
     """Radians by which rotation and direction differ from what was found."""
-    rotation = rotation_error(relative, estimate.first_from_second)
+    rotation = least_squares.rotation_error(relative, estimate.first_from_second)
     if estimate.is_in_place:
         return rotation, 0.0
     if not relative.position.any():
         return rotation, math.radians(180.0)
-    return rotation, direction_error(relative, estimate.first_from_second)
+    return rotation, least_squares.direction_error(relative, estimate.first_from_second)
 
 
 def _improves(given: Pose, estimate: Estimate, matches: Matches) -> bool:
     if estimate.is_in_place or not given.position.any():
         return False
     agreed = matches.select(estimate.inliers | supporting(given, matches, inlier_scale(matches)))
-    noise = noise_of(estimate.first_from_second, agreed)
-    before, after = (robust_misfit(pose, agreed, noise) for pose in (given, estimate.first_from_second))
+    noise = least_squares.noise_of(estimate.first_from_second, agreed)
+    before, after = (least_squares.robust_misfit(pose, agreed, noise) for pose in (given, estimate.first_from_second))
     return before - after > SIGNIFICANT
