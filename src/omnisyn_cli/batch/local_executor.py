@@ -85,7 +85,8 @@ class LocalExecutor:
             hired.process.join()
             hired.connection.close()
             del self._workers[worker]
-            return Report(worker, None, _death(hired.process.exitcode))
+            code = hired.process.exitcode
+            return Report(worker, None, f"signal {-code}" if code is not None and code < 0 else f"exit code {code}")
 
     def _hire(self) -> _Hired:
         context = multiprocessing.get_context("spawn")
@@ -94,10 +95,6 @@ class LocalExecutor:
         process.start()
         theirs.close()
         return _Hired(process, ours)
-
-
-def _death(code: int | None) -> str:
-    return f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
 
 
 def _serve(connection: Connection, work: Work, threads: int) -> None:

@@ -29,12 +29,9 @@ def models(folder: Path | None, as_json: bool) -> None:
     if not entries:
         click.echo("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
     for entry in entries.values():
-        height, width = entry.size
-        click.echo(f"{entry.name}: {entry.role}, {_counted(entry.parameters)} parameters, {width}x{height}")
+        (height, width), count = entry.size, entry.parameters
+        counted = f"{count / 1e6:.1f} million" if count >= 1e5 else f"{count:,}"
+        click.echo(f"{entry.name}: {entry.role}, {counted} parameters, {width}x{height}")
         click.echo(f"    trained on {entry.training}; {entry.licence}; sha256 {entry.sha256[:12]}…")
         if entry.metrics:
             click.echo("    " + ", ".join(f"{key} {value:.4g}" for key, value in entry.metrics.items()))
-
-
-def _counted(number: int) -> str:
-    return f"{number / 1e6:.1f} million" if number >= 1e5 else f"{number:,}"

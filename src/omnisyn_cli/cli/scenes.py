@@ -1,23 +1,16 @@
 """``omnisyn scenes``: procedural panoramas with exact depth and poses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 
-if TYPE_CHECKING:
-    from omnisyn_cli.scenes.suite import SuiteScene
-
 KINDS = ("street", "room", "home", "jumble", "yard")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
-
 
 TEXTURES = click.option(
     "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
@@ -157,11 +150,8 @@ def _make_suite(out: Path, size: tuple[int, int], threads: int | None, *, overwr
             with staged_folder(out / walk.name, overwrite=overwrite) as staged:
                 write_suite_scene(staged, walk, size, threads)
         if not quiet:
-            click.echo(f"{out / walk.name}: {_described(walk)}", err=True)
-
-
-def _described(walk: SuiteScene) -> str:
-    return f"{len(walk.path)} panoramas" if walk.path else f"not made, the scene has no room for {walk.baseline:g} m"
+            missing = f"not made, the scene has no room for {walk.baseline:g} m"
+            click.echo(f"{out / walk.name}: {f'{len(walk.path)} panoramas' if walk.path else missing}", err=True)
 
 
 def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> None:

@@ -52,7 +52,6 @@ TABLE_NAME = "depth-table.md"
 FORM = 1
 """Counts up when the same scenes are measured or recorded in another way."""
 
-
 SOURCES: Mapping[str, DepthSource] = {
     "synsin": find_method("monocular").recipe.depth,
     "matching": find_method("matching").recipe.depth,

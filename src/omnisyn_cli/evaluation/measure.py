@@ -40,7 +40,6 @@ WINDOW = 11
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
 """A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""
 
-
 PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
 """Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`."""
 

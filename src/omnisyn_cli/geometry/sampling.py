@@ -87,7 +87,7 @@ def sample_bilinear_at(
     image: Float[Array, "height width *channels"], row: Float[Array, "*batch"], col: Float[Array, "*batch"]
 ) -> Array:
     """:func:`sample_bilinear` at fractional pixel indices, ``(*batch, *channels)``; columns wrap."""
-    return _convolve(image, row, col, reach=(0, 1), kernel=_linear_weight)
+    return _convolve(image, row, col, reach=(0, 1), kernel=lambda xp, distance: 1.0 - xp.abs(distance))
 
 
 def sample_bicubic(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
@@ -148,10 +148,6 @@ def _fetch(image: Array, row: Array, col: Array) -> Array:
 
 def _integers(xp: Any, value: Array) -> Array:
     return xp.astype(value, xp.int64)
-
-
-def _linear_weight(xp: Any, distance: Array) -> Array:
-    return 1.0 - xp.abs(distance)
 
 
 def _cubic_weight(xp: Any, distance: Array) -> Array:

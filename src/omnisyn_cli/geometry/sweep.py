@@ -52,7 +52,8 @@ def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
         ``(first, second, baseline)``: the turned world-from-camera poses (same positions) and the distance in metres.
     """
     along, baseline = _baseline(first, second)
-    rotation = _frame_with_zenith(along)
+    right = _orthogonal_to(along, hint=np.cross(along, UP))
+    rotation = np.stack([right, along, np.cross(right, along)], axis=-1)
     return Pose(rotation, first.position), Pose(rotation, second.position), baseline
 
 
@@ -141,11 +142,6 @@ def _baseline(first: Pose, second: Pose) -> tuple[np.ndarray, float]:
     if baseline == 0.0:
         raise ValueError("expected two different positions, got a baseline of 0 m; a turn in place has no sweep")
     return offset / baseline, baseline
-
-
-def _frame_with_zenith(up: np.ndarray) -> np.ndarray:
-    right = _orthogonal_to(up, hint=np.cross(up, UP))
-    return np.stack([right, up, np.cross(right, up)], axis=-1)
 
 
 def _orthogonal_to(axis: np.ndarray, hint: np.ndarray) -> np.ndarray:

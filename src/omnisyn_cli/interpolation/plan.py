@@ -101,7 +101,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     """
     tour = plan_tour(job)
     entries, sources, recipe = tour.entries, tour.source_sizes, tour.recipe
-    size = job.size or _even(max(sources))
+    largest = max(sources)[0]
+    even = largest + largest % 2
+    size = job.size or (even, 2 * even)
     checks.check_outputs(job, size)
     checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
@@ -178,12 +180,6 @@ def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
     else:
         found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
     return PoseFile(job.poses, found.panoramas), found.notes
-
-
-def _even(size: tuple[int, int]) -> tuple[int, int]:
-    """The 2:1 size with an even height that is closest to an image of this height."""
-    height = size[0] + size[0] % 2
-    return height, 2 * height
 
 
 def frame_count(job: InterpolationJob) -> int:

@@ -49,14 +49,11 @@ def depth_keeper(plan: InterpolationPlan) -> Iterator[KeepDepth]:
         def keep(pair: int, depths: tuple[DepthEstimate, DepthEstimate]) -> None:
             if staged is not None:
                 for index, estimate in zip((pair, pair + 1), depths, strict=True):
-                    write_depth(staged / depth_name(plan.job.images, pair, index), _depth_of(estimate))
+                    with np.errstate(divide="ignore"):
+                        depth = np.asarray(1.0 / estimate.inverse_depth, np.float32)
+                    write_depth(staged / depth_name(plan.job.images, pair, index), depth)
 
         yield keep
-
-
-def _depth_of(estimate: DepthEstimate) -> np.ndarray:
-    with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / estimate.inverse_depth, np.float32)
 
 
 def samples_of(frame: Frame, kind: str, loader: Loader, threads: int | None) -> Shaped[np.ndarray, "height width 3"]:

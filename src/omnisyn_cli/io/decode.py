@@ -38,7 +38,6 @@ BELOW = (1, 3)
 HARMLESS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
 
-
 MOST_CHUNKS = 10_000
 """A picture has a dozen; whoever writes more of them means to keep us busy."""
 

@@ -142,7 +142,10 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     entries = {name: _entry(path, name, entry, allow_outside) for name, entry in document.panoramas.items()}
     _check_one_world(path, entries)
     origin = next((origin_of(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
-    panoramas = {name: _posed(path, name, entry, origin) for name, entry in entries.items()}
+    panoramas = {}
+    for name, entry in entries.items():
+        files = (None if file is None else path.parent / file for file in (entry.depth, entry.mask))
+        panoramas[name] = PosedPanorama(pose_of(entry, f"{path}: panoramas.'{name}'", origin), *files)
     return PoseFile(path, panoramas)
 
 
@@ -175,13 +178,6 @@ def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEn
             f"{path}: expected all panoramas in one world, got '{kinds[True]}' with latitude and longitude mixed with "
             f"'{kinds[False]}' with a position; write all in the same way"
         )
-
-
-def _posed(
-    path: Path, name: str, entry: RigidEntry | GeographicEntry, origin: tuple[float, float, float] | None
-) -> PosedPanorama:
-    pose = pose_of(entry, f"{path}: panoramas.'{name}'", origin)
-    return PosedPanorama(pose, *(None if file is None else path.parent / file for file in (entry.depth, entry.mask)))
 
 
 def _written(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:

@@ -72,7 +72,6 @@ inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
 fast_kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", fastmath=True)
 """Reassociation allowed: for colours and boxes, never for tests of visibility."""
 
-
 COMPILATION = "numba:compile"
 """What numba calls it."""
 

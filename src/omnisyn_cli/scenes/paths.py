@@ -65,7 +65,7 @@ def sample_path(
         if is_upright and baseline is None:
             length = min(length, _HIGHEST_CLIMB)
         start, end = _line(rng, scene, walkway, length, upright=is_upright, strict=attempt < _ATTEMPTS // 2)
-        if _is_free(scene, start, end, keep) and (_may_leave(walkway) or _is_indoors(scene, end)):
+        if _is_free(scene, start, end, keep) and _may_end(scene, walkway, end):
             if baseline is None and _is_too_near(scene, walkway, start, end):
                 continue
             shares = np.linspace(0.0, 1.0, frames)[:, None]
@@ -104,14 +104,11 @@ def _is_free(scene: Scene, start: Float[np.ndarray, "3"], end: Float[np.ndarray,
     return not np.any((enters < leaves) & (leaves > 0.0) & (enters < 1.0))
 
 
-def _may_leave(walkway: Walkway) -> bool:
-    """Whether paths may end beyond all walkways, as streets go on."""
-    return any(walkway.heading) and walkway.nearness is None
-
-
-def _is_indoors(scene: Scene, point: Float[np.ndarray, "3"]) -> bool:
-    """Whether a point lies over a walkway, rather than beyond a window."""
-    return any(w.low[0] <= point[0] <= w.high[0] and w.low[2] <= point[2] <= w.high[2] for w in scene.walkways)
+def _may_end(scene: Scene, walkway: Walkway, point: Float[np.ndarray, "3"]) -> bool:
+    """Whether a point lies over a walkway, rather than beyond a window; streets go on."""
+    goes_on = any(walkway.heading) and walkway.nearness is None
+    over = (w.low[0] <= point[0] <= w.high[0] and w.low[2] <= point[2] <= w.high[2] for w in scene.walkways)
+    return goes_on or any(over)
 
 
 def _line(

@@ -57,7 +57,6 @@ SIZES: Mapping[Pattern, tuple[tuple[Use, ...], float, float]] = {
 }
 """Of a pattern: uses, one of which is drawn, and the least and the greatest width of a photograph in metres."""
 
-
 GROUND = (Pattern.ROAD, Pattern.GRASS)
 """Patterns that lie on the ground whatever they belong to."""
 

@@ -119,13 +119,10 @@ class JointNetwork(nn.Module):
         frame = self.depth.frame
         other_way = [exchanged_panoramas(x, frame) for x in (second, first)]
         stacked = self.depth(torch.cat([first, other_way[0]]), torch.cat([second, other_way[1]]))
-        both = [_in_one_frame(x, frame) for x in (stacked.inverse_depth(), stacked.confidence().detach())]
-        return PairPrediction(stacked, *both)
-
-
-def _in_one_frame(stacked: Tensor, frame: str) -> Float[Tensor, "2 batch height width"]:
-    first, second = stacked.squeeze(1).chunk(2)
-    return torch.stack([first, exchanged_panoramas(second, frame)])
+        halves = (x.squeeze(1).chunk(2) for x in (stacked.inverse_depth(), stacked.confidence().detach()))
+        return PairPrediction(
+            stacked, *(torch.stack([one, exchanged_panoramas(other, frame)]) for one, other in halves)
+        )
 
 
 @dataclass(frozen=True)

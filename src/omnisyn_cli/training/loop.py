@@ -234,7 +234,9 @@ def train(
         if trainer.step % config.validate_every == 0:
             row, pictures = _log_row(trainer, losses, time.monotonic() - started)
             _append(folder / "log.jsonl", row)
-            _keep_pictures(folder / "pictures", trainer.step, pictures)
+            if pictures:
+                make_folder(folder / "pictures", "pictures")
+                write_image(folder / "pictures" / f"{trainer.step:08d}.png", contact_sheet(pictures))
             report(row)
             if board is not None:
                 board.add(row, pictures)
@@ -297,12 +299,6 @@ def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> tuple[dic
     trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
     row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate(), "loss": float(np.mean(losses))}
     return row | trainer.scores, task.show(network, trainer.config)
-
-
-def _keep_pictures(folder: Path, step: int, pictures: dict[str, np.ndarray]) -> None:
-    if pictures:
-        make_folder(folder, "pictures")
-        write_image(folder / f"{step:08d}.png", contact_sheet(pictures))
 
 
 def _append(path: Path, row: dict[str, Any]) -> None:

@@ -38,7 +38,6 @@ FARTHEST = 1e-3
 SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
 
-
 CHOICE_SCALE = 0.02
 """Error of a root that makes a candidate e times less likely to be the right one."""
 

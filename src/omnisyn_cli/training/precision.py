@@ -58,9 +58,5 @@ def choose_precision(device: str = "auto") -> Precision:
         return Precision(torch.device("cpu"))
     if has_cuda:
         return Precision(torch.device("cuda"), is_half=torch.cuda.is_bf16_supported())
-    return Precision(torch.device("cpu"), is_half=_multiplies_in_bfloat16())
-
-
-def _multiplies_in_bfloat16() -> bool:
-    """Whether the processor does; False where this torch cannot tell."""
-    return any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
+    multiplies = any(getattr(torch.cpu, question, bool)() for question in BF16_INSTRUCTIONS)
+    return Precision(torch.device("cpu"), is_half=multiplies)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
@@ -46,10 +45,6 @@ def _depth_scores(answer: DepthAnswer, batch: Batch | EvidenceBatch) -> dict[str
 def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
     found = answer.inverse_depth().sqrt()
     return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
-
-
-def _completion_loss(answer: CompletionPrediction, batch: EvidenceBatch) -> Tensor:
-    return losses.completion_loss(answer, batch.root, where_sure(batch.planes))
 
 
 def _completion_scores(answer: CompletionPrediction, batch: EvidenceBatch) -> dict[str, float]:
@@ -104,7 +99,7 @@ TASKS: Mapping[str, Task] = {
         COMPLETION_VARIANTS,
         CompletionNetwork,
         draw=lambda pool, rng, stage, _, varied: draw_completion(pool, rng, stage.batch, stage.size, varied),
-        loss=_completion_loss,
+        loss=lambda answer, batch: losses.completion_loss(answer, batch.root, where_sure(batch.planes)),
         scores=_completion_scores,
         pictures=_completion_pictures,
     ),

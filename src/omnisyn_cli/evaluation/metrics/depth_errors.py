@@ -11,7 +11,6 @@ SCORED_DEPTH = (1.0, 50.0)
 FAR_BOUND = 100.0
 """Metres; an estimate beyond, infinity included, counts as this far in the metrics that are measured in metres."""
 
-
 DELTAS = {"105": 1.05, "110": 1.10, "125": 1.25, "125_squared": 1.25**2, "125_cubed": 1.25**3}
 
 

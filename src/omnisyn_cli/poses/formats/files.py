@@ -22,7 +22,6 @@ __all__ = ["natural_key"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".webp"})
 
-
 UNREADABLE_ARRAY = (
     ValueError, EOFError, SyntaxError, TokenError, BadZipFile, RecursionError, MemoryError, TypeError,
     OverflowError,
