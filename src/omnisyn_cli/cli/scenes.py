@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from omnisyn_cli.cli.options import quiet_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 
@@ -58,30 +59,15 @@ OF_THE_SUITE = {"out", "suite", "size", "threads", "overwrite", "quiet"}
 )
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
 @TEXTURES
-@click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]")
+@threads_option
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def make(
-    context: click.Context,
-    out: Path,
-    suite: bool,
-    kind: str,
-    seed: int,
-    count: int,
-    frames: int,
-    size: tuple[int, int],
-    baseline: float | None,
-    tilt: float,
-    vertical: bool,
-    supersample: int,
-    names: tuple[str, ...],
-    no_depth: bool,
-    textures: Path | None,
-    threads: int | None,
-    overwrite: bool,
-    quiet: bool,
-) -> None:
+    context: click.Context, out: Path, suite: bool, kind: str, seed: int, count: int, frames: int,
+    size: tuple[int, int], baseline: float | None, tilt: float, vertical: bool, supersample: int,
+    names: tuple[str, ...], no_depth: bool, textures: Path | None, threads: int | None, overwrite: bool, quiet: bool,
+) -> None:  # fmt: skip
     """Make scenes: panoramas, their depth (EXR, metres) and poses.json.
 
     A scene appears whole or not at all. Equal seeds make equal scenes, whatever the number of threads.
