@@ -6,7 +6,7 @@ import numpy as np
 
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.goods import CARTON
-from omnisyn_cli.scenes.materials import Material, Pattern, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Turned
 
@@ -243,9 +243,7 @@ def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
     clay = pick(rng, palette.BRICK)
     at.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, shaded(Pattern.PLAIN, clay, 0.9, grain=0.1))
     green = pick(rng, palette.FOLIAGE)
-    leaves = Material(
-        Pattern.LEAVES, palette.darker(green, 0.6), palette.darker(green, 1.3), cell=(0.1, 0.1), detail=0.75
-    )
+    leaves = grown(Pattern.LEAVES, green, 0.6, 1.3, cell=(0.1, 0.1), detail=0.75)
     tall = rng.uniform(0.3, 0.8)
     at.rod((0.0, 0.3, 0.0), (0.0, 0.4 + tall, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
     for _ in range(int(rng.integers(2, 5))):

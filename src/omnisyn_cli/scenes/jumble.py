@@ -9,7 +9,7 @@ from omnisyn_cli.scenes import obstacles, palette, props
 from omnisyn_cli.scenes.daylight import daylight
 from omnisyn_cli.scenes.finishes import any_finish, faint_finish, floor_finish, wall_finish
 from omnisyn_cli.scenes.home import BASELINES, NEARNESS, indoor_light
-from omnisyn_cli.scenes.materials import Material, Pattern, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
 from omnisyn_cli.scenes.obstacles import Space, Way
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Walkway
@@ -115,10 +115,7 @@ def _lamps(build: SceneBuilder, space: Space) -> None:
 def _ground(rng: np.random.Generator) -> Material:
     if rng.random() < 0.4:
         green = pick(rng, palette.FOLIAGE)
-        dry = (0.5, 0.47, 0.35)
-        return Material(
-            Pattern.GRASS, palette.darker(green, 0.85), palette.darker(green, 1.25), dry, detail=rng.uniform(0.1, 0.8)
-        )
+        return grown(Pattern.GRASS, green, 0.85, 1.25, third=(0.5, 0.47, 0.35), detail=rng.uniform(0.1, 0.8))
     tone = pick(rng, palette.PAVING)
     side = rng.uniform(0.15, 1.2)
     return shaded(
@@ -166,9 +163,7 @@ def _side(rng: np.random.Generator, choice: float) -> tuple[float, float, Materi
         return 0.15, rng.uniform(1.2, 3.5), _drawn_finish(rng, wall_finish, 1.0)
     if choice < 0.8:
         green = pick(rng, palette.FOLIAGE)
-        leaves = Material(
-            Pattern.LEAVES, palette.darker(green, 0.6), palette.darker(green, 1.3), cell=(0.2, 0.2), detail=0.0
-        )
+        leaves = grown(Pattern.LEAVES, green, 0.6, 1.3, cell=(0.2, 0.2), detail=0.0)
         return rng.uniform(0.25, 0.5), rng.uniform(0.8, 2.5), leaves
     pattern = Pattern.BARS if rng.random() < 0.5 else Pattern.MESH
     iron = Material(pattern, pick(rng, palette.METAL), cell=(rng.uniform(0.08, 0.2),) * 2, line=rng.uniform(0.01, 0.03))

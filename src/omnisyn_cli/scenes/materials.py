@@ -95,6 +95,11 @@ def shaded(pattern: Pattern, tone: Colour, second: float, third: float | None = 
     return Material(pattern, tone, darker(tone, second), **look)
 
 
+def grown(pattern: Pattern, green: Colour, first: float, second: float, **look: Any) -> Material:
+    """What grows: its first and second colour are a green made darker by a factor, the rest is ``look``."""
+    return Material(pattern, darker(green, first), darker(green, second), **look)
+
+
 _OPEN = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
 
 

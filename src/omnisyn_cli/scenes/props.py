@@ -6,7 +6,7 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
@@ -21,14 +21,7 @@ TAIL_LIGHT = Material(Pattern.PLAIN, (0.50, 0.05, 0.05), gloss=0.6, grain=0.0)
 def _leaves(rng: np.random.Generator, openness: float, size: float) -> Material:
     green = pick(rng, palette.FOLIAGE, 0.08)
     seed = int(rng.integers(1, 1000))
-    return Material(
-        Pattern.LEAVES,
-        palette.darker(green, 0.62),
-        palette.darker(green, 1.3),
-        cell=(size, size),
-        detail=openness,
-        seed=seed,
-    )
+    return grown(Pattern.LEAVES, green, 0.62, 1.3, cell=(size, size), detail=openness, seed=seed)
 
 
 def tree(build: SceneBuilder, base: Point, height: float) -> None:

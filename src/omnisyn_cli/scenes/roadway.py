@@ -7,7 +7,7 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, grown
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 
@@ -158,14 +158,8 @@ def _paving(rng: np.random.Generator) -> Material:
 
 
 def _grass(rng: np.random.Generator) -> Material:
-    green = pick(rng, palette.FOLIAGE)
-    return Material(
-        Pattern.GRASS,
-        palette.darker(green, 0.85),
-        palette.darker(green, 1.25),
-        (0.55, 0.50, 0.30),
-        detail=rng.uniform(0, 0.8),
-    )
+    green, dry = pick(rng, palette.FOLIAGE), (0.55, 0.50, 0.30)
+    return grown(Pattern.GRASS, green, 0.85, 1.25, third=dry, detail=rng.uniform(0, 0.8))
 
 
 def lay_pavement(build: SceneBuilder, plan: StreetPlan, side: float) -> None:

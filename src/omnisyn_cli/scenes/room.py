@@ -9,7 +9,7 @@ from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.buildings import office
 from omnisyn_cli.scenes.daylight import daylight, sun_at
 from omnisyn_cli.scenes.furnishing import furnish, furnish_hall
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Pattern, grown
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Walkway
 from omnisyn_cli.scenes.walls import Cell, Opening, Openings, enclose
@@ -91,9 +91,7 @@ def _outside(build: SceneBuilder, level: float) -> None:
     rng = build.rng
     green = pick(rng, palette.FOLIAGE)
     build.ground = (0.0, 1.0, 0.0, level)
-    build.ground_material = Material(
-        Pattern.GRASS, palette.darker(green, 0.85), palette.darker(green, 1.25), (0.5, 0.47, 0.35), detail=0.4
-    )
+    build.ground_material = grown(Pattern.GRASS, green, 0.85, 1.25, third=(0.5, 0.47, 0.35), detail=0.4)
     for side in (-1.0, 1.0):
         for _ in range(int(rng.integers(1, 4))):
             x, z = rng.uniform(-25, 25), side * rng.uniform(16, 45)
