@@ -27,7 +27,7 @@ from omnisyn_cli.training.adversarial import (
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import PoolScene, list_pool, load_scene
 from omnisyn_cli.training.loop import TrainConfig, open_trainer, train
-from omnisyn_cli.training.view_samples import ViewSample, draw_views, view_sample
+from omnisyn_cli.training.synsin import ViewSample, draw_views, view_sample
 
 TINY = SynSinConfig("tiny", (32, 64), features=6, depth_widths=(6, 8), decoder_widths=(6, 8, 8), fine=4)
 

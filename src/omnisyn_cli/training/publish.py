@@ -16,10 +16,9 @@ from omnisyn_cli.networks.synsin import SynSinNetwork
 from omnisyn_cli.runtime.models import MANIFEST, MANIFEST_VERSION, ModelEntry, read_manifest, sha256_of
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.loop import load_network
-from omnisyn_cli.training.synsin import blend_points
+from omnisyn_cli.training.synsin import blend_points, draw_views
 from omnisyn_cli.training.task import Task, TrainConfig
 from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
-from omnisyn_cli.training.view_samples import draw_views
 
 __all__ = ["publish"]
 

@@ -27,9 +27,9 @@ from omnisyn_cli.training.data import Batch, EvidenceBatch
 from omnisyn_cli.training.evidence_pool import draw_evidence, stored_evidence
 from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
 from omnisyn_cli.training.pictures import as_array, depth_pictures
+from omnisyn_cli.training.synsin import draw_views
 from omnisyn_cli.training.task import Task
 from omnisyn_cli.training.triples import draw_pairs, draw_triples
-from omnisyn_cli.training.view_samples import draw_views
 
 __all__ = ["TASKS", "kinds_for", "task_of"]
 

@@ -5,8 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets.carla import carla_scenes
-from omnisyn_cli.evaluation.datasets.layouts import habitat_scenes, own_scenes, zind_scenes
+from omnisyn_cli.evaluation.datasets.layouts import carla_scenes, habitat_scenes, own_scenes, zind_scenes
 from omnisyn_cli.evaluation.datasets.sources import NoScaleError, Pair, Scene, SceneFrame, SceneSource, choose_pairs
 
 __all__ = ["FORMATS", "NoScaleError", "Pair", "Scene", "SceneFrame", "SceneSource", "choose_pairs", "find_scenes"]

@@ -12,7 +12,6 @@ from typing import Any
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import read_json
-from omnisyn_cli.poses.formats.authors import ROTATIONS, read_authors
 from omnisyn_cli.poses.formats.colmap import IMAGES, colmap_files, colmap_rig_files, model_folder, read_colmap
 from omnisyn_cli.poses.formats.exif import read_exif
 from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, data_lines, entries, images_in
@@ -30,7 +29,7 @@ from omnisyn_cli.poses.formats.model import (
 from omnisyn_cli.poses.formats.nerfstudio import nerfstudio_text, read_nerfstudio
 from omnisyn_cli.poses.formats.opensfm import read_opensfm
 from omnisyn_cli.poses.formats.street_view import read_table
-from omnisyn_cli.poses.formats.trajectories import read_kitti, read_tum
+from omnisyn_cli.poses.formats.trajectories import ROTATIONS, read_authors, read_kitti, read_tum
 from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS, export_poses, write_imported
 from omnisyn_cli.poses.formats.zind import POSES, read_zind
 

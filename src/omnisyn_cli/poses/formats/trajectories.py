@@ -1,8 +1,8 @@
-"""Trajectories without names: TUM (time stamp, position, quaternion) and KITTI (3×4 matrices), both camera-to-world.
+"""Trajectories without names: TUM (time stamp, position, quaternion), KITTI (3×4 matrices), the authors' two arrays.
 
-TUM lines are ``timestamp tx ty tz qx qy qz qw``, KITTI lines the twelve numbers of ``[R | t]`` row by row. Neither says
-what the axes are: usually OpenCV's (x right, y down, z forward) in the world of the first camera, which
-``--camera-axes`` and ``--up`` overrule. Panoramas are matched by time stamp or by the order of their names.
+TUM lines are ``timestamp tx ty tz qx qy qz qw``, KITTI lines the twelve numbers of ``[R | t]`` row by row, both
+camera-to-world. Neither says what the axes are: usually OpenCV's (x right, y down, z forward) in the world of the first
+camera, which ``--camera-axes`` and ``--up`` overrule. Panoramas are matched by time stamp or by the order of names.
 
 Source: TUM RGB-D benchmark, "File Formats"; KITTI odometry benchmark, development kit.
 """
@@ -17,7 +17,7 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import read_text
 from omnisyn_cli.poses.entries import checked_quaternion, checked_rotation
-from omnisyn_cli.poses.formats.files import data_lines, find_view, images_in, numbers, usual_folder
+from omnisyn_cli.poses.formats.files import data_lines, find_view, images_in, numbers, read_array, usual_folder
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, foreign_from_pose, noted
 
 NAME_COMMENT = "# image "
@@ -143,3 +143,49 @@ def _notes(options: ImportOptions, *of_names: str) -> tuple[str, ...]:
     up = "world: y is taken to point down, as in the world of a first camera; --up says otherwise"
     distances = "distances: as the trajectory has them, taken as metres"
     return noted({distances: True, axes: options.camera is None, up: options.up is None, **{n: n for n in of_names}})
+
+
+ROTATIONS, TRANSLATIONS = "rotations.npy", "translations.npy"
+
+
+def read_authors(source: Path, options: ImportOptions) -> ImportedPoses:
+    """Poses of a folder with the two arrays, ``(n, 3, 3)`` and ``(n, 3)``; leading axes of length 1 are dropped.
+
+    In the renderer of OmniSyn's authors a direction d of the reference view is looked up in panorama i along
+    ``rotations[i] · d``, and ``translations[i]`` is the reference seen from panorama i, in the reference's axes: the
+    pose is ``rotationsᵀ`` and ``−translations``, with x right, y up, −z forward as here. Pickled arrays are refused.
+
+    Source: AugmentariumLab/omnisyn, ``data_readers/carla_reader.py`` (``calculate_rot_trans``) and
+    ``helpers/my_torch_helpers.py`` (``rotate_equirectangular_image``).
+    """
+    folder = source if source.is_dir() else source.parent
+    rotations, translations = read_array(folder / ROTATIONS), read_array(folder / TRANSLATIONS)
+    count = translations.size // 3
+    if rotations.shape[-3:] != (count, 3, 3) or rotations.size != 9 * count or translations.shape[-2:] != (count, 3):
+        raise PoseError(
+            f"{folder}: expected {ROTATIONS} (n, 3, 3) and {TRANSLATIONS} (n, 3), got {rotations.shape} and "
+            f"{translations.shape}; check that they belong together"
+        )
+    pairs = zip(rotations.reshape(count, 3, 3), translations.reshape(count, 3), strict=True)
+    poses = [
+        options.pose(
+            Pose(checked_rotation(f"{folder / ROTATIONS}[{index}]", rotation).T, -translation), camera="opengl", up="y"
+        )
+        for index, (rotation, translation) in enumerate(pairs)
+    ]
+    images, order = _images(usual_folder(folder, options), count)
+    views = tuple(ImportedView(path.name, poses[index], path) for index, path in images)
+    return ImportedPoses(views, ("distances: metres, as in CARLA", f"images: {order}"))
+
+
+def _images(folder: Path, count: int) -> tuple[list[tuple[int, Path]], str]:
+    """Index into the arrays and file of every panorama: by order, or by number where some are missing."""
+    paths = images_in(folder)
+    if len(paths) == count:
+        return list(enumerate(paths)), "named in the natural order of their file names"
+    numbered = {int(path.stem): path for path in paths if path.stem.isdecimal()}
+    if paths and len(numbered) == len(paths) and max(numbered) < count:
+        return sorted(numbered.items()), f"file names are taken as indices into the arrays ({count} poses)"
+    raise PoseError(
+        f"{folder}: expected {count} panoramas, one for each pose, got {len(paths)}; name the folder with --images"
+    )
