@@ -1,10 +1,9 @@
 """From a job to files for other programs: what is asked for is checked, then made panorama by panorama."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -13,15 +12,8 @@ from annotated_types import Ge, Gt
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import STILL, Pose
-from omnisyn_cli.interpolation.export.datasets import (
-    DatasetView,
-    face_side,
-    safe_name,
-    write_colmap,
-    write_colmap_view,
-    write_nerfstudio,
-    write_nerfstudio_view,
-)
+from omnisyn_cli.interpolation.export import datasets
+from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
@@ -54,15 +46,13 @@ class Format(NamedTuple):
     sky: bool
 
 
-FORMATS = MappingProxyType(
-    {
-        "glb": Format(".glb", "y", 1, sky=True),
-        "ply": Format(".ply", "y", 1, sky=False),
-        "splats": Format(".ply", "-y", 1, sky=True),
-        "colmap": Format("", "-y", 4, sky=False),
-        "nerfstudio": Format("", "z", 4, sky=False),
-    }
-)
+FORMATS: Mapping[str, Format] = {
+    "glb": Format(".glb", "y", 1, sky=True),
+    "ply": Format(".ply", "y", 1, sky=False),
+    "splats": Format(".ply", "-y", 1, sky=True),
+    "colmap": Format("", "-y", 4, sky=False),
+    "nerfstudio": Format("", "z", 4, sky=False),
+}
 """By name. A ``.ply`` without a name is points."""
 
 SHELLS = 0.01
@@ -272,24 +262,24 @@ def _write_dataset(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock:
     job, is_colmap = plan.tour.job, plan.format == "colmap"
     poses: dict[str, Pose] = {}
     sizes: dict[str, tuple[int, int]] = {}
-    side, parts = face_side(max(plan.tour.source_sizes)), []
+    side, parts = datasets.face_side(max(plan.tour.source_sizes)), []
     with staged_folder(job.output, overwrite=job.overwrite) as staged:
         for surface in surfaces:
             with clock("export"):
-                name, pose = safe_name(surface.index, job.images[surface.index]), surface.view.pose
+                name, pose = datasets.safe_name(surface.index, job.images[surface.index]), surface.view.pose
                 view = DatasetView(name, pose, surface.samples(), surface.mesh.inverse_depth, surface.view.mask)
                 poses[name], sizes[name] = pose, view.size
                 parts.append(_points(plan, surface))
                 if is_colmap:
-                    write_colmap_view(staged, view, side)
+                    datasets.write_colmap_view(staged, view, side)
                 else:
-                    write_nerfstudio_view(staged, view)
+                    datasets.write_nerfstudio_view(staged, view)
         with clock("write"):
             points = joined(parts)
             if is_colmap:
-                write_colmap(staged, poses, sizes, side, points)
+                datasets.write_colmap(staged, poses, sizes, side, points)
             else:
-                write_nerfstudio(staged, poses, sizes, points)
+                datasets.write_nerfstudio(staged, poses, sizes, points)
     return len(points), 0
 
 

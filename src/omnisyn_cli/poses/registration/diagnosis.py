@@ -8,13 +8,8 @@ from typing import Literal
 import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.poses.registration import least_squares
-from omnisyn_cli.poses.registration.conventions import (
-    ConventionHypothesis,
-    combined_hypotheses,
-    degree_hypotheses,
-    single_hypotheses,
-)
+from omnisyn_cli.poses.registration import conventions, least_squares
+from omnisyn_cli.poses.registration.conventions import ConventionHypothesis
 from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_scale, supporting
 
@@ -143,14 +138,14 @@ def _explanations(
     first: Pose, second: Pose, given: Fit, estimate: Estimate, matches: Matches
 ) -> tuple[Explanation, ...]:
     """Of the simplest kind of hypothesis that explains it, all that explain it equally well."""
-    singles = single_hypotheses()
+    singles = conventions.single_hypotheses()
     kinds: list[tuple[Iterable[ConventionHypothesis], tuple[float, float]]] = [
         ([hypothesis for hypothesis in singles if hypothesis.is_common], EXPLAINED),
         ([hypothesis for hypothesis in singles if not hypothesis.is_common], EXPLAINED),
-        (combined_hypotheses(), EXPLAINED),
+        (conventions.combined_hypotheses(), EXPLAINED),
     ]
     if not given.is_within(CLOSE):
-        in_degrees = degree_hypotheses(first, second, estimate.first_from_second, EXPLAINED_BY_DEGREES[0])
+        in_degrees = conventions.degree_hypotheses(first, second, estimate.first_from_second, EXPLAINED_BY_DEGREES[0])
         kinds.append((in_degrees, EXPLAINED_BY_DEGREES))
     for hypotheses, limits in kinds:
         corrected = ((each, least_squares.relative_pose(*each.correct(first, second))) for each in hypotheses)
