@@ -233,3 +233,39 @@ def test_tiles_out_of_sight_are_not_drawn(shot: Shot) -> None:
         drawn.append(shot.page.page.evaluate("omnisyn.page.renderer.drawn"))
     whole = 2 * shot.page.page.evaluate("omnisyn.page.world.onGraphics.get('surface 0 0').triangles")
     assert drawn[0] < drawn[1] < 0.9 * whole
+
+
+def test_a_headset_s_eyes_see_what_captures_show(shot: Shot) -> None:
+    """As WebXR asks for it, by a made-up session: an eye that is moved, turned and looks askew through its lens."""
+    side, half = 96, np.tan(np.radians(40))
+    matrix = [1 / half, 0, 0, 0, 0, 1 / half, 0, 0, 0.25, -0.1, -1, -1, 0, 0, -0.2, 0]  # columns
+    s, c = np.sin(0.2), np.cos(0.2)
+    view = {
+        "projectionMatrix": matrix,
+        "transform": {"position": {"x": 0.05, "y": 0.1, "z": -0.1}, "orientation": {"x": 0, "y": s, "z": 0, "w": c}},
+    }
+    found = shot.page.page.evaluate(
+        """([view, side]) => {
+            const page = omnisyn.page;
+            const gl = page.gl;
+            Object.assign(page.walker, { s: 0.5, yaw: 0.3, beside: [0, 0, 0] });
+            [page.canvas.width, page.canvas.height] = [2 * side, side];
+            const baseLayer = { framebuffer: null, getViewport: () => ({ x: side, y: 0, width: side, height: side }) };
+            page.headset.draw({ renderState: { baseLayer } }, { views: [view] });
+            const pixels = new Uint8Array(4 * side * side);
+            gl.readPixels(side, 0, side, side, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+            return Array.from(pixels);
+        }""",
+        [view, side],
+    )
+    seen = np.array(found, np.uint8).reshape(side, side, 4)[::-1, :, :3].astype(np.float32)
+    turn, head = look(np.degrees(0.3), 0), look(-np.degrees(0.4), 0)
+    position = shot.pose(0.5).position + turn @ np.array([0.05, 0.1, -0.1])
+    whole, _ = shot.page.capture(turn @ head, position, 120, (512, 512))
+    place = (np.arange(side) + 0.5) * 2 / side - 1
+    x, y = np.meshgrid((place + 0.25) * half, (-place - 0.1) * half)  # slopes of rays through the askew lens
+    reach = np.tan(np.radians(60))
+    col, row = (((1 + slope / reach) * 256 - 0.5).astype(np.float32) for slope in (x, -y))
+    expected = cv2.remap(whole.astype(np.float32), col, row, cv2.INTER_LINEAR)
+    assert np.median(np.abs(seen - expected)) <= 2.0
+    assert np.abs(seen - expected).mean() < 6.0

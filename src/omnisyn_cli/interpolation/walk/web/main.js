@@ -69,7 +69,7 @@ class Page {
       $('help').setAttribute('aria-expanded', !$('hint').hidden);
     });
     Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
-    $('headset').addEventListener('click', () => new Headset(this.gl, this.renderer, walker, world).enter(() => this.change()));
+    $('headset').addEventListener('click', () => this.headset.enter(() => this.change()));
     window.addEventListener('keydown', (event) => {
       if (event.code !== 'Space' || event.target instanceof HTMLButtonElement) return;
       event.preventDefault();
@@ -82,6 +82,10 @@ class Page {
       this.change();
     });
     this.stops = world.panoramas.map((panorama, index) => this.makeStop(panorama, index));
+  }
+
+  get headset() {
+    return new Headset(this.gl, this.renderer, this.walker, this.world);
   }
 
   // A button where a panorama was taken: it leads there.
