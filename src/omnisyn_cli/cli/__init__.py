@@ -4,8 +4,6 @@ Every command lives in a module of its own that is imported when the command is 
 instant.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import sys

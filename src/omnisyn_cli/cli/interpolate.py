@@ -30,8 +30,6 @@ from omnisyn_cli.synthesis.recipe import FALLBACKS, FUSIONS, METHODS, OMNISYN, R
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.summary import Summary
 
-__all__ = ["interpolate"]
-
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
 @click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())

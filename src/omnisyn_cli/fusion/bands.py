@@ -17,7 +17,7 @@ from jaxtyping import Float32
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import ColourStep, Rendering
 
-__all__ = ["ROWS", "BandRunner", "Views"]
+__all__ = ["ROWS", "Views"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

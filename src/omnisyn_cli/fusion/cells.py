@@ -3,15 +3,13 @@
 Filters take numpy arrays and torch tensors; columns wrap at the seam, rows end at the poles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
 from array_api_compat import array_namespace
 from jaxtyping import Num
 
-__all__ = ["greatest_near", "mean_near", "side_of_cells", "step_in_cells"]
+__all__ = ["step_in_cells"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

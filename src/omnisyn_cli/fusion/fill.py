@@ -8,8 +8,6 @@ which matched depth neither gains nor loses.
 Source: Gortler et al., The Lumigraph, 1996, section 3.3.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

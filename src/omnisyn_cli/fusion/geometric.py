@@ -4,8 +4,6 @@ How much a view counts for a pixel is said in :mod:`omnisyn_cli.fusion.rule`. Th
 are shown by one of the views alone (:mod:`omnisyn_cli.fusion.ghosts`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float32, Shaped
 

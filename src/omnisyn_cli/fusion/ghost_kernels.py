@@ -1,13 +1,9 @@
 """The loops over pixels that find and remove ghosts, in numba: twins of those of :mod:`omnisyn_cli.fusion.ghosts`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
 from omnisyn_cli.types import UNSEEN
-
-__all__ = ["gather_cells", "suppress_rows"]
 
 
 @fast_kernel()

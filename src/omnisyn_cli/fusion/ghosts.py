@@ -10,8 +10,6 @@ Colours may be numpy arrays or torch tensors on any device. Only what is done fo
 here, and kernels for the processor.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -28,7 +26,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import UNSEEN, ColourStep, Rendering
 
-__all__ = ["GhostOptions", "GhostRemover", "is_in_place"]
+__all__ = ["GhostRemover", "is_in_place"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

@@ -3,8 +3,6 @@
 What is found out about the pixels of a row is kept number by number, so that loops over them become loops of vectors.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -14,10 +12,7 @@ from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendRule
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
 from omnisyn_cli.types import BELIEF, UNSEEN
 
-__all__ = [
-    "NO_CORRECTION", "Correction", "Layer", "Rule", "Storing", "Tables", "blend_band", "quantize_rows", "rule_of",
-    "storing_in", "view_weights",
-]  # fmt: skip
+__all__ = ["quantize_rows", "storing_in"]
 
 RUN = 512
 """Pixels of a row that are blended together, an even number: what is found out stays in the nearest cache."""

@@ -8,8 +8,6 @@ the ends of the way the corrections fade, so that both ends are the photographs 
 Source: OmniSyn, section 3.5, with weights in the place of colours.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np
@@ -25,7 +23,7 @@ from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
-__all__ = ["MULTIPLE", "WORKING_ROWS", "FusionCorrection", "NetworkFuser", "working_size"]
+__all__ = ["NetworkFuser"]
 
 WORKING_ROWS = 256
 """Rows that the network looks at: those that it was trained with."""

@@ -1,14 +1,10 @@
 """The loops before and after a fusion network, in numba; what it says about weights is in the loop that blends."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.fusion.kernels import FAINT, neighbours, stored
 from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.types import UNSEEN
-
-__all__ = ["colour_holes", "reduce_band"]
 
 
 @fast_kernel()

@@ -7,8 +7,6 @@ network, as the authors leave it. It paints from the first frame after a photogr
 Source: OmniSyn, section 3.5.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Protocol
 
@@ -26,7 +24,7 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
-__all__ = ["MOST_ROWS", "MULTIPLE", "Painter", "PaintingFuser"]
+__all__ = ["PaintingFuser"]
 
 MOST_ROWS = 1024
 """Of a picture that is painted: the network's own memory grows with it."""

@@ -17,8 +17,6 @@ Planes, in this order (``PLANES`` of them, float32):
 They are a function of numpy arrays and of torch tensors, with gradients to colours and inverse depths.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -36,11 +34,7 @@ from omnisyn_cli.fusion.network_kernels import reduce_band
 from omnisyn_cli.fusion.rule import BlendRule, Shown, blended, difference_of_depth, view_weights
 from omnisyn_cli.geometry.sphere import pixel_directions
 
-__all__ = [
-    "FIRST", "FUSED", "GAP", "GREATEST_GAP", "GREATEST_LOG", "GREATEST_ROOT", "LATITUDE", "LOG_RATIO", "PLANES",
-    "RELEVANCE", "ROOT", "SECOND", "SEEN", "TIME", "WEIGHT", "FusionPlanes", "PlaneMaker", "doubt_of", "fusion_planes",
-    "reduced",
-]  # fmt: skip
+__all__ = ["fusion_planes"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.types import BELIEF, UNSEEN
 
-__all__ = ["FAR_PREFERENCE", "BlendOptions", "BlendRule", "Shown", "blended", "difference_of_depth", "view_weights"]
+__all__ = ["FAR_PREFERENCE", "BlendOptions", "BlendRule", "Shown", "blended", "view_weights"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

@@ -1,7 +1,5 @@
 """The memory that a job will take, estimated from the sizes of what is held at its three peaks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,8 +9,6 @@ from omnisyn_cli.interpolation.job import InterpolationJob, is_rounded, sample_t
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
 from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
-
-__all__ = ["estimated_memory"]
 
 PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
 """Bytes of the interpreter, its libraries and kernels, and where depth is from files or SynSin's networks take part."""

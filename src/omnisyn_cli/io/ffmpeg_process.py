@@ -1,7 +1,5 @@
 """ffmpeg as a process of ours: frames go in or come out, its last words are heard, nothing stays behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -18,7 +16,7 @@ from jaxtyping import Shaped, UInt8
 from omnisyn_cli.errors import EncodingError, WriteError
 from omnisyn_cli.io.encoders import ffmpeg_program
 
-__all__ = ["EncoderProcess", "Packing", "read_frames"]
+__all__ = ["read_frames"]
 
 LAST_LINES = 12
 

@@ -1,7 +1,5 @@
 """Places for the frames of a video: a video file tagged as a 360° panorama, or numbered images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from fractions import Fraction
@@ -25,8 +23,6 @@ from omnisyn_cli.io.sequence import (
     open_sequence,
 )
 from omnisyn_cli.io.spherical import inject_spherical
-
-__all__ = ["FrameSink", "check_encoding", "check_video", "open_video", "sample_type"]
 
 IMAGE_CODECS = {"png": (".png",), "jpg": (".jpg", ".jpeg"), "exr": (".exr",), "tif": (".tif", ".tiff")}
 """What a folder of frames can be made of."""

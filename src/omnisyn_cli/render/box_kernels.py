@@ -1,8 +1,6 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 """A block of quads moved into the target's frame, and where it falls in an equirectangular image, in numba."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,10 +10,7 @@ from omnisyn_cli.render.simd import LANES, load, splat, store
 from omnisyn_cli.render.trigonometry import atan2_fast
 from omnisyn_cli.runtime.jit import fast_kernel, inlined, kernel
 
-__all__ = [
-    "COL", "FIRST_COL", "FIRST_ROW", "FREE", "INVERSE_DEPTH", "LAST_COL", "LAST_ROW", "MOST_POINTS", "ROW", "WIDE", "X",
-    "Y", "Z", "find_boxes", "place_block", "surround",
-]  # fmt: skip
+__all__ = ["WIDE"]
 
 WIDE = 0.5
 """Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""

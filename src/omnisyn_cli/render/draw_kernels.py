@@ -5,8 +5,6 @@ Small boxes are tested whole, eight rays at a time. For large ones the columns t
 by row first: on a row of the target an edge is ``P·cos(azimuth − φ) + Q``, so those on its inner side are an interval.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -42,8 +40,6 @@ from omnisyn_cli.render.quads import BLOCK, DIAGONAL
 from omnisyn_cli.render.simd import LANES, load, load_halves, pair, splat, store, store_halves, where
 from omnisyn_cli.render.trigonometry import atan2_fast
 from omnisyn_cli.runtime.jit import fast_kernel, inlined, inlined_contracting, kernel
-
-__all__ = ["Target", "draw_quads"]
 
 SPANNED = 24
 """Columns of a box from which on spans are found row by row."""

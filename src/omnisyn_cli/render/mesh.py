@@ -44,14 +44,7 @@ from omnisyn_cli.render.quads import (
 )
 from omnisyn_cli.render.trust import trust_of_quarters
 
-__all__ = [
-    "Cut",
-    "Mesh",
-    "Surface",
-    "Triangles",
-    "build_mesh",
-    "mask_of_vertices",
-]
+__all__ = ["Cut", "Mesh", "build_mesh", "mask_of_vertices"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

@@ -1,14 +1,10 @@
 """The loops of :mod:`omnisyn_cli.render.points`, in numba."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from omnisyn_cli.runtime.jit import kernel
-
-__all__ = ["choose_points", "disc_columns", "disc_rows", "find_nearest", "project_points"]
 
 EMPTY = -1
 

@@ -6,8 +6,6 @@ whose inverse depths differ by a few per cent) the one that is centred closest t
 texture. Points never stretch: where the camera comes closer, they come apart and leave holes.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,8 +20,6 @@ from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.trust import LEAST
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
-
-__all__ = ["PointRenderer", "render_points"]
 
 RADIUS = 1.0
 """Radius of a disc in source pixels: 0.71 closes a surface seen from where it was taken."""

@@ -17,8 +17,6 @@ overlap by half a microradian and never leave a gap. Where float32 is too coarse
 edge-on) and across the seam a quad is drawn in float64.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.render.box_kernels import FREE, INVERSE_DEPTH, X, Y, Z
@@ -35,23 +33,7 @@ from omnisyn_cli.render.simd import (
 )
 from omnisyn_cli.runtime.jit import inlined, kernel
 
-__all__ = [
-    "A_LEFT",
-    "A_OTHER",
-    "A_PLANE",
-    "BLOCK_ROWS",
-    "B_OTHER",
-    "B_PLANE",
-    "B_RIGHT",
-    "CUT",
-    "DRAWN",
-    "EDGE_ON",
-    "IN_FLOAT32",
-    "NOT_AT_ALL",
-    "plan_quads",
-    "split_exactly",
-    "split_quad",
-]  # fmt: skip
+__all__ = ["EDGE_ON", "split_quad"]
 
 EDGE_ON = 1e-13
 """Determinants below this are triangles seen edge-on: they cover nothing."""

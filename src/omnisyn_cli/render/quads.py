@@ -5,31 +5,12 @@ is not thrown away: each corner keeps the quarter of the quad that belongs to it
 joined to those of the corners that it still hangs together with.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Integer, UInt8
 
-__all__ = [
-    "BLOCK",
-    "BOTTOM",
-    "CUT_EDGES",
-    "DIAGONAL",
-    "FACES_PER_QUAD",
-    "FACES_PER_QUARTER",
-    "LEFT",
-    "NO_GAPS",
-    "QUARTER_DIRECTIONS",
-    "QUARTER_INVERSE_DEPTHS",
-    "REMOVED",
-    "RIGHT",
-    "TOP",
-    "QuadBlocks",
-    "in_blocks",
-    "joined_blocks",
-]
+__all__ = ["BOTTOM", "FACES_PER_QUARTER", "LEFT", "QUARTER_DIRECTIONS", "QUARTER_INVERSE_DEPTHS", "TOP"]
 
 TOP, RIGHT, BOTTOM, LEFT = 1, 2, 4, 8
 CUT_EDGES = TOP | RIGHT | BOTTOM | LEFT

@@ -5,8 +5,6 @@ A block of quads goes through all steps in buffers that fit into the nearest cac
 target's frame and projected, boxes are found, edges and planes are planned, rays are tested.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.render.box_kernels import FIRST_ROW, LAST_ROW, MOST_POINTS, find_boxes, place_block
@@ -14,8 +12,6 @@ from omnisyn_cli.render.draw_kernels import draw_quads
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, plan_quads
 from omnisyn_cli.render.quads import BLOCK
 from omnisyn_cli.runtime.jit import kernel
-
-__all__ = ["NOTHING", "find_block_rows", "rasterize_blocks"]
 
 NOTHING = -1
 """Face number of pixels that see no surface."""

@@ -9,8 +9,6 @@ r of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·
 :mod:`omnisyn_cli.render.reference` is the same in plain loops without boxes; both must agree.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +22,7 @@ from omnisyn_cli.render.quads import QuadBlocks
 from omnisyn_cli.render.raster_kernels import NOTHING, find_block_rows, rasterize_blocks
 from omnisyn_cli.runtime.threads import run_bands
 
-__all__ = ["NOTHING", "Fragments", "Rasterizer", "rasterize"]
+__all__ = ["NOTHING", "Fragments", "rasterize"]
 
 
 @dataclass(frozen=True)

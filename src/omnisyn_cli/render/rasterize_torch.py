@@ -13,8 +13,6 @@ arccos: bounded, and of the right sign.
 Source: OmniSyn, sections 3.4 and 3.5.2.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -29,7 +27,7 @@ from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_angles, li
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 
-__all__ = ["Rendering", "rasterize_torch", "render_fragments"]
+__all__ = ["render_fragments"]
 
 POLE_ROWS = 0.5
 """This close to a source pole, in rows, the azimuth has no gradient, and the polar angle that of a straight line."""

@@ -1,15 +1,11 @@
 """The oracle: every pixel against every triangle in plain loops. Slow, obviously right, for tests."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Triangles
 from omnisyn_cli.render.rasterize import NOTHING, Fragments
-
-__all__ = ["rasterize_reference"]
 
 
 def rasterize_reference(triangles: Triangles, target_from_source: Pose, size: tuple[int, int]) -> Fragments:

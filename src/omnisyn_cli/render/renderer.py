@@ -4,8 +4,6 @@
 assumed. ``two-pass``: the paper's (section 3.4), kept for comparison.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Protocol
@@ -23,7 +21,7 @@ from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass import TwoPassRenderer
 from omnisyn_cli.types import Rendering
 
-__all__ = ["RENDERERS", "MeshRenderer", "Renderer", "make_renderer"]
+__all__ = ["MeshRenderer", "Renderer", "make_renderer"]
 
 Image = Float[np.ndarray, "height width 3"]
 Mask = Bool[np.ndarray, "height width"]

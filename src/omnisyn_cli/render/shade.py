@@ -4,8 +4,6 @@ A target ray r that meets a surface at inverse depth ρ meets the point that the
 ``Rᵀ(r − ρ·t)``. Nothing else is needed, so the texture has its own resolution, independent of mesh and target.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,7 +17,7 @@ from omnisyn_cli.render.shade_kernels import shade_rows
 from omnisyn_cli.render.texture import CHANNELS, Texture
 from omnisyn_cli.runtime.threads import run_bands
 
-__all__ = ["Shader", "TrustMap", "make_trust", "shade"]
+__all__ = ["Shader", "TrustMap", "make_trust"]
 
 InverseDepth = Float32[np.ndarray, "height width"]
 
@@ -35,7 +33,7 @@ class TrustMap:
     """
 
     values: Float32[np.ndarray, " numbers"]
-    layout: Float32[np.ndarray, 5]
+    layout: Float32[np.ndarray, "5"]
 
 
 def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:

@@ -1,8 +1,6 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 """The loops of :mod:`omnisyn_cli.render.shade`, in numba."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -11,7 +9,7 @@ from omnisyn_cli.render.simd import fourth_times, load, pair, splat, store_half,
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
 
-__all__ = ["FINER", "SPECIAL", "shade_rows"]
+__all__ = ["FINER", "SPECIAL"]
 
 MAGNIFIED = 1.1
 """Texels per target pixel up to which the full resolution is read as it is."""

@@ -11,8 +11,6 @@ opaque pointers alone only :func:`_address` and :func:`_load` change: the cast g
 (that of ``array.dtype``, no ``pointee``) and loads are told theirs (``typ=``); stores take it from what is stored.
 """
 
-from __future__ import annotations
-
 import operator
 from typing import Any
 
@@ -23,11 +21,6 @@ from numba.core import cgutils
 from numba.core.datamodel import models
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, register_model
-
-__all__ = [
-    "LANES", "double", "fourth_times", "has_bits", "load", "load_halves", "pair", "single", "splat",
-    "store", "store_half", "store_halves", "swapped", "where",
-]  # fmt: skip
 
 LANES = 8
 """Numbers in a vector."""

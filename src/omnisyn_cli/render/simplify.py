@@ -9,8 +9,6 @@ Larger quads beside smaller ones share corners but not edges. So that no crack c
 merged quad reach outwards by as much as the vertices along them lie outside (see ``gap``).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float, Integer
 
@@ -28,7 +26,7 @@ from omnisyn_cli.render.simplify_kernels import (
 )
 from omnisyn_cli.runtime.threads import run_bands
 
-__all__ = ["TOLERANCE", "flat_rectangles", "simplify"]
+__all__ = ["flat_rectangles"]
 
 TOLERANCE = 0.125
 """Target pixels (of the equator) by which a vertex may be seen aside.

@@ -5,16 +5,12 @@ A rectangle of quads is *flat* where the two triangles between its corners stay 
 vertex inside. A plane is linear in the ray: its inverse depth in direction d is ``g·d``.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from omnisyn_cli.render.quads import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
 from omnisyn_cli.runtime.jit import inlined, kernel
-
-__all__ = ["APART", "COVERED", "TALL", "bound_errors", "mark_cuts", "measure_gaps", "merge_strips"]
 
 COVERED = 255
 """Marks quads inside of a rectangle that begins elsewhere, and those that are not drawn."""

@@ -1,15 +1,11 @@
 """The loops of :mod:`omnisyn_cli.render.soft_points`, in numba."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from omnisyn_cli.render.point_kernels import disc_columns, disc_rows
 from omnisyn_cli.runtime.jit import kernel
-
-__all__ = ["NO_POINT", "composite", "list_points"]
 
 NO_POINT = -1
 

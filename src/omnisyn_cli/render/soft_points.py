@@ -9,8 +9,6 @@ pixels crowd, only as many of them are points as are at its equator on the same 
 Source: Wiles et al., SynSin (CVPR 2020), section 3.2 and its programs (radius 4, exponent 1), there on a plane.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,18 +22,7 @@ from omnisyn_cli.render.points import projected_points
 from omnisyn_cli.render.soft_point_kernels import NO_POINT, composite, list_points
 from omnisyn_cli.runtime.threads import run_bands
 
-__all__ = [
-    "FLOOR",
-    "NO_POINT",
-    "POINTS",
-    "RADIUS",
-    "Cloud",
-    "PointLists",
-    "disc_angle",
-    "even_points",
-    "list_visible",
-    "splat",
-]
+__all__ = ["NO_POINT", "Cloud", "splat"]
 
 RADIUS = 4.0
 """Rows of the target that a disc reaches over."""

@@ -6,8 +6,6 @@ rim, so nothing jumps where a point enters or leaves a pixel; where two points c
 step has no gradient.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A photograph made ready to be looked up: bordered, and averaged to smaller sizes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +7,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_scale
 
-__all__ = ["CHANNELS", "Texture", "make_texture"]
+__all__ = ["Texture", "make_texture"]
 
 BORDER = 2
 """Pixels repeated around every level, across the seam and over the poles, so that kernels never wrap an index."""

@@ -6,15 +6,8 @@ them, so they count for little: least in the cut quads of the edge itself, littl
 but not far, has a narrow rim that counts for a quarter: a wall keeps no outline of the tree before it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Bool, Float, Float32
-
-__all__ = [
-    "AT_CUTS", "BEHIND", "BEHIND_CUTS", "BESIDE_CUTS", "FAR_BEHIND", "FAR_BEHIND_CUTS", "IN_RIMS", "LEAST", "REACH",
-    "trust_of_quarters",
-]  # fmt: skip
 
 AT_CUTS = 0.25
 """In a quad with a cut edge, where the colours of two surfaces are mixed."""

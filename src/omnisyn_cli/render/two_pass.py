@@ -10,8 +10,6 @@ circles, are drawn straight, and inverse depth is not linear between them. Aroun
 everywhere: a triangle that holds a pole is drawn wrongly or not at all, and the source's own polar caps are missing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -25,8 +23,6 @@ from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
-
-__all__ = ["TwoPassRenderer", "rasterize_two_pass", "triangles_without_caps"]
 
 
 def rasterize_two_pass(

@@ -1,14 +1,10 @@
 """The loops of :mod:`omnisyn_cli.render.two_pass`, in numba."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from omnisyn_cli.runtime.jit import kernel
-
-__all__ = ["draw_flat_triangles", "flatten_triangles"]
 
 
 @kernel()

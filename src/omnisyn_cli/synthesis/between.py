@@ -19,8 +19,6 @@ from omnisyn_cli.types import Fuser
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuPair
 
-__all__ = ["Frame", "Fused", "MemoryForFrames", "fused"]
-
 MemoryForFrames = Callable[[], UInt8[np.ndarray, "height width 3"]]
 
 

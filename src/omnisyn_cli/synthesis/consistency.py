@@ -5,8 +5,6 @@ show has a colour in both pictures, which tells how they were exposed (:mod:`omn
 after that, how well depth and poses hold (:mod:`omnisyn_cli.fusion.confidence`). All of it is done at a small size.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -21,7 +19,7 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
 from omnisyn_cli.types import DepthEstimate, Rendering, View
 
-__all__ = ["CHECK_SIZE", "CrossCheck", "cross_check"]
+__all__ = ["CrossCheck"]
 
 CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""

@@ -17,8 +17,6 @@ from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
-__all__ = ["CrossFades", "FlowFades", "optical_flow"]
-
 LEAST_HEIGHT = 32
 """Rows of the smallest pictures that optical flow is looked for in."""
 

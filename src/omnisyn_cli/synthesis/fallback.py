@@ -1,7 +1,5 @@
 """What is shown where a frame cannot be relied on: the two photographs, cross-faded, which is wrong but honest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,8 +12,6 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.threads import run_bands
-
-__all__ = ["CrossFade"]
 
 
 class CrossFade:

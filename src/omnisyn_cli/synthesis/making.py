@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from omnisyn_cli.synthesis.methods import Method
     from omnisyn_cli.synthesis.segments import Stopwatch
 
-__all__ = ["make_estimator", "make_fuser", "make_method", "open_synsin"]
+__all__ = ["make_estimator", "make_method"]
 
 
 def make_method(

@@ -1,14 +1,12 @@
 """How much time accuracy is worth: recipes with a name, from fast to accurate; and the paper's own method."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 
-__all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE", "Preset"]
+__all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
 
 
 @dataclass(frozen=True)

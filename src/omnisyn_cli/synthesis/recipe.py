@@ -15,13 +15,11 @@ __all__ = [
     "DEVICES",
     "FALLBACKS",
     "FUSIONS",
-    "FUSION_MODELS",
     "METHODS",
     "NETWORKED_DEPTH",
     "OMNISYN",
     "RENDERERS",
     "SYNSIN_MODELS",
-    "SYNSIN_SOURCES",
     "DepthSource",
     "Recipe",
 ]

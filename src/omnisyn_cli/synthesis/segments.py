@@ -25,7 +25,7 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
-__all__ = ["Segment", "Stopwatch", "SynthesisOptions", "measure_pair", "prepare_segment", "usable_image"]
+__all__ = ["Stopwatch", "SynthesisOptions", "measure_pair", "usable_image"]
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,6 @@ from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["SynSin", "SynSinPair"]
-
 
 class SynSin:
     """Frames from the points of one or two panoramas; a :class:`~omnisyn_cli.synthesis.methods.Method`.

@@ -4,8 +4,6 @@ A chain of panoramas is walked along straight lines at constant speed (or starti
 exactly on every panorama, so that the photograph itself is shown there and the change of segment cannot be seen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """How far every pixel of a frame can be relied on, and the regions where it cannot."""
 
-from __future__ import annotations
-
 import math
 
 import cv2
@@ -11,8 +9,6 @@ from jaxtyping import Float32
 from omnisyn_cli.geometry.sampling import add_columns
 from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.types import BELIEF, UNSEEN, ColourStep
-
-__all__ = ["confidence_step", "doubtful_regions"]
 
 ALONE = np.float32(0.6)
 """Confidence of what only one view shows, however well its depth is known: nothing confirms it."""

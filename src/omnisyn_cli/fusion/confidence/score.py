@@ -6,8 +6,6 @@ differ half way, rank clips as the true WS-PSNR of their frames does (Spearman 0
 ``docs/confidence.md``).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +16,7 @@ from jaxtyping import Float
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.types import UNSEEN, Rendering
 
-__all__ = ["LEAST_SCORE", "PairConfidence", "assess_pair"]
+__all__ = ["PairConfidence", "assess_pair"]
 
 LEAST_SCORE = 0.3
 """Below it a clip is not to be trusted: a plain cross-fade is about as close to the truth."""

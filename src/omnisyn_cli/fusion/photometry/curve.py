@@ -22,8 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["ExposureCurve", "estimate_curve", "estimate_gain", "linear_from_stored", "stored_from_linear"]
-
 LINEAR_PART = 0.04045
 SLOPE = 12.92
 OFFSET = 0.055

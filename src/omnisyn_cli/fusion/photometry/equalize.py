@@ -1,7 +1,5 @@
 """Two panoramas brought to one exposure before anything else is known about them, so that matching can compare them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -13,8 +11,6 @@ from omnisyn_cli.fusion.photometry.kernels import look_up_rows
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import View
-
-__all__ = ["equalized"]
 
 SAMPLES = (64, 128)
 """Size at which the values of a panorama are counted."""

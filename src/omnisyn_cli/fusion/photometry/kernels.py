@@ -1,12 +1,8 @@
 """The loops that give pictures another exposure, in numba."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
-
-__all__ = ["expose_rows", "look_up_rows"]
 
 
 @inlined(fastmath=True)

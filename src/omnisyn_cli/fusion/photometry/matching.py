@@ -1,7 +1,5 @@
 """Both renderings of a frame brought to the exposure that belongs to its share of the way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +11,7 @@ from omnisyn_cli.fusion.photometry.curve import ExposureCurve, linear_from_store
 from omnisyn_cli.fusion.photometry.kernels import expose_rows
 from omnisyn_cli.types import Rendering
 
-__all__ = ["CLIPPING", "MOST_LOSS", "ExposureMatcher", "loss_of_white"]
+__all__ = ["CLIPPING", "MOST_LOSS"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 

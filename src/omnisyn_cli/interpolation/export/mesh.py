@@ -16,8 +16,6 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_to_angles, pix
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.simplify import flat_rectangles
 
-__all__ = ["FLATNESS", "TexturedMesh", "textured_mesh"]
-
 FLATNESS = 0.01
 """Share of its distance by which a point of the surface may be moved along its ray.
 

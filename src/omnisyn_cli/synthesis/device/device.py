@@ -1,7 +1,5 @@
 """Where tensors live, by the names that users know."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -9,7 +7,7 @@ import torch
 
 from omnisyn_cli.errors import InputError, OmnisynError
 
-__all__ = ["memory_of_device", "open_device"]
+__all__ = ["open_device"]
 
 
 def open_device(name: str) -> torch.device:

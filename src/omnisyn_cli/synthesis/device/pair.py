@@ -35,8 +35,6 @@ from omnisyn_cli.synthesis.device.raster import GpuRasterizer
 from omnisyn_cli.synthesis.device.shading import GpuTexture, GpuTrust, shade, texture_on, trust_on
 from omnisyn_cli.types import DepthEstimate, Rendering
 
-__all__ = ["GpuFrames", "GpuPair", "GpuSurface"]
-
 PIXELS_AT_A_TIME = 1 << 20
 """Pixels that are coloured or blended together."""
 

@@ -1,7 +1,5 @@
 """What is done to whole pictures on a device: another exposure, holes filled, numbers rounded to samples."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -10,8 +8,6 @@ from jaxtyping import Float32, UInt8
 from torch import Tensor
 
 from omnisyn_cli.fusion.photometry.matching import CLIPPING
-
-__all__ = ["change_colours", "fill_holes", "samples_of"]
 
 
 def change_colours(

@@ -4,8 +4,6 @@ Points stay in the frame of the panorama, as directions with inverse depths, so 
 away: ``v = R·d + ρ·t``.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -13,8 +11,6 @@ from jaxtyping import Float, Integer
 from torch import Tensor
 
 from omnisyn_cli.render.mesh import Mesh
-
-__all__ = ["Quads", "quads_of"]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,6 @@ Memory: 1 kB for each of :data:`QUADS_AT_A_TIME` quads, 0.3 kB for each of :data
 24 bytes for every point of the mesh and 4 for every pixel of the target.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,8 +22,6 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.box_kernels import WIDE
 from omnisyn_cli.render.quad_kernels import EDGE_ON, split_quad
 from omnisyn_cli.synthesis.device.quads import Quads
-
-__all__ = ["GpuRasterizer"]
 
 AT_A_POLE = 1e-8
 """A point that is less than this (radians) from a pole of the target has no azimuth of its own."""

@@ -4,8 +4,6 @@ Catmull-Rom where the photograph is magnified, else two mip levels, read bilinea
 alpha times trust. Memory: about 0.2 kB for each pixel that is looked up together.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +15,6 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import TrustMap
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.render.texture import Texture
-
-__all__ = ["GpuTexture", "GpuTrust", "shade", "texture_on", "trust_on"]
 
 
 @dataclass(frozen=True)
