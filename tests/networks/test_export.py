@@ -43,3 +43,15 @@ def test_one_file_holds_everything_and_no_pad_wraps(exported):
     assert b"wrap" not in modes
     assert [entry.name for entry in model.graph.input] == ["first", "second"]
     assert [entry.name for entry in model.graph.output] == ["inverse_depth", "confidence"]
+
+
+def test_weights_that_are_halves_are_kept_as_halves_and_say_the_same(exported, tmp_path):
+    network, whole = exported
+    halved = DepthNetwork(TINY).eval()
+    halved.load_state_dict({name: tensor.half().float() for name, tensor in network.state_dict().items()})
+    export_network(halved, tmp_path / "half.onnx")
+    kinds = [[one.data_type for one in onnx.load(file).graph.initializer] for file in (whole, tmp_path / "half.onnx")]
+    assert [onnx.TensorProto.FLOAT16 in kind for kind in kinds] == [False, True]
+    assert (tmp_path / "half.onnx").stat().st_size < whole.stat().st_size
+    pairs = np.random.default_rng(0).random((2, 2, 1, 3, 64, 128), dtype=np.float32)
+    assert largest_difference(halved, tmp_path / "half.onnx", map(tuple, pairs)) < 1e-5
