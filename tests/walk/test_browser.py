@@ -84,6 +84,17 @@ def test_keys_walk_and_turn(walk: WalkPage) -> None:
     walk.page.keyboard.up("ArrowRight")
 
 
+@pytest.mark.parametrize("meanwhile", ["Control", "Tab"])
+def test_keys_that_are_let_go_no_longer_walk(walk: WalkPage, meanwhile: str) -> None:
+    """With another key down, or after the focus went to the slider."""
+    walk.page.focus("#play")
+    walk.page.keyboard.down("KeyW")
+    walk.page.keyboard.down(meanwhile)
+    walk.page.keyboard.up("KeyW")
+    walk.page.keyboard.up(meanwhile)
+    assert walk.page.evaluate("omnisyn.page.controls.held.size") == 0
+
+
 def test_keys_go_aside_and_up_but_not_out_of_reach(walk: WalkPage) -> None:
     for key in ("KeyD", "KeyE"):
         walk.page.keyboard.down(key)
