@@ -118,6 +118,13 @@ def test_drag_looks_where_the_hand_pulls(walk: WalkPage) -> None:
     assert walk.walker("pitch") - pitch == pytest.approx(30 * per_pixel)
 
 
+def test_only_the_main_button_walks(walk: WalkPage) -> None:
+    walk.page.mouse.click(160, 60, button="right")
+    assert walk.walker("goal") is None
+    walk.page.mouse.click(160, 60)
+    assert walk.walker("goal") is not None or walk.walker("s") > 0
+
+
 def test_wheel_walks_and_control_wheel_zooms(walk: WalkPage) -> None:
     walk.page.mouse.move(160, 60)
     walk.page.mouse.wheel(0, -200)

@@ -56,7 +56,7 @@ class Controls {
   release(event) {
     const at = this.pointers.get(event.pointerId);
     this.pointers.delete(event.pointerId);
-    if (event.type === 'pointerup' && at && this.travelled < 6) this.onTap(at.x, at.y);
+    if (event.type === 'pointerup' && event.button === 0 && at && this.travelled < 6) this.onTap(at.x, at.y);
   }
 
   wheel(event) {
