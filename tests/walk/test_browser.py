@@ -168,6 +168,20 @@ def test_a_ring_on_the_ground_leads_to_its_panorama(walk: WalkPage) -> None:
     walk.until("omnisyn.page.walker.s === 1 && omnisyn.page.walker.goal === null")
 
 
+def test_a_ring_leads_to_its_panorama_where_the_way_turns_back(opened: Any, tmp_path: Path) -> None:
+    hairpin = [posed((0.0, 0.0, 0.0)), posed((0.6, 0.0, 0.0)), posed((0.1, 0.0, 0.3))]
+    output = tmp_path / "walk.html"
+    run_walk(plan_walk(WalkJob(job_of(tmp_path, write_hall(tmp_path, hairpin), output=output))))
+    walk = WalkPage(opened, output, "#t=1&yaw=-90&pitch=-25&fov=100").wait()
+    walk.page.wait_for_selector(".stop[aria-label*='panorama 1,']")
+    ring = walk.page.locator(".stop").first.bounding_box()
+    assert ring is not None
+    walk.page.mouse.click(ring["x"] + ring["width"] / 2, ring["y"] + ring["height"] / 2)
+    walk.until("omnisyn.page.walker.goal === null && omnisyn.page.walker.s !== 1")
+    assert walk.walker("s") == 0
+    walk.page.context.close()
+
+
 def test_the_slider_and_its_words_say_where_one_is(walk: WalkPage) -> None:
     walk.page.fill("#place", "2.5")
     walk.until("omnisyn.page.walker.s === 2.5")

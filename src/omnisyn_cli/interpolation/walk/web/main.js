@@ -108,12 +108,14 @@ class Page {
 
   walkTowards(x, y) {
     const { walker, world } = this;
+    const ring = this.stops.indexOf(document.elementFromPoint(x, y)); // the stage has the pointer, no ring is clicked
+    if (ring >= 0) return this.goTo(ring);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     const lens = lensOf(walker.fov, [width, height]);
     const ray = rotated(walker.rotation, [(2 * x / width - 1) / lens[0], (1 - 2 * y / height) / lens[1], -1]);
     const way = world.along(world.pairAt(walker.s).pair);
     const isAhead = !way || dot(ray, way) > 0;
-    this.goTo(isAhead ? Math.floor(walker.s + 1 + 1e-6) : Math.ceil(walker.s - 1 - 1e-6));
+    return this.goTo(isAhead ? Math.floor(walker.s + 1 + 1e-6) : Math.ceil(walker.s - 1 - 1e-6));
   }
 
   // The panorama that is nearest first, then the pair that one stands in and its neighbours.
