@@ -200,6 +200,15 @@ def test_the_address_leads_back_to_the_place(opened: Any, tour: Path) -> None:
     assert odd.errors == []
 
 
+def test_a_link_to_the_way_leads_onto_the_way(walk: WalkPage) -> None:
+    walk.page.keyboard.press("KeyD")
+    walk.until("location.hash.includes('beside')")
+    walk.page.click("#play")
+    walk.page.evaluate("location.hash = '#t=1&yaw=0&pitch=0&fov=60'")
+    walk.until("omnisyn.page.walker.s === 1 && !omnisyn.page.walker.isPlaying")
+    assert walk.walker("beside") == [0, 0, 0]
+
+
 def test_a_lost_context_comes_back(walk: WalkPage) -> None:
     before = pixels(walk)
     walk.page.evaluate("window.loss = omnisyn.page.gl.getExtension('WEBGL_lose_context'); loss.loseContext()")

@@ -78,7 +78,7 @@ class Page {
     window.addEventListener('resize', () => this.change());
     window.addEventListener('hashchange', () => {
       if (location.hash === this.written) return;
-      walker.address = location.hash;
+      Object.assign(walker, { address: location.hash, isPlaying: false, goal: null });
       this.change();
     });
     this.stops = world.panoramas.map((panorama, index) => this.makeStop(panorama, index));
