@@ -285,3 +285,18 @@ def test_a_newcomer_is_told_how_until_they_move(walk: WalkPage) -> None:
     assert not walk.page.is_visible("#welcome")
     walk.page.click("#help")
     assert walk.page.is_visible("#hint")
+
+
+def test_the_hint_fits_a_phone_and_goes_with_escape(walk: WalkPage) -> None:
+    for width, height in ((390, 844), (320, 200)):
+        walk.page.set_viewport_size({"width": width, "height": height})
+        walk.page.click("#help")
+        assert walk.page.is_visible("#hint")
+        assert not walk.page.is_visible("#welcome")
+        box = walk.page.locator("#hint").bounding_box()
+        assert box is not None
+        assert box["y"] >= 0
+        assert box["width"] > 0.9 * width
+        walk.page.keyboard.press("Escape")
+        assert not walk.page.is_visible("#hint")
+        assert walk.page.get_attribute("#help", "aria-expanded") == "false"

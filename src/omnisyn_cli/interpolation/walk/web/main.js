@@ -64,10 +64,12 @@ class Page {
     $('whole').hidden = !document.fullscreenEnabled;
     $('sensors').hidden = !Gyroscope.isThere;
     $('sensors').addEventListener('click', async () => $('sensors').setAttribute('aria-pressed', await this.gyroscope.toggle()));
-    $('help').addEventListener('click', () => {
-      $('hint').hidden = !$('hint').hidden;
-      $('help').setAttribute('aria-expanded', !$('hint').hidden);
-    });
+    const showHint = (isShown) => {
+      $('hint').hidden = !isShown;
+      $('help').setAttribute('aria-expanded', isShown);
+    };
+    $('help').addEventListener('click', () => showHint($('hint').hidden));
+    window.addEventListener('keydown', (event) => event.key === 'Escape' && showHint(false));
     Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
     $('headset').addEventListener('click', () => new Headset(this.gl, this.renderer, walker, world).enter(() => this.change()));
     window.addEventListener('keydown', (event) => {
