@@ -271,6 +271,12 @@ def test_a_served_folder_walks(opened: Any, tmp_path: Path) -> None:
             thread.join()
 
 
+def test_a_folder_without_a_server_says_what_it_needs(opened: Any, tmp_path: Path) -> None:
+    page = WalkPage(opened, written(tmp_path, is_folder=True) / "index.html").wait("failed")
+    assert "web server" in (page.page.text_content("#status") or "")
+    assert not page.page.is_visible("#progress")
+
+
 def test_a_damaged_page_says_so(opened: Any, tour: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.html"
     broken.write_text(tour.read_text().replace('id="block-2">', 'id="block-2">AAAA'))

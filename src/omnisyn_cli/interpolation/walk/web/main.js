@@ -150,6 +150,7 @@ class Page {
   }
 
   failed(error) {
+    $('progress').hidden = true;
     this.say(`This walk cannot be shown: ${error.message}`);
     document.body.dataset.state = 'failed';
     throw error;
