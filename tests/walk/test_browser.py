@@ -84,6 +84,17 @@ def test_keys_walk_and_turn(walk: WalkPage) -> None:
     walk.page.keyboard.up("ArrowRight")
 
 
+@pytest.mark.parametrize("meanwhile", ["Control", "Tab"])
+def test_keys_that_are_let_go_no_longer_walk(walk: WalkPage, meanwhile: str) -> None:
+    """With another key down, or after the focus went to the slider."""
+    walk.page.focus("#play")
+    walk.page.keyboard.down("KeyW")
+    walk.page.keyboard.down(meanwhile)
+    walk.page.keyboard.up("KeyW")
+    walk.page.keyboard.up(meanwhile)
+    assert walk.page.evaluate("omnisyn.page.controls.held.size") == 0
+
+
 def test_keys_go_aside_and_up_but_not_out_of_reach(walk: WalkPage) -> None:
     for key in ("KeyD", "KeyE"):
         walk.page.keyboard.down(key)
@@ -105,6 +116,13 @@ def test_drag_looks_where_the_hand_pulls(walk: WalkPage) -> None:
     per_pixel = walk.walker("fov") / 200
     assert walk.walker("yaw") - yaw == pytest.approx(60 * per_pixel)
     assert walk.walker("pitch") - pitch == pytest.approx(30 * per_pixel)
+
+
+def test_only_the_main_button_walks(walk: WalkPage) -> None:
+    walk.page.mouse.click(160, 60, button="right")
+    assert walk.walker("goal") is None
+    walk.page.mouse.click(160, 60)
+    assert walk.walker("goal") is not None or walk.walker("s") > 0
 
 
 def test_wheel_walks_and_control_wheel_zooms(walk: WalkPage) -> None:
@@ -150,6 +168,20 @@ def test_a_ring_on_the_ground_leads_to_its_panorama(walk: WalkPage) -> None:
     walk.until("omnisyn.page.walker.s === 1 && omnisyn.page.walker.goal === null")
 
 
+def test_a_ring_leads_to_its_panorama_where_the_way_turns_back(opened: Any, tmp_path: Path) -> None:
+    hairpin = [posed((0.0, 0.0, 0.0)), posed((0.6, 0.0, 0.0)), posed((0.1, 0.0, 0.3))]
+    output = tmp_path / "walk.html"
+    run_walk(plan_walk(WalkJob(job_of(tmp_path, write_hall(tmp_path, hairpin), output=output))))
+    walk = WalkPage(opened, output, "#t=1&yaw=-90&pitch=-25&fov=100").wait()
+    walk.page.wait_for_selector(".stop[aria-label*='panorama 1,']")
+    ring = walk.page.locator(".stop").first.bounding_box()
+    assert ring is not None
+    walk.page.mouse.click(ring["x"] + ring["width"] / 2, ring["y"] + ring["height"] / 2)
+    walk.until("omnisyn.page.walker.goal === null && omnisyn.page.walker.s !== 1")
+    assert walk.walker("s") == 0
+    walk.page.context.close()
+
+
 def test_the_slider_and_its_words_say_where_one_is(walk: WalkPage) -> None:
     walk.page.fill("#place", "2.5")
     walk.until("omnisyn.page.walker.s === 2.5")
@@ -166,6 +198,15 @@ def test_the_address_leads_back_to_the_place(opened: Any, tour: Path) -> None:
     odd = WalkPage(opened, tour, "#t=99&yaw=x&fov=1e9&beside=1,2").wait()
     assert (odd.walker("s"), odd.walker("beside")) == (4, [0, 0, 0])
     assert odd.errors == []
+
+
+def test_a_link_to_the_way_leads_onto_the_way(walk: WalkPage) -> None:
+    walk.page.keyboard.press("KeyD")
+    walk.until("location.hash.includes('beside')")
+    walk.page.click("#play")
+    walk.page.evaluate("location.hash = '#t=1&yaw=0&pitch=0&fov=60'")
+    walk.until("omnisyn.page.walker.s === 1 && !omnisyn.page.walker.isPlaying")
+    assert walk.walker("beside") == [0, 0, 0]
 
 
 def test_a_lost_context_comes_back(walk: WalkPage) -> None:
@@ -230,6 +271,12 @@ def test_a_served_folder_walks(opened: Any, tmp_path: Path) -> None:
             thread.join()
 
 
+def test_a_folder_without_a_server_says_what_it_needs(opened: Any, tmp_path: Path) -> None:
+    page = WalkPage(opened, written(tmp_path, is_folder=True) / "index.html").wait("failed")
+    assert "web server" in (page.page.text_content("#status") or "")
+    assert not page.page.is_visible("#progress")
+
+
 def test_a_damaged_page_says_so(opened: Any, tour: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken.html"
     broken.write_text(tour.read_text().replace('id="block-2">', 'id="block-2">AAAA'))
@@ -244,3 +291,18 @@ def test_a_newcomer_is_told_how_until_they_move(walk: WalkPage) -> None:
     assert not walk.page.is_visible("#welcome")
     walk.page.click("#help")
     assert walk.page.is_visible("#hint")
+
+
+def test_the_hint_fits_a_phone_and_goes_with_escape(walk: WalkPage) -> None:
+    for width, height in ((390, 844), (320, 200)):
+        walk.page.set_viewport_size({"width": width, "height": height})
+        walk.page.click("#help")
+        assert walk.page.is_visible("#hint")
+        assert not walk.page.is_visible("#welcome")
+        box = walk.page.locator("#hint").bounding_box()
+        assert box is not None
+        assert box["y"] >= 0
+        assert box["width"] > 0.9 * width
+        walk.page.keyboard.press("Escape")
+        assert not walk.page.is_visible("#hint")
+        assert walk.page.get_attribute("#help", "aria-expanded") == "false"

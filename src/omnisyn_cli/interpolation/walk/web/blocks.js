@@ -7,6 +7,7 @@ class Blocks {
 
   async bytes(id) {
     if (this.names) {
+      if (location.protocol === 'file:') throw new Error('browsers read the files of a folder from a web server only, such as omnisyn view --serve');
       const answer = await fetch(this.names[id]);
       if (!answer.ok) throw new Error(`${this.names[id]}: expected a file of this walk, got ${answer.status}`);
       return new Uint8Array(await answer.arrayBuffer());

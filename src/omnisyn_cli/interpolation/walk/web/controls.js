@@ -56,7 +56,7 @@ class Controls {
   release(event) {
     const at = this.pointers.get(event.pointerId);
     this.pointers.delete(event.pointerId);
-    if (event.type === 'pointerup' && at && this.travelled < 6) this.onTap(at.x, at.y);
+    if (event.type === 'pointerup' && event.button === 0 && at && this.travelled < 6) this.onTap(at.x, at.y);
   }
 
   wheel(event) {
@@ -68,11 +68,12 @@ class Controls {
   }
 
   key(event, isDown) {
+    if (!isDown) this.held.delete(event.code); // wherever and with whatever it is let go
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLInputElement) return;
     if (!(event.code in KEYS) && !(event.code in TURNS)) return;
     event.preventDefault();
-    this.held[isDown ? 'add' : 'delete'](event.code);
     if (!isDown) return;
+    this.held.add(event.code);
     this.interrupt();
     if (!event.repeat) this.follow(event.code, 0.05); // a key that is only touched moves a little
   }

@@ -64,10 +64,12 @@ class Page {
     $('whole').hidden = !document.fullscreenEnabled;
     $('sensors').hidden = !Gyroscope.isThere;
     $('sensors').addEventListener('click', async () => $('sensors').setAttribute('aria-pressed', await this.gyroscope.toggle()));
-    $('help').addEventListener('click', () => {
-      $('hint').hidden = !$('hint').hidden;
-      $('help').setAttribute('aria-expanded', !$('hint').hidden);
-    });
+    const showHint = (isShown) => {
+      $('hint').hidden = !isShown;
+      $('help').setAttribute('aria-expanded', isShown);
+    };
+    $('help').addEventListener('click', () => showHint($('hint').hidden));
+    window.addEventListener('keydown', (event) => event.key === 'Escape' && showHint(false));
     Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
     $('headset').addEventListener('click', () => this.headset.enter(() => this.change()));
     window.addEventListener('keydown', (event) => {
@@ -78,7 +80,7 @@ class Page {
     window.addEventListener('resize', () => this.change());
     window.addEventListener('hashchange', () => {
       if (location.hash === this.written) return;
-      walker.address = location.hash;
+      Object.assign(walker, { address: location.hash, isPlaying: false, goal: null });
       this.change();
     });
     this.stops = world.panoramas.map((panorama, index) => this.makeStop(panorama, index));
@@ -112,12 +114,14 @@ class Page {
 
   walkTowards(x, y) {
     const { walker, world } = this;
+    const ring = this.stops.indexOf(document.elementFromPoint(x, y)); // the stage has the pointer, no ring is clicked
+    if (ring >= 0) return this.goTo(ring);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     const lens = lensOf(walker.fov, [width, height]);
     const ray = rotated(walker.rotation, [(2 * x / width - 1) / lens[0], (1 - 2 * y / height) / lens[1], -1]);
     const way = world.along(world.pairAt(walker.s).pair);
     const isAhead = !way || dot(ray, way) > 0;
-    this.goTo(isAhead ? Math.floor(walker.s + 1 + 1e-6) : Math.ceil(walker.s - 1 - 1e-6));
+    return this.goTo(isAhead ? Math.floor(walker.s + 1 + 1e-6) : Math.ceil(walker.s - 1 - 1e-6));
   }
 
   // The panorama that is nearest first, then the pair that one stands in and its neighbours.
@@ -150,6 +154,7 @@ class Page {
   }
 
   failed(error) {
+    $('progress').hidden = true;
     this.say(`This walk cannot be shown: ${error.message}`);
     document.body.dataset.state = 'failed';
     throw error;

@@ -124,8 +124,7 @@ class Walker {
     this.pitch = number('pitch', degree, -Math.PI / 2, Math.PI / 2) ?? this.pitch;
     this.fov = number('fov', degree, FIELD.least, FIELD.most) ?? this.fov;
     const beside = (given.get('beside') ?? '').split(',').map(Number);
-    if (beside.length === 3 && beside.every(Number.isFinite)) {
-      this.beside = times(beside, Math.min(1, this.reach / Math.max(length(beside), 1e-9)));
-    }
+    const isGiven = beside.length === 3 && beside.every(Number.isFinite);
+    this.beside = isGiven ? times(beside, Math.min(1, this.reach / Math.max(length(beside), 1e-9))) : [0, 0, 0];
   }
 }
