@@ -1,10 +1,12 @@
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
 from render_samples import CUTS, WHOLE, rough, smooth
 
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render import mesh as mesh_module
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
 from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUAD
 
@@ -54,6 +56,24 @@ def test_each_corner_of_a_quad_keeps_the_inverse_depth_of_its_pixel(cut):
         at = np.linalg.norm(points - direction, axis=-1) < 1e-9
         assert at.any()
         np.testing.assert_allclose(values[at], inverse_depth, rtol=1e-6)
+
+
+@pytest.mark.parametrize("some", [1, 5, 16, 10_000])
+def test_blocks_are_the_same_however_many_pieces_are_made_at_a_time(monkeypatch, some):
+    expected = build_mesh(rough(9, 14), Cut()).blocks
+    monkeypatch.setattr(mesh_module, "SOME", some)
+    for found, wanted in zip(build_mesh(rough(9, 14), Cut()).blocks, expected, strict=True):
+        np.testing.assert_array_equal(found, wanted)
+
+
+def test_blocks_of_a_heavily_cut_mesh_take_little_more_memory_than_they_keep():
+    mesh = build_mesh(np.where(np.random.default_rng(0).random((256, 512)) < 0.25, 1.0, 0.3), Cut())
+    tracemalloc.start()
+    kept = sum(array.nbytes for array in mesh.blocks)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(mesh.cut_quads) > 0.5 * mesh.quads.size
+    assert peak < 1.4 * kept
 
 
 def test_a_cut_quad_never_mixes_surfaces():

@@ -15,7 +15,7 @@ k = 2·corner + {0, 1}. The caps follow: ``8·quads + 2·(width·cap + col)``, t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -32,15 +32,14 @@ from omnisyn_cli.render.quads import (
     DIAGONAL,
     FACES_PER_QUAD,
     LEFT,
-    NO_GAPS,
     QUARTER_DIRECTIONS,
     QUARTER_INVERSE_DEPTHS,
     REMOVED,
     RIGHT,
     TOP,
     QuadBlocks,
-    in_blocks,
-    joined_blocks,
+    empty_blocks,
+    put,
 )
 from omnisyn_cli.render.trust import trust_of_quarters
 
@@ -52,6 +51,9 @@ NO_SURFACE = -1e-9
 """Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
 
 _TINY = 1e-12
+
+SOME = 1 << 12
+"""Cut quads of which pieces are made at a time."""
 
 
 @dataclass(frozen=True)
@@ -116,30 +118,24 @@ class Mesh:
         directions: np.ndarray = pixel_to_direction(*np.divmod(vertices, self.size[1]), self.size)
         return directions
 
-    def piece_directions(self) -> Float[np.ndarray, "pieces 4 3"]:
-        """Of the points of pieces, which have points of their own: quarters of cut quads, then both caps.
-
-        The triangles of caps are quads with two points at the pole. Every piece is split from its first point to its
-        fourth.
-        """
-        corners = self.directions_of(self.vertices_of(self.cut_quads))
-        quarters = np.einsum("qpc,ncx->nqpx", QUARTER_DIRECTIONS, corners)
-        rings = self.directions_of(np.arange(self.inverse_depth.size).reshape(self.size)[[0, -1]])
-        caps = _around_poles(np.broadcast_to(np.stack([UP, -UP])[:, None], rings.shape), rings, np.roll(rings, -1, 1))
-        return np.concatenate([quarters.reshape(-1, 4, 3), *caps])
-
     def piece_inverse_depths(self, vertices: Float[Array, "height width"]) -> Float[Array, "pieces 4"]:
-        """Of the same points, from those of the vertices: of numpy, or of torch with gradients.
+        """Of the points of pieces, from those of the vertices: of numpy, or of torch with gradients.
 
-        A piece with a negative one is not drawn. The caps are a smooth fan where the ring around the pole is whole, and
-        flat wedges, each as far as the farther of its vertices, where it is cut.
+        Pieces have points of their own: quarters of cut quads, then both caps, whose triangles are quads with two
+        points at the pole. A piece with a negative inverse depth is not drawn.
         """
+        return array_namespace(vertices).concat([self._quarters(vertices, self.cut_quads), *self._caps(vertices)])
+
+    def _quarters(self, vertices: Float[Array, "height width"], quads: Integer[np.ndarray, " quads"]) -> Array:
         xp = array_namespace(vertices)
-        weights = QUARTER_INVERSE_DEPTHS[self.quads.ravel()[self.cut_quads] & CUT_EDGES]
+        weights = QUARTER_INVERSE_DEPTHS[self.quads.ravel()[quads] & CUT_EDGES]
         weights = xp.asarray(weights, dtype=vertices.dtype, device=device(vertices))
-        corners = xp.reshape(vertices, (-1,))[self.vertices_of(self.cut_quads)]
-        quarters = xp.reshape(xp.matmul(weights, corners[:, None, :, None]), (-1, 4))
-        caps: list[tuple[Array, Array, Array]] = []
+        corners = xp.reshape(vertices, (-1,))[self.vertices_of(quads)]
+        return xp.reshape(xp.matmul(weights, corners[:, None, :, None]), (-1, 4))
+
+    def _caps(self, vertices: Float[Array, "height width"]) -> list[Array]:
+        """Smooth fans where the ring around the pole is whole, else flat wedges, each as far as its farther vertex."""
+        xp, caps = array_namespace(vertices), []
         for row, edge in ((0, TOP), (-1, BOTTOM)):
             ring, following = vertices[row], xp.roll(vertices[row], -1)
             ordered, middle = xp.sort(ring), self.size[1] // 2
@@ -147,29 +143,42 @@ class Mesh:
             if (self.quads[row] & edge).any():
                 ring = following = pole = xp.minimum(ring, following)
             caps.append((pole, ring, following))
-        return xp.concat([quarters, *_around_poles(*zip(*caps, strict=True))])
+        return _around_poles(*zip(*caps, strict=True))
+
+    def pieces(self) -> Iterator[Float[np.ndarray, "pieces 4 4"]]:
+        """Directions and inverse depths of their points, some pieces at a time; the last are the caps.
+
+        Every piece is split from its first point to its fourth.
+        """
+        for quads in np.split(self.cut_quads, range(SOME, len(self.cut_quads), SOME)):
+            corners = self.directions_of(self.vertices_of(quads))
+            directions = np.einsum("qpc,ncx->nqpx", QUARTER_DIRECTIONS, corners).reshape(-1, 4, 3)
+            yield _with_depths(directions, self._quarters(self.inverse_depth, quads))
+        rings = self.directions_of(np.arange(self.inverse_depth.size).reshape(self.size)[[0, -1]])
+        caps = _around_poles(np.broadcast_to(np.stack([UP, -UP])[:, None], rings.shape), rings, np.roll(rings, -1, 1))
+        yield _with_depths(np.concatenate(caps), np.concatenate(self._caps(self.inverse_depth)))
 
     @cached_property
     def blocks(self) -> QuadBlocks:
         """What is drawn, for :mod:`omnisyn_cli.render.rasterize`: rows of whole quads, then pieces."""
         (height, width), across = self.size, -(-self.size[1] // BLOCK)
-        grid = np.empty((4, height, width + 1), np.float32)  # the first column comes again at the end
+        count, shared = 4 * len(self.cut_quads) + 2 * width, height * (width + 1)
+        blocks = empty_blocks(count, shared, (height - 1) * across)
+        grid = blocks.points[:, :shared].reshape(4, height, width + 1)  # the first column comes again at the end
         for row, vertices in enumerate(np.arange(height * width).reshape(height, width)):
             grid[:3, row, :width] = self.directions_of(vertices).T
         grid[3, :, :width] = self.inverse_depth
         grid[..., width] = grid[..., 0]
         begin = ((width + 1) * np.arange(height - 1)[:, None] + BLOCK * np.arange(across)).reshape(-1, 1)
-        codes = np.full((height - 1, across * BLOCK), REMOVED, np.uint8)
+        blocks.corners[: len(begin)] = begin + np.array([0, 1, width + 1, width + 2])
+        codes = blocks.codes[: len(begin)].reshape(height - 1, -1)
         codes[:, :width] = np.where(self.is_whole, self.quads & DIAGONAL, REMOVED)
-        corners = begin + np.array([0, 1, width + 1, width + 2])
-        whole = QuadBlocks(grid.reshape(4, -1), corners, codes.reshape(-1, BLOCK), NO_GAPS)
-        return joined_blocks(whole, in_blocks(*self.pieces(np.float32)))
-
-    def pieces(self, dtype: type = np.float64) -> tuple[Float[np.ndarray, "pieces 4 4"], UInt8[np.ndarray, " pieces"]]:
-        """Directions and inverse depths of their points, and codes."""
-        depths = self.piece_inverse_depths(self.inverse_depth)
-        codes = np.where((depths < 0).any(axis=-1), np.uint8(REMOVED), np.uint8(0))
-        return np.concatenate([self.piece_directions(), depths[..., None]], axis=-1, dtype=dtype), codes
+        first = 0
+        for points in self.pieces():
+            is_drawn = (points[..., 3] >= 0).all(axis=-1)
+            put(blocks, len(begin), first, points, np.where(is_drawn, np.uint8(0), np.uint8(REMOVED)))
+            first += len(points)
+        return blocks
 
     def piece_numbers(self) -> Integer[np.ndarray, " pieces"]:
         """Half of the number of the first face of each."""
@@ -191,8 +200,8 @@ class Mesh:
         corner = self.vertices_of(whole)
         rising = (self.quads.ravel()[whole] & DIAGONAL) != 0
         corner[rising] = corner[rising][:, [1, 3, 0, 2]]  # a quarter turn: split from first to fourth as well
-        points, codes = self.pieces()
-        drawn = np.flatnonzero(codes != REMOVED)
+        points = np.concatenate(list(self.pieces()))
+        drawn = np.flatnonzero((points[..., 3] >= 0).all(axis=-1))
         corner = np.concatenate([corner, self.inverse_depth.size + 4 * drawn[:, None] + np.arange(4)])
         number = np.concatenate([4 * whole, self.piece_numbers()[drawn]])
         order = np.argsort(number, kind="stable")
@@ -209,6 +218,10 @@ class Mesh:
         corner = surface.corner[:, TRIANGLES].reshape(-1, 3)
         kept = (face < FACES_PER_QUAD * self.quads.size) | (face % 2 == 0)  # caps have one
         return Triangles(face[kept], surface.direction[corner[kept]], surface.inverse_depth[corner[kept]])
+
+
+def _with_depths(directions: np.ndarray, inverse_depths: np.ndarray) -> Float[np.ndarray, "pieces 4 4"]:
+    return np.concatenate([directions, inverse_depths[..., None]], axis=-1)
 
 
 def _around_poles(poles: Iterable[Array], rings: Iterable[Array], following: Iterable[Array]) -> list[Array]:

@@ -89,30 +89,31 @@ class QuadBlocks(NamedTuple):
 NO_GAPS = np.empty(0, np.float32)
 
 
-def in_blocks(
+def empty_blocks(count: int, shared_points: int = 0, shared_blocks: int = 0) -> QuadBlocks:
+    """Room for quads with points of their own, behind points and blocks that the caller fills; nothing is drawn yet."""
+    blocks = -(-count // BLOCK)
+    corners = np.empty((shared_blocks + blocks, 4), np.int64)
+    corners[shared_blocks:] = shared_points + BLOCK * np.arange(4 * blocks).reshape(blocks, 4)
+    codes = np.full((len(corners), BLOCK), REMOVED, np.uint8)
+    return QuadBlocks(np.zeros((4, shared_points + 4 * BLOCK * blocks), np.float32), corners, codes, NO_GAPS)
+
+
+def put(
+    blocks: QuadBlocks, shared_blocks: int, first: int,
     points: Float[np.ndarray, "quads 4 4"], codes: UInt8[np.ndarray, " quads"],
-    gaps: Float[np.ndarray, " quads"] | None = None,
-) -> QuadBlocks:  # fmt: skip
-    """Quads with points of their own, four numbers for each of the four corners, in the same order."""
-    count, blocks = len(codes), -(-len(codes) // BLOCK)
-
-    def filled(values: np.ndarray, dtype: type, filling: int = 0) -> np.ndarray:
-        out = np.full((blocks * BLOCK, *values.shape[1:]), filling, dtype)
-        out[:count] = values
-        return out.reshape(blocks, BLOCK, *values.shape[1:])
-
-    corners = BLOCK * np.arange(4 * blocks, dtype=np.int64).reshape(blocks, 4)
-    flat = np.ascontiguousarray(filled(points, np.float32).transpose(3, 0, 2, 1)).reshape(4, -1)
-    return QuadBlocks(
-        flat, corners, filled(codes, np.uint8, REMOVED), NO_GAPS if gaps is None else filled(gaps, np.float32).ravel()
-    )
+) -> None:  # fmt: skip
+    """Write quads, from the ``first`` of those with points of their own on: four numbers for each of four corners."""
+    block, place = np.divmod(first + np.arange(len(codes)), BLOCK)
+    count = len(blocks.codes) - shared_blocks
+    own = blocks.points[:, blocks.points.shape[1] - 4 * BLOCK * count :].reshape(4, count, 4, BLOCK)
+    own[:, block, :, place] = points.transpose(0, 2, 1)
+    blocks.codes[shared_blocks + block, place] = codes
 
 
-def joined_blocks(first: QuadBlocks, second: QuadBlocks) -> QuadBlocks:
-    """The blocks of two lists without gaps."""
-    return QuadBlocks(
-        np.concatenate([first.points, second.points], axis=1),
-        np.concatenate([first.corners, second.corners + first.points.shape[1]]),
-        np.concatenate([first.codes, second.codes]),
-        NO_GAPS,
-    )
+def in_blocks(
+    points: Float[np.ndarray, "quads 4 4"], codes: UInt8[np.ndarray, " quads"], gaps: Float[np.ndarray, " quads"]
+) -> QuadBlocks:
+    """Quads with points of their own, and by how much their edges reach outwards."""
+    blocks = empty_blocks(len(codes))
+    put(blocks, 0, 0, points, codes)
+    return blocks._replace(gaps=np.append(gaps, np.zeros(blocks.codes.size - len(gaps))).astype(np.float32))

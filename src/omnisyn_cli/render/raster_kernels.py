@@ -11,7 +11,7 @@ from omnisyn_cli.render.box_kernels import FIRST_ROW, LAST_ROW, MOST_POINTS, fin
 from omnisyn_cli.render.draw_kernels import draw_quads
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, plan_quads
 from omnisyn_cli.render.quads import BLOCK
-from omnisyn_cli.runtime.jit import kernel
+from omnisyn_cli.runtime.jit import fast_kernel, kernel
 
 NOTHING = -1
 """Face number of pixels that see no surface."""
@@ -24,8 +24,16 @@ def find_block_rows(quads, pose, target, rows, begin, end):
     for k in range(begin, end):
         corners = place_block(quads, k, pose, target.scale, block)
         find_boxes(block, corners, quads.gaps[BLOCK * k : BLOCK * (k + 1)], target.rows[0], target.height, target.width)
-        rows[k, 0] = np.int32(block[FIRST_ROW, :BLOCK].min())
-        rows[k, 1] = np.int32(block[LAST_ROW, :BLOCK].max())
+        rows[k, 0], rows[k, 1] = _range(block[FIRST_ROW], block[LAST_ROW])
+
+
+@fast_kernel()
+def _range(first, last):
+    """The smallest and the largest of the rows of a block's quads: a loop of vectors, which numpy's is not."""
+    smallest, largest = first[0], last[0]
+    for k in range(1, BLOCK):
+        smallest, largest = min(smallest, first[k]), max(largest, last[k])
+    return np.int32(smallest), np.int32(largest)
 
 
 @kernel()

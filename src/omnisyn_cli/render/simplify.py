@@ -154,7 +154,7 @@ def _rectangles(
 
 def _pieces(mesh: Mesh, marks: np.ndarray) -> list[Part]:
     """What is left of cut quads: halves of those cut straight across, quarters of the others; and the caps."""
-    points, count = mesh.pieces(np.float32)[0], 4 * len(mesh.cut_quads)
+    points, count = np.concatenate(list(mesh.pieces()), dtype=np.float32), 4 * len(mesh.cut_quads)
     is_apart = marks.ravel()[mesh.cut_quads] == APART
     kind = mesh.quads.ravel()[mesh.cut_quads] & CUT_EDGES
     quarters = points[:count].reshape(-1, 16, 4)
