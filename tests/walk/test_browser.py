@@ -306,3 +306,16 @@ def test_the_hint_fits_a_phone_and_goes_with_escape(walk: WalkPage) -> None:
         walk.page.keyboard.press("Escape")
         assert not walk.page.is_visible("#hint")
         assert walk.page.get_attribute("#help", "aria-expanded") == "false"
+
+
+def test_keys_tilt_zoom_and_go_to_the_ends(walk: WalkPage) -> None:
+    fov = walk.walker("fov")
+    walk.page.keyboard.press("Shift+ArrowUp")
+    walk.page.keyboard.press("+")
+    assert walk.walker("pitch") > 0.01
+    assert walk.walker("fov") < fov
+    assert walk.walker("s") == 0
+    walk.page.keyboard.press("End")
+    walk.until("omnisyn.page.walker.s === 4")
+    walk.page.keyboard.press("?")
+    assert walk.page.is_visible("#hint")

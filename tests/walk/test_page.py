@@ -161,3 +161,10 @@ def test_panoramas_at_one_place_make_a_walk(tmp_path: Path) -> None:
 
 def test_tiny_panoramas_make_a_walk(tmp_path: Path) -> None:
     made(tmp_path, write_hall(tmp_path, CHAIN[:2], size=(4, 8)))
+
+
+def test_rings_lie_on_the_ground_below(tmp_path: Path) -> None:
+    """A ball of four metres: two and a half above its lowest point that is the height, however the camera was held."""
+    images = write_hall(tmp_path, [posed((0, -1.5, 0), pitch=1.2), posed((0.3, -1.5, 0), roll=-1.0)])
+    heights = [panorama["eyeHeight"] for panorama in manifest_of(made(tmp_path, images).read_text())["panoramas"]]
+    np.testing.assert_allclose(heights, 2.45, atol=0.15)

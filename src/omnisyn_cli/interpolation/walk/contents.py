@@ -10,6 +10,7 @@ from omnisyn_cli.fusion.confidence import LEAST_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.matching import CLIPPING, MOST_LOSS
 from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendOptions
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
 from omnisyn_cli.interpolation.walk.packing import (
@@ -23,6 +24,13 @@ from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.types import BELIEF, UNSEEN
+
+UP_AXIS = 1
+
+STEEP = 0.8
+"""Cosine of the angle from straight down up to which ground is looked for."""
+
+USUAL_HEIGHT = 1.5
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
@@ -110,6 +118,7 @@ class WalkPacker:
             mask = self.blocks.add_map(packed_mask(view.mask, width))
         return {
             "name": self._plan.job.images[surface.index].name,
+            "eyeHeight": _eye_height(surface),
             "position": view.pose.position.tolist(),
             "rotation": view.pose.rotation.ravel().tolist(),
             "photo": {"block": self.blocks.add(content), **kind},
@@ -128,6 +137,14 @@ class WalkPacker:
             "quads": self.blocks.add_map(mesh.quads),
             "trust": None if trust is None else self.blocks.add_map(trust),
         }
+
+
+def _eye_height(surface: PanoramaSurface) -> float:
+    """Metres above the ground that lies below a panorama; 1.5 where nothing is known of it."""
+    rho, confidence = surface.mesh.inverse_depth, surface.depth.confidence
+    down = -(pixel_directions(*surface.mesh.size) @ surface.view.pose.rotation[UP_AXIS])
+    is_known = (down > STEEP) & (rho > 0.0) & (confidence > 0.0)
+    return float(np.median(down[is_known] / rho[is_known])) if is_known.any() else USUAL_HEIGHT
 
 
 def _poles(mesh: Mesh) -> list[float | None]:

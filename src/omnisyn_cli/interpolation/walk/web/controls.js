@@ -5,6 +5,8 @@ const KEYS = {
   KeyA: [-1, 0, 0], KeyD: [1, 0, 0], PageUp: [0, 1, 0], KeyE: [0, 1, 0], PageDown: [0, -1, 0], KeyQ: [0, -1, 0],
 };
 const TURNS = { ArrowLeft: -1, ArrowRight: 1 };
+const TILTS = { ArrowUp: 1, ArrowDown: -1 }; // with the shift key
+const ZOOMS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 const TURNING = 1.2; // radians a second
 
 class Controls {
@@ -70,8 +72,9 @@ class Controls {
   key(event, isDown) {
     if (!isDown) this.held.delete(event.code); // wherever and with whatever it is let go
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLInputElement) return;
-    if (!(event.code in KEYS) && !(event.code in TURNS)) return;
+    if (![KEYS, TURNS, ZOOMS].some((keys) => event.code in keys)) return;
     event.preventDefault();
+    this.isShifted = event.shiftKey;
     if (!isDown) return;
     this.held.add(event.code);
     this.interrupt();
@@ -90,7 +93,9 @@ class Controls {
   }
 
   follow(code, seconds) {
-    if (code in TURNS) this.walker.turn(TURNS[code] * TURNING * seconds, 0);
+    if (code in ZOOMS) this.walker.zoom(Math.exp(ZOOMS[code] * seconds));
+    else if (code in TURNS) this.walker.turn(TURNS[code] * TURNING * seconds, 0);
+    else if (this.isShifted && code in TILTS) this.walker.turn(0, TILTS[code] * TURNING * seconds);
     else this.walker.step(...KEYS[code].map((part) => part * SPEED * seconds));
   }
 }

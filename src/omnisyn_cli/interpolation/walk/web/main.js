@@ -72,6 +72,15 @@ class Page {
     window.addEventListener('keydown', (event) => event.key === 'Escape' && showHint(false));
     Headset.isThere().then((isThere) => { $('headset').hidden = !(isThere && this.renderer); });
     $('headset').addEventListener('click', () => this.headset.enter(() => this.change()));
+    document.addEventListener('fullscreenchange', () => {
+      $('whole').setAttribute('aria-label', document.fullscreenElement ? 'Leave full screen' : 'Full screen');
+    });
+    window.addEventListener('keydown', (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLInputElement) return;
+      if (event.key === 'Home' || event.key === 'End') this.goTo(event.key === 'Home' ? 0 : world.last);
+      else if (event.key === '?') $('help').click();
+      else if (event.key === 'f') $('whole').click();
+    });
     window.addEventListener('keydown', (event) => {
       if (event.code !== 'Space' || event.target instanceof HTMLButtonElement) return;
       event.preventDefault();
@@ -175,7 +184,7 @@ class Page {
   frame(time) {
     this.isWaiting = false;
     if (this.walker.hasMoved) document.body.dataset.moved = '';
-    const seconds = this.before === null ? 0 : Math.min((time - this.before) / 1000, 0.1);
+    const seconds = this.before === null ? 0 : Math.min((time - this.before) / 1000, 0.5);
     const keys = this.controls.advance(seconds), isMoving = this.walker.advance(seconds) || keys;
     this.before = isMoving || this.controls.held.size ? time : null;
     this.draw();
@@ -234,7 +243,7 @@ class Page {
     const { walker, world } = this;
     const from = minus(world.panoramas[index].position, walker.position);
     const away = Math.hypot(from[0], from[2]);
-    const seen = unrotated(walker.rotation, [from[0], from[1] - Math.min(0.5 * away, 1.2), from[2]]);
+    const seen = unrotated(walker.rotation, [from[0], from[1] - world.panoramas[index].eyeHeight, from[2]]);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     const lens = lensOf(walker.fov, [width, height]);
     const [x, y] = [lens[0] * seen[0] / -seen[2], lens[1] * seen[1] / -seen[2]];

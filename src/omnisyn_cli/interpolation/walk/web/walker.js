@@ -40,6 +40,7 @@ class Walker {
   }
 
   zoom(factor) {
+    this.hasMoved = true;
     this.fov = clamp(this.fov * factor, FIELD.least, FIELD.most);
   }
 
