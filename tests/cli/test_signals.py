@@ -23,7 +23,10 @@ from omnisyn_cli.errors import WriteError
 from omnisyn_cli.io.background import BackgroundSink
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signals there")
+pytestmark = [
+    pytest.mark.skipif(sys.platform == "win32", reason="no such signals there"),
+    pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),  # torn out between `open` and its `with`
+]
 
 LONG = 60.0
 """Seconds that something waits which a signal shall break off."""
