@@ -238,12 +238,12 @@ class Page {
     this.stops.forEach((stop, index) => this.placeStop(stop, index));
   }
 
-  // On the ground below where the panorama was taken, as far as it is in front.
+  // On the ground below where the panorama was taken, if that is in front; nearer ones no lower than one looks.
   placeStop(stop, index) {
     const { walker, world } = this;
     const from = minus(world.panoramas[index].position, walker.position);
     const away = Math.hypot(from[0], from[2]);
-    const seen = unrotated(walker.rotation, [from[0], from[1] - world.panoramas[index].eyeHeight, from[2]]);
+    const seen = unrotated(walker.rotation, [from[0], Math.max(from[1] - world.panoramas[index].eyeHeight, -0.6 * away), from[2]]);
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
     const lens = lensOf(walker.fov, [width, height]);
     const [x, y] = [lens[0] * seen[0] / -seen[2], lens[1] * seen[1] / -seen[2]];
