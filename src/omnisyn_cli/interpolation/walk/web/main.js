@@ -222,6 +222,7 @@ class Page {
     renderer.draw(eye, scene, { viewport: [0, 0, ...size], unknown: walker.strangeness });
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits, so that it can be timed
     this.milliseconds = performance.now() - begin;
+    this.firstPicture ??= performance.now();
     const better = Math.sqrt(SLOW / 2 / Math.max(this.milliseconds, 1));
     this.share = clamp(this.milliseconds > SLOW || this.share < 1 ? this.share * clamp(better, 0.7, 1.1) : 1, 0.35, 1);
   }
@@ -250,7 +251,7 @@ class Page {
     const isNeighbour = Math.abs(index - walker.s) <= 1.001 && Math.abs(index - walker.s) > 0.02;
     stop.hidden = !isNeighbour || seen[2] >= 0 || away < 0.05 || Math.abs(x) > 1 || Math.abs(y) > 1;
     if (stop.hidden) return;
-    stop.style.transform = `translate(${(x + 1) * width / 2}px, ${(1 - y) * height / 2}px) scale(${clamp(2.5 / away, 0.5, 1.6)})`;
+    stop.style.transform = `translate(${(x + 1) * width / 2}px, ${(1 - y) * height / 2}px) scale(${clamp(2.5 / away, 0.5, 1.2)})`;
   }
 
   // What is seen from a pose, for tests and for other programs: see docs/view.md.
