@@ -185,9 +185,8 @@ def test_a_ring_leads_to_its_panorama_where_the_way_turns_back(opened: Any, tmp_
 def test_the_slider_and_its_words_say_where_one_is(walk: WalkPage) -> None:
     walk.page.fill("#place", "2.5")
     walk.until("omnisyn.page.walker.s === 2.5")
-    walk.page.wait_for_timeout(100)
-    said = walk.page.get_attribute("#place", "aria-valuetext")
-    assert said == "50 % of the way from p2.png to p3.png"
+    words = "50 % of the way from p2.png to p3.png"
+    walk.until(f"document.getElementById('place').getAttribute('aria-valuetext') === '{words}'")
 
 
 def test_the_address_leads_back_to_the_place(opened: Any, tour: Path) -> None:
