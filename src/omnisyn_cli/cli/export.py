@@ -9,20 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.options import (
-    cut_options,
-    depth_options,
-    device_option,
+    check_one_cut,
     json_option,
-    masks_option,
-    nadir_option,
-    outside_option,
     poses_options,
-    preset_option,
     print_json,
     print_plan,
     quiet_option,
-    size_options,
-    threads_option,
+    surface_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
@@ -61,15 +54,7 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
     "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0, show_default=True,
     help="Radius of the sphere around each panorama on which everything lies that is farther.",
 )  # fmt: skip
-@preset_option
-@depth_options
-@cut_options
-@masks_option
-@nadir_option
-@device_option("Where networks run; auto takes a GPU if ONNX Runtime has one.")
-@threads_option
-@size_options
-@outside_option
+@surface_options
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of its names.")
 @click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
 @json_option("the summary")
@@ -95,8 +80,7 @@ def export(
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.recipes import check_device
 
-    if options["cut"] is not None and options["cut_metres"] is not None:
-        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
+    check_one_cut(options)
     tour = InterpolationJob(output=output, nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **options)
     plan = plan_export(ExportJob(tour, format, texture, stride, sky, dome))
     if not quiet:

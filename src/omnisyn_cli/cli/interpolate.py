@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.options import (
+    check_one_cut,
     cut_options,
     depth_options,
     device_option,
@@ -147,8 +148,7 @@ def interpolate(
     from omnisyn_cli.interpolation.plan import plan_interpolation
     from omnisyn_cli.interpolation.recipes import check_device
 
-    if options["cut"] is not None and options["cut_metres"] is not None:
-        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
+    check_one_cut(options)
     if budget is not None:
         _check_budget_decides(options["method"])
     plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **options))

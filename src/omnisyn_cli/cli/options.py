@@ -1,6 +1,6 @@
 """Options that several commands have, and how they say and print what there is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
 
@@ -108,6 +108,20 @@ preset_option = click.option(
     help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in SCALE.values()) + ". Beside "
     "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
 )  # fmt: skip
+
+
+surface_options = all_of(
+    preset_option, depth_options, cut_options, masks_option, nadir_option,
+    device_option("Where networks run; auto takes a GPU if ONNX Runtime has one."), threads_option, size_options,
+    outside_option,
+)  # fmt: skip
+"""How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""
+
+
+def check_one_cut(options: Mapping[str, Any]) -> None:
+    """Refuse both of :data:`cut_options`."""
+    if options["cut"] is not None and options["cut_metres"] is not None:
+        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
 
 
 def print_json(values: Any) -> None:

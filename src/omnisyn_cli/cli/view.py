@@ -7,20 +7,13 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.options import (
-    cut_options,
-    depth_options,
-    device_option,
+    check_one_cut,
     json_option,
-    masks_option,
-    nadir_option,
-    outside_option,
     poses_options,
-    preset_option,
     print_json,
     print_plan,
     quiet_option,
-    size_options,
-    threads_option,
+    surface_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
@@ -41,19 +34,11 @@ from omnisyn_cli.synthesis.recipe import FALLBACKS
 )
 @click.option("--serve", is_flag=True, help="Serve the folder to browsers on this machine until Ctrl-C.")
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
-@preset_option
-@depth_options
-@cut_options
-@masks_option
-@nadir_option
+@surface_options
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
     help="Where confidence is low: warn only, cross-fade the photographs of that pair, or give up.",
 )  # fmt: skip
-@device_option("Where networks run; auto takes a GPU if ONNX Runtime has one.")
-@threads_option
-@size_options
-@outside_option
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of its names.")
 @click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
 @json_option("the summary")
@@ -79,8 +64,7 @@ def view(
     from omnisyn_cli.interpolation.recipes import check_device
     from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk
 
-    if options["cut"] is not None and options["cut_metres"] is not None:
-        raise click.UsageError("expected --cut or --cut-metres, got both; leave one of them out")
+    check_one_cut(options)
     if serve and not folder:
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
     tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **options)
