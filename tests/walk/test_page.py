@@ -16,6 +16,7 @@ from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk, served
 from omnisyn_cli.interpolation.walk import run as walk_run
 from omnisyn_cli.interpolation.walk.contents import _gains
+from omnisyn_cli.io import write_image
 from synthesis_samples import posed, write_hall
 
 
@@ -168,3 +169,17 @@ def test_rings_lie_on_the_ground_below(tmp_path: Path) -> None:
     images = write_hall(tmp_path, [posed((0, -1.5, 0), pitch=1.2), posed((0.3, -1.5, 0), roll=-1.0)])
     heights = [panorama["eyeHeight"] for panorama in manifest_of(made(tmp_path, images).read_text())["panoramas"]]
     np.testing.assert_allclose(heights, 2.45, atol=0.15)
+
+
+@pytest.mark.parametrize("fallback", ["fail", "crossfade", "none"])
+def test_a_doubtful_pair_is_given_up_or_faded_if_that_is_asked_for(tmp_path: Path, fallback: str) -> None:
+    """Two pictures that show different places: their depth files say nothing true of the other one."""
+    images = write_hall(tmp_path, CHAIN[:2])
+    write_image(images[1], np.random.default_rng(0).integers(0, 256, (64, 128, 3), np.uint8))
+    if fallback == "fail":
+        with pytest.raises(InputError, match="confidence"):
+            made(tmp_path, images, fallback=fallback)
+        assert not (tmp_path / "walk.html").exists()
+        return
+    (pair,) = manifest_of(made(tmp_path, images, fallback=fallback).read_text())["pairs"]
+    assert pair["isCrossFade"] == (fallback == "crossfade")

@@ -10,13 +10,12 @@ from contextlib import ExitStack, contextmanager, nullcontext
 import numpy as np
 from jaxtyping import Shaped
 
-from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
+from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, targets
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import InterpolationPlan
-from omnisyn_cli.interpolation.summary import Summary, warning_about
+from omnisyn_cli.interpolation.summary import Summary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import pair_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
 from omnisyn_cli.interpolation.walk.page import write_page
@@ -171,8 +170,7 @@ class _PairKeeper:
         self.pairs[index] = confidence = pair.segment.check.confidence
         if pair.segment.triangles is not None:
             self.triangles[index] = pair.segment.triangles
-        if self._plan.recipe.fallback == "fail" and confidence.score < LEAST_SCORE:
-            raise InputError(warning_about(self._plan, index, confidence))
+        refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.segment.check)
         for view in (index, index + 1):
             self._loader.forget_numbers(view)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.synthesis.recipe import OMNISYN
@@ -61,6 +62,12 @@ FADE = "show a cross-fade there (--fallback crossfade)"
 def warnings_about(plan: TourPlan, pairs: Mapping[int, PairConfidence], advice: str = FADE) -> list[str]:
     """A line for every pair, by the index of its first panorama, that scores too low to be relied on."""
     return [warning_about(plan, index, pair, advice) for index, pair in pairs.items() if pair.score < LEAST_SCORE]
+
+
+def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
+    """Give up (InputError) on a pair that cannot be relied on, if that is what the plan wants then."""
+    if plan.recipe.fallback == "fail" and pair.score < LEAST_SCORE:
+        raise InputError(warning_about(plan, index, pair))
 
 
 def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str = FADE) -> str:

@@ -10,7 +10,7 @@ from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
-from omnisyn_cli.interpolation.summary import warnings_about
+from omnisyn_cli.interpolation.summary import refuse_doubtful, warnings_about
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
 from omnisyn_cli.interpolation.walk.page import MOST_BYTES, write_folder, write_page
@@ -115,16 +115,18 @@ def run_walk(
         estimator: finds depth in place of what the plan asks for.
 
     Raises:
-        InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
+        InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
+            doubtful and the fallback is to give up.
         OutputPathError: the walk is too large for one file.
         WriteError: the disk is full.
     """
     begin, clock = time.perf_counter(), Stopwatch()
     packer, scores = WalkPacker(plan.tour, plan.job.options), {}
     for done, pair in enumerate(tour_surfaces(plan.tour, estimator=estimator, clock=clock), start=1):
+        scores[pair.index] = confidence = pair.check.confidence
+        refuse_doubtful(plan.tour, pair.index, confidence)
         with clock("pack"):
             packer.add(pair)
-        scores[pair.index] = pair.check.confidence
         if not plan.job.is_folder:
             _check_size(plan, packer)
         if on_pair:
