@@ -194,7 +194,7 @@ def test_depth_of_some_panoramas_only_is_said_not_to_be_used(tmp_path: Path) -> 
 
 def test_depth_beside_a_model_is_said_not_to_be_used(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
-    (note,) = plan_interpolation(job_of(tmp_path, images, model="refine-balanced")).notes
+    (note,) = plan_interpolation(job_of(tmp_path, images, model="completion-balanced")).notes
     assert "unused with --model" in note
 
 

@@ -149,7 +149,7 @@ def test_only_what_changed_is_done_again(tmp_path: Path, change: Callable[[Path]
     assert len(list((tmp_path / "out" / "1-2").iterdir())) == 3
 
 
-NETWORKS = {"refine-balanced": "refine", "fusion-residual": "fusion"}
+NETWORKS = {"completion-balanced": "completion", "fusion-residual": "fusion"}
 
 
 def install(folder: Path, **contents: str) -> None:
@@ -187,7 +187,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         (lambda folder: install(folder), []),
         (lambda folder: os.utime(folder / "manifest.toml", ns=(1, 1)), []),
-        (lambda folder: install(folder, refine="second"), ["preset"]),
+        (lambda folder: install(folder, completion="second"), ["preset"]),
         (lambda folder: install(folder, fusion="second"), ["fusion"]),
         (lambda folder: (folder.parent / "mine.onnx").write_text("other"), ["mine"]),
         (lambda folder: os.utime(folder.parent / "mine.onnx", ns=(1, 1)), []),
@@ -239,12 +239,12 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(
             for job in jobs:
                 work(job)
         mine = jobs[2].options["model"]
-        assert loaded == ["refine-balanced", mine]
-        install(installed, refine="second")
+        assert loaded == ["completion-balanced", mine]
+        install(installed, completion="second")
         (tmp_path / "mine.onnx").write_text("other")
         for job in jobs:
             work(job)
-    assert loaded == ["refine-balanced", mine] * 2
+    assert loaded == ["completion-balanced", mine] * 2
 
 
 def test_masks_are_the_manifests_and_changing_one_does_the_job_again(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """What ONNX Runtime's options are worth: ``python tests/benchmarks/bench_session.py [ROUNDS]``.
 
-``models/refine-balanced.onnx`` on both evidence inputs of a pair of a generated room, 512×256 pixels each: levels of
-graph optimisation, threads that sleep instead of spinning, memory that is not kept, both directions in one batch,
+``models/completion-balanced.onnx`` on both evidence inputs of a pair of a generated room, 512×256 pixels each: levels
+of graph optimisation, threads that sleep instead of spinning, memory that is not kept, both directions in one batch,
 weights in NHWC order, and eight-bit convolutions calibrated on another pair. Computing time of the whole process (its
 waiting threads included), all variants in turn, the best of the rounds counts; what the answers differ by is
 the mean absolute difference of inverse depth × baseline, against ONNX Runtime's default.
@@ -118,7 +118,7 @@ def main() -> None:
     rounds = int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS
     given = inputs(101)
     with tempfile.TemporaryDirectory() as folder:
-        runs = variants(find_model("refine-balanced"), Path(folder))
+        runs = variants(find_model("completion-balanced"), Path(folder))
         best = {name: (float("inf"), float("inf")) for name in runs}
         answers: dict[str, list[np.ndarray]] = {}
         for number in range(rounds + 1):

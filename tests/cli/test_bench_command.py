@@ -160,7 +160,7 @@ def test_depth_from_files_leaves_nothing_to_choose(capsys: pytest.CaptureFixture
         (["--preset", "fast"], 2, "expected --preset or --budget"),
         (["--renderer", "points"], 3, "expected the renderer 'mesh' with a budget"),
         (["--depth", "matching"], 3, "expected the depth 'auto' with a budget, got 'matching'"),
-        (["--depth", "refined", "--model", "refine-balanced"], 3, "expected no model with a budget"),
+        (["--depth", "refined", "--model", "completion-balanced"], 3, "expected no model with a budget"),
         (["--fusion", "network"], 3, "expected the fusion 'auto' with a budget, got 'network'"),
     ],
 )

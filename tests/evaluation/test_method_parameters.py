@@ -81,7 +81,7 @@ def test_with_nothing_learned_in_it_the_product_needs_no_network(
     assert np.isfinite(plain).all()
     assert plain.std() > 0.05
     assert find_method("omnisyn-fast:model=none:fusion=geometric").recipe.networks == ()
-    with pytest.raises(MethodUnavailableError, match="refine-balanced"):
+    with pytest.raises(MethodUnavailableError, match="completion-balanced"):
         images("omnisyn-fast", hall)
 
 

@@ -176,7 +176,7 @@ def _poses() -> Target:
 
 
 def small_network(channels: int = 3) -> bytes:
-    """An ONNX file with the inputs and outputs of a refinement network."""
+    """An ONNX file with the inputs and outputs of a completion network."""
     from onnx import TensorProto, helper, numpy_helper
 
     shape = [1, channels, "height", "width"]

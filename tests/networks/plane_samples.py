@@ -2,18 +2,22 @@
 
 import torch
 
-from omnisyn_cli.networks.completion import CompletionConfig, CompletionNetwork, SphereAttention
+from omnisyn_cli.networks.completion import (
+    AGREED_PLANE,
+    SKY_PLANE,
+    CompletionConfig,
+    CompletionNetwork,
+    SphereAttention,
+)
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
-from omnisyn_cli.networks.refine import AGREED_PLANE, SKY_PLANE, RefineConfig, RefineNetwork
 
 FUSION = FusionConfig("tiny", planes=20, widths=(8, 12, 16), fine=6)
 PAINTING = FusionConfig("tiny paper", planes=8, widths=(8, 12, 16, 24), paints=True)
-REFINE = RefineConfig("tiny", planes=19, widths=(8, 12, 16), fine=6)
 COMPLETION = CompletionConfig("tiny", planes=19, widths=(8, 12, 16), fine=6, heads=2, looks=1)
 
 
 def awake(config):
-    builds = {RefineConfig: RefineNetwork, CompletionConfig: CompletionNetwork, FusionConfig: build_fusion}
+    builds = {CompletionConfig: CompletionNetwork, FusionConfig: build_fusion}
     torch.manual_seed(0)
     network = builds[type(config)](config).eval()
     for layer in network.modules():

@@ -4,8 +4,7 @@ import torch
 from plane_samples import COMPLETION, awake, random_planes
 
 from omnisyn_cli.networks import completion
-from omnisyn_cli.networks.completion import CompletionNetwork, SphereAttention
-from omnisyn_cli.networks.refine import FILLED_PLANE
+from omnisyn_cli.networks.completion import FILLED_PLANE, CompletionNetwork, CompletionPrediction, SphereAttention
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +54,24 @@ def test_places_count_by_their_solid_angle():
     area = torch.sin((torch.arange(height) + 0.5) / height * np.pi)[:, None].expand(height, width)
     expected = (values * area).sum((-1, -2)) / area.sum()
     torch.testing.assert_close(seen[0, 0], expected[0], rtol=1e-4, atol=1e-5)
+
+
+def test_inverse_depth_is_never_negative_and_zero_is_reached():
+    zero = torch.zeros((1, 1, 1, 1))
+    answer = CompletionPrediction(torch.full((1, 2, 1, 1), -0.2), zero, zero)
+    assert float(answer.root()) < 0.0
+    assert float(answer.inverse_depth()) == 0.0
+
+
+def test_single_precision_is_enough(network):
+    """float32 against float64, relative to the inverse depth."""
+    given = random_planes()
+    with torch.no_grad():
+        single = network(given)
+        double = CompletionNetwork(COMPLETION).double()
+        double.load_state_dict(network.state_dict())
+        exact = double.eval()(given.double())
+    same_choice = (single.logit > 0) == (exact.logit > 0)
+    assert same_choice.float().mean() > 0.999
+    error = (single.inverse_depth().double() - exact.inverse_depth()).abs()[same_choice]
+    assert np.quantile(error / exact.inverse_depth()[same_choice].clamp(min=1e-3), 0.999) < 1e-3

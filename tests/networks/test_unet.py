@@ -1,39 +1,16 @@
-from pathlib import Path
-
-import numpy as np
 import onnx
-import onnxruntime
 import pytest
 import torch
-from plane_samples import COMPLETION, FUSION, PAINTING, REFINE, answers, awake, random_planes
+from plane_samples import COMPLETION, FUSION, PAINTING, answers, awake, random_planes
 from torch.nn import functional
 
 from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
 from omnisyn_cli.networks.interface import check_multiple
 from omnisyn_cli.networks.layers import LEAK
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
-from omnisyn_cli.training.loop import load_network
-
-MODELS = Path(__file__).parents[2] / "models"
-
-
-@pytest.mark.parametrize("name", ["fusion-residual", "refine-balanced"])
-def test_shipped_checkpoints_say_what_the_shipped_models_say(tmp_path, name):
-    """Loaded strictly, exported again, run by ONNX Runtime: the same answers as those of the file that is shipped."""
-    network, _ = load_network(MODELS / "checkpoints" / f"{name}.pt")
-    export_network(network, tmp_path / "again.onnx")
-    planes = np.random.default_rng(0).random((1, network.config.planes, 64, 128), dtype=np.float32)
-    again, shipped = (
-        onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"]).run(None, {"planes": planes})
-        for path in (tmp_path / "again.onnx", MODELS / f"{name}.onnx")
-    )
-    assert any(np.abs(answer).max() > 0.1 for answer in shipped)
-    for one, other in zip(again, shipped, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-5)
-
 
 every_network = pytest.mark.parametrize(
-    "config", [REFINE, COMPLETION, FUSION, PAINTING], ids=["refine", "completion", "fusion", "painting"]
+    "config", [COMPLETION, FUSION, PAINTING], ids=["completion", "fusion", "painting"]
 )
 
 

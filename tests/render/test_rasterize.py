@@ -9,7 +9,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quads import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments, Rasterizer, rasterize
-from omnisyn_cli.render.reference import rasterize_reference
+from reference_rasterizer import rasterize_reference
 
 
 def assert_equal_to_the_oracle(mesh: Mesh, pose: Pose, size: tuple[int, int], *, clear: float = 0.8) -> None:

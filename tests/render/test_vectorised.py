@@ -10,8 +10,8 @@ from omnisyn_cli.render import quad_kernels
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quads import QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.render.reference import rasterize_reference
 from omnisyn_cli.render.trigonometry import LOG2_ERROR, log2_fast
+from reference_rasterizer import rasterize_reference
 
 
 @pytest.mark.parametrize("width", [1, 3, 4, 7, 8, 9, 15, 16, 17, 33])

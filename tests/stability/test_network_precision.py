@@ -1,4 +1,4 @@
-"""The shipped refinement network in half precision, with weights of bfloat16, and quantised to 8 bits, against float32.
+"""The shipped completion network in half precision, with weights of bfloat16, and quantised to 8 bits, against float32.
 
 What counts is what becomes of the video: WS-PSNR of the middle frame of a room with known truth.
 """
@@ -31,7 +31,7 @@ from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synthesis_samples import ws_psnr
 
-MODEL = "refine-balanced"
+MODEL = "completion-balanced"
 
 SIZE = (128, 256)
 
@@ -88,16 +88,29 @@ def quality(room: Room, path: Path) -> tuple[np.ndarray, float]:
     return refinement(planes(room)[0])[0], ws_psnr(picture, room.truth)
 
 
+def in_single(source: Path) -> onnx.ModelProto:
+    """The model with its weights in float32: shipped files hold halves, which are cast when they are opened."""
+    model = copy.deepcopy(onnx.load(source))
+    casts = {node.input[0]: node for node in model.graph.node if node.op_type == "Cast"}
+    for tensor in model.graph.initializer:
+        if tensor.data_type == TensorProto.FLOAT16:
+            cast = casts[tensor.name]
+            weights = numpy_helper.to_array(tensor).astype(np.float32)
+            tensor.CopyFrom(numpy_helper.from_array(weights, cast.output[0]))
+            model.graph.node.remove(cast)
+    return model
+
+
 def half(source: Path, target: Path, room: Room) -> None:
     """Weights and arithmetic in float16, inputs and outputs in float32."""
     from onnxruntime.transformers.float16 import convert_float_to_float16
 
-    onnx.save(convert_float_to_float16(onnx.load(source), keep_io_types=True), target)
+    onnx.save(convert_float_to_float16(in_single(source), keep_io_types=True), target)
 
 
 def brain_float(source: Path, target: Path, room: Room) -> None:
     """Weights rounded to bfloat16, arithmetic in float32: ONNX Runtime's processor kernels know no other."""
-    model = copy.deepcopy(onnx.load(source))
+    model = in_single(source)
     for tensor in model.graph.initializer:
         if tensor.data_type == TensorProto.FLOAT:
             bits = numpy_helper.to_array(tensor).view(np.uint32).astype(np.uint64)
@@ -118,8 +131,8 @@ def integers(source: Path, target: Path, room: Room) -> None:
             return next(self._rest, None)
 
     quantize_static(
-        source, target, Reader(), quant_format=QuantFormat.QDQ, per_channel=True, weight_type=QuantType.QInt8,
-        activation_type=QuantType.QUInt8, op_types_to_quantize=["Conv"],
+        in_single(source), target, Reader(), quant_format=QuantFormat.QDQ, per_channel=True,
+        weight_type=QuantType.QInt8, activation_type=QuantType.QUInt8, op_types_to_quantize=["Conv"],
     )  # fmt: skip
 
 

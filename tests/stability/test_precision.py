@@ -13,7 +13,7 @@ from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_fro
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.rasterize_torch import rasterize_torch
-from omnisyn_cli.render.reference import rasterize_reference
+from reference_rasterizer import rasterize_reference
 
 TOLERANCE = 1e-5
 """Of inverse depth, relative."""

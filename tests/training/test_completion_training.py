@@ -9,8 +9,13 @@ from training_samples import ball_scene, make_pool
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.networks.completion import CompletionConfig, CompletionPrediction
-from omnisyn_cli.networks.refine import AGREED_PLANE, FILLED_PLANE, SKY_PLANE
+from omnisyn_cli.networks.completion import (
+    AGREED_PLANE,
+    FILLED_PLANE,
+    SKY_PLANE,
+    CompletionConfig,
+    CompletionPrediction,
+)
 from omnisyn_cli.training import completion
 from omnisyn_cli.training.completion import completion_pair, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_pool

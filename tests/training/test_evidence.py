@@ -4,18 +4,16 @@ import torch
 
 from omnisyn_cli.cli import main
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.networks.refine import RefineConfig, RefinePrediction
+from omnisyn_cli.networks.completion import CompletionConfig
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.evidence import PLANES
-from omnisyn_cli.training import evidence_pool
 from omnisyn_cli.training.data import list_pool, load_samples
 from omnisyn_cli.training.evidence_pool import EvidencePair, draw_evidence, make_evidence
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
-from omnisyn_cli.training.losses import refine_loss
 from omnisyn_cli.training.pool import TiltedConfig
 from omnisyn_cli.training.publish import publish
 
-TINY = RefineConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
+TINY = CompletionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6, heads=2, looks=1)
 SIZE = (32, 64)
 
 
@@ -41,19 +39,21 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
         assert load_samples(path, EvidencePair, 2)[0].baseline == load_samples(path, EvidencePair)[2].baseline
 
 
-@pytest.mark.parametrize("halved", [0.0, 1.0])
-def test_a_batch_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(monkeypatch, pool, halved):
-    monkeypatch.setattr(evidence_pool, "HALVED", halved)
-    one, same = (draw_evidence(pool, np.random.default_rng(3), 4) for _ in range(2))
+@pytest.mark.parametrize("is_recoloured", [False, True])
+@pytest.mark.parametrize("size", [SIZE, (SIZE[0] // 2, SIZE[1] // 2)])
+def test_a_batch_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(pool, size, is_recoloured):
+    one, same = (draw_evidence(pool, np.random.default_rng(3), 2, size, is_recoloured=is_recoloured) for _ in range(2))
     assert torch.equal(one.planes, same.planes)
-    count, size = (12, (SIZE[0] // 2, SIZE[1] // 2)) if halved else (4, SIZE)
-    assert one.planes.shape == (count, PLANES, *size)
-    assert one.root.shape == (count, 1, *size)
+    assert one.planes.shape == (4, PLANES, *size)
+    assert one.root.shape == (4, 1, *size)
+    colours = sorted(float(pair.planes[:3].mean()) for path in pool for pair in load_samples(path, EvidencePair))
+    drawn = [min(abs(float(planes[:3].mean()) - colour) for colour in colours) for planes in one.planes]
+    assert (max(drawn) > 1e-3) == is_recoloured
     stored = [
         (part, nearest)
         for path in pool
         for pair in load_samples(path, EvidencePair)
-        for part, nearest in (halves(pair) if halved else [(pair.planes[3], pair.root)])
+        for part, nearest in (halves(pair) if size != SIZE else [(pair.planes[3], pair.root)])
     ]
     for planes, root in zip(one.planes.numpy(), one.root.numpy(), strict=True):
         shown = [
@@ -72,40 +72,23 @@ def halves(pair):
     return [(part, np.maximum.reduce(roots)) for part in parts]
 
 
-def test_the_loss_is_least_for_the_truth_and_counts_nothing_below_zero_in_the_sky():
-    target = torch.tensor([0.0, 0.4, 0.8]).reshape(1, 1, 1, 3).expand(1, 1, 2, 3)
-
-    def loss(roots):
-        candidates = torch.as_tensor(roots).reshape(1, 1, 1, 3).expand(1, 2, 2, 3)
-        flat = torch.zeros((1, 1, 2, 3))
-        return float(refine_loss(RefinePrediction(candidates, torch.zeros((1, 2, 2, 3)), flat, flat, flat), target))
-
-    assert loss([0.0, 0.4, 0.8]) == pytest.approx(loss([-0.3, 0.4, 0.8]))
-    assert loss([0.0, 0.4, 0.8]) < min(loss([0.1, 0.4, 0.8]), loss([0.0, 0.5, 0.8]), loss([0.0, 0.4, 0.7]))
-
-
-def test_the_loss_falls_when_the_share_of_a_right_candidate_grows():
-    candidates = torch.tensor([0.4, 0.9]).reshape(1, 2, 1, 1).expand(1, 2, 2, 3)
-    target, flat = torch.full((1, 1, 2, 3), 0.4), torch.zeros((1, 1, 2, 3))
-    losses = []
-    for logit in (-1.0, 1.0, 3.0):
-        logits = torch.tensor([logit, 0.0]).reshape(1, 2, 1, 1).expand(1, 2, 2, 3)
-        losses.append(float(refine_loss(RefinePrediction(candidates, logits, flat, flat, flat), target)))
-    assert losses == sorted(losses, reverse=True)
+def test_evidence_of_another_size_is_refused(pool):
+    with pytest.raises(InputError, match=r"expected evidence of 64 or 128 rows in .*, got 32; choose another --height"):
+        draw_evidence(pool, np.random.default_rng(0), 1, (64, 128), is_recoloured=False)
 
 
 def test_a_network_is_trained_and_published(tmp_path, pool):
     folder = str(pool[0].parent)
-    config = TrainConfig(folder, folder, size=SIZE, batch=8, rate=1e-3, validate_every=20, validation_pairs=4, ema=0.8)
+    config = TrainConfig(folder, folder, size=SIZE, batch=4, rate=4e-3, validate_every=40, validation_pairs=4, ema=0.8)
     rows = []
-    train(TINY, config, tmp_path / "run", steps=40, report=rows.append)
+    train(TINY, config, tmp_path / "run", steps=120, report=rows.append)
     assert rows[-1]["loss"] < rows[0]["loss"]
     network, state = load_network(tmp_path / "run" / "checkpoint.pt")
-    assert (state["kind"], state["step"], network.config) == ("refine", 40, TINY)
+    assert (state["kind"], state["step"], network.config) == ("completion", 120, TINY)
     ((entry, difference),) = publish(tmp_path / "run" / "checkpoint.pt", tmp_path / "models", pool=pool[0].parent)
     assert difference < 1e-4
-    assert (entry.role, entry.size) == ("refine", SIZE)
-    assert read_manifest(tmp_path / "models") == {"refine-tiny": entry}
+    assert (entry.role, entry.size) == ("completion", SIZE)
+    assert read_manifest(tmp_path / "models") == {"completion-tiny": entry}
 
 
 def test_names_that_are_paths_are_refused_and_nothing_half_made_stays(tmp_path, pool, monkeypatch):

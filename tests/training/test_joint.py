@@ -217,8 +217,8 @@ def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp
     assert equal(
         dict(part.state_dict()), {k.removeprefix("fusion."): v for k, v in trainer.average.items() if k[0] == "f"}
     )
-    with pytest.raises(InputError, match=r"expected a refine network in .*got depth and fusion"):
-        part_of(path, ("refine",))
+    with pytest.raises(InputError, match=r"expected a completion network in .*got depth and fusion"):
+        part_of(path, ("completion",))
 
 
 def run(*arguments):

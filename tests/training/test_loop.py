@@ -6,8 +6,8 @@ import torch
 from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.depth import DepthNetwork
-from omnisyn_cli.networks.refine import REFINE_VARIANTS
 from omnisyn_cli.training.checkpoint import NEEDED, compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
 
@@ -120,8 +120,8 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(tmp_path, config
 
 def test_a_folder_of_another_kind_of_network_is_refused(tmp_path, config):
     train(TINY, config, tmp_path / "run", steps=1)
-    with pytest.raises(InputError, match=r"expected a refine network in .*got a depth network"):
-        train(REFINE_VARIANTS["balanced"], config, tmp_path / "run", steps=2)
+    with pytest.raises(InputError, match=r"expected a completion network in .*got a depth network"):
+        train(COMPLETION_VARIANTS["balanced"], config, tmp_path / "run", steps=2)
 
 
 def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):

@@ -3,10 +3,10 @@ import math
 import pytest
 import torch
 
+from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
-from omnisyn_cli.networks.refine import CANDIDATES, RefinePrediction
-from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss, polar_weights, refine_loss
+from omnisyn_cli.training.losses import completion_loss, depth_loss, depth_scores, paper_loss, polar_weights
 
 
 @pytest.fixture
@@ -97,16 +97,15 @@ def polar_mean(rows):
     return sum(math.sin((row + 0.5) / rows * math.pi) for row in range(rows)) / rows
 
 
-def test_doubt_of_a_refined_root_costs_by_its_solid_angle():
+def test_doubt_of_a_completed_root_costs_by_its_solid_angle():
     """A doubt in one row adds to the loss what the sine of its polar angle says, and nothing else changes."""
     truth = torch.full((1, 1, 16, 32), 0.5)
-    candidates = truth.expand(1, CANDIDATES, 16, 32)
 
     def loss(rows):
         doubt = torch.full_like(truth, 20.0)
         doubt[..., rows, :] = 0.0
-        logits, nothing = torch.zeros_like(candidates), torch.zeros_like(truth)
-        return float(refine_loss(RefinePrediction(candidates, logits, nothing, doubt, nothing), truth))
+        nothing = torch.zeros_like(truth)
+        return float(completion_loss(CompletionPrediction(truth.expand(1, 2, 16, 32), nothing, doubt), truth, nothing))
 
     pole, equator = (loss([row]) - loss([]) for row in (0, 8))
     assert pole / equator == pytest.approx(math.sin(0.5 / 16 * math.pi) / math.sin(8.5 / 16 * math.pi), rel=1e-3)

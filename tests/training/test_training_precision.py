@@ -3,10 +3,10 @@ import torch
 from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.networks.completion import CompletionConfig, CompletionNetwork
 from omnisyn_cli.networks.depth import DepthNetwork
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig
-from omnisyn_cli.networks.refine import RefineConfig, RefineNetwork
 from omnisyn_cli.networks.synsin import FeatureEncoder, MonocularNetwork, RefinementDecoder, SynSinConfig
 from omnisyn_cli.training.data import list_pool
 from omnisyn_cli.training.loop import TrainConfig, Trainer
@@ -90,7 +90,7 @@ def test_roots_are_in_single_precision_even_under_autocast():
 @pytest.mark.parametrize(
     ("network", "channels"),
     [
-        (RefineNetwork(RefineConfig("small", 19, (8, 12), 8)), 19),
+        (CompletionNetwork(CompletionConfig("small", 19, (8, 12), 8, heads=2, looks=1)), 19),
         (build_fusion(FusionConfig("small", 14, (8, 12), 8)), 14),
         (build_fusion(FusionConfig("small", 8, (8, 12, 16), paints=True)), 8),
         (MonocularNetwork(SYNSIN), 3),

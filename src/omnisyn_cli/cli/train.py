@@ -72,21 +72,14 @@ def depth(**options: Any) -> None:
 
 
 @train.command()
-@_stage_options("evidence", batch=2, rate=8e-4)
-@_variant_option("balanced")
-def refine(**options: Any) -> None:
-    """Train the network that refines matching in FOLDER; a run that is there goes on."""
-    _train_variant("refine", **options)
-
-
-@train.command()
 @_stage_options("pool", batch=4, rate=8e-4)
 @_variant_option("balanced")
 @_height_option(128, 64, ", at most those of the pool; a run can go on with more.")
 def completion(**options: Any) -> None:
     """Train the network that completes what matching leaves open in FOLDER; a run that is there goes on.
 
-    What matching would know is made up from the exact depth of the pool; nothing is matched.
+    What matching would know is made up from the exact depth of the pool. Pools of `omnisyn train evidence`, whose
+    scenes were matched, will do as well: few scenes for much time, best taken last.
     """
     _train_variant("completion", **options)
 

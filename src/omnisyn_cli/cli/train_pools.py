@@ -94,7 +94,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 @WORKERS
 @TEXTURES
 def evidence(height: int, **options: Any) -> None:
-    """Render scenes into FOLDER and match them, for `train refine`; those that are there already stay."""
+    """Render scenes into FOLDER and match them, for `train completion`; those that are there already stay."""
     from omnisyn_cli.training.evidence_pool import make_evidence
     from omnisyn_cli.training.pool import TiltedConfig
 

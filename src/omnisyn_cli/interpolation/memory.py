@@ -13,7 +13,7 @@ from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
 PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
 """Bytes of the interpreter, its libraries and kernels, and where depth is from files or SynSin's networks take part."""
 
-BYTES_PER_PIXEL_OF_NETWORK = {"refined": 1100, "network": 3200}
+BYTES_PER_PIXEL_OF_NETWORK = {"refined": 820, "network": 3200}
 """What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
 
 FINDING = 80e6

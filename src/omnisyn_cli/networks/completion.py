@@ -1,10 +1,11 @@
 """Depth where matching cannot know: completed from what it is sure of, with the whole sphere in view.
 
 Much of what matching leaves open is hidden from the other panorama, has no texture or lies around the epipoles. Nothing
-can be matched there, but a room tells much about its hidden parts. The network sees what the refinement network sees
-(:func:`omnisyn_cli.stereo.evidence.evidence_planes`): the picture, what matching is sure of, planes carried on from
-there (:mod:`omnisyn_cli.stereo.filling`), where the other camera is and where up is. It corrects the filled map
-everywhere, as some of what passes for sure is wrong.
+can be matched there, but a room tells much about its hidden parts. The network sees the picture, what matching is sure
+of, planes carried on from there (:mod:`omnisyn_cli.stereo.filling`), what the other panorama shows where the map says
+that the same point is, where the other camera is and where up is, all in the upright frame of the camera
+(:func:`omnisyn_cli.stereo.evidence.evidence_planes`). It corrects the filled map everywhere, as some of what passes for
+sure is wrong.
 
 It answers with two roots for each pixel and with which of them is the more likely one: at an edge one follows the near
 surface and one the far, and the answer never lies between them. At its coarsest stride every place attends to every
@@ -24,10 +25,22 @@ from torch import Tensor, nn
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_to_angles
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, begin_small, initialise
-from omnisyn_cli.networks.refine import FILLED_PLANE
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
-__all__ = ["COMPLETION_VARIANTS", "CompletionConfig", "CompletionNetwork", "CompletionPrediction"]
+__all__ = [
+    "COMPLETION_VARIANTS",
+    "FILLED_PLANE",
+    "CompletionConfig",
+    "CompletionNetwork",
+    "CompletionPrediction",
+    "where_sure",
+]
+
+FILLED_PLANE = 3
+"""Of the input: the root that is corrected."""
+
+AGREED_PLANE, SKY_PLANE = 5, 6
+"""Of the input: where matching is sure."""
 
 CORRECTION = 0.3
 """Scale of the corrections, so that a fresh network leaves the filled map nearly as it is."""
@@ -116,13 +129,18 @@ class SphereAttention(nn.Module):
         return seen
 
 
+def where_sure(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 1 height width"]:
+    """1 where matching is sure, else 0."""
+    return torch.maximum(planes[:, AGREED_PLANE : AGREED_PLANE + 1], planes[:, SKY_PLANE : SKY_PLANE + 1])
+
+
 def _directions(x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "n 3"]:
     """Unit vectors of all places, row by row.
 
     Rows and columns are counted with sums, as fractions of a picture of one pixel: a size that is written as a number
     would be the only one that an exported network takes.
     """
-    one = torch.ones_like(x[0, 0], dtype=torch.float32)
+    one = torch.ones_like(at_least_single(x[0, 0]))
     row, col = ((one.cumsum(axis) - 0.5) / one.sum(axis, keepdim=True) - 0.5 for axis in (0, 1))
     directions: Tensor = angles_to_direction(*pixel_to_angles(row, col, (1, 1))).flatten(0, 1)
     return directions

@@ -1,6 +1,6 @@
 """The UNet that corrects maps at full resolution: a wide look around at half the size, a narrow one at full size.
 
-Fusion, refinement and completion are each one of these with planes of their own and answers of their own.
+Fusion and completion are each one of these with planes of their own and answers of their own.
 """
 
 import itertools
@@ -74,11 +74,10 @@ class CorrectingUNet(Hourglass, Network):
     Args:
         config: of the network.
         answers: output channels.
-        added: planes beside those of the input that the network makes for itself.
     """
 
-    def __init__(self, config: CorrectingConfig, answers: int, added: int = 0) -> None:
-        planes, fine = config.planes + added, config.fine
+    def __init__(self, config: CorrectingConfig, answers: int) -> None:
+        planes, fine = config.planes, config.fine
         super().__init__(4 * planes, config.widths)
         self.config: Any = config
         self.spread = nn.Conv2d(config.widths[0], 4 * fine, 1)

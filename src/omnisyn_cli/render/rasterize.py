@@ -5,8 +5,6 @@ r of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·
 (and ``det(v0, v1, v2) > 0``: the surface is seen from its front). Then the inverse depth seen is
 ``(e0·ρ0 + e1·ρ1 + e2·ρ2) / det``; the largest one wins. Straight lines are exact for triangles of any size, infinity is
 ρ = 0, and seam and poles only concern the box of pixels in which a triangle is looked for.
-
-:mod:`omnisyn_cli.render.reference` is the same in plain loops without boxes; both must agree.
 """
 
 from dataclasses import dataclass

@@ -64,7 +64,7 @@ def run_depth_network(
     """Inverse depth × baseline, finite and >= 0, and confidence in [0, 1], both of ``size``.
 
     Args:
-        session: of a depth or refinement model.
+        session: of a depth or completion model.
         inputs: by name.
         size: height and width of its answers.
 

@@ -299,7 +299,3 @@ class Turned:
     def ellipsoid(self, centre: Point, half: Point, material: Material) -> None:
         """Add an ellipsoid."""
         self.build.add(Shape.ELLIPSOID, self.place(*centre), half, material, yaw=self.yaw)
-
-    def cone(self, centre: Point, half: Point, material: Material) -> None:
-        """Add an upright cone."""
-        self.build.add(Shape.CONE, self.place(*centre), half, material)

@@ -49,7 +49,7 @@ class Evidence:
 
 
 def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, "planes height width"]:
-    """The input of a refinement network for one panorama, given the evidence of both.
+    """The input of a completion network for one panorama, given the evidence of both.
 
     In order: the image (3); roots of the filled and of the matched map; agreed, sky, usable; the other image where the
     filled (3) and where the matched map (3) says that it shows the same point; how much farther (roots) the other

@@ -130,7 +130,7 @@ def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, ma
 
 
 class Refinement(Protocol):
-    """A trained refinement network, however it is run."""
+    """A trained completion network, however it is run."""
 
     def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Answer:
         """Inverse depth × baseline, and the probability that it is within 10 %; ``planes`` as in ``evidence``."""

@@ -3,7 +3,7 @@
 __all__ = ["coarse_rows", "estimate_sizes"]
 
 REFINED_ROWS = 512
-"""Rows of matching up to which the refinement network is used: it has been trained at these and half of them."""
+"""Rows of matching up to which the completion network is used: it has been trained at these and half of them."""
 
 ROWS_PER_ROW = 2
 """Rows of an estimate per row of the pictures at most: between their pixels there is a little to be measured."""

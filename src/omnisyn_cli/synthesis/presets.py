@@ -25,7 +25,7 @@ class Preset:
 
 
 def _refined(rows: int, fusion: str = "geometric") -> Recipe:
-    return Recipe(DepthSource("refined", rows, "refine-balanced"), fusion=fusion)
+    return Recipe(DepthSource("refined", rows, "completion-balanced"), fusion=fusion)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:

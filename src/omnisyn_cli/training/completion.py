@@ -4,7 +4,8 @@ Exact depth says what the other camera cannot see, and colours where nothing can
 of can be made up for a hundredth of the time that matching takes, and differently every time a scene is seen. Of the
 rest some is given up by chance, some is wrong, and some of what is wrong passes for sure. Views come from the pool of
 the depth networks and are turned from the frame of the epipoles to a camera held nearly upright, as the evidence of
-real matching is (:mod:`omnisyn_cli.stereo.evidence`).
+real matching is (:mod:`omnisyn_cli.stereo.evidence`). Real evidence (:mod:`omnisyn_cli.training.evidence_pool`) comes
+last, as fine-tuning.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +24,8 @@ from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes
 from omnisyn_cli.stereo.filling import fill
 from omnisyn_cli.stereo.matching import HINT
-from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, load_scene, vary_colours
+from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, is_made_by, load_scene, vary_colours
+from omnisyn_cli.training.evidence_pool import draw_evidence
 from omnisyn_cli.training.pool import held_askew
 
 TILTS = (0.0, 0.02, 0.1)
@@ -69,12 +71,15 @@ def draw_completion(
     """Random pairs of random scenes; every pair gives two samples.
 
     Args:
-        pool: from :func:`omnisyn_cli.training.data.list_pool`.
+        pool: from :func:`omnisyn_cli.training.data.list_pool`, of rendered scenes or of evidence.
         rng: random numbers.
         pairs: how many.
         size: ``(height, width)``, at most that of the pool.
-        augmentation: of the colours; None leaves them as they are.
+        augmentation: of the colours; None leaves them as they are. Those of evidence, whose photographs differ already,
+            are varied by rules of their own.
     """
+    if is_made_by("evidence", pool[0]):
+        return draw_evidence(pool, rng, pairs, size, is_recoloured=augmentation is not None)
     batches = [
         completion_pair(load_scene(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(pairs)
     ]

@@ -176,34 +176,43 @@ def load_scene(path: Path) -> PoolScene:
         return PoolScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
 
 
-def list_pool(folder: Path, maker: str = "pool") -> list[Path]:
+def list_pool(folder: Path, *makers: str) -> list[Path]:
     """All scenes of a pool in a fixed order.
 
     Args:
         folder: of the pool.
-        maker: command that such pools are made by, one of :data:`TELLTALES`.
+        makers: commands that such pools are made by, of :data:`TELLTALES`; `pool` unless said otherwise.
 
     Raises:
         InputError: there are none, or of another kind.
     """
     paths = sorted(folder.glob("*.npz"))
-    command = f"`omnisyn train {maker}`"
+    makers = makers or ("pool",)
+    command = " or ".join(f"`omnisyn train {maker}`" for maker in makers)
     if not paths:
         raise InputError(f"expected a pool of training scenes in {folder}, found no .npz; make one with {command}")
-    try:
-        with np.load(paths[0]) as file:
-            is_of_kind = TELLTALES[maker] in file
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise InputError(f"expected a scene in {paths[0]}, got '{error!s:.80}'; delete the file") from error
-    if not is_of_kind:
+    if not any(is_made_by(maker, paths[0]) for maker in makers):
         raise InputError(
             f"expected scenes made by {command} in {folder}, got scenes for another network; name its pool"
         )
     return paths
 
 
+def is_made_by(maker: str, path: Path) -> bool:
+    """Whether a scene is of the pools that a command makes, one of :data:`TELLTALES`.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        with np.load(path) as file:
+            return TELLTALES[maker] in file
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise InputError(f"expected a scene in {path}, got '{error!s:.80}'; delete the file") from error
+
+
 def check_height(pool: list[Path], multiple: int) -> None:
-    """Refuse a pool of evidence or of renderings, which are learned from at the size they have.
+    """Refuse a pool of renderings, which are learned from at the size they have.
 
     Args:
         pool: from :func:`list_pool`; all scenes of a pool have one size.

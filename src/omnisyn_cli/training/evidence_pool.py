@@ -1,4 +1,4 @@
-"""Training data for the refinement network: what matching makes of procedural scenes, with the truth beside it.
+"""Training data for the completion network: what matching makes of procedural scenes, with the truth beside it.
 
 A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
 for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
@@ -11,13 +11,14 @@ The colours are varied before matching, and some poses are a little wrong, as in
 the truth is the nearer one: a mesh of that size then shows the least of what is wrong at silhouettes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
@@ -33,9 +34,6 @@ PAIRS = 4
 
 COLOURED = (0, 8, 11)
 """First of three planes that hold a picture."""
-
-HALVED = 0.5
-"""Share of batches that have half of the pool's size."""
 
 
 @dataclass(frozen=True)
@@ -94,44 +92,56 @@ def _matched(
     ]
 
 
-def stored_evidence(path: Path, which: int) -> EvidenceBatch:
-    """One of both panoramas of the widest pair of a scene, as they are."""
-    return _batch(load_samples(path, EvidencePair, which % 2))
+def draw_evidence(
+    pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], *, is_recoloured: bool
+) -> EvidenceBatch:
+    """Both panoramas of random pairs of random scenes, turned and mirrored at random.
 
+    Args:
+        pool: from :func:`omnisyn_cli.training.data.list_pool`.
+        rng: random numbers.
+        pairs: how many.
+        size: ``(height, width)``, that of the pool or half of it: things look larger there.
+        is_recoloured: whether colours are varied as well, all pictures of a pair alike.
 
-def _batch(pairs: list[EvidencePair]) -> EvidenceBatch:
-    planes, root, baseline = stacked(pairs)
+    Raises:
+        InputError: the pool is of another size.
+    """
+    drawn = []
+    for _ in range(pairs):
+        path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(PAIRS // 2))
+        for which in (first, first + 1):
+            stored = load_samples(path, EvidencePair, which)[0]
+            if stored.root.shape[0] not in (size[0], 2 * size[0]):
+                raise InputError(
+                    f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {stored.root.shape[0]}; "
+                    "choose another --height"
+                )
+            pair = stored if stored.root.shape == size else _halved(stored, rng)
+            drawn.append(_turned(_recoloured(pair, rng) if is_recoloured else pair, rng))
+    planes, root, baseline = stacked(drawn)
     return EvidenceBatch(planes, root.unsqueeze(1), baseline)
 
 
-def draw_evidence(pool: list[Path], rng: np.random.Generator, batch: int) -> EvidenceBatch:
-    """Random pairs of random scenes, turned, mirrored and recoloured at random (all pictures of a pair alike).
-
-    Every second batch has half the size and three times as many pairs: things look larger there.
-    """
-    is_half = rng.random() < HALVED
-    drawn = []
-    for _ in range(3 * batch if is_half else batch):
-        path, which = pool[rng.integers(len(pool))], int(rng.integers(PAIRS))
-        drawn.append(_varied(load_samples(path, EvidencePair, which)[0], rng, is_half=is_half))
-    return _batch(drawn)
-
-
-def _varied(pair: EvidencePair, rng: np.random.Generator, *, is_half: bool) -> EvidencePair:
-    planes, root = _halved(pair, rng) if is_half else (pair.planes, pair.root)
+def _recoloured(pair: EvidencePair, rng: np.random.Generator) -> EvidencePair:
+    planes = pair.planes.copy()
     gain, gamma = np.float32(rng.uniform(0.8, 1.2)), np.float32(rng.uniform(0.8, 1.2))
     tint = rng.uniform(0.95, 1.05, (3, 1, 1)).astype(np.float32)
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
     for begin in COLOURED:
         colour = np.clip(planes[begin : begin + 3] * gain, 1e-4, 1.0) ** gamma
         planes[begin : begin + 3] = (colour * tint if begin else colour)[order]
-    if rng.random() < 0.5:
-        planes, root = planes[..., ::-1], root[..., ::-1]
-    turn = int(rng.integers(root.shape[1]))
-    return EvidencePair(np.roll(planes, turn, axis=-1), np.roll(root, turn, axis=-1), pair.baseline)
+    return replace(pair, planes=planes)
 
 
-def _halved(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _turned(pair: EvidencePair, rng: np.random.Generator) -> EvidencePair:
+    """All planes are even in a mirror, and none knows where the seam is."""
+    flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(pair.root.shape[1]))
+    planes, root = (np.roll(x[..., ::flip], turn, axis=-1) for x in (pair.planes, pair.root))
+    return EvidencePair(planes, root, pair.baseline)
+
+
+def _halved(pair: EvidencePair, rng: np.random.Generator) -> EvidencePair:
     """One of four pixels, the same in all planes but colours, which are averaged; the nearest of four true surfaces."""
     height, width = pair.root.shape
     row, col = rng.integers(2, size=2)
@@ -139,4 +149,5 @@ def _halved(pair: EvidencePair, rng: np.random.Generator) -> tuple[np.ndarray, n
     for begin in COLOURED:
         colours = pair.planes[begin : begin + 3].reshape(3, height // 2, 2, width // 2, 2)
         planes[begin : begin + 3] = colours.mean(axis=(2, 4))
-    return planes, pair.root.reshape(height // 2, 2, width // 2, 2).max(axis=(1, 3))
+    root = pair.root.reshape(height // 2, 2, width // 2, 2).max(axis=(1, 3))
+    return EvidencePair(planes, root, pair.baseline)

@@ -75,7 +75,7 @@ class FusionPoolConfig(TiltedConfig):
     matched: float = 0.1
     known: float = 0.1
     rows: int = 1024
-    model: str = "refine-balanced"
+    model: str = "completion-balanced"
 
 
 @dataclass(frozen=True)

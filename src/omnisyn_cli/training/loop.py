@@ -27,7 +27,7 @@ from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, sa
 from omnisyn_cli.training.data import Augmentation, check_height, list_pool
 from omnisyn_cli.training.pictures import Board, contact_sheet
 from omnisyn_cli.training.precision import Precision
-from omnisyn_cli.training.task import Task, TrainConfig, on_device
+from omnisyn_cli.training.task import TrainConfig, on_device
 from omnisyn_cli.training.tasks import TASKS, NetworkConfig, parts_of, task_named, task_of
 
 __all__ = ["TrainConfig", "part_of", "train"]
@@ -240,7 +240,7 @@ def train(
             report(row)
             if board is not None:
                 board.add(row, pictures)
-            losses, pool = [], list_pool(Path(config.pool), trainer.task.pool)
+            losses, pool = [], list_pool(Path(config.pool), *trainer.task.pools)
         if trainer.step % config.save_every == 0 or out_of_time:
             save_checkpoint(path, trainer.state())
         if out_of_time:
@@ -251,11 +251,12 @@ def train(
 
 def _checked_pools(trainer: Trainer, config: TrainConfig) -> list[Path]:
     """The scenes to learn from; those to be judged by are found wrong now, not after hundreds of steps."""
-    pool, judged = (list_pool(Path(folder), trainer.task.pool) for folder in (config.pool, config.validation_pool))
-    if trainer.task.pool != Task.pool:
+    pool, judged = (list_pool(Path(folder), *trainer.task.pools) for folder in (config.pool, config.validation_pool))
+    if trainer.task.pools == ("fusion-pool",):
         multiple = trainer.network.config.size_multiple
-        check_height(pool, 2 * multiple)  # evidence is halved at times, of renderings a window half as wide is seen
+        check_height(pool, 2 * multiple)  # a window half as wide is seen
         check_height(judged, multiple)
+    next(trainer.task.validation(trainer.network, config))
     return pool
 
 

@@ -18,7 +18,6 @@ from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
-from omnisyn_cli.networks.refine import RefinePrediction
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
@@ -37,19 +36,6 @@ FARTHEST = 1e-3
 
 SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
-
-CHOICE_SCALE = 0.02
-"""Error of a root that makes a candidate e times less likely to be the right one."""
-
-CHOICE_WEIGHT = 0.05
-
-FREE_WEIGHT = 0.3
-"""Of the error of the candidate that the network makes up, whatever its share."""
-
-EASY = 0.02
-"""Mean error of a root at which a pair counts half."""
-
-REFINED_CONFIDENCE_WEIGHT = 0.02
 
 COMPLETED_WEIGHT = 3.0
 """How much more the answer counts where matching is not sure."""
@@ -123,26 +109,6 @@ def _known(target: Tensor) -> tuple[Tensor, Tensor]:
 def _mean_of(error: Tensor, known: Tensor) -> Tensor:
     """Mean over what is known; 0 where nothing is."""
     return (error * known).mean() / known.mean().clamp(min=torch.finfo(known.dtype).tiny)
-
-
-def refine_loss(prediction: RefinePrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
-    """Log-loss of the choice, expected L1 over the candidates, L1 of the answer, log-loss of the confidence; a scalar.
-
-    A candidate is right with a likelihood that falls exponentially with its error; candidates that are equally right
-    share the credit as they like. Pairs count less the worse the first candidate is, so that pairs that matching could
-    not make sense of do not teach distrust of those that it could.
-    """
-    shares, errors = prediction.logits.log_softmax(dim=1), _beyond_zero(prediction.candidates, target)
-    likelihood = torch.logsumexp(shares - errors / CHOICE_SCALE, dim=1, keepdim=True)
-    surprise = torch.logsumexp(-errors / CHOICE_SCALE, dim=1, keepdim=True) - likelihood
-    expected = (shares.exp() * errors).sum(dim=1, keepdim=True)
-    answer = _beyond_zero(prediction.root(), target)
-    area = polar_weights(target)
-    difficulty = (errors[:, :1] * area).mean(dim=(1, 2, 3), keepdim=True)
-    weight = area * EASY / (EASY + difficulty)
-    own = FREE_WEIGHT * (1.0 - prediction.sure) * errors[:, -1:]
-    weighted = (expected + answer + CHOICE_WEIGHT * surprise + own) * weight
-    return weighted.mean() + REFINED_CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
 
 
 def completion_loss(

@@ -49,7 +49,7 @@ class SceneConfig:
     """
 
     size: tuple[int, int] = (256, 512)
-    kinds: tuple[str, ...] = ("room", "street")
+    kinds: tuple[str, ...] = ("room", "street", "home", "jumble", "yard")
     turned: float = 0.3
     turned_by: float = 0.002
     textures: str | None = None
@@ -87,7 +87,6 @@ class PoolConfig(SceneConfig):
         supersample: colour samples per pixel along each axis.
     """
 
-    kinds: tuple[str, ...] = ("room", "street", "home", "jumble", "yard")
     turned_by: float = 0.0015
     views: int = 3
     supersample: int = 2

@@ -75,7 +75,7 @@ class Task:
         held_out: a batch to be judged by, of a scene's file, the number of times that it was looked at before, and the
             stage; None draws it without varying colours.
         is_repeated: whether held-out scenes are looked at again if there are fewer than asked for.
-        pool: command that makes what it learns from, see :func:`omnisyn_cli.training.data.list_pool`.
+        pools: commands that make what it learns from, see :func:`omnisyn_cli.training.data.list_pool`.
         role: what it is for; None where that is the kind itself.
         rate: learning rate unless told otherwise.
     """
@@ -92,7 +92,7 @@ class Task:
     adversarial: Callable[[Any, Any, Any, int], tuple[Tensor, Tensor]] | None = None
     held_out: Callable[[Path, int, TrainConfig], Any] | None = None
     is_repeated: bool = True
-    pool: str = "pool"
+    pools: tuple[str, ...] = ("pool",)
     role: str | None = None
     rate: float = TrainConfig.rate
 
@@ -102,7 +102,7 @@ class Task:
 
     def validation(self, network: Any, stage: TrainConfig) -> Iterator[Any]:
         """What networks are judged by: always the same, where the weights are."""
-        pool = list_pool(Path(stage.validation_pool), self.pool)
+        pool = list_pool(Path(stage.validation_pool), *self.pools)
         pairs = stage.validation_pairs if self.is_repeated else min(stage.validation_pairs, len(pool))
         for index in range(pairs):
             path = pool[index % len(pool)]

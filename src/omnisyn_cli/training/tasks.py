@@ -10,21 +10,21 @@ import numpy as np
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
     COMPLETION_VARIANTS,
+    FILLED_PLANE,
     CompletionConfig,
     CompletionNetwork,
     CompletionPrediction,
+    where_sure,
 )
 from omnisyn_cli.networks.depth import DepthNetwork
 from omnisyn_cli.networks.depth_config import VARIANTS, DepthConfig
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
-from omnisyn_cli.networks.refine import FILLED_PLANE, REFINE_VARIANTS, RefineConfig, RefineNetwork, where_sure
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import Batch, EvidenceBatch
-from omnisyn_cli.training.evidence_pool import draw_evidence, stored_evidence
 from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
@@ -33,12 +33,10 @@ from omnisyn_cli.training.triples import draw_pairs, draw_triples
 
 __all__ = ["TASKS", "kinds_for", "task_of"]
 
-NetworkConfig = (
-    DepthConfig | PaperConfig | RefineConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
-)
+NetworkConfig = DepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 
-def _depth_scores(answer: DepthAnswer, batch: Batch | EvidenceBatch) -> dict[str, float]:
+def _depth_scores(answer: DepthAnswer, batch: Batch) -> dict[str, float]:
     return losses.depth_scores(answer, batch.root, batch.baseline)
 
 
@@ -84,16 +82,6 @@ TASKS: Mapping[str, Task] = {
         role="depth",
         rate=1e-4,  # the authors'
     ),
-    "refine": Task(
-        RefineConfig,
-        REFINE_VARIANTS,
-        RefineNetwork,
-        draw=lambda pool, rng, stage, *_: draw_evidence(pool, rng, stage.batch),
-        loss=lambda answer, batch: losses.refine_loss(answer, batch.root),
-        scores=_depth_scores,
-        held_out=lambda path, turn, _: stored_evidence(path, turn),
-        pool="evidence",
-    ),
     "completion": Task(
         CompletionConfig,
         COMPLETION_VARIANTS,
@@ -102,6 +90,7 @@ TASKS: Mapping[str, Task] = {
         loss=lambda answer, batch: losses.completion_loss(answer, batch.root, where_sure(batch.planes)),
         scores=_completion_scores,
         pictures=_completion_pictures,
+        pools=("pool", "evidence"),
     ),
     "fusion": Task(
         FusionConfig,
@@ -113,7 +102,7 @@ TASKS: Mapping[str, Task] = {
         loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth),
         scores=lambda answer, batch: fusion_losses.fusion_scores(answer, batch.planes, batch.truth),
         held_out=lambda path, turn, _: stored_fusion(path, turn),
-        pool="fusion-pool",
+        pools=("fusion-pool",),
     ),
     "joint": Task(
         joint.JointConfig,

@@ -6,10 +6,10 @@ from gpu_samples import CPU, POSES, rough
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
-from omnisyn_cli.render.reference import rasterize_reference
 from omnisyn_cli.synthesis.device import raster
 from omnisyn_cli.synthesis.device.quads import quads_of
 from omnisyn_cli.synthesis.device.raster import GpuRasterizer
+from reference_rasterizer import rasterize_reference
 
 CUTS = {"whole": Cut(relative=None), "default": Cut(), "everywhere": Cut(relative=1e-9)}
 TARGET = (24, 48)
