@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from confidence_samples import disturbed
+from omnisyn_cli.fusion.photometry import rough_curve
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.synthesis.consistency import _middle_of, cross_check
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
+from omnisyn_cli.synthesis.consistency import _middle_of, cross_check, in_one_exposure
 from omnisyn_cli.types import DepthEstimate, View
 from photometry_samples import exposed, in_eight_bits
 from synthesis_samples import hall_view, posed
@@ -88,3 +90,29 @@ def test_masked_pixels_are_not_compared() -> None:
     assert masked.confidence.score == 1.0
     unmasked = cross_check((replace(first, image=image), second), depths((first, second)), Cut(), 1)
     assert unmasked.confidence.expected < masked.confidence.expected - 3.0
+
+
+@pytest.fixture(scope="module")
+def uneven() -> tuple[View, View]:
+    """Two places of one scene, exposed alike; around one of them it is a third of a stop brighter."""
+    scene = generate_scene("jumble", 2000005)
+    ends = sample_path(scene, 2000005, 5)[::4]
+    seen = (render_panorama(scene, pose, (128, 256), supersample=1, threads=1)[0] for pose in ends)
+    first, second = (View(in_eight_bits(image), pose) for image, pose in zip(seen, ends, strict=True))
+    return first, second
+
+
+def test_a_brighter_place_is_not_taken_for_another_exposure(uneven: tuple[View, View]) -> None:
+    assert np.abs(rough_curve(*uneven).gain.mean()) > 0.25
+    assert all(a is b for a, b in zip(in_one_exposure(*uneven, 1), uneven, strict=True))
+
+
+@pytest.mark.parametrize("stop", [1.0, -1.0])
+def test_another_exposure_is_found_where_places_differ_as_well(uneven: tuple[View, View], stop: float) -> None:
+    first, second = uneven
+    changed = replace(second, image=in_eight_bits(exposed(second.image, stop)))
+    alike = in_one_exposure(first, changed, 1)
+    kept, dark = (0, 1) if stop > 0 else (1, 0)
+    assert alike[kept] is (first, changed)[kept]
+    expected = second.image if stop > 0 else exposed(first.image, stop)
+    assert np.abs(np.median(alike[dark].image - expected)) < 0.03

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Float, Float32, Shaped
 
 from omnisyn_cli.errors import ImageError
-from omnisyn_cli.fusion.photometry import equalized
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
@@ -24,6 +23,7 @@ from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import read_poses
+from omnisyn_cli.synthesis.consistency import in_one_exposure
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.making import make_estimator, make_method
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
@@ -92,7 +92,7 @@ def estimate_depth(
     """
     recipe = _recipe(recipe)
     estimator = make_estimator(recipe.depth, device=recipe.device, threads=threads)
-    return estimator(*equalized(first, second, threads))
+    return estimator(*in_one_exposure(first, second, threads))
 
 
 def make_frames(

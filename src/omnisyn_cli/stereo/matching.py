@@ -28,6 +28,9 @@ __all__ = ["HINT", "MatchingDepthEstimator", "MatchingOptions"]
 HINT = 0.002
 """Weight of a disparity that only one direction believes, against 1 for what both agree on."""
 
+NEAR = 0.08
+"""Share of a disparity by which both directions may differ where that is more than the rows that they may always."""
+
 SPECKLE = 20
 """Pixels at half size: smaller islands are mistakes more often than things."""
 
@@ -138,11 +141,17 @@ def agreeing(found: tuple[Matches, Matches], options: MatchingOptions) -> tuple[
 
 
 def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bool[np.ndarray, "height width"]:
+    """Whether the other direction found the same where this one points to.
+
+    Near things move by many rows, of which a few more or less say little about how far away they are; and what is seen
+    foreshortened here takes several rows of the other picture, in each of which it has moved differently.
+    """
     height = disparity.shape[0]
     target = np.arange(height)[:, None] + disparity
     row = np.clip(np.rint(target), 0, height - 1).astype(np.int64)
     found = np.take_along_axis(other, row, axis=0)
-    return np.asarray((np.abs(found - disparity) <= tolerance) & (target <= height - 1))
+    is_same = np.abs(found - disparity) <= np.maximum(tolerance, NEAR * disparity)
+    return np.asarray(is_same & (target <= height - 1))
 
 
 def is_measurable(grid: Meridians, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:

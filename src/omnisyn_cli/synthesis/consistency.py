@@ -12,20 +12,23 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.fusion.confidence.score import PairConfidence, assess_pair
-from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, estimate_curve
+from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, estimate_curve, rough_curve
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
 from omnisyn_cli.types import DepthEstimate, Rendering, View
 
-__all__ = ["CrossCheck"]
+__all__ = ["CrossCheck", "in_one_exposure"]
 
 CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
 
 SAME_PLACE = 0.05
 """Relative difference of inverse depth up to which two pictures show the same place."""
+
+ROUGH_SIZE = (128, 256)
+"""Rows and columns of the depth that tells how differently two pictures are exposed."""
 
 LEAST_WEIGHT = np.float32(0.01)
 """Of a photograph's own pixels: they are what they are, however little is known about their distance."""
@@ -44,6 +47,22 @@ class CrossCheck:
     confidence: PairConfidence
 
 
+def in_one_exposure(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
+    """Both views exposed alike, so that depth can be found in them; the very same views where they are.
+
+    Where their brightness differs, depth at a small size, from nothing but what is brighter than its neighbours, tells
+    which pixels show the same places, and those tell whether it was the exposure.
+    """
+    if rough_curve(first, second).is_identity or np.array_equal(first.pose.position, second.pose.position):
+        return first, second
+    from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+
+    options = MatchingOptions(size=ROUGH_SIZE, colour_share=0.0, doubtful_colour_share=0.0)
+    views = (first, second)
+    across, *_ = _seen_across(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
+    return equalized(first, second, _curve(across), threads)
+
+
 def cross_check(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None = None
 ) -> CrossCheck:
@@ -55,14 +74,21 @@ def cross_check(
         cut: where their surfaces are separated.
         threads: at most this many; None is one per core.
     """
-    size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
-    small = (_reduced(views[0], depths[0], size), _reduced(views[1], depths[1], size))
-    renderers = [_renderer(view, cut, threads) for view in small]
-    across = [_crossed(small[k], renderers[1 - k], small[1 - k]) for k in (0, 1)]
+    across, small, renderers = _seen_across(views, depths, cut, threads)
     curve = _curve(across)
     expose = ExposureMatcher(curve)
     there, back = expose(*across[0], 0.0), expose(*across[1][::-1], 1.0)
     return CrossCheck(curve, assess_pair([there, back[::-1]], expose(*_half_way(small, renderers), 0.5)))
+
+
+def _seen_across(
+    views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None
+) -> tuple[list[tuple[Rendering, Rendering]], tuple[View, View], list[Renderer]]:
+    """Each photograph beside the other one's surface as it is seen from there; both views, small; their renderers."""
+    size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
+    small = (_reduced(views[0], depths[0], size), _reduced(views[1], depths[1], size))
+    renderers = [_renderer(view, cut, threads) for view in small]
+    return [_crossed(small[k], renderers[1 - k], small[1 - k]) for k in (0, 1)], small, renderers
 
 
 def _reduced(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:

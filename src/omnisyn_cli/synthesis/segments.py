@@ -14,11 +14,10 @@ from jaxtyping import Float, UInt8
 
 from omnisyn_cli.fusion.confidence import LEAST_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.photometry import equalized
 from omnisyn_cli.geometry.pose import STILL, Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
-from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
+from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check, in_one_exposure
 from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -102,7 +101,7 @@ def measure_pair(
     """
     with clock("depth"):
         depths = (
-            estimator(*equalized(first, second, options.threads))
+            estimator(*in_one_exposure(first, second, options.threads))
             if _is_moving(first, second)
             else _depths_in_place(first, second, options)
         )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized
+from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, rough_curve
 from omnisyn_cli.fusion.photometry.curve import KNOTS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Rendering, View
@@ -74,10 +74,14 @@ def test_values_beyond_the_table_go_on_and_holes_stay_holes() -> None:
     np.testing.assert_array_equal(hole.colour[..., :3], image)
 
 
+def alike(first: View, second: View) -> tuple[View, View]:
+    return equalized(first, second, rough_curve(first, second), threads=1)
+
+
 @pytest.mark.parametrize("stop", [1.0, -1.0])
 def test_before_depth_is_looked_for_pictures_are_exposed_alike(stop: float) -> None:
     views = View(in_eight_bits(picture(1)), HERE), View(in_eight_bits(exposed(picture(1), stop)), HERE)
-    first, second = equalized(*views, threads=1)
+    first, second = alike(*views)
     assert (second.image.mean() - first.image.mean()) == pytest.approx(0.0, abs=0.01)
     darker = 0 if stop > 0 else 1
     assert (first, second)[darker] is views[darker]
@@ -85,18 +89,18 @@ def test_before_depth_is_looked_for_pictures_are_exposed_alike(stop: float) -> N
 
 def test_a_picture_that_was_white_says_so_when_it_is_darkened() -> None:
     image = np.clip(picture(1) + 0.1, 0.0, 1.0)
-    assert not any(view.is_cut_off for view in equalized(View(0.5 * image, HERE), View(0.7 * image, HERE), 1))
+    assert not any(view.is_cut_off for view in alike(View(0.5 * image, HERE), View(0.7 * image, HERE)))
     bright = View(exposed(image, 2.0), HERE)
     assert (bright.image.max(-1) >= 1.0).mean() > 0.1
-    assert [view.is_cut_off for view in equalized(View(image, HERE), bright, 1)] == [False, True]
-    assert [view.is_cut_off for view in equalized(bright, View(image, HERE), 1)] == [True, False]
+    assert [view.is_cut_off for view in alike(View(image, HERE), bright)] == [False, True]
+    assert [view.is_cut_off for view in alike(bright, View(image, HERE))] == [True, False]
 
 
 def test_views_alike_are_handed_on_as_they_are_and_masks_are_obeyed() -> None:
     first, second = View(picture(1), HERE), View(picture(2), HERE)
-    assert all(a is b for a, b in zip(equalized(first, second, 1), (first, second), strict=True))
+    assert all(a is b for a, b in zip(alike(first, second), (first, second), strict=True))
     dark = second.image.copy()
     dark[16:] = 0.01
     masked = View(dark, HERE, np.arange(SIZE[0])[:, None] * np.ones(SIZE) < 16)
-    assert equalized(first, masked, 1)[0] is first
-    assert equalized(first, View(dark, HERE), 1)[0] is not first
+    assert alike(first, masked)[0] is first
+    assert alike(first, View(dark, HERE))[0] is not first

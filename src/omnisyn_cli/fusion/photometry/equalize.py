@@ -1,4 +1,4 @@
-"""Two panoramas brought to one exposure before anything else is known about them, so that matching can compare them."""
+"""Two panoramas brought to one exposure before their depth is known, so that matching can compare them."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.fusion.photometry.curve import estimate_gain
+from omnisyn_cli.fusion.photometry.curve import ExposureCurve, estimate_gain
 from omnisyn_cli.fusion.photometry.kernels import look_up_rows
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.runtime.threads import run_bands
@@ -25,20 +25,26 @@ MUCH_WHITE = 0.02
 """Share of the sphere: with more of it white a picture counts as cut off."""
 
 
-def equalized(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
-    """Both views exposed like the darker one; the very same views where the difference is small.
+def rough_curve(first: View, second: View) -> ExposureCurve:
+    """How much brighter the second view may be than the first, before it is known which pixels show the same places.
+
+    Rooms a few metres apart differ by half a stop without being exposed differently: what is found has to be confirmed.
+    """
+    return estimate_gain(_samples(first), _samples(second))
+
+
+def equalized(first: View, second: View, curve: ExposureCurve, threads: int | None = None) -> tuple[View, View]:
+    """Both views exposed like the darker one; the very same views where they are exposed alike.
 
     The brighter picture is darkened, not the darker one brightened, which would cut off what only the darker one shows:
     depth by matching of a bright hall, one picture a stop brighter, lost 2.4 dB that way and 0.7 dB this way. What was
     white in the brighter one is grey then, and textureless where the darker one has texture; the view says so.
     """
-    samples = _samples(first), _samples(second)
-    curve = estimate_gain(*samples)
     if curve.is_identity:
         return first, second
     if curve.gain.mean() > 0.0:
-        return first, _exposed(second, samples[1], curve.table(0.0, of_second=True), threads)
-    return _exposed(first, samples[0], curve.table(1.0, of_second=False), threads), second
+        return first, _exposed(second, curve.table(0.0, of_second=True), threads)
+    return _exposed(first, curve.table(1.0, of_second=False), threads), second
 
 
 def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
@@ -52,8 +58,8 @@ def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
     return np.asarray(chosen if len(chosen) else np.zeros((1, 3)), np.float64)
 
 
-def _exposed(view: View, samples: np.ndarray, table: np.ndarray, threads: int | None) -> View:
+def _exposed(view: View, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
     run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
-    is_cut_off = bool((samples.max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
+    is_cut_off = bool((_samples(view).max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
     return replace(view, image=image, samples=None, is_cut_off=is_cut_off)
