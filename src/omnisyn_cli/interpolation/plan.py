@@ -87,6 +87,7 @@ class InterpolationPlan(TourPlan):
             "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
             "renderer": recipe.renderer if is_own else "soft points",
             "fusion": recipe.fusion if is_own else "",
+            "view": "" if self.job.view is None else str(self.job.view),
             "path_metres": round(self.length, 4),
             "memory_mib": round(self.memory / 2**20),
             "notes": list(self.notes),
@@ -126,6 +127,7 @@ def plan_tour(job: InterpolationJob) -> TourPlan:
     checks.check_names(job)
     check_names_tell_apart(job.images)
     checks.check_choices(job)
+    checks.check_images(job.images)
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
@@ -238,8 +240,13 @@ def _notes_about_depth(job: InterpolationJob, entries: Sequence[PosedPanorama], 
 def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
     if job.method != OMNISYN:
         yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
+    for where, is_turned in pairs_at_one_place(job, entries):
+        how = "turns in place and cross-fades" if is_turned else "cross-fades"
+        yield f"{where}: there is no parallax to follow, the video {how}"
+
+
+def pairs_at_one_place(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[tuple[str, bool]]:
+    """For neighbours without a way between them the words that say so, and whether they are turned to each other."""
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
-            same = second.pose.almost_equals(first.pose)
-            how = "cross-fades" if same else "turns in place and cross-fades"
-            yield f"{a.name} and {b.name} have the same position: there is no parallax to follow, the video {how}"
+            yield f"{a.name} and {b.name} have the same position", not second.pose.almost_equals(first.pose)

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,14 @@ from annotated_types import Ge, Gt
 
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
-from omnisyn_cli.geometry.pose import STILL, Pose
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
+from omnisyn_cli.interpolation.plan import TourPlan, pairs_at_one_place, plan_tour
 from omnisyn_cli.interpolation.summary import warnings_about
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
@@ -103,13 +102,10 @@ class ExportPlan:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should know."""
-        images, entries = self.tour.job.images, self.tour.entries
-        still = [
-            f"{images[k].name} and {images[k + 1].name} have the same position: without depth files there is none"
-            for k, (a, b) in enumerate(pairwise(entry.pose.position for entry in entries))
-            if np.linalg.norm(b - a) <= STILL and self.tour.recipe.depth.kind != "file"
-        ]
-        return (*self.tour.notes, *still)
+        if self.tour.recipe.depth.kind == "file":
+            return self.tour.notes
+        still = pairs_at_one_place(self.tour.job, self.tour.entries)
+        return (*self.tour.notes, *(f"{where}: without depth files there is none" for where, _ in still))
 
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
@@ -171,6 +167,12 @@ def plan_export(job: ExportJob) -> ExportPlan:
     return ExportPlan(
         job, tour, name, job.stride or chosen.stride, chosen.sky if job.sky is None else job.sky
     )  # fmt: skip
+
+
+def default_ending(name: str | None) -> str:
+    """The ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`, of a format; None is the first one."""
+    name = name or next(iter(FORMATS))
+    return FORMATS[name].suffix or f"-{name}"
 
 
 def _format_of(job: ExportJob) -> str:

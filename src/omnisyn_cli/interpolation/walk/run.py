@@ -9,7 +9,7 @@ from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
+from omnisyn_cli.interpolation.plan import TourPlan, pairs_at_one_place, plan_tour
 from omnisyn_cli.interpolation.summary import refuse_doubtful, warnings_about
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
@@ -46,13 +46,19 @@ class WalkPlan:
     job: WalkJob
     tour: TourPlan
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+        still = pairs_at_one_place(self.tour.job, self.tour.entries)
+        return (*self.tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
+
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
         job, recipe = self.tour.job, self.tour.recipe
         return {
             "inputs": [str(image) for image in job.images], "output": str(job.output), "folder": self.job.is_folder,
             "texture": self.job.options.texture, "lossless": self.job.options.is_lossless, "preset": job.preset,
-            "depth": recipe.depth.kind, "model": recipe.depth.model or "", "notes": list(self.tour.notes),
+            "depth": recipe.depth.kind, "model": recipe.depth.model or "", "notes": list(self.notes),
         }  # fmt: skip
 
 
