@@ -43,7 +43,7 @@ def is_watched(*, is_quiet: bool) -> bool:
 
 @contextmanager
 def counted_bar(
-    begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool
+    begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool, has_lines: bool = False
 ) -> Iterator[Callable[..., None] | None]:
     """A bar with the time left on stderr; what is yielded takes how many are done, and perhaps what was done last.
 
@@ -52,9 +52,11 @@ def counted_bar(
         total: how many there are to be done.
         name: what stands before the bar then, of the same arguments; None leaves it as it is.
         is_quiet: there is no bar then, nor where stderr is no terminal, and None is yielded.
+        has_lines: where stderr is no terminal, say everything that is done in a line.
     """
     if not is_watched(is_quiet=is_quiet):
-        yield None
+        is_said = has_lines and not is_quiet
+        yield (lambda done, *what: click.echo(f"{done}/{total} {name(done, *what)}", err=True)) if is_said else None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
