@@ -13,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
-from omnisyn_cli.interpolation.memory import estimated_memory
+from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory
 from omnisyn_cli.interpolation.recipes import notes_about_gpu, recipe_of
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.depth_files import depth_size
@@ -134,6 +134,12 @@ def plan_tour(job: InterpolationJob) -> TourPlan:
     recipe = _installed_recipe(job, entries)
     checks.check_companions(job, entries, source_sizes, recipe.depth.kind)
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
+
+
+def memory_of_surfaces(tour: TourPlan, keeping: Keeping) -> int:
+    """Bytes that something made of the surfaces of a tour will take, estimated."""
+    surfaces = _surface_sizes(tour.recipe, tour.source_sizes, tour.entries)
+    return estimated_surface_memory(tour.job, tour.recipe, tour.source_sizes, surfaces, keeping)
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
