@@ -170,8 +170,10 @@ def interpolate(
     if dry_run:
         print_plan(plan.describe(), as_json=as_json)
         return
-    from omnisyn_cli.interpolation.run import run_interpolation  # the kernels, which a plan does without
+    from omnisyn_cli.interpolation.rehearsal import rehearsed  # the kernels, which a plan does without
+    from omnisyn_cli.interpolation.run import run_interpolation
 
+    context.with_resource(rehearsed(plan))
     with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:

@@ -67,6 +67,7 @@ def view(
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.recipes import check_device
+    from omnisyn_cli.interpolation.rehearsal import rehearsed
     from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk
 
     check_one_cut(options)
@@ -83,6 +84,7 @@ def view(
         return
     check_device(plan.tour.recipe)
     context.with_resource(say_when_compiling(is_quiet=quiet))
+    context.with_resource(rehearsed(plan.tour))
     with counted_bar("depth", len(plan.tour.entries) - 1, lambda done: "pairs", is_quiet=quiet) as on_pair:
         summary = run_walk(plan, on_pair)
     if not quiet:
