@@ -1,6 +1,6 @@
 """The first run after an installation, shortened: a second process compiles what is drawn with while the first matches.
 
-It makes a frame of two small pictures of noise, of the types that the job will have, so that the same kernels are
+It makes a frame of two small plain pictures, of the types that the job will have, so that the same kernels are
 compiled and kept on disk. Whichever process comes to a kernel first compiles it; the other one waits for it, or finds
 it. The second process is this interpreter with this module, not a copy of the first one, so that it does not matter how
 that was started; it ends with it, and where it cannot work nothing is lost but its help.
@@ -39,8 +39,11 @@ __all__ = ["Rehearsal", "rehearsed"]
 MOST_ROWS = 1024
 """Of the frame that is made for practice; frames of more rows are made by the same kernels."""
 
-NOISE = (64, 128)
-"""Height and width of the pictures of noise."""
+SMALL = (64, 128)
+"""Height and width of the two pictures."""
+
+THREADS = 2
+"""A single one does without some kernels, and there are two at least."""
 
 MATCHED = ("matching", "refined")
 """Sources of depth that keep the first process busy with kernels of their own."""
@@ -83,14 +86,16 @@ class Rehearsal:
         return json.dumps(asdict(self))
 
     def perform(self) -> None:
-        """Make a frame, or what frames are judged by, of two pictures of noise a metre apart."""
-        first, second = (_view_of_noise(self.has_samples, z) for z in (0.0, -1.0))
+        """Make a frame, or what frames are judged by, of two plain pictures a metre apart."""
+        first, second = (_plain_view(self.has_samples, z) for z in (0.0, -1.0))
         depth = _two_walls()
         if self.size is None:
-            measure_pair(first, second, lambda *_: (depth, depth), SynthesisOptions(NOISE, threads=1), Stopwatch())
+            measure_pair(
+                first, second, lambda *_: (depth, depth), SynthesisOptions(SMALL, threads=THREADS), Stopwatch()
+            )
             return
         rows = min(self.size[0], MOST_ROWS)
-        method = make_method(self.recipe, (rows, 2 * rows), threads=1, estimator=lambda *_: (depth, depth))
+        method = make_method(self.recipe, (rows, 2 * rows), threads=THREADS, estimator=lambda *_: (depth, depth))
         pair = method.prepare(0, first, second)
         memory = np.empty((rows, 2 * rows, 3), np.uint8)
         pair.frame(
@@ -98,17 +103,17 @@ class Rehearsal:
         )
 
 
-def _view_of_noise(has_samples: bool, z: float) -> View:
-    samples = np.random.default_rng(0).integers(0, 255, (*NOISE, 3), np.uint8)
+def _plain_view(has_samples: bool, z: float) -> View:
+    samples = np.full((*SMALL, 3), 127, np.uint8)  # nothing that could have moved between the two
     image = np.divide(samples, np.float32(255.0), dtype=np.float32)
     return View(image, Pose(np.eye(3), np.array([0.0, 0.0, z])), samples=samples if has_samples else None)
 
 
 def _two_walls() -> DepthEstimate:
     """A near one before a far one: there is something to cut, to hide and to fill."""
-    inverse_depth = np.full(NOISE, 0.2, np.float32)
-    inverse_depth[16:48, ::32] = inverse_depth[16:48, 1::32] = 1.5
-    return DepthEstimate(inverse_depth, np.ones(NOISE, np.float32))
+    inverse_depth = np.full(SMALL, 0.2, np.float32)
+    inverse_depth[16:48, 8:] = np.where(np.arange(SMALL[1] - 8) % 32 < 12, 1.5, 0.2)
+    return DepthEstimate(inverse_depth, np.ones(SMALL, np.float32))
 
 
 @contextmanager
