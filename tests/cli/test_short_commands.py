@@ -156,6 +156,19 @@ def test_a_panorama_that_does_not_exist_is_no_missing_pose(tmp_path: Path, capsy
     result = run(capsys, command, images[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME)
     assert (result.code, result.out) == (3, "")
     assert result.err == f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
+    (tmp_path / "other").mkdir()
+    without = run(capsys, command, tmp_path / "other" / "d.png", images[1])
+    assert without.code == 2
+    assert f"{tmp_path / 'other' / 'd.png'}: expected a panorama, got no such file" in without.err
+
+
+@pytest.mark.parametrize("command", ["check", "refine"])
+def test_nor_is_it_where_poses_are_looked_at(tmp_path: Path, capsys: Capture, command: str) -> None:
+    images = write_pair(tmp_path)
+    output = ["-o", tmp_path / "new.json"] if command == "refine" else []
+    result = run_cli(capsys, "poses", command, images[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME, *output)
+    assert result.code == 3
+    assert result.err == f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
 
 
 @pytest.mark.parametrize("command", ["interpolate", "view"])

@@ -131,6 +131,9 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
 
     images, poses, output = options["images"], options["poses"], options["output"]
     if poses is None and not poses_beside(images):
+        for image in images:
+            if not image.exists():
+                raise click.UsageError(f"{image}: expected a panorama, got no such file; check the name")
         raise click.UsageError(
             f"expected --poses, or a poses.json beside {images[0]}, got neither; name the pose file, or have poses "
             "found in the pictures (--poses auto)"
