@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -131,8 +131,9 @@ def rehearsed(plan: TourPlan) -> Iterator[None]:
     finally:
         process.kill()
         process.wait()
-        if process.stdin is not None:
-            process.stdin.close()
+        with suppress(OSError):
+            if process.stdin is not None:
+                process.stdin.close()
 
 
 def _is_worth_while(plan: TourPlan) -> bool:
@@ -157,11 +158,12 @@ def _started(rehearsal: Rehearsal) -> "subprocess.Popen[str] | None":
             [sys.executable, "-P", "-m", __name__], env={**os.environ, "PYTHONPATH": paths}, text=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
         )  # fmt: skip
+    except OSError:
+        return None
+    with suppress(OSError):  # it has ended already, which is noticed where it is listened to
         if process.stdin is not None:
             process.stdin.write(rehearsal.to_json() + "\n")  # and left open: its end is that of this process
             process.stdin.flush()
-    except OSError:
-        return None
     return process
 
 
