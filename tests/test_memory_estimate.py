@@ -1,5 +1,6 @@
 """What ``--dry-run`` says about memory is what a run takes."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,11 @@ import OpenImageIO
 import pytest
 
 from interpolation_samples import CHAIN, job_of
+from omnisyn_cli.cli import main
+from omnisyn_cli.interpolation.export import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.walk import WalkJob, plan_walk
 from omnisyn_cli.io import read_header, write_image
 from synthesis_samples import posed, write_hall
 
@@ -60,6 +64,40 @@ def test_the_plan_is_within_a_fifth_of_the_peak(tmp_path: Path, size: tuple[int,
     options += [word for name, value in chosen.items() for word in (f"--{name}", value)]
     command = [sys.executable, "-c", MEASURED, "interpolate", *map(str, [*images, *options]), "--overwrite"]
     assert 0.8 < peak_of(command) / planned < 1.2
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="nobody tells the peak of memory there")
+@pytest.mark.parametrize(
+    ("command", "output"), [(["view"], "a.html"), (["export", "--format", "colmap"], "set")], ids=["view", "colmap"]
+)
+def test_what_is_made_of_surfaces_takes_what_its_plan_says(
+    tmp_path: Path, command: list[str], output: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = write_hall(tmp_path, [posed((0, 0, 0.3)), posed((0, 0, -0.3))], (1024, 2048), with_depth=False)
+    words = [*command, *map(str, images), "-o", str(tmp_path / output), "--preset", "fast"]
+    with pytest.raises(SystemExit, match="0"):
+        main([*words, "--dry-run", "--json"])
+    planned = json.loads(capsys.readouterr().out)["memory_mib"] * 2**20
+    measured = peak_of([sys.executable, "-c", MEASURED, *words, "--overwrite", "-q"])
+    assert 0.8 < measured / planned < 1.2
+
+
+def test_points_of_many_panoramas_take_memory_in_the_end(tmp_path: Path) -> None:
+    """Their number grows with the panoramas and falls with the square of the stride; a page only grows a little."""
+    images = write_hall(tmp_path, CHAIN, with_depth=False)
+
+    def bytes_of(count: int, **changes: object) -> int:
+        tour = job_of(tmp_path, [images[k % 3] for k in range(count)], output=tmp_path / "a.ply")
+        return plan_export(ExportJob(tour, **changes)).memory
+
+    few, many = bytes_of(10), bytes_of(100)
+    assert many - few > 90 * 2 * 107 * 0.6 * 256 * 512
+    assert bytes_of(100, stride=4) - bytes_of(10, stride=4) < (many - few) / 10
+    pages = [
+        plan_walk(WalkJob(job_of(tmp_path, [images[k % 3] for k in range(count)], output=tmp_path / "a.html"))).memory
+        for count in (10, 100)
+    ]
+    assert 0 < pages[1] - pages[0] < (many - few) / 10
 
 
 def test_the_estimate_of_memory_grows_with_every_size(tmp_path: Path) -> None:

@@ -28,13 +28,13 @@ CASES = [(document, words) for document in DOCUMENTS for words in commands(docum
 @pytest.mark.parametrize(("document", "words"), CASES, ids=[" ".join(words) for _, words in CASES])
 def test_every_command_parses(document: Path, words: list[str]) -> None:
     command: click.Command = cli
-    with click.Context(cli, info_name="omnisyn") as context:
+    with click.Context(cli, info_name="omnisyn", **cli.context_settings) as context:
         while isinstance(command, click.Group):
             found = command.get_command(context, words[0])
             assert found is not None, f"{document.name}: there is no command {words[0]}"
             command, words = found, words[1:]
         if "--help" not in words:
-            command.make_context(command.name, list(words))
+            command.make_context(command.name, list(words), parent=context)
 
 
 @pytest.mark.parametrize(("document", "words"), CASES, ids=[" ".join(words) for _, words in CASES])

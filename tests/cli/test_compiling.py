@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from cli_samples import run_cli, write_pair
 
+from omnisyn_cli.cli import progress
 from omnisyn_cli.cli.progress import COMPILING, COMPILING_AGAIN, say_when_compiling
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime import jit
@@ -13,8 +14,14 @@ from omnisyn_cli.runtime.jit import announce_compiling, kernel
 
 @pytest.mark.parametrize("is_quiet", [False, True])
 def test_compiling_is_said_once_on_standard_error_unless_all_is_quiet(
-    is_quiet: bool, capsys: pytest.CaptureFixture[str]
+    is_quiet: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """And unless it is over at once."""
+    quick = kernel(cache=False)(lambda x: x * 2)
+    with say_when_compiling(is_quiet=is_quiet):
+        quick(1)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(progress, "SHORT", 0.0)
     first, second = kernel(cache=False)(lambda x: x + 1), kernel(cache=False)(lambda x: x - 1)
     with say_when_compiling(is_quiet=is_quiet):
         first(1)
@@ -22,6 +29,20 @@ def test_compiling_is_said_once_on_standard_error_unless_all_is_quiet(
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == ("" if is_quiet else f"{COMPILING}\n")
+
+
+def test_the_bar_says_that_it_waits_for_kernels_and_what_it_said_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "is_watched", lambda **_: True)
+    shown: list[str] = []
+    monkeypatch.setattr("rich.progress.Progress.update", lambda bar, task, description, **_: shown.append(description))
+    first, second = kernel(cache=False)(lambda x: x + 1), kernel(cache=False)(lambda x: x - 1)
+    with progress.counted_bar("depth", 3, lambda done: "frames" if done > 1 else None, is_quiet=False) as on_frame:
+        assert on_frame is not None
+        first(1)
+        on_frame(1)
+        on_frame(2)
+        second(1)
+    assert shown == ["compiling", "depth", "depth", "frames", "compiling", "frames"]
 
 
 def test_where_nothing_can_be_kept_it_is_said_what_to_do(

@@ -50,7 +50,7 @@ def test_the_table_has_the_means_and_every_reason(capsys: pytest.CaptureFixture[
 
 
 def test_json_is_everything_that_was_measured(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:
-    result = run_cli(capsys, *arguments(scenes, "--json", "--report", tmp_path / "report"))
+    result = run_cli(capsys, *arguments(scenes, "--json", "--quiet", "--report", tmp_path / "report"))
     values = json.loads(result.out)
     assert (result.code, result.err) == (0, "")
     assert [(unit["scene"], unit["method"], unit["status"]) for unit in values["units"]] == [
@@ -58,6 +58,44 @@ def test_json_is_everything_that_was_measured(capsys: pytest.CaptureFixture[str]
         ("hall", "omnisyn-paper", "unavailable"),
     ]  # fmt: skip
     assert values["units"] == [record.to_json() for record in read_records(tmp_path / "report")]
+
+
+def test_what_is_done_is_said_in_lines_where_nobody_sees_a_bar(
+    capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path
+) -> None:
+    """With where the results are; nothing of it on standard output, and none of it if all shall be quiet."""
+    result = run_cli(capsys, *arguments(scenes, "--report", tmp_path / "report"))
+    first, *lines = result.err.splitlines()
+    assert (
+        first == f"note: results are kept in {tmp_path / 'report'} as they come; started again, the command goes on "
+        "from there"
+    )
+    assert lines == ["1/3 hall crossfade", "2/3 hall oracle-depth", "3/3 hall omnisyn-paper"]
+    unkept = run_cli(capsys, *arguments(scenes))
+    assert unkept.err.splitlines()[0].startswith("note: results are printed at the end and kept nowhere; --report DIR")
+    assert "hall crossfade" not in unkept.out
+    assert run_cli(capsys, *arguments(scenes, "-q")).err == ""
+
+
+def test_the_usual_methods_are_compared_unless_others_are_named(
+    capsys: pytest.CaptureFixture[str], scenes: Path
+) -> None:
+    """The true depth only where there is some; the help says which."""
+
+    def methods(*more: object) -> list[str]:
+        result = run_cli(capsys, "eval", scenes / "hall", "--threads", 1, "--json", "--no-pictures", *more)
+        return [unit["method"] for unit in json.loads(result.out)["units"]]
+
+    presets = ["omnisyn-fast", "omnisyn-balanced", "omnisyn-accurate"]
+    assert methods() == ["crossfade", "matching", *presets, "oracle-depth"]
+    assert methods("--methods", "usual") == methods()
+    poses = json.loads((scenes / "hall" / "poses.json").read_text())
+    poses["panoramas"]["p2.png"].pop("depth")
+    (scenes / "hall" / "poses.json").write_text(json.dumps(poses))
+    assert methods() == ["crossfade", "matching", *presets]
+    assert methods("--methods", "crossfade,oracle-depth") == ["crossfade", "oracle-depth"]
+    words = " ".join(run_cli(capsys, "eval", "--help").out.split())
+    assert "usual: crossfade, matching, the presets from fast to accurate, and the true depth" in words
 
 
 def test_the_report_and_its_pictures_are_kept(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:

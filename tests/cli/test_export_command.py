@@ -121,6 +121,7 @@ def test_a_dry_run_writes_nothing_and_says_what_would_be(
     assert run(*walk, *options(walk, tmp_path / "x.ply"), "--format", "splats", "--dry-run", "--json") == 0
     plan = json.loads(capsys.readouterr().out)
     assert (plan["format"], plan["depth"], plan["sky"], plan["stride"]) == ("splats", "file", True, 1)
+    assert plan["memory_mib"] > 100
     assert not (tmp_path / "x.ply").exists()
 
 

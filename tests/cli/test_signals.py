@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import pytest
@@ -118,6 +121,22 @@ def test_whatever_else_fails_on_the_way_out_the_signal_is_what_is_told() -> None
 def test_a_signal_that_somebody_swallows_is_told_in_the_end() -> None:
     with pytest.raises(KeyboardInterrupt), signals_raised(), suppress(KeyboardInterrupt):
         signal.raise_signal(signal.SIGINT)
+
+
+def test_a_signal_while_kernels_are_compiled_is_not_lost() -> None:
+    """LLVM calls back through C, where an exception would be printed and forgotten."""
+    there = {"__name__": "llvmlite.binding.executionengine", "signal": signal}
+    callback = ctypes.CFUNCTYPE(None)(FunctionType(end.__code__, there))
+
+    @signals_raised()
+    def compile_and_go_on() -> None:
+        callback()
+        time.sleep(LONG)
+
+    begin = time.monotonic()
+    with pytest.raises(Terminated):
+        compile_and_go_on()
+    assert time.monotonic() - begin < LONG / 2
 
 
 def test_a_wait_is_broken_off() -> None:

@@ -42,7 +42,8 @@ def test_a_video_s_page_is_the_page_of_view(tour: list[Path], tmp_path: Path, ca
     """Of the same depth, pairs without a frame of their own included."""
     assert run_cli(capsys, "view", *given(tour, "-o", tmp_path / "own.html")).code == 0
     more = ("--frames", 3, "-o", tmp_path / "frames", "--view", tmp_path / "beside.html")
-    assert run_cli(capsys, "interpolate", *given(tour, *more)).code == 0
+    made = run_cli(capsys, "interpolate", *given(tour, *more))
+    assert (made.code, made.out.splitlines()[1]) == (0, f"{tmp_path / 'beside.html'}: a walk through 3 panoramas")
     assert (tmp_path / "beside.html").read_bytes() == (tmp_path / "own.html").read_bytes()
     assert len(listing(tmp_path / "frames")) == 3
 
@@ -67,10 +68,18 @@ def test_a_page_that_cannot_be_is_refused_before_any_frame(
     assert listing(tmp_path) == before
 
 
+def test_the_summary_of_a_video_names_its_page(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
+    more = ("--frames", 3, "-o", tmp_path / "frames", "--json")
+    made = run_cli(capsys, "interpolate", *given(tour, *more, "--view", tmp_path / "beside.html"))
+    assert json.loads(made.out)["view"] == str(tmp_path / "beside.html")
+    assert json.loads(run_cli(capsys, "interpolate", *given(tour, *more, "--overwrite")).out)["view"] == ""
+
+
 def test_a_dry_run_says_what_would_be_done(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
     result = run_cli(capsys, "view", *given(tour, "-o", tmp_path / "walk.html", "--dry-run", "--json"))
     plan = json.loads(result.out)
     assert (plan["texture"], plan["depth"], plan["folder"]) == (4096, "file", False)
+    assert plan["memory_mib"] > 100
     assert not (tmp_path / "walk.html").exists()
 
 

@@ -293,7 +293,7 @@ def test_the_report_is_written_at_the_end(tmp_path: Path) -> None:
     ("options", "message"),
     [
         ({"methods": "nosuch"}, "expected one of"),
-        ({"methods": ","}, "expected 'all' or names"),
+        ({"methods": ","}, "expected 'usual', 'all' or names"),
         ({"size": (64, 64)}, "twice as wide"),
         ({"pairs": "0"}, "expected pairs"),
         ({"layout": "carla"}, "layout 'carla'"),

@@ -1,10 +1,25 @@
 """Who compiles says so, once; who finds machine code does not."""
 
+import threading
+import time
+from pathlib import Path
+
+import numba
 import numpy as np
 import pytest
 
 from omnisyn_cli.runtime import jit
-from omnisyn_cli.runtime.jit import announce_compiling, are_kernels_kept, fast_kernel, kernel, when_compiling
+from omnisyn_cli.runtime.jit import (
+    OtherCompiler,
+    announce_compiling,
+    are_kernels_kept,
+    fast_kernel,
+    is_on_disk,
+    kernel,
+    reporting_to,
+    when_compiling,
+    while_compiling,
+)
 
 
 def test_the_first_compilation_is_said_and_no_other_one() -> None:
@@ -38,10 +53,109 @@ def test_kernels_work_without_a_place_for_their_machine_code(
 ) -> None:
     """A read-only installation, and a user without a home."""
 
-    def refuse(_: object) -> None:
+    def refuse(*_: object) -> None:
         raise RuntimeError("cannot cache function: no locator available")
 
     monkeypatch.setattr(jit._Kept, "everywhere", True)
-    monkeypatch.setattr("numba.core.dispatcher.Dispatcher.enable_caching", refuse)
+    monkeypatch.setattr("numba.core.caching.FunctionCache.__init__", refuse)
     assert decorator(lambda x: x + 1)(1) == 2
     assert not are_kernels_kept()
+
+
+def test_what_is_compiled_quickly_is_not_worth_a_word() -> None:
+    quick, said = kernel(cache=False)(lambda x: x + 1), []
+    with when_compiling(lambda: said.append("compiling"), patience=60.0):
+        quick(1)
+        assert said == []
+        announce_compiling()  # by somebody who knows that it takes long
+        assert said == ["compiling"]
+    with when_compiling(lambda: said.append("again"), patience=1e-9):
+        quick(1.0)
+    deadline = time.monotonic() + 60
+    while said == ["compiling"] and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert said == ["compiling", "again"]
+
+
+def test_compiling_begins_and_ends_once_for_a_kernel_and_those_in_it() -> None:
+    inner = kernel(cache=False)(lambda x: x + 1)
+    outer, said = kernel(cache=False)(lambda x: inner(x) * 2), []
+    with while_compiling(said.append):
+        assert outer(1) == 4
+        assert said == [True, False]
+        outer(1)
+    assert said == [True, False]
+
+
+KERNEL = """
+from omnisyn_cli.runtime.jit import kernel
+
+@kernel
+def double(x):
+    return x + x
+"""
+
+
+def loaded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> numba.core.dispatcher.Dispatcher:
+    """A kernel of a file, as a process of its own would have it, with a place on disk."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder / "kept"))
+    (folder / "doubling.py").write_text(KERNEL) if not (folder / "doubling.py").exists() else None
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delitem(__import__("sys").modules, "doubling", raising=False)
+    return __import__("doubling").double
+
+
+def test_two_processes_that_compile_one_kernel_for_two_types_do_not_mix_them_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both find nothing on disk, both write; who reads then gets what belongs to the types, or nothing."""
+    first, second = loaded(tmp_path, monkeypatch), loaded(tmp_path, monkeypatch)
+    empty = first._cache._cache_file._load_index()
+    assert empty == {}
+    monkeypatch.setattr(type(first._cache._cache_file), "_load_index", lambda file: {})  # as of before the other wrote
+    assert (first(3), second(1.5)) == (6, 3.0)
+    monkeypatch.undo()
+    again = loaded(tmp_path, monkeypatch)
+    assert is_on_disk(again)
+    assert again(1.5) == 3.0
+    assert again(3) == 6
+    assert len(list((tmp_path / "kept").rglob("*.nbc"))) == 2
+
+
+def test_a_kernel_that_another_process_compiles_is_waited_for_and_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, here, third = (loaded(tmp_path, monkeypatch) for _ in range(3))
+    reports: list[str] = []
+    with reporting_to(reports.append):
+        there(3)
+    assert reports == ["+doubling.double", "-doubling.double"]
+    other, compiled = OtherCompiler(), []
+    other.hear("+doubling.double")
+    files = list((tmp_path / "kept").rglob("*.nb?"))
+    hidden = {file: file.read_bytes() for file in files}
+    for file in files:
+        file.unlink()
+
+    def finish() -> None:
+        for file, content in hidden.items():
+            file.write_bytes(content)
+        other.hear("-doubling.double")
+
+    timer = threading.Timer(0.3, finish)
+    timer.start()
+    with other.awaited(), reporting_to(compiled.append):
+        assert here(3) == 6
+    assert compiled == []
+    timer.join()
+    other.hear("+doubling.double")
+    threading.Timer(0.3, other.end).start()  # it was killed
+    with other.awaited(), reporting_to(compiled.append):
+        assert third(np.float32(3)) == 6
+    assert compiled == ["+doubling.double", "-doubling.double"]
+
+
+def test_what_nobody_else_compiles_is_not_waited_for() -> None:
+    other = OtherCompiler()
+    other.hear("+other.kernel")
+    assert not other.wait_for("mine")

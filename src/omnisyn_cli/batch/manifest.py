@@ -24,7 +24,7 @@ from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob,
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
 from omnisyn_cli.io.sequence import NUMBER
-from omnisyn_cli.poses.file import PoseFile, read_poses
+from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
 __all__ = ["Manifest", "read_manifest"]
 
@@ -166,7 +166,7 @@ class _Reader:
 
     def _pose_path(self, line: Any, base: Path) -> Path:
         if line.poses is None:
-            return self._place(base / "poses.json")
+            return self._place(base / POSES_NAME)
         given = Path(line.poses)
         return given if given == POSES_FROM_PICTURES else self._place(self._folder / given)
 

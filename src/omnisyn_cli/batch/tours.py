@@ -19,7 +19,7 @@ from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.io import check_output
 from omnisyn_cli.io.outputs import replaced_when_complete
-from omnisyn_cli.poses.file import read_poses
+from omnisyn_cli.poses.file import POSES_NAME, read_poses
 
 __all__ = ["TourOptions", "plan_tours", "write_manifest"]
 
@@ -132,10 +132,10 @@ def _walk(start: int, open_pairs: dict[int, set[int]]) -> Iterator[tuple[int, in
 def _pose_files(source: Path) -> list[Path]:
     if not source.is_dir():
         return [source]
-    here = source / "poses.json"
+    here = source / POSES_NAME
     if here.is_file():
         return [here]
-    below = sorted(folder / "poses.json" for folder in source.iterdir() if (folder / "poses.json").is_file())
+    below = sorted(folder / POSES_NAME for folder in source.iterdir() if (folder / POSES_NAME).is_file())
     if not below:
         raise InputError(f"{source}: expected poses.json in the folder or in folders inside it, got none; add one")
     return below

@@ -41,8 +41,9 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @click.argument("dataset", metavar="DATASET_DIR", type=FilePath())
 @report_option("results, pictures and the report")
 @click.option(
-    "--methods", metavar="all|LIST", default="all", show_default=True,
-    help="Names separated by commas, see --list-methods; a name may have parameters: matching:cut=0.02.",
+    "--methods", metavar="usual|all|LIST", default="usual", show_default=True,
+    help="Names separated by commas, see --list-methods; a name may have parameters: matching:cut=0.02. usual: "
+    "crossfade, matching, the presets from fast to accurate, and the true depth where there is some.",
 )  # fmt: skip
 @click.option(
     "--list-methods", is_flag=True, is_eager=True, expose_value=False, callback=_list_methods,
@@ -69,7 +70,8 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     """Compare methods on scenes with true frames between two panoramas.
 
     \b
-    omnisyn eval scenes/ --report report/
+    omnisyn eval scenes/
+    omnisyn eval scenes/ --report report/ --methods all
     omnisyn eval scenes/ --methods matching,crossfade,oracle-depth --size 512x256
     omnisyn eval Town06/ --format carla --pairs every:5 --report report/
 
@@ -81,10 +83,12 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     with working_folder(report, "eval", is_quiet=quiet) as folder:
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
         plan = plan_evaluation(job)
-        progress = counted_bar(
-            "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet
-        )
-        with progress as on_unit:
+        if not quiet:
+            click.echo(f"note: {_about_results(report)}", err=True)
+        with counted_bar(
+            "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet,
+            has_lines=True,
+        ) as on_unit:  # fmt: skip
             records = run_evaluation(plan, on_unit) if report is None else evaluate(plan, on_unit)
     if as_json:
         print_records(records, dataset=str(job.dataset), report=None if report is None else str(report))
@@ -93,6 +97,13 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         if report is not None:
             click.echo(f"{report / 'report.html'}: {len(records)} results")
     return int(any(record.status == "failed" for record in records))
+
+
+def _about_results(report: Path | None) -> str:
+    """Where results are, and what that is good for."""
+    if report is None:
+        return "results are printed at the end and kept nowhere; --report DIR keeps them as they come, with pictures"
+    return f"results are kept in {report} as they come; started again, the command goes on from there"
 
 
 def print_records(records: Sequence[UnitRecord], **about: str | None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,11 +10,12 @@ import click
 from omnisyn_cli.cli.options import (
     check_one_cut,
     json_option,
-    poses_options,
+    named,
     print_json,
     print_plan,
     quiet_option,
     surface_options,
+    tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
@@ -28,16 +28,17 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
-@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
-@poses_options
+@tour_options
 @click.option(
-    "-o", "--output", required=True, type=FilePath(), help="File (.glb, .ply), or folder for colmap and nerfstudio."
-)
+    "-o", "--output", type=FilePath(),
+    help="File (.glb, .ply), or folder for colmap and nerfstudio.  [default: FOLDER or A-C with the format's ending, "
+    "here]",
+)  # fmt: skip
 @click.option(
     "--format", type=click.Choice(FORMATS),
     help="glb: a textured mesh, for Blender and model-viewer. ply: points. splats: flat discs as Gaussian splats, for "
     "SuperSplat. colmap: two models with depth, of panoramas and of six faces. nerfstudio: transforms.json with depth. "
-    " [default: glb or ply, by the file's ending]",
+    " [default: by the output's ending, else glb]",
 )  # fmt: skip
 @click.option(
     "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096, show_default=True,
@@ -61,27 +62,31 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 @quiet_option
 @click.pass_context
 def export(
-    context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float, output: Path,
+    context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002
 ) -> None:  # fmt: skip
     """Write panoramas A, B and further ones, with their depth, for other programs.
 
     \b
-    omnisyn export a.jpg b.jpg --poses poses.json -o place.glb
-    omnisyn export a.jpg b.jpg --poses poses.json -o place.ply --format splats --stride 2
+    omnisyn export a.jpg b.jpg --poses poses.json
+    omnisyn export tour/ --format splats --stride 2
     omnisyn export a.jpg b.jpg c.jpg --poses auto -o dataset/ --format colmap
+
+    FOLDER stands for the panoramas that its poses.json names, in the order of that file.
 
     Poses, masks and depth are found as `omnisyn interpolate` finds them. Axes, units and origin of every format are in
     docs/export.md: metres, and the origin of the poses, everywhere; what is up differs.
 
     Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
+    from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export, run_export
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.recipes import check_device
+    from omnisyn_cli.interpolation.rehearsal import rehearsed
 
     check_one_cut(options)
-    tour = InterpolationJob(output=output, nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **options)
+    given = named(options, lambda: default_ending(format))
+    tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **given)
     plan = plan_export(ExportJob(tour, format, texture, stride, sky, dome))
     if not quiet:
         for note in plan.notes:
@@ -91,6 +96,7 @@ def export(
         return
     check_device(plan.tour.recipe)
     context.with_resource(say_when_compiling(is_quiet=quiet))
+    context.with_resource(rehearsed(plan.tour))
     total = len(plan.tour.entries)
     with counted_bar("depth", total, lambda done: "panoramas", is_quiet=quiet) as on_panorama:
         summary = run_export(plan, on_panorama)

@@ -10,8 +10,8 @@ FOLDER = FilePath(file_okay=False)
 
 
 @click.command("export-onnx")
-@click.argument("checkpoint", type=FilePath(dir_okay=False))
-@click.option("-o", "--output", required=True, type=FOLDER, help="Folder of models.")
+@click.argument("checkpoint", required=False, type=FilePath(dir_okay=False))
+@click.option("-o", "--output", type=FOLDER, help="Folder of models.  [default: that of the checkpoint]")
 @click.option(
     "--name", help="What `--model` will call it; of several networks the first word.  [default: KIND-VARIANT]"
 )
@@ -20,7 +20,13 @@ FOLDER = FilePath(file_okay=False)
 @click.option("--licence", default="Apache-2.0", show_default=True, help="Of the weights.")
 @click.option("--overwrite", is_flag=True, help="Replace models of the same names.")
 def export_onnx(
-    checkpoint: Path, output: Path, name: str | None, pool: Path | None, training: str, licence: str, overwrite: bool
+    checkpoint: Path | None,
+    output: Path | None,
+    name: str | None,
+    pool: Path | None,
+    training: str,
+    licence: str,
+    overwrite: bool,
 ) -> None:
     """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
 
@@ -28,11 +34,32 @@ def export_onnx(
     by what each is for.
 
     Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
+
+    Without CHECKPOINT those are listed that lie here and in the folders of runs below.
     """
     from omnisyn_cli.training.publish import publish
 
+    if checkpoint is None:
+        _list_checkpoints(Path())
+        return
+    output = output or checkpoint.parent
     made = publish(checkpoint, output, name=name, pool=pool, training=training, licence=licence, overwrite=overwrite)
     for entry, difference in made:
         click.echo(
             f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
         )
+
+
+def _list_checkpoints(folder: Path) -> None:
+    """What could be exported, and the kinds that there are."""
+    from omnisyn_cli.training.found import checkpoints_below
+    from omnisyn_cli.training.tasks import TASKS
+
+    found = list(checkpoints_below(folder))
+    click.echo("`omnisyn export-onnx PATH` writes one of these:" if found else "no checkpoints here")
+    for checkpoint in found:
+        what = " ".join(filter(None, (checkpoint.kind, checkpoint.variant)))
+        click.echo(f"    {checkpoint.path}: {what}, {checkpoint.step:,} steps")
+    click.echo("`omnisyn train` makes checkpoints of these kinds, in checkpoint.pt of the folder that it is given:")
+    for kind, task in TASKS.items():
+        click.echo(f"    {kind}: {', '.join(task.variants) or 'of a depth and a fusion network'}")

@@ -15,14 +15,15 @@ from omnisyn_cli.cli.options import (
     json_option,
     masks_option,
     nadir_option,
+    named,
     outside_option,
-    poses_options,
     preset_option,
     print_json,
     print_plan,
     quiet_option,
     size_options,
     threads_option,
+    tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
@@ -33,11 +34,11 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
-@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
-@poses_options
+@tour_options
 @click.option(
-    "-o", "--output", required=True, type=FramePlace(),
-    help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.",
+    "-o", "--output", type=FramePlace(),
+    help="Video (.mp4, .mov), folder of frames, or a pattern like frames/%05d.png.  [default: FOLDER.mp4 or A-C.mp4, "
+    "here]",
 )  # fmt: skip
 @click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
 @click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
@@ -136,14 +137,17 @@ def interpolate(
     """Make the 360° video between panoramas A and B, and on through C and further ones.
 
     \b
-    omnisyn interpolate a.jpg b.jpg --poses poses.json -o walk.mp4
-    omnisyn interpolate a.jpg b.jpg c.jpg --poses poses.json -o walk.mp4 --ease smooth --size 4096x2048
-    omnisyn interpolate a.jpg b.jpg --poses poses.json -o frames/ --frames 12
+    omnisyn interpolate a.jpg b.jpg --poses poses.json
+    omnisyn interpolate tour/ -o walk.mp4 --ease smooth --size 4096x2048
+    omnisyn interpolate a.jpg b.jpg c.jpg -o frames/ --frames 12
+
+    FOLDER stands for the panoramas that its poses.json names, in the order of that file.
 
     With the default --heading the first and the last frame are the panoramas themselves.
 
     Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.interpolation.inputs import video_ending
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.plan import plan_interpolation
     from omnisyn_cli.interpolation.recipes import check_device
@@ -151,7 +155,8 @@ def interpolate(
     check_one_cut(options)
     if budget is not None:
         _check_budget_decides(options["method"])
-    plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **options))
+    given = named(options, lambda: video_ending(options["codec"]))
+    plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **given))
     if budget is not None or not dry_run:
         context.with_resource(say_when_compiling(is_quiet=quiet))
     if budget is not None:
@@ -165,8 +170,10 @@ def interpolate(
     if dry_run:
         print_plan(plan.describe(), as_json=as_json)
         return
-    from omnisyn_cli.interpolation.run import run_interpolation  # the kernels, which a plan does without
+    from omnisyn_cli.interpolation.rehearsal import rehearsed  # the kernels, which a plan does without
+    from omnisyn_cli.interpolation.run import run_interpolation
 
+    context.with_resource(rehearsed(plan))
     with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not quiet:
@@ -195,3 +202,5 @@ def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: boo
         height, width = summary.plan.size
         frames, total = len(summary.plan.path), summary.seconds["total"]
         click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
+        if summary.plan.job.view is not None:
+            click.echo(f"{summary.plan.job.view}: a walk through {len(summary.plan.entries)} panoramas")

@@ -55,10 +55,12 @@ nadir_option = click.option(
 )  # fmt: skip
 
 
-poses_options = all_of(
+tour_options = all_of(
+    click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
-        "--poses", required=True, type=FilePath(),
-        help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).",
+        "--poses", type=FilePath(),
+        help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).  "
+        "[default: poses.json beside them]",
     ),
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
@@ -66,7 +68,7 @@ poses_options = all_of(
     ),
     click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then."),
 )  # fmt: skip
-"""Where panoramas were taken."""
+"""Which panoramas, in walking order, and where they were taken; :func:`named` says what is meant."""
 
 depth_options = all_of(
     click.option(
@@ -116,6 +118,28 @@ surface_options = all_of(
     outside_option,
 )  # fmt: skip
 """How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""
+
+
+def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, Any]:
+    """Options in which the panoramas of a folder, the pose file and the output are named, whoever named them.
+
+    Args:
+        options: with those of :data:`tour_options`, ``output`` and ``allow_outside``.
+        ending: that of the output if nobody named it, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`.
+    """
+    from omnisyn_cli.interpolation.inputs import named_tour, poses_beside
+
+    images, poses, output = options["images"], options["poses"], options["output"]
+    if poses is None and not poses_beside(images):
+        for image in images:
+            if not image.exists():
+                raise click.UsageError(f"{image}: expected a panorama, got no such file; check the name")
+        raise click.UsageError(
+            f"expected --poses, or a poses.json beside {images[0]}, got neither; name the pose file, or have poses "
+            "found in the pictures (--poses auto)"
+        )
+    tour = named_tour(images, poses, allow_outside=options["allow_outside"])
+    return {**options, "images": tour.images, "poses": tour.poses, "output": output or tour.output(ending())}
 
 
 def check_one_cut(options: Mapping[str, Any]) -> None:

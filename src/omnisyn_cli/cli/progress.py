@@ -4,10 +4,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 
-COMPILING = "note: compiling the kernels, once per installation: about a minute"
+COMPILING = "note: compiling the kernels, once per installation: about half a minute"
+
+SHORT = 1.5
+"""Seconds of compiling that nobody needs to be told about."""
 
 COMPILING_AGAIN = (
     "note: compiling the kernels, about a minute each time: there is no place to keep them; set NUMBA_CACHE_DIR to a "
@@ -16,14 +20,14 @@ COMPILING_AGAIN = (
 
 
 def say_when_compiling(*, is_quiet: bool) -> AbstractContextManager[None]:
-    """Says once that kernels are compiled if any are inside, which only the first run does."""
+    """Says once that kernels are compiled if that takes a while inside, which only the first run does."""
     from omnisyn_cli.runtime.jit import are_kernels_kept, when_compiling
 
     def say() -> None:
         if not is_quiet:
             click.echo(COMPILING if are_kernels_kept() else COMPILING_AGAIN, err=True)
 
-    return when_compiling(say)
+    return when_compiling(say, SHORT)
 
 
 @contextmanager
@@ -43,23 +47,38 @@ def is_watched(*, is_quiet: bool) -> bool:
 
 @contextmanager
 def counted_bar(
-    begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool
+    begins: str, total: int, name: Callable[..., str | None], *, is_quiet: bool, has_lines: bool = False
 ) -> Iterator[Callable[..., None] | None]:
     """A bar with the time left on stderr; what is yielded takes how many are done, and perhaps what was done last.
+
+    While kernels are compiled, the bar says that instead.
 
     Args:
         begins: what stands before the bar at first.
         total: how many there are to be done.
         name: what stands before the bar then, of the same arguments; None leaves it as it is.
         is_quiet: there is no bar then, nor where stderr is no terminal, and None is yielded.
+        has_lines: where stderr is no terminal, say everything that is done in a line.
     """
     if not is_watched(is_quiet=is_quiet):
-        yield None
+        is_said = has_lines and not is_quiet
+        yield (lambda done, *what: click.echo(f"{done}/{total} {name(done, *what)}", err=True)) if is_said else None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from omnisyn_cli.runtime.jit import while_compiling
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(begins, total=total)
-        yield lambda done, *what: progress.update(task, completed=done, description=name(done, *what))
+        task, shown = progress.add_task(begins, total=total), [begins]
+
+        def show(done: int, *what: Any) -> None:
+            shown[0] = name(done, *what) or shown[0]
+            progress.update(task, completed=done, description=shown[0])
+
+        def compile_(is_begun: bool) -> None:
+            progress.update(task, description="compiling" if is_begun else shown[0])
+
+        with while_compiling(compile_):
+            yield show

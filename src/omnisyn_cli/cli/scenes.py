@@ -77,9 +77,10 @@ def make(
     --threads, --overwrite and --quiet apply.
     """
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.evaluation.scene_files import POSES_NAME, depth_name, write_scene
+    from omnisyn_cli.evaluation.scene_files import depth_name, write_scene
     from omnisyn_cli.io import read_photographs
     from omnisyn_cli.io.outputs import make_folder, staged_folder
+    from omnisyn_cli.poses.file import POSES_NAME
     from omnisyn_cli.scenes import generate_scene, pack_photos, sample_path
 
     context.with_resource(say_when_compiling(is_quiet=quiet))

@@ -26,7 +26,7 @@ PATIENCE = 10.0
 
 FRAGILE_MODULES = {
     "_weakrefset", "concurrent.futures._base", "concurrent.futures.process", "concurrent.futures.thread", "contextlib",
-    "threading", "weakref",
+    "llvmlite.binding.executionengine", "threading", "weakref",
 }  # fmt: skip
 FRAGILE_FUNCTIONS = {"__del__", "__enter__", "__exit__"}
 """Where an exception is lost, leaves a lock taken or gives it back twice, or breaks off what tidies up or publishes."""

@@ -9,11 +9,12 @@ import click
 from omnisyn_cli.cli.options import (
     check_one_cut,
     json_option,
-    poses_options,
+    named,
     print_json,
     print_plan,
     quiet_option,
     surface_options,
+    tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
@@ -21,9 +22,11 @@ from omnisyn_cli.synthesis.recipe import FALLBACKS
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
-@click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
-@poses_options
-@click.option("-o", "--output", required=True, type=FilePath(), help="Page (.html), or a folder with --folder.")
+@tour_options
+@click.option(
+    "-o", "--output", type=FilePath(),
+    help="Page (.html), or a folder with --folder.  [default: FOLDER.html or A-C.html, here]",
+)  # fmt: skip
 @click.option(
     "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096, show_default=True,
     help="Of the photographs in the page; larger panoramas are reduced to it.",
@@ -51,9 +54,11 @@ def view(
     """Make a page in which one walks from panorama A to B, and on through C and further ones.
 
     \b
-    omnisyn view a.jpg b.jpg --poses poses.json -o walk.html --open
+    omnisyn view a.jpg b.jpg --poses poses.json --open
     omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset accurate
-    omnisyn view *.jpg --poses poses.json -o walk/ --folder --serve --open
+    omnisyn view tour/ --folder --serve --open
+
+    FOLDER stands for the panoramas that its poses.json names, in the order of that file.
 
     The page needs nothing beside itself: a double click opens it, without a network. Poses, masks and depth are found
     as `omnisyn interpolate` finds them, and it shows what a video would show, from any place near the way.
@@ -62,21 +67,24 @@ def view(
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.recipes import check_device
+    from omnisyn_cli.interpolation.rehearsal import rehearsed
     from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk
 
     check_one_cut(options)
     if serve and not folder:
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
-    tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **options)
+    given = named(options, lambda: "-walk" if folder else ".html")
+    tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **given)
     plan = plan_walk(WalkJob(tour, WalkOptions(texture, lossless), folder))
     if not quiet:
-        for note in plan.tour.notes:
+        for note in plan.notes:
             click.echo(f"note: {note}", err=True)
     if dry_run:
         print_plan(plan.describe(), as_json=as_json)
         return
     check_device(plan.tour.recipe)
     context.with_resource(say_when_compiling(is_quiet=quiet))
+    context.with_resource(rehearsed(plan.tour))
     with counted_bar("depth", len(plan.tour.entries) - 1, lambda done: "pairs", is_quiet=quiet) as on_pair:
         summary = run_walk(plan, on_pair)
     if not quiet:

@@ -15,13 +15,13 @@ __all__ = ["evaluate", "score"]
 
 
 def evaluate(
-    dataset: Path | str, methods: str = "all", report: Path | str | None = None, **options: Any
+    dataset: Path | str, methods: str = "usual", report: Path | str | None = None, **options: Any
 ) -> list[UnitRecord]:
     """Compare methods with true frames and true depth, as ``omnisyn eval`` does.
 
     Args:
         dataset: folder of scenes, or a scene.
-        methods: ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
+        methods: ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
         report: folder for results and pictures; None keeps nothing.
         options: of :class:`omnisyn_cli.evaluation.engine.EvaluationJob`.
 

@@ -15,6 +15,7 @@ from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, cho
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
 from omnisyn_cli.evaluation.methods import (
+    BOUND,
     ComparedMethod,
     MethodAtWork,
     MethodUnavailableError,
@@ -43,7 +44,7 @@ class EvaluationJob:
     Attributes:
         dataset: folder of scenes, or a scene.
         report: folder for results and pictures; made if it is not there.
-        methods: ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
+        methods: ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
         layout: of the data set, a key of :data:`omnisyn_cli.evaluation.datasets.FORMATS` or ``auto``.
         pairs: which frames are inputs, see :mod:`omnisyn_cli.evaluation.datasets.sources`.
         size: (height, width) of the comparison; None means that of the true frames.
@@ -56,7 +57,7 @@ class EvaluationJob:
 
     dataset: Path
     report: Path
-    methods: str = "all"
+    methods: str = "usual"
     layout: str = "auto"
     pairs: str | None = None
     size: tuple[int, int] | None = None
@@ -115,7 +116,14 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
                 findings.append(_finding(source, "skipped", TOO_FEW))
     if not pairs and not findings:
         raise InputError(f"{job.pairs}: expected pairs of the scenes in {job.dataset}, got none; check the names")
+    if job.methods == "usual" and not any(_has_depth(pair) for pair in pairs):
+        methods = [method for method in methods if method.name != BOUND]
     return EvaluationPlan(job, tuple(methods), tuple(pairs), tuple(findings))
+
+
+def _has_depth(pair: Pair) -> bool:
+    """Whether the true depth of both panoramas is known."""
+    return pair.first.depth is not None and pair.second.depth is not None
 
 
 def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:

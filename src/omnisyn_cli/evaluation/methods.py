@@ -287,15 +287,23 @@ METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*B
 """What ``all`` stands for, by name."""
 
 
+BOUND = "oracle-depth"
+
+USUAL = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
+"""What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""
+
+
 def find_methods(text: str) -> list[ComparedMethod]:
-    """``all``, or names separated by commas, each once.
+    """``usual``, ``all``, or names separated by commas, each once.
 
     Raises:
         InputError: a name that there is no method of, or no name.
     """
-    if text == "all":
-        return list(METHODS.values())
+    if text in ("usual", "all"):
+        return [METHODS[name] for name in (USUAL if text == "usual" else METHODS)]
     names = dict.fromkeys(name.strip() for name in text.split(",") if name.strip())
     if not names:
-        raise InputError(f"expected 'all' or names of methods, got {text!r}; choose some of {', '.join(METHODS)}")
+        raise InputError(
+            f"expected 'usual', 'all' or names of methods, got {text!r}; choose some of {', '.join(METHODS)}"
+        )
     return [find_method(name) for name in names]

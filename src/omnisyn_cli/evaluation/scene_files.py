@@ -6,13 +6,11 @@ from pathlib import Path
 from omnisyn_cli import scenes
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
-from omnisyn_cli.poses.file import PosedPanorama, write_poses
+from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
 from omnisyn_cli.scenes.suite import FRAMES, SEEDS, STANDARD_KINDS, SuiteScene, suite_of
 
-__all__ = ["POSES_NAME", "depth_name", "suite_files", "suite_scenes", "write_scene", "write_suite_scene"]
-
-POSES_NAME = "poses.json"
+__all__ = ["depth_name", "suite_files", "suite_scenes", "write_scene", "write_suite_scene"]
 
 NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES))
 """Of the panoramas of every scene of the standard set."""

@@ -12,7 +12,7 @@ from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendRule
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
 from omnisyn_cli.types import BELIEF, UNSEEN
 
-__all__ = ["quantize_rows", "storing_in"]
+__all__ = ["blend_band", "quantize_rows", "storing_in"]
 
 RUN = 512
 """Pixels of a row that are blended together, an even number: what is found out stays in the nearest cache."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, depth_files, targets
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
+from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size
 from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder
@@ -43,6 +44,12 @@ def check_names(job: InterpolationJob) -> None:
     for target in (job.output, job.save_depth, job.save_frames, job.save_confidence):
         if target is not None:
             check_name(target)
+
+
+def check_images(images: Iterable[Path]) -> None:
+    """Refuse (ImageError) panoramas that are no files, before a pose file is asked about their names."""
+    for image in images:
+        check_is_file(image)
 
 
 def check_choices(job: InterpolationJob) -> None:

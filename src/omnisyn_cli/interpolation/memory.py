@@ -1,6 +1,7 @@
 """The memory that a job will take, estimated from the sizes of what is held at its three peaks."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,6 +52,75 @@ MIP_LEVELS = 4 / 3
 """Pixels of a texture with its mip levels, in those of the picture."""
 
 
+NUMBERS = 12
+"""Bytes of each pixel of a panorama as numbers, which depth is found in."""
+
+BETWEEN_PAIRS = 80e6
+"""Bytes that finding the depth of one pair leaves lying until that of the next is found."""
+
+
+@dataclass(frozen=True)
+class Keeping:
+    """Bytes that something made of surfaces takes.
+
+    Attributes:
+        per_pixel: of each picture, until all of them are there.
+        per_vertex: of each surface, likewise.
+        closing: of each vertex of all surfaces, when all of them are there.
+        writing: of each pixel of one picture, while it is written.
+        columns: that pictures have at most in it; None is as many as they have.
+    """
+
+    per_pixel: float
+    per_vertex: float
+    closing: float = 0.0
+    writing: float = 0.0
+    columns: int | None = None
+
+
+def estimated_surface_memory(
+    job: InterpolationJob, recipe: Recipe, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
+    keeping: Keeping,
+) -> int:  # fmt: skip
+    """Bytes, estimated: the most of what is held while depth is found and while something is made of a surface.
+
+    Args:
+        job: what is asked for.
+        recipe: what surfaces are made with.
+        sources: height and width of the panoramas.
+        depths: those of the surfaces, see :func:`estimated_memory`.
+        keeping: what is made of surfaces.
+
+    Raises:
+        ImageError: a panorama is missing or unreadable.
+    """
+    largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
+    has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
+    panorama = NUMBERS + (3 if has_samples else NUMBERS)
+    more = (panorama * largest + BETWEEN_PAIRS) if len(sources) > 2 else 0.0
+    picture = largest if keeping.columns is None else min(largest, keeping.columns**2 // 2)
+    kept = len(sources) * (keeping.per_pixel * picture + keeping.per_vertex * vertices)
+    making = max(
+        _bytes_of_finding(recipe, vertices, depths),
+        keeping.writing * largest + BYTES_PER_VERTEX["mesh"] * vertices,
+        len(sources) * keeping.closing * vertices,
+    )
+    return int(_bytes_of_program(recipe, depths) + 2 * panorama * largest + more + kept + making)
+
+
+def _bytes_of_program(recipe: Recipe, depths: Sequence[tuple[int, int]]) -> float:
+    kind = recipe.depth.kind
+    return PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * depths[0][0] * depths[0][1]
+
+
+def _bytes_of_finding(recipe: Recipe, vertices: int, depths: Sequence[tuple[int, int]]) -> float:
+    """What is given back when depth has been found."""
+    if recipe.depth.kind == "file":
+        return 0.0
+    is_sharpened = recipe.depth.kind == "refined" and len(depths) > 1
+    return FINDING + (BYTES_PER_SHARPENED_PIXEL * vertices if is_sharpened else 0)
+
+
 def estimated_memory(
     job: InterpolationJob,
     recipe: Recipe,
@@ -75,20 +145,18 @@ def estimated_memory(
     has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
     is_kept_as_samples = has_samples and recipe.renderer == "mesh"
     kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
-    numbers, texturing = 12, 4  # of both for depth; of the last one again, when it is shown
-    kind = recipe.depth.kind
-    network = BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * depths[0][0] * depths[0][1]
-    program = PROGRAM_BY_DEPTH.get(kind, PROGRAM) + network
-    frames = _bytes_of_frames(job, recipe, size) + numbers * largest
+    texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
+    program = _bytes_of_program(recipe, depths)
+    frames = _bytes_of_frames(job, recipe, size) + NUMBERS * largest
     if recipe.method != OMNISYN:
         return int(program + 2 * kept * largest + frames)
-    finding = 0 if kind == "file" else FINDING
-    if kind == "refined" and len(depths) > 1:
-        finding += 2 * numbers * largest + BYTES_PER_SHARPENED_PIXEL * vertices
+    finding = _bytes_of_finding(recipe, vertices, depths)
+    if recipe.depth.kind == "refined" and len(depths) > 1:
+        finding += 2 * NUMBERS * largest
     making, keeping = (
         table.get(recipe.renderer, MOST_PER_VERTEX) for table in (BYTES_PER_VERTEX, BYTES_PER_KEPT_VERTEX)
     )
-    texturing_surfaces = 2 * making * vertices + 2 * (numbers + texturing) * largest
+    texturing_surfaces = 2 * making * vertices + 2 * (NUMBERS + texturing) * largest
     frames += 2 * keeping * vertices
     return int(program + 2 * kept * largest + max(finding, texturing_surfaces, frames))
 

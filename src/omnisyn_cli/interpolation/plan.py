@@ -13,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
-from omnisyn_cli.interpolation.memory import estimated_memory
+from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory
 from omnisyn_cli.interpolation.recipes import notes_about_gpu, recipe_of
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.depth_files import depth_size
@@ -87,6 +87,7 @@ class InterpolationPlan(TourPlan):
             "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
             "renderer": recipe.renderer if is_own else "soft points",
             "fusion": recipe.fusion if is_own else "",
+            "view": "" if self.job.view is None else str(self.job.view),
             "path_metres": round(self.length, 4),
             "memory_mib": round(self.memory / 2**20),
             "notes": list(self.notes),
@@ -126,12 +127,19 @@ def plan_tour(job: InterpolationJob) -> TourPlan:
     checks.check_names(job)
     check_names_tell_apart(job.images)
     checks.check_choices(job)
+    checks.check_images(job.images)
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     recipe = _installed_recipe(job, entries)
     checks.check_companions(job, entries, source_sizes, recipe.depth.kind)
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
+
+
+def memory_of_surfaces(tour: TourPlan, keeping: Keeping) -> int:
+    """Bytes that something made of the surfaces of a tour will take, estimated."""
+    surfaces = _surface_sizes(tour.recipe, tour.source_sizes, tour.entries)
+    return estimated_surface_memory(tour.job, tour.recipe, tour.source_sizes, surfaces, keeping)
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
@@ -238,8 +246,13 @@ def _notes_about_depth(job: InterpolationJob, entries: Sequence[PosedPanorama], 
 def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
     if job.method != OMNISYN:
         yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
+    for where, is_turned in pairs_at_one_place(job, entries):
+        how = "turns in place and cross-fades" if is_turned else "cross-fades"
+        yield f"{where}: there is no parallax to follow, the video {how}"
+
+
+def pairs_at_one_place(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[tuple[str, bool]]:
+    """For neighbours without a way between them the words that say so, and whether they are turned to each other."""
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
         if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
-            same = second.pose.almost_equals(first.pose)
-            how = "cross-fades" if same else "turns in place and cross-fades"
-            yield f"{a.name} and {b.name} have the same position: there is no parallax to follow, the video {how}"
+            yield f"{a.name} and {b.name} have the same position", not second.pose.almost_equals(first.pose)

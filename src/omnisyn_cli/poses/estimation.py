@@ -15,6 +15,7 @@ import numpy as np
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import MAX_PIXELS, read_panorama
+from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
@@ -158,6 +159,8 @@ def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
         raise InputError(
             f"expected every panorama once, got '{name}' several times; leave it out or rename one of the files"
         )
+    for image in images:
+        check_is_file(image)
 
 
 def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:

@@ -29,7 +29,18 @@ from omnisyn_cli.poses.entries import (
     rigid_rotation,
 )
 
-__all__ = ["PoseFile", "PosedPanorama", "check_companions_named", "check_names_tell_apart", "read_poses", "write_poses"]
+__all__ = [
+    "POSES_NAME",
+    "PoseFile",
+    "PosedPanorama",
+    "check_companions_named",
+    "check_names_tell_apart",
+    "read_poses",
+    "write_poses",
+]
+
+POSES_NAME = "poses.json"
+"""What a pose file is called where a folder stands for its panoramas."""
 
 VERSION = 1
 

@@ -13,6 +13,8 @@ from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, plan_quads
 from omnisyn_cli.render.quads import BLOCK
 from omnisyn_cli.runtime.jit import fast_kernel, kernel
 
+__all__ = ["rasterize_blocks"]
+
 NOTHING = -1
 """Face number of pixels that see no surface."""
 

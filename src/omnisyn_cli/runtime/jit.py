@@ -3,7 +3,9 @@
 Where no folder can be written (a read-only installation without a home), they are compiled by every process.
 """
 
+import hashlib
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial, wraps
@@ -11,29 +13,147 @@ from typing import Any
 
 from numba import njit
 from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 __all__ = [
     "Decorator",
+    "OtherCompiler",
     "announce_compiling",
     "are_kernels_kept",
     "compiled_kernel",
     "fast_kernel",
     "inlined",
     "inlined_contracting",
+    "is_on_disk",
     "kernel",
     "one_at_a_time",
     "parallel_kernel",
+    "reporting_to",
     "when_compiling",
+    "while_compiling",
 ]
 
 Decorator = Callable[..., Any]
 """Numba's decorators say nothing about the types of what they make."""
 
 
+COMPILATION = "numba:compile"
+"""What numba calls it."""
+
+PATIENCE = 0.5
+"""Seconds between two looks at whether to go on waiting."""
+
+ELSEWHERE = "elsewhere"
+"""Said of what another process compiles, and long enough to be worth a word."""
+
+
 class _Kept:
     """Whether machine code has a place on disk."""
 
     everywhere = True
+
+
+class OtherCompiler:
+    """What another process compiles for this one, as it says itself; see :func:`reporting_to`."""
+
+    def __init__(self) -> None:
+        self._at_work: set[str] = set()
+        self._changed = threading.Condition()
+
+    def hear(self, report: str) -> None:
+        """Take ``+NAME`` when it begins with a kernel, ``-NAME`` when that is on disk."""
+        with self._changed:
+            (self._at_work.add if report.startswith("+") else self._at_work.discard)(report[1:])
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """Take it that nothing more will come."""
+        with self._changed:
+            self._at_work.clear()
+            self._changed.notify_all()
+
+    def wait_for(self, name: str) -> bool:
+        """Wait while a kernel is compiled there; whether it was."""
+        with self._changed:
+            if name not in self._at_work:
+                return False
+            with event.trigger_event(COMPILATION):
+                while not self._changed.wait_for(lambda: name not in self._at_work, PATIENCE):
+                    pass  # a chance for Ctrl-C, where a wait without end would not notice it
+            return True
+
+    @contextmanager
+    def awaited(self) -> Iterator[None]:
+        """Inside, a kernel that is compiled there at the moment is not compiled here as well."""
+        _Others.compiler = self
+        try:
+            yield
+        finally:
+            _Others.compiler = None
+
+
+class _Others:
+    """Who else compiles, and who wants to know what is compiled here."""
+
+    compiler: OtherCompiler | None = None
+    report: Callable[[str], None] = staticmethod(lambda report: None)
+
+
+@contextmanager
+def reporting_to(report: Callable[[str], None]) -> Iterator[None]:
+    """Inside, ``report`` is called as :meth:`OtherCompiler.hear` is."""
+    former, _Others.report = _Others.report, staticmethod(report)
+    try:
+        yield
+    finally:
+        _Others.report = former
+
+
+class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]
+    """Files of machine code whose names say what is in them.
+
+    Numba numbers them: two processes that compile a kernel for different types at once may write both into one file, of
+    which the index of one of them says that it is the other's. Here the loser of such a race compiles once more.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep the machine code of a kernel for types and a processor, which are its key."""
+        overloads = self._load_index()
+        if key not in overloads:
+            digest = hashlib.sha256(repr(key).encode()).digest()
+            overloads[key] = self._data_name(int.from_bytes(digest[:8], "big"))
+            self._save_index(overloads)
+        self._save_data(overloads[key], data)
+
+
+class _Kernels(FunctionCache):  # type: ignore[misc]
+    """The machine code of a kernel on disk, for all types that it was compiled for."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self.name = f"{function.__module__}.{function.__qualname__}"
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _KeyedFiles(self.cache_path, self._impl.filename_base, stamp)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What is there for some types; what another process is compiling is waited for."""
+        found = super().load_overload(sig, target_context)
+        if found is None and _Others.compiler is not None and _Others.compiler.wait_for(self.name):
+            found = super().load_overload(sig, target_context)
+        if found is None:
+            _Others.report(f"+{self.name}")
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled for some types."""
+        super().save_overload(sig, data)
+        _Others.report(f"-{self.name}")
+
+
+def is_on_disk(kernel: Callable[..., Any]) -> bool:
+    """Whether there is machine code of a kernel from a former run, for whatever types."""
+    kept = getattr(kernel, "_cache", None)
+    return isinstance(kept, _Kernels) and bool(kept._cache_file._load_index())
 
 
 def are_kernels_kept() -> bool:
@@ -54,7 +174,7 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
     compiled = njit(function, **options)
     if cache:
         try:
-            compiled.enable_caching()
+            compiled._cache = _Kernels(compiled.py_func)
         except RuntimeError:  # no folder that numba knows can be written
             _Kept.everywhere = False
     return compiled
@@ -71,9 +191,6 @@ inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
 
 fast_kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", fastmath=True)
 """Reassociation allowed: for colours and boxes, never for tests of visibility."""
-
-COMPILATION = "numba:compile"
-"""What numba calls it."""
 
 _PARALLEL = threading.Lock()
 
@@ -102,29 +219,81 @@ def one_at_a_time(compiled: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-class _FirstCompilation(event.Listener):  # type: ignore[misc]
-    """Says once that something is compiled."""
+class _Compilation(event.Listener):  # type: ignore[misc]
+    """Says once that kernels are compiled, when that has taken a while; a kernel inside of another counts once."""
 
-    def __init__(self, say: Callable[[], None]) -> None:
+    def __init__(self, say: Callable[[], None], patience: float) -> None:
         self._say: Callable[[], None] | None = say
+        self._left, self._depth, self._begun = patience, 0, 0.0
+        self._timer: threading.Timer | None = None
+        self._lock = threading.Lock()
 
     def on_start(self, event: Any) -> None:
-        say, self._say = self._say, None
+        self._depth += 1
+        if self._depth > 1 or self._say is None:
+            return
+        if self._left <= 0.0 or event.data == ELSEWHERE:
+            self._tell()
+            return
+        self._begun = time.perf_counter()
+        self._timer = threading.Timer(self._left, self._tell)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.rest()
+            self._left -= time.perf_counter() - self._begun
+
+    def rest(self) -> None:
+        """Say nothing until something is compiled again."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _tell(self) -> None:
+        with self._lock:
+            say, self._say = self._say, None
         if say is not None:
             say()
 
+
+@contextmanager
+def when_compiling(say: Callable[[], None], patience: float = 0.0) -> Iterator[None]:
+    """Call ``say`` once if kernels are compiled in between for longer than so many seconds; others are on disk."""
+    listener = _Compilation(say, patience)
+    try:
+        with event.install_listener(COMPILATION, listener):
+            yield
+    finally:
+        listener.rest()
+
+
+class _Change(event.Listener):  # type: ignore[misc]
+    """Says when compiling begins and ends; a kernel inside of another changes nothing."""
+
+    def __init__(self, say: Callable[[bool], None]) -> None:
+        self._say, self._depth = say, 0
+
+    def on_start(self, event: Any) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            self._say(True)
+
     def on_end(self, event: Any) -> None:
-        pass
+        self._depth -= 1
+        if self._depth == 0:
+            self._say(False)
 
 
 @contextmanager
-def when_compiling(say: Callable[[], None]) -> Iterator[None]:
-    """Call ``say`` when the first kernel is compiled in between; those that are found on disk are not compiled."""
-    with event.install_listener(COMPILATION, _FirstCompilation(say)):
+def while_compiling(say: Callable[[bool], None]) -> Iterator[None]:
+    """Call ``say`` with True whenever a kernel is compiled, or waited for, in between, and with False afterwards."""
+    with event.install_listener(COMPILATION, _Change(say)):
         yield
 
 
 def announce_compiling() -> None:
     """Let those who wait in :func:`when_compiling` know that another process, started by this one, compiles."""
-    event.start_event(COMPILATION)
-    event.end_event(COMPILATION)
+    event.start_event(COMPILATION, data=ELSEWHERE)
+    event.end_event(COMPILATION, data=ELSEWHERE)

@@ -8,8 +8,9 @@ from omnisyn_cli.interpolation.export.run import (
     ExportJob,
     ExportPlan,
     ExportSummary,
+    default_ending,
     plan_export,
     run_export,
 )
 
-__all__ = ["FORMATS", "ExportJob", "ExportPlan", "ExportSummary", "plan_export", "run_export"]
+__all__ = ["FORMATS", "ExportJob", "ExportPlan", "ExportSummary", "default_ending", "plan_export", "run_export"]

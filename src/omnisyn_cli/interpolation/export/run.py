@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,15 @@ from annotated_types import Ge, Gt
 
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
-from omnisyn_cli.geometry.pose import STILL, Pose
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import datasets
 from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
+from omnisyn_cli.interpolation.memory import Keeping
+from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
 from omnisyn_cli.interpolation.summary import warnings_about
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
@@ -29,6 +29,15 @@ from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimator
 
+JPEG_BYTES, MODEL_BYTES = 0.4, 40
+"""Of each pixel of a texture and each vertex of a surface in a GLB."""
+
+POINT_BYTES, SPREAD = 107, 0.64
+"""Of a point that is kept, and points for each vertex: they lie as dense everywhere, vertices denser at the poles."""
+
+PLY_POINT, PLY_SPLAT = 31, 68
+"""Bytes of a point and of a disc in a file."""
+
 
 class Format(NamedTuple):
     """What there is to say about a format.
@@ -38,20 +47,24 @@ class Format(NamedTuple):
         up: of its world, see :data:`omnisyn_cli.poses.formats.WORLD_UP`.
         stride: pixels of the depth between its points, if nobody says so.
         sky: whether what is infinitely far is shown, likewise.
+        point: bytes of a point as it is written; 0 where there are none.
+        writing: bytes of each pixel of a panorama while its files are made.
     """
 
     suffix: str
     up: str
     stride: int
     sky: bool
+    point: int = 0
+    writing: float = 0.0
 
 
 FORMATS: Mapping[str, Format] = {
     "glb": Format(".glb", "y", 1, sky=True),
-    "ply": Format(".ply", "y", 1, sky=False),
-    "splats": Format(".ply", "-y", 1, sky=True),
-    "colmap": Format("", "-y", 4, sky=False),
-    "nerfstudio": Format("", "z", 4, sky=False),
+    "ply": Format(".ply", "y", 1, sky=False, point=PLY_POINT),
+    "splats": Format(".ply", "-y", 1, sky=True, point=PLY_SPLAT),
+    "colmap": Format("", "-y", 4, sky=False, point=PLY_POINT, writing=37),
+    "nerfstudio": Format("", "z", 4, sky=False, point=PLY_POINT, writing=20),
 }
 """By name. A ``.ply`` without a name is points."""
 
@@ -101,15 +114,23 @@ class ExportPlan:
     sky: bool
 
     @property
+    def memory(self) -> int:
+        """Bytes that it will take, estimated."""
+        chosen = FORMATS[self.format]
+        if chosen.point == 0:
+            keeping = Keeping(JPEG_BYTES, MODEL_BYTES, columns=self.job.texture)
+        else:
+            spread = SPREAD / self.stride**2
+            keeping = Keeping(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
+        return memory_of_surfaces(self.tour, keeping)
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What the user should know."""
-        images, entries = self.tour.job.images, self.tour.entries
-        still = [
-            f"{images[k].name} and {images[k + 1].name} have the same position: without depth files there is none"
-            for k, (a, b) in enumerate(pairwise(entry.pose.position for entry in entries))
-            if np.linalg.norm(b - a) <= STILL and self.tour.recipe.depth.kind != "file"
-        ]
-        return (*self.tour.notes, *still)
+        if self.tour.recipe.depth.kind == "file":
+            return self.tour.notes
+        still = pairs_at_one_place(self.tour.job, self.tour.entries)
+        return (*self.tour.notes, *(f"{where}: without depth files there is none" for where, _ in still))
 
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
@@ -118,7 +139,7 @@ class ExportPlan:
             "inputs": [str(image) for image in job.images], "output": str(job.output), "format": self.format,
             "preset": job.preset, "depth": recipe.depth.kind, "model": recipe.depth.model or "",
             "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
-            "notes": list(self.notes),
+            "memory_mib": round(self.memory / 2**20), "notes": list(self.notes),
         }  # fmt: skip
 
 
@@ -171,6 +192,12 @@ def plan_export(job: ExportJob) -> ExportPlan:
     return ExportPlan(
         job, tour, name, job.stride or chosen.stride, chosen.sky if job.sky is None else job.sky
     )  # fmt: skip
+
+
+def default_ending(name: str | None) -> str:
+    """The ending, see :meth:`omnisyn_cli.interpolation.inputs.NamedTour.output`, of a format; None is the first one."""
+    name = name or next(iter(FORMATS))
+    return FORMATS[name].suffix or f"-{name}"
 
 
 def _format_of(job: ExportJob) -> str:

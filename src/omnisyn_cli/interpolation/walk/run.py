@@ -9,7 +9,8 @@ from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
+from omnisyn_cli.interpolation.memory import Keeping
+from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
 from omnisyn_cli.interpolation.summary import refuse_doubtful, warnings_about
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
@@ -17,6 +18,12 @@ from omnisyn_cli.interpolation.walk.page import MOST_BYTES, write_folder, write_
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept
 from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimator
+
+JPEG_BYTES, PNG_BYTES = 0.3, 2.0
+"""Of each pixel of a photograph in a page; everything is there twice, packed and as the text of the page."""
+
+MAP_BYTES = 4.0
+"""Of each vertex of a surface, likewise: of both neighbours' pairs."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +53,26 @@ class WalkPlan:
     job: WalkJob
     tour: TourPlan
 
+    @property
+    def memory(self) -> int:
+        """Bytes that it will take, estimated."""
+        per_pixel = PNG_BYTES if self.job.options.is_lossless else JPEG_BYTES
+        return memory_of_surfaces(self.tour, Keeping(2 * per_pixel, 2 * MAP_BYTES, columns=self.job.options.texture))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know."""
+        still = pairs_at_one_place(self.tour.job, self.tour.entries)
+        return (*self.tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
+
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
         job, recipe = self.tour.job, self.tour.recipe
         return {
             "inputs": [str(image) for image in job.images], "output": str(job.output), "folder": self.job.is_folder,
             "texture": self.job.options.texture, "lossless": self.job.options.is_lossless, "preset": job.preset,
-            "depth": recipe.depth.kind, "model": recipe.depth.model or "", "notes": list(self.tour.notes),
+            "depth": recipe.depth.kind, "model": recipe.depth.model or "",
+            "memory_mib": round(self.memory / 2**20), "notes": list(self.notes),
         }  # fmt: skip
 
 

@@ -1,0 +1,95 @@
+"""What a user names: panoramas one by one or as a folder, the file with their poses, and what is made of them."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
+from omnisyn_cli.io.encoders import CODECS
+from omnisyn_cli.poses.file import POSES_NAME, read_poses
+
+__all__ = ["NamedTour", "named_tour", "poses_beside", "video_ending"]
+
+
+@dataclass(frozen=True)
+class NamedTour:
+    """Panoramas in walking order, as they were named.
+
+    Attributes:
+        images: the panoramas.
+        poses: their pose file, or :data:`omnisyn_cli.interpolation.job.POSES_FROM_PICTURES`.
+        name: of the folder that was named, else ``first-last``.
+    """
+
+    images: tuple[Path, ...]
+    poses: Path
+    name: str
+
+    def output(self, ending: str) -> Path:
+        """The name, in the current folder, of what is made of the tour if nobody chooses one.
+
+        Args:
+            ending: ``.mp4`` and the like for a file; for a folder what tells it from that of the panoramas, such as
+                ``-frames``. Such a name has no dot and no percent sign, which would make a file or a pattern of it.
+        """
+        name = self.name if ending.startswith(".") else re.sub(r"[.%]", "_", self.name)
+        return Path(name + ending)
+
+
+def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outside: bool = False) -> NamedTour:
+    """The tour that is meant by panoramas, or by a folder with a pose file.
+
+    Args:
+        given: panoramas in walking order; or one folder, of which those are taken that its pose file names, in its
+            order.
+        poses: the pose file; None is ``poses.json`` in the folder, or beside the first panorama.
+        allow_outside: accept depth and masks that it names outside of its folder.
+
+    Raises:
+        InputError: a folder without a pose file or among other names, or a panorama that is named there is missing.
+    """
+    folder = next((path for path in given if path.is_dir()), None)
+    if folder is None:
+        return NamedTour(tuple(given), poses or given[0].parent / POSES_NAME, f"{given[0].stem}-{given[-1].stem}")
+    if len(given) > 1:
+        raise InputError(
+            f"{folder}: expected panoramas, or one folder alone, got a folder among {len(given)} names; name the "
+            "panoramas in it one by one"
+        )
+    return NamedTour(*_in_folder(folder, poses, allow_outside), folder.resolve().name or "tour")
+
+
+def _in_folder(folder: Path, poses: Path | None, allow_outside: bool) -> tuple[tuple[Path, ...], Path]:
+    """The panoramas that a pose file names, and that file."""
+    if poses == POSES_FROM_PICTURES:
+        raise InputError(
+            f"{folder}: expected panoramas in walking order for --poses {POSES_FROM_PICTURES}, got a folder, which has "
+            "no order; name them one by one"
+        )
+    if poses is None and not (folder / POSES_NAME).exists():
+        raise InputError(
+            f"{folder}: expected a {POSES_NAME} in the folder, got none; add one, or name the pose file (--poses)"
+        )
+    poses = poses or folder / POSES_NAME
+    images = tuple(folder / name for name in read_poses(poses, allow_outside=allow_outside).panoramas)
+    missing = [image.name for image in images if not image.exists()]
+    if missing:
+        raise InputError(
+            f"{folder}: expected the {len(images)} panoramas that {poses} names, got none called '{missing[0]}' "
+            f"({len(missing)} missing); add it, or name panoramas one by one"
+        )
+    if len(images) < 2:
+        raise InputError(f"{poses}: expected two or more panoramas, got {len(images)}; add another")
+    return images, poses
+
+
+def poses_beside(given: Sequence[Path]) -> bool:
+    """Whether a pose file lies where :func:`named_tour` looks for one unless it is named; a folder says so itself."""
+    return given[0].is_dir() or (given[0].parent / POSES_NAME).is_file()
+
+
+def video_ending(codec: str | None) -> str:
+    """The ending of a video of a codec for :meth:`NamedTour.output`; a folder's for frames as images."""
+    return CODECS[codec or "h264"].suffixes[0] if codec in (None, *CODECS) else "-frames"

@@ -1,0 +1,190 @@
+"""What is left out of a command is found: the pose file, the panoramas of a folder, the name of what is made."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cli.cli_samples import Result, run_cli, write_pair
+from interpolation_samples import CHAIN, listing
+from omnisyn_cli.interpolation.inputs import NamedTour, named_tour, video_ending
+from omnisyn_cli.poses.file import POSES_NAME, read_poses, write_poses
+from synthesis_samples import write_hall
+
+Capture = pytest.CaptureFixture[str]
+
+COMMANDS: dict[str, tuple[str, tuple[object, ...]]] = {
+    "interpolate": (".mp4", ("--frames", 3, "--encoder-preset", "ultrafast")),
+    "view": (".html", ()),
+    "export": (".glb", ()),
+}
+"""The ending of what a command makes, and options that make it cheap."""
+
+every_command = pytest.mark.parametrize("command", COMMANDS)
+
+
+@pytest.fixture
+def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder ``tour`` with three panoramas and their poses, in the current folder."""
+    folder = tmp_path / "tour"
+    folder.mkdir()
+    write_hall(folder, CHAIN)
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def run(capsys: Capture, command: str, *arguments: object) -> Result:
+    return run_cli(capsys, command, *arguments, "--threads", 1, *COMMANDS[command][1])
+
+
+def planned(capsys: Capture, command: str, *arguments: object) -> dict[str, Any]:
+    result = run(capsys, command, *arguments, "--dry-run", "--json")
+    assert result.code == 0, result.err
+    plan: dict[str, Any] = json.loads(result.out)
+    return plan
+
+
+def names(walk: Path) -> list[str]:
+    return list(read_poses(walk / POSES_NAME).panoramas)
+
+
+@every_command
+def test_the_output_is_named_after_the_first_and_the_last_panorama(walk: Path, capsys: Capture, command: str) -> None:
+    """In the current folder, and nothing there is replaced unless that is asked for."""
+    images = [walk / name for name in names(walk)]
+    output = Path(f"{images[0].stem}-{images[-1].stem}{COMMANDS[command][0]}")
+    first = run(capsys, command, *images, "--poses", walk / POSES_NAME)
+    assert (first.code, first.err) == (0, "")
+    assert first.out.startswith(f"{output}: ")
+    made = output.read_bytes()
+    output.write_text("mine")
+    again = run(capsys, command, *images, "--poses", walk / POSES_NAME)
+    assert (again.code, again.out) == (3, "")
+    assert again.err.startswith(f"omnisyn: {output}: expected a new file, got one that exists")
+    assert output.read_text() == "mine"
+    assert run(capsys, command, *images, "--poses", walk / POSES_NAME, "--overwrite").code == 0
+    assert output.read_bytes() == made
+
+
+@every_command
+def test_a_folder_stands_for_the_panoramas_that_its_pose_file_names(walk: Path, capsys: Capture, command: str) -> None:
+    """In the order of the file, which is not that of their names; other images in the folder are not looked at."""
+    poses = read_poses(walk / POSES_NAME).panoramas
+    write_poses(walk / POSES_NAME, dict(reversed(poses.items())))
+    (walk / "0.png").write_text("no panorama")
+    plan = planned(capsys, command, "tour/")
+    assert plan["inputs"] == [f"tour/{name}" for name in reversed(poses)]
+    assert plan["output"] == f"tour{COMMANDS[command][0]}"
+    result = run(capsys, command, "tour")
+    assert (result.code, result.err) == (0, "")
+    assert Path(plan["output"]).is_file()
+
+
+@every_command
+def test_poses_are_looked_for_beside_the_panoramas(
+    walk: Path, capsys: Capture, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = names(walk)
+    assert planned(capsys, command, *(walk / image for image in images[:2]))["depth"] == "file"
+    monkeypatch.chdir(walk)
+    assert planned(capsys, command, *images)["inputs"] == images
+    assert planned(capsys, command, ".")["output"] == f"tour{COMMANDS[command][0]}"
+    (walk / POSES_NAME).rename(walk / "other.json")
+    result = run(capsys, command, *images)
+    assert result.code == 2
+    assert "expected --poses, or a poses.json beside" in result.err
+    assert planned(capsys, command, ".", "--poses", "other.json")["inputs"] == images
+
+
+def test_what_fills_a_folder_does_not_get_that_of_the_panoramas(walk: Path, capsys: Capture) -> None:
+    for codec, output in (("png", "tour-frames"), ("prores", "tour.mov")):
+        result = run_cli(capsys, "interpolate", "tour", "--codec", codec, "--dry-run", "--json")
+        assert json.loads(result.out)["output"] == output
+    assert planned(capsys, "view", "tour", "--folder")["output"] == "tour-walk"
+    for name, output in (("ply", "tour.ply"), ("splats", "tour.ply"), ("colmap", "tour-colmap")):
+        assert planned(capsys, "export", "tour", "--format", name)["output"] == output
+
+
+def test_a_dot_or_a_number_in_names_makes_no_file_and_no_pattern_of_a_folder() -> None:
+    tour = NamedTour((), Path(), "a.png-%05d.png")
+    assert (str(tour.output(".mp4")), str(tour.output("-frames"))) == ("a.png-%05d.png.mp4", "a_png-_05d_png-frames")
+    assert [video_ending(codec) for codec in (None, "h265", "prores", "exr")] == [".mp4", ".mp4", ".mov", "-frames"]
+
+
+def remove_poses(walk: Path) -> list[object]:
+    (walk / POSES_NAME).unlink()
+    return [walk]
+
+
+def remove_image(walk: Path) -> list[object]:
+    (walk / names(walk)[1]).unlink()
+    return [walk]
+
+
+def keep_one(walk: Path) -> list[object]:
+    poses = read_poses(walk / POSES_NAME).panoramas
+    write_poses(walk / POSES_NAME, dict(list(poses.items())[:1]))
+    return [walk]
+
+
+REFUSED = {
+    "no pose file": (remove_poses, "tour: expected a poses.json in the folder, got none"),
+    "a panorama is missing": (remove_image, "names, got none called '{name}' (1 missing)"),
+    "a single one": (keep_one, "poses.json: expected two or more panoramas, got 1"),
+    "beside others": (lambda walk: [walk, walk / names(walk)[0]], "or one folder alone, got a folder among 2 names"),
+    "no order": (lambda walk: [walk, "--poses", "auto"], "got a folder, which has no order"),
+}
+
+
+@every_command
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_folder_that_cannot_be_used_is_one_line(walk: Path, capsys: Capture, command: str, case: str) -> None:
+    spoil, words = REFUSED[case]
+    name = names(walk)[1]
+    arguments = spoil(walk)
+    before = listing(walk.parent)
+    result = run(capsys, command, *arguments)
+    assert (result.code, result.out, result.err.count("\n")) == (3, "", 1)
+    assert words.format(name=name) in result.err
+    assert listing(walk.parent) == before
+
+
+@every_command
+def test_a_panorama_that_does_not_exist_is_no_missing_pose(tmp_path: Path, capsys: Capture, command: str) -> None:
+    images = write_pair(tmp_path)
+    result = run(capsys, command, images[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME)
+    assert (result.code, result.out) == (3, "")
+    assert result.err == f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
+    (tmp_path / "other").mkdir()
+    without = run(capsys, command, tmp_path / "other" / "d.png", images[1])
+    assert without.code == 2
+    assert f"{tmp_path / 'other' / 'd.png'}: expected a panorama, got no such file" in without.err
+
+
+@pytest.mark.parametrize("command", ["check", "refine"])
+def test_nor_is_it_where_poses_are_looked_at(tmp_path: Path, capsys: Capture, command: str) -> None:
+    images = write_pair(tmp_path)
+    output = ["-o", tmp_path / "new.json"] if command == "refine" else []
+    result = run_cli(capsys, "poses", command, images[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME, *output)
+    assert result.code == 3
+    assert result.err == f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
+
+
+@pytest.mark.parametrize("command", ["interpolate", "view"])
+def test_one_panorama_twice_is_made_and_said(
+    tmp_path: Path, capsys: Capture, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one place there is nothing to walk along, whatever is made of it."""
+    monkeypatch.chdir(tmp_path)
+    image = write_pair(tmp_path)[0]
+    result = run(capsys, command, image, image)
+    assert result.code == 0
+    assert "a.png and a.png have the same position" in result.err
+    assert Path(f"a-a{COMMANDS[command][0]}").is_file()
+
+
+def test_a_folder_at_the_top_has_a_name_too(walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "resolve", lambda path: Path("/"))
+    assert named_tour([walk]).name == "tour"
+    assert named_tour([walk]).poses == walk / POSES_NAME
