@@ -18,7 +18,11 @@ DEPTH_FIELDS = (
 
 def frame(t: float, score: float, *, length: float = 4.0, pictures: dict[str, str] | None = None) -> FrameRecord:
     scores = {"ws_psnr": score, "psnr": score + 0.5, "ws_ssim": 0.9, "ssim": 0.91, "lrce": 0.01}
-    return FrameRecord(f"t{t:.2f}.png", t, min(t, 1 - t) * length, scores, pictures or {})
+    by_kind = {
+        "psnr": {"agree": score + 2, "one_view": score - 6}, "area": {"agree": 0.75, "one_view": 0.25},
+        "error": {"agree": 0.25, "one_view": 0.75},
+    }  # fmt: skip
+    return FrameRecord(f"t{t:.2f}.png", t, min(t, 1 - t) * length, scores, pictures or {}, by_kind)
 
 
 def depth(view: str, error: float, pictures: dict[str, str] | None = None) -> DepthRecord:
@@ -74,6 +78,7 @@ def with_pictures(folder: Path, record: UnitRecord) -> UnitRecord:
             "frame": save(f"{index}-frame", np.uint8(255 * image)),
             "truth": save(f"{index}-truth", np.uint8(255 * truth)),
             "error": save(f"{index}-error", error_map(image, truth)),
+            "kinds": save(f"{index}-kinds", np.uint8(255 * truth)),
         }
 
     inverse_depth = truth[..., 0] / 2

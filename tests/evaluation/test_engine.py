@@ -67,12 +67,32 @@ def test_what_is_brighter_than_white_is_shown_as_white() -> None:
         def inverse_depth(self, waypoint):
             return np.full(self.size, 0.1)
 
+        def renderings(self, waypoint):
+            return None
+
     poses = [Pose(np.eye(3), np.array([x, 0.0, 0.0])) for x in (0.0, 1.0)]
     white = np.ones((16, 32, 3), np.float32)
     pair = LoadedPair((View(white, poses[0]), View(white, poses[1])), (), (16, 32))
     measured = measure(Overshooting, pair, ("a", "b"))
     expected = dict.fromkeys(("end_first", "end_second", "warping_error", "flicker"), 0.0)
     assert measured.temporal == pytest.approx(expected, abs=1e-12)
+
+
+def test_errors_are_told_by_kind_of_pixel(tmp_path: Path) -> None:
+    """In a hall that both views see all of; the ends alone where nothing is known of distances."""
+    data = write_halls(tmp_path / "data", "hall")
+    oracle, alone, fade = run(data, "oracle-depth,oracle-depth:views=1,crossfade")
+    for frame in oracle.frames:
+        assert set(frame.by_kind) == {"psnr", "area", "error"}
+        assert frame.by_kind["area"]["agree"] > 0.95
+        four = ("agree", "disagree", "one_view", "hole")
+        for figure in ("area", "error"):
+            assert sum(frame.by_kind[figure].get(kind, 0.0) for kind in four) == pytest.approx(1.0)
+    for frame in alone.frames:
+        assert frame.by_kind["area"]["one_view"] > 0.95
+        assert not {"agree", "disagree"} & frame.by_kind["area"].keys()
+    for frame in fade.frames:
+        assert set(frame.by_kind["psnr"]) == {"top", "bottom"}
 
 
 def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path: Path) -> None:
@@ -267,7 +287,7 @@ def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> 
     (record,) = run(data, "oracle-depth", pictures=True)
     report = tmp_path / "report"
     for frame in record.frames:
-        assert set(frame.pictures) == {"frame", "truth", "error"}
+        assert set(frame.pictures) == {"frame", "truth", "error", "kinds"}
         shown, truth, error = (read_panorama(report / frame.pictures[key]).image for key in ("frame", "truth", "error"))
         assert ws_psnr(shown, truth) > 30
         assert error.max() < 0.3

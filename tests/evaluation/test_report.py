@@ -130,7 +130,7 @@ def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path: Path) -
     write_report(tmp_path, [*some_records(), unit("a|b", "m|n")])
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     tables = [part.splitlines() for part in text.split("\n\n") if part.startswith("|")]
-    assert len(tables) == 9
+    assert len(tables) == 12
     for lines in tables:
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
     assert "| matching | 24.00 |" in text, "it lacks the frames of the scene a|b"
@@ -155,7 +155,16 @@ def test_the_csv_file_has_every_figure_once(tmp_path: Path) -> None:
         assert tuple(float(row[key]) for key in ("t", "distance", "value")) == expected
     assert len({tuple(row.values())[:-1] for row in rows}) == len(rows)
     subjects = {row["subject"] for row in rows}
-    assert subjects == {"frame", "depth", "depth-weighted", "temporal", "seconds"}
+    assert subjects == {
+        "frame",
+        "kind-psnr",
+        "kind-area",
+        "kind-error",
+        "depth",
+        "depth-weighted",
+        "temporal",
+        "seconds",
+    }
 
 
 def test_the_json_file_is_strict_and_has_all_records(tmp_path: Path) -> None:
@@ -234,7 +243,9 @@ def test_the_worst_frames_come_first(tmp_path: Path) -> None:
     assert method == "matching"
     assert len(strips) == FRAMES_PER_METHOD
     assert [re.search(r": (\S+) dB", title)[1] for title in strips] == ["5.00", "10.00", "15.00", "20.00"]
-    assert all(list(pictures) == ["true frame", "synthesised", "error"] for pictures in strips.values())
+    assert all(
+        list(pictures) == ["true frame", "synthesised", "error", "error by kind"] for pictures in strips.values()
+    )
 
 
 def test_a_folder_that_cannot_be_written_is_an_error_of_its_own(tmp_path: Path) -> None:

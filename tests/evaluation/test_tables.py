@@ -38,6 +38,17 @@ def test_methods_are_averaged_over_all_their_frames_and_ranked() -> None:
     assert "LPIPS" not in matching
 
 
+def test_errors_stand_by_kind_of_pixel_and_none_is_best() -> None:
+    """Kinds without pixels have no column; every method has kinds of its own, so none is compared."""
+    errors, areas = table("Error by kind of pixel, dB"), table("Area by kind of pixel")
+    matching = figures(errors)["matching"]
+    assert set(matching) == {"Both views agree", "one view only", "Frames"}
+    assert matching["Both views agree"] == pytest.approx(np.mean([26, 24, 28, 22, 20, 24]) + 2)
+    assert figures(areas)["oracle-depth"]["one view only"] == 0.25
+    assert figures(table("Share of the squared error by kind of pixel"))["matching"]["one view only"] == 0.75
+    assert not best(errors) | best(areas)
+
+
 def test_a_mean_over_frames_is_not_one_over_scenes() -> None:
     records = [unit("a", "matching", (10.0,)), unit("b", "matching", (20.0, 30.0, 40.0))]
     assert figures(table("Means per method", records))["matching"]["WS-PSNR, dB"] == 25.0

@@ -4,7 +4,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.visualization import ERROR_SCALE, error_map, turbo
+from omnisyn_cli.evaluation.visualization import ERROR_SCALE, KIND_COLOURS, KIND_FLOOR, error_map, kind_map, turbo
 
 
 def expected(name: str, share: np.ndarray) -> np.ndarray:
@@ -30,6 +30,18 @@ def test_the_error_is_the_mean_of_the_channels_and_ends_at_the_scale() -> None:
     assert np.array_equal(error_map(truth + 1.0, truth), error_map(truth + ERROR_SCALE, truth))
     with pytest.raises(ValueError, match="one size"):
         error_map(truth, truth[:1])
+
+
+def test_errors_by_kind_have_the_colour_of_their_kind_and_are_the_brighter_the_larger() -> None:
+    truth = np.zeros((1, 8, 3))
+    image = truth + np.repeat([0.0, ERROR_SCALE], 4)[None, :, None]
+    columns = np.arange(8)[None] % 4
+    shown = kind_map(image, truth, {kind: columns == k for k, kind in enumerate(KIND_COLOURS)})
+    colours = np.array(list(KIND_COLOURS.values()))
+    np.testing.assert_allclose(shown[0, :4], KIND_FLOOR * colours, atol=0.5)
+    np.testing.assert_array_equal(shown[0, 4:], colours)
+    with pytest.raises(ValueError, match="one size"):
+        kind_map(truth, truth[:, :4], {})
 
 
 def test_depth_has_the_turbo_colours_of_the_root() -> None:

@@ -76,7 +76,8 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     omnisyn eval Town06/ --format carla --pairs every:5 --report report/
 
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, those between
-    are the truth; true depth is compared where there is some.
+    are the truth; true depth is compared where there is some. Errors are told by kind of pixel as well: both views
+    agree, they disagree, one view only, hole, beside silhouettes.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 

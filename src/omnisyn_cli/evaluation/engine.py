@@ -271,8 +271,8 @@ class _Worker:
             writer = PictureWriter(self._job.report, pair, blank.method)
             pictures, depths = writer.frames(loaded, made), writer.depths(loaded, made)
         frames = tuple(
-            FrameRecord(truth.name, truth.waypoint.t, truth.distance, scores, shown)
-            for truth, scores, shown in zip(loaded.truths, made.scores, pictures, strict=True)
+            FrameRecord(truth.name, truth.waypoint.t, truth.distance, scores, shown, by_kind)
+            for truth, scores, shown, by_kind in zip(loaded.truths, made.scores, pictures, made.by_kind, strict=True)
         )
         return replace(
             blank, status="done", size=loaded.size, frames=frames, depths=depths,

@@ -52,6 +52,8 @@ def figures_of(record: UnitRecord) -> Iterator[tuple[tuple[str, str, float | str
     """What was measured of what: subject, name, t and distance, as far as there are any, and the figures by metric."""
     for frame in record.frames:
         yield ("frame", frame.name, frame.t, frame.distance), frame.scores
+        for figure, numbers in frame.by_kind.items():
+            yield (f"kind-{figure}", frame.name, frame.t, frame.distance), numbers
     for depth in record.depths:
         yield ("depth", depth.view, "", ""), depth.plain
         yield ("depth-weighted", depth.view, "", ""), depth.weighted

@@ -6,16 +6,17 @@ both panoramas, :data:`CLIP_STEP` of the way apart (two seconds of video at 30 f
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from omnisyn_cli.evaluation import metrics
 from omnisyn_cli.evaluation.metrics.temporal import flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
+from omnisyn_cli.fusion.kinds import pixel_kinds, silhouettes
 from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -40,6 +41,9 @@ WINDOW = 11
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
 """A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""
 
+Kinds = Mapping[str, Bool[np.ndarray, "height width"]]
+"""Where the pixels of each kind are."""
+
 PairMaker = Callable[[tuple[int, int], Stopwatch], Pair]
 """Makes a pair ready for frames of a size, such as :class:`omnisyn_cli.evaluation.methods.MethodAtWork`."""
 
@@ -51,6 +55,8 @@ class Measurement:
     Attributes:
         images: a picture for every true frame.
         scores: of every picture.
+        kinds: of every picture, where pixels of each kind are; without geometry only the ``top`` and the ``bottom``.
+        by_kind: of every picture, see :func:`omnisyn_cli.evaluation.metrics.kind_figures`.
         depths: of both views; empty for methods without.
         found: the depth that the method found, or None.
         temporal: see :class:`omnisyn_cli.evaluation.results.UnitRecord`.
@@ -59,6 +65,8 @@ class Measurement:
 
     images: tuple[Float[np.ndarray, "height width 3"], ...]
     scores: tuple[dict[str, float], ...]
+    kinds: tuple[Kinds, ...]
+    by_kind: tuple[dict[str, dict[str, float]], ...]
     depths: tuple[DepthRecord, ...]
     found: tuple[DepthEstimate, DepthEstimate] | None
     temporal: dict[str, float]
@@ -88,10 +96,24 @@ def measure(
     scores = tuple(
         frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
     )
+    kinds = tuple(kinds_at(made, truth.waypoint, pair.size) for truth in pair.truths)
+    by_kind = tuple(
+        metrics.kind_figures(image, truth.image, masks)
+        for image, truth, masks in zip(images, pair.truths, kinds, strict=True)
+    )
     temporal = {**_clip_measures(method, made, pair), **_end_errors(made, pair, threads)}
     found = made.depths if _has_parallax(pair) else None
     depths = () if found is None else depth_records(found, pair.views, names)
-    return Measurement(images, scores, depths, found, temporal, {**seconds, "total": math.fsum(seconds.values())})
+    total = {**seconds, "total": math.fsum(seconds.values())}
+    return Measurement(images, scores, kinds, by_kind, depths, found, temporal, total)
+
+
+def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
+    """Where pixels of each kind are in a frame, by :mod:`omnisyn_cli.fusion.kinds`; its ends without geometry."""
+    shown = made.renderings(waypoint)
+    if shown is None:
+        return metrics.end_masks(size)
+    return {**pixel_kinds(*shown)._asdict(), "silhouette": silhouettes(*shown), **metrics.end_masks(size)}
 
 
 def _has_parallax(pair: LoadedPair) -> bool:

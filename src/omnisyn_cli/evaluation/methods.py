@@ -164,9 +164,13 @@ class _FirstViewOnly:
         self, first: Rendering, second: Rendering, t: float, out: np.ndarray | None = None,
         confidence: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
-        unseen = np.full_like(second.inverse_depth, -1.0)
-        nothing = Rendering.of(unseen, np.zeros((*unseen.shape, 4), np.float32), second.target_from_source)
-        return self._fuser(first, nothing, t, out, confidence)
+        return self._fuser(first, _nothing_of(second), t, out, confidence)
+
+
+def _nothing_of(view: Rendering) -> Rendering:
+    """A rendering of a view that shows nothing."""
+    unseen = np.full_like(view.inverse_depth, -1.0)
+    return Rendering.of(unseen, np.zeros((*unseen.shape, 4), np.float32), view.target_from_source)
 
 
 class _FirstOfPair:
@@ -182,6 +186,11 @@ class _FirstOfPair:
     def inverse_depth(self, waypoint: Waypoint) -> np.ndarray:
         """Of the first view's surface."""
         return self._pair.inverse_depth(waypoint, (0,))
+
+    def renderings(self, waypoint: Waypoint) -> tuple[Rendering, Rendering]:
+        """Of the first view's surface, and of nothing."""
+        first, second = self._pair.renderings(waypoint)
+        return first, _nothing_of(second)
 
 
 _DEFAULT = PRESETS[DEFAULT_PRESET].recipe

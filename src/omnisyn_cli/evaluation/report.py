@@ -31,8 +31,9 @@ REPORT_NAME = "report"
 CSV_COLUMNS = (
     "scene", "first", "second", "method", "baseline", "subject", "name", "t", "distance", "metric", "value",
 )  # fmt: skip
-"""``subject`` is what was measured: ``frame``, ``depth``, ``depth-weighted``, ``temporal`` or ``seconds``; ``name`` is
-that of the frame or panorama; ``distance`` is to the nearer panorama; lengths are metres."""
+"""``subject`` is what was measured: ``frame``, ``kind-psnr``, ``kind-area``, ``kind-error`` (of the pixels of a kind,
+which ``metric`` names), ``depth``, ``depth-weighted``, ``temporal`` or ``seconds``; ``name`` is that of the frame or
+panorama; ``distance`` is to the nearer panorama; lengths are metres."""
 
 FRAMES_PER_METHOD = 4
 """The worst frames of each method that are shown."""
@@ -44,7 +45,7 @@ WIDTH = 512
 QUALITY = 78
 """Of the JPEG files inside the page; the full pictures stay in the folder."""
 
-FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error"}
+FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
 
 Pictures = dict[str, str]
 """Pictures side by side: a caption -> the whole file as an address."""

@@ -39,7 +39,10 @@ class FrameRecord:
         distance: metres to the nearer of the two panoramas.
         scores: ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``,
             ``lrce``, and ``lpips`` if a network for it was given.
-        pictures: ``frame``, ``truth``, ``error`` -> file, relative to the folder of the report, with "/"; may be empty.
+        pictures: ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the
+            report, with "/"; may be empty.
+        by_kind: ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of
+            pixel -> number; kinds that there are no pixels of are missing.
     """
 
     name: str
@@ -47,6 +50,7 @@ class FrameRecord:
     distance: float
     scores: Mapping[str, float]
     pictures: Mapping[str, str] = field(default_factory=dict)
+    by_kind: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,29 @@ TEMPORAL_COLUMNS = {
     "end_second": Column("At the second panorama", -1, 4),
 }
 
+KINDS = {
+    "agree": "Both views agree",
+    "disagree": "they disagree",
+    "one_view": "one view only",
+    "hole": "hole",
+    "silhouette": "Beside silhouettes",
+    "top": "Top eighth",
+    "bottom": "bottom eighth",
+}
+"""Kinds of pixels: every pixel is of one of the first four, and may be of the others as well."""
+
+KIND_NOTE = (
+    "Kinds are those of a method's own surfaces: what both views show there, or one, or neither, and whether within a "
+    "tenth at one distance; beside silhouettes is up to 2 pixels from a jump of depth."
+)
+
+KIND_TABLES = (
+    ("Error by kind of pixel, dB", "PSNR of the pixels of a kind, weighted by solid angle.", "psnr", 2),
+    ("Area by kind of pixel", "Share of the sphere.", "area", 4),
+    ("Share of the squared error by kind of pixel", "1 is that of the whole picture.", "error", 4),
+)
+"""Titles, what is said below them, figures and digits."""
+
 Placed = tuple[tuple[tuple[str, str, str], int], Mapping[str, float]]
 """Values with their pair and their number there."""
 
@@ -104,6 +127,7 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
     tables = [
         mean_table(records),
         *_score_tables(records),
+        *_kind_tables(records),
         depth_table(records, weighted=False),
         depth_table(records, weighted=True),
         _temporal_table(records),
@@ -126,6 +150,13 @@ def depth_table(records: Sequence[UnitRecord], *, weighted: bool) -> Table:
     how, subject = ("weighted by solid angle", "depth-weighted") if weighted else ("every pixel counts alike", "depth")
     note = f"On pixels with a true depth between 1 m and 50 m; {how}. Estimates beyond 100 m count as 100 m in metres."
     return _method_table(f"Depth, {how}", note, "Panoramas", records, subject, DEPTH_COLUMNS)
+
+
+def _kind_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
+    """Where pictures are wrong. Nothing is marked: every method has kinds of its own."""
+    for title, note, figure, digits in KIND_TABLES:
+        columns = {kind: Column(name, 0, digits) for kind, name in KINDS.items()}
+        yield _method_table(title, f"{note} {KIND_NOTE}", "Frames", records, f"kind-{figure}", columns)
 
 
 def _temporal_table(records: Sequence[UnitRecord]) -> Table:

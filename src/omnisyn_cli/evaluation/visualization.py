@@ -2,12 +2,13 @@
 
 import hashlib
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from omnisyn_cli.evaluation.datasets import Pair
 from omnisyn_cli.evaluation.measure import Measurement
@@ -23,6 +24,17 @@ ERROR_SCALE = 0.25
 
 NEAREST_SHARE = 99.0
 """Percentile of inverse depth that has the last colour: a few stray near pixels do not darken all the others."""
+
+KIND_COLOURS = {
+    "agree": (255, 255, 255),
+    "disagree": (255, 80, 255),
+    "one_view": (255, 190, 40),
+    "hole": (60, 200, 255),
+}
+"""RGB of the largest error of each kind: white, magenta, orange, blue."""
+
+KIND_FLOOR = 0.15
+"""Brightness without any error, so that the area of a kind is seen as well."""
 
 FOLDER = "pictures"
 
@@ -41,9 +53,36 @@ def error_map(
     Raises:
         ValueError: the pictures differ in size.
     """
+    return _coloured(_error_share(image, truth), cv2.COLORMAP_INFERNO)
+
+
+def kind_map(
+    image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"],
+    kinds: Mapping[str, Bool[np.ndarray, "height width"]],
+) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
+    """The error as of :func:`error_map`, as brightness of the colour of its kind of pixel, :data:`KIND_COLOURS`.
+
+    Args:
+        image: RGB in [0, 1].
+        truth: RGB in [0, 1], of the same size.
+        kinds: where pixels of each kind are; those without a colour are not shown.
+
+    Raises:
+        ValueError: the pictures differ in size.
+    """
+    brightness = KIND_FLOOR + (1.0 - KIND_FLOOR) * np.clip(_error_share(image, truth), 0.0, 1.0)
+    colour = np.zeros(image.shape)
+    for kind, of_kind in KIND_COLOURS.items():
+        colour[kinds[kind]] = of_kind
+    return np.asarray(np.rint(brightness[..., None] * colour), np.uint8)
+
+
+def _error_share(
+    image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]
+) -> Float[np.ndarray, "height width"]:
+    """Mean difference of the channels, 1 where it is :data:`ERROR_SCALE`."""
     check_same_size(image, truth)
-    error = np.abs(image.astype(np.float32) - truth).mean(axis=-1)
-    return _coloured(error / ERROR_SCALE, cv2.COLORMAP_INFERNO)
+    return np.asarray(np.abs(image.astype(np.float32) - truth).mean(axis=-1) / ERROR_SCALE)
 
 
 def turbo(
@@ -86,15 +125,19 @@ class PictureWriter:
         self._pair = _slug("/".join((pair.scene, pair.first.name, pair.second.name)))
 
     def frames(self, pair: LoadedPair, made: Measurement) -> list[dict[str, str]]:
-        """``frame``, ``truth`` and ``error`` of every true frame."""
-        return [
-            {
+        """``frame``, ``truth``, ``error`` and, where all kinds are known, ``kinds`` of every true frame."""
+        found = []
+        for truth, image, kinds in zip(pair.truths, made.images, made.kinds, strict=True):
+            pictures = {
                 "frame": self._write(self._method, truth.name, image),
                 "truth": self._write("truth", truth.name, truth.image),
                 "error": self._write(self._method, f"{truth.name}-error", error_map(image, truth.image)),
             }
-            for truth, image in zip(pair.truths, made.images, strict=True)
-        ]
+            if KIND_COLOURS.keys() <= kinds.keys():
+                shown = kind_map(image, truth.image, kinds)
+                pictures["kinds"] = self._write(self._method, f"{truth.name}-kinds", shown)
+            found.append(pictures)
+        return found
 
     def depths(self, pair: LoadedPair, made: Measurement) -> tuple[DepthRecord, ...]:
         """The depth records of a measurement with the picture ``depth`` and, where it is known, ``truth``."""

@@ -68,6 +68,9 @@ class _CrossFadePair:
     def inverse_depth(self, waypoint: Waypoint) -> None:
         """None."""
 
+    def renderings(self, waypoint: Waypoint) -> None:
+        """None."""
+
     def _turned_to(self, pose: Pose) -> tuple[Float32[np.ndarray, "height width 3"], ...]:
         """Both panoramas as cameras held like ``pose`` would have taken them at the places of the panoramas."""
         turns = (Pose(pose.rotation.T @ view.pose.rotation, np.zeros(3)) for view in self._views)

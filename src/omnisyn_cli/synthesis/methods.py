@@ -16,7 +16,7 @@ from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.synthesis.between import Frame, Fused, MemoryForFrames, fused
 from omnisyn_cli.synthesis.segments import Segment, Stopwatch, SynthesisOptions, prepare_segment
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames
@@ -43,6 +43,10 @@ class Pair(Protocol):
 
     def inverse_depth(self, waypoint: Waypoint) -> Float32[np.ndarray, "height width"] | None:
         """1/metre of what is seen there, negative where that is unknown; None for pictures without geometry."""
+        ...
+
+    def renderings(self, waypoint: Waypoint) -> tuple[Rendering, Rendering] | None:
+        """What both views show there, in buffers that whatever is asked for next overwrites; None without geometry."""
         ...
 
 
@@ -114,6 +118,12 @@ class SurfacePair:
 
     def inverse_depth(self, waypoint: Waypoint, views: Sequence[int] = (0, 1)) -> Float32[np.ndarray, "height width"]:
         """See :class:`Pair`: the nearer surface, of one view (0 or 1) if only that is shown."""
-        poses, renderers = self.segment.poses, self.segment.renderers
-        seen = [renderers[k](waypoint.pose.inverse() @ poses[k]).inverse_depth.copy() for k in views]
+        seen = [self._rendering(waypoint, k).inverse_depth.copy() for k in views]
         return np.asarray(np.maximum(seen[0], seen[-1]))
+
+    def renderings(self, waypoint: Waypoint) -> tuple[Rendering, Rendering]:
+        """See :class:`Pair`."""
+        return self._rendering(waypoint, 0), self._rendering(waypoint, 1)
+
+    def _rendering(self, waypoint: Waypoint, view: int) -> Rendering:
+        return self.segment.renderers[view](waypoint.pose.inverse() @ self.segment.poses[view])

@@ -96,6 +96,9 @@ class SynSinPair:
     def inverse_depth(self, waypoint: Waypoint) -> None:
         """None."""
 
+    def renderings(self, waypoint: Waypoint) -> None:
+        """None."""
+
     def _seen_from(self, which: int, position: np.ndarray) -> Cloud:
         cloud = self._method.cloud(self._index + which, self._views[which])
         moved = cloud.target_from_source.position - position

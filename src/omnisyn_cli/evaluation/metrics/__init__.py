@@ -2,5 +2,9 @@
 
 from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pixels
 from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, row_weights, ssim, ws_psnr, ws_ssim
+from omnisyn_cli.evaluation.metrics.kinds import end_masks, kind_figures
 
-__all__ = ["depth_metrics", "end_psnr", "lrce", "psnr", "row_weights", "scored_pixels", "ssim", "ws_psnr", "ws_ssim"]
+__all__ = [
+    "depth_metrics", "end_masks", "end_psnr", "kind_figures", "lrce", "psnr", "row_weights", "scored_pixels", "ssim",
+    "ws_psnr", "ws_ssim",
+]  # fmt: skip

@@ -34,7 +34,7 @@ def row_weights(height: int) -> Float[np.ndarray, " height"]:
 
 def psnr(image: Picture, truth: Picture) -> float:
     """Peak signal-to-noise ratio in dB for values in [0, 1]; infinite where both are the same."""
-    return _decibels(float(_squared_error(image, truth).mean()))
+    return decibels(float(squared_error(image, truth).mean()))
 
 
 def end_psnr(image: Picture, truth: Picture, *, is_bottom: bool) -> float:
@@ -49,7 +49,7 @@ def ws_psnr(image: Picture, truth: Picture) -> float:
 
     Source: Sun, Lu and Yu, Weighted-to-spherically-uniform quality evaluation for omnidirectional video, 2017.
     """
-    return _decibels(_mean_over_sphere(_squared_error(image, truth)))
+    return decibels(_mean_over_sphere(squared_error(image, truth)))
 
 
 def ssim(image: Picture, truth: Picture) -> float:
@@ -103,7 +103,8 @@ def _check_window(image: np.ndarray, truth: np.ndarray) -> None:
         raise ValueError(f"expected pictures of at least {WINDOW}×{WINDOW} pixels, got {width}×{height}; use PSNR")
 
 
-def _squared_error(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def squared_error(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "height width 3"]:
+    """Of every channel of every pixel; ValueError unless both are of one size."""
     check_same_size(image, truth)
     return np.asarray((image.astype(np.float64) - truth) ** 2)
 
@@ -113,7 +114,8 @@ def _mean_over_sphere(values: Picture) -> float:
     return float(np.average(rows, weights=row_weights(len(rows))))
 
 
-def _decibels(mean_squared_error: float) -> float:
+def decibels(mean_squared_error: float) -> float:
+    """The peak signal-to-noise ratio that a mean squared error is; infinite for none."""
     return math.inf if mean_squared_error == 0 else 10.0 * math.log10(PEAK**2 / mean_squared_error)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from omnisyn_cli.fusion.kinds import pixel_kinds
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.types import UNSEEN, Rendering
 
@@ -23,9 +24,6 @@ LEAST_SCORE = 0.3
 
 WORST, BEST = 12.0, 36.0
 """Decibels that score 0 and 1."""
-
-DISAGREEMENT = 0.1
-"""Relative difference of inverse depth above which two surfaces are different ones."""
 
 INCONSISTENCY = 0.1
 """Root mean square of the difference over the channels above which two colours are different ones."""
@@ -86,11 +84,9 @@ def _shares(one: Rendering, other: Rendering) -> tuple[float, float, float]:
     """Unseen, disagreeing and inconsistent shares of the sphere."""
     weight = solid_angles(*one.inverse_depth.shape)
     weight /= weight.sum()
-    both = _seen(one) & _seen(other)
-    near = np.maximum(np.maximum(one.inverse_depth, other.inverse_depth), 1e-6)
-    apart = np.abs(np.maximum(one.inverse_depth, 0.0) - np.maximum(other.inverse_depth, 0.0)) > DISAGREEMENT * near
+    kinds = pixel_kinds(one, other)
     differs = _squared_difference(one, other) > INCONSISTENCY**2
-    cases = (~(_seen(one) | _seen(other)), both & apart, both & ~apart & differs)
+    cases = (kinds.hole, kinds.disagree, kinds.agree & differs)
     unseen, disagreement, inconsistency = (float(weight[case].sum()) for case in cases)
     return unseen, disagreement, inconsistency
 
