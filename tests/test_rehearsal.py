@@ -138,6 +138,7 @@ def test_the_first_run_leaves_what_is_drawn_with_to_another_process(tmp_path: Pa
     )
     here_compiled = {line.split()[1] for line in first.stderr.splitlines() if line.startswith("here:")}
     assert "_aggregate" in here_compiled
-    assert not here_compiled & {"find_block_rows", "rasterize_blocks", "shade_rows", "blend_band", "_push_rows"}
+    drawing = {"find_block_boxes", "rasterize_blocks", "shade_rows", "blend_band", "_push_rows"}
+    assert not here_compiled & (drawing | {"mark_edges", "list_spots", "rasterize_spots", "shade_spots", "blend_spots"})
     assert "here:" not in second.stderr
     assert (tmp_path / "first.mp4").read_bytes() == (tmp_path / "second.mp4").read_bytes()

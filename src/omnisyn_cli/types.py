@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Shaped, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, Shaped, UInt8
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
 
 __all__ = [
     "BELIEF",
+    "SPOT_PADDING",
+    "SPOT_TILE",
     "UNSEEN",
     "ColourStep",
     "DepthEstimate",
@@ -22,6 +24,8 @@ __all__ = [
     "Fuser",
     "KnownDepth",
     "Rendering",
+    "Samples",
+    "Spots",
     "View",
 ]
 
@@ -83,6 +87,42 @@ class DepthEstimator(Protocol):
         ...
 
 
+SPOT_TILE = 4
+"""Columns of pixels that :attr:`Spots.begins` counts together."""
+
+SPOT_PADDING = 2
+"""The spots of a row are filled up to a multiple of so many: kernels take the samples of two at a time."""
+
+
+class Spots(NamedTuple):
+    """Some pixels of some rows of a target, each with four samples: the pixels of a target of twice the size.
+
+    Numbers of samples come as arrays ``(2, 2·spots, ...)``: the upper and the lower row of samples of every spot, and
+    in each the left and the right one. Kernels take it as it is.
+
+    Attributes:
+        top: the row of the target that the first row is.
+        cols: columns of the target, row after row, ascending in each; −1 fills rows up.
+        begins: for each row, the first spot at or after every :data:`SPOT_TILE` columns; last, that after the row.
+        counts: how many spots of the row before each of these have samples that are to be found.
+        inverse_depth: of all samples, 1/metre: negative where it is to be found, else what it is.
+        sin_a: sines of the azimuths of the samples of a row, two for every spot.
+        cos_a: cosines of the same.
+    """
+
+    top: int
+    cols: Int32[np.ndarray, " spots"]
+    begins: Int32[np.ndarray, "rows tiles"]
+    counts: Int32[np.ndarray, "rows tiles"]
+    inverse_depth: Float32[np.ndarray, "2 samples"]
+    sin_a: Float32[np.ndarray, " samples"]
+    cos_a: Float32[np.ndarray, " samples"]
+
+
+Samples = tuple[Float32[np.ndarray, "2 samples"], Float32[np.ndarray, "2 samples 4"]]
+"""Of spots: inverse depth, negative where nothing is seen, and RGB with weight."""
+
+
 @dataclass(frozen=True)
 class Rendering:
     """One view's surface as a target sees it; its colours are made when and where they are asked for.
@@ -97,6 +137,8 @@ class Rendering:
         colour_at: such colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
         target_from_source: the transform it was rendered with.
         held: all colours ``(height, width, 4)``, where they are there already.
+        samples: inverse depth and colours of the samples of spots, in memory of their own; None where pixels have
+            none but their centre. Called as ``colour_rows`` is.
     """
 
     inverse_depth: Float32[Array, "height width"]
@@ -104,6 +146,7 @@ class Rendering:
     colour_at: Callable[[np.ndarray, np.ndarray], Array]
     target_from_source: Pose
     held: Float32[Array, "height width 4"] | None = None
+    samples: Callable[[Spots], Samples] | None = None
 
     @staticmethod
     def of(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Rendering:

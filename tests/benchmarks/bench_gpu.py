@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
@@ -54,7 +55,8 @@ def frames(
     """Seconds that each frame between the panoramas took, and its samples."""
     memory = np.empty((*size, 3), np.uint8)
     path = plan_path([view.pose for view in views], count + 2)[1:-1]
-    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(size), device=device).prepare(0, *views)
+    fuser = GeometricFuser(size, edges=False)  # which a GPU does not sample more than once
+    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(size), fuser, device=device).prepare(0, *views)
     for waypoint in path:
         begin = time.perf_counter()
         image = pair.frame(waypoint, lambda: memory).image

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.fusion.ghosts import Suppression
 from omnisyn_cli.runtime.threads import run_bands
-from omnisyn_cli.types import ColourStep, Rendering
+from omnisyn_cli.types import ColourStep, Rendering, Samples, Spots
 
 __all__ = ["ROWS", "Views"]
 
@@ -49,6 +50,21 @@ class Views:
         self.second.colour_rows(top, bottom, out[1])
         for step in self.steps:
             step(out[0], out[1], top)
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether pixels of both have samples."""
+        return self.first.samples is not None and self.second.samples is not None
+
+    def samples(self, of_first: Spots, of_second: Spots) -> tuple[Samples, Samples]:
+        """Of both, as they are blended; ValueError where there are none. The spots are the same ones."""
+        if self.first.samples is None or self.second.samples is None:
+            raise ValueError("expected renderings with samples, got others; ask has_samples first")
+        first, second = self.first.samples(of_first), self.second.samples(of_second)
+        for step in self.steps:
+            if isinstance(step, Suppression):
+                step.of_samples(first[1], second[1], of_first)
+        return first, second
 
 
 class BandRunner:
@@ -89,7 +105,7 @@ class BandRunner:
             self._held = np.empty((2, *self.size, 4), np.float32)
         for view, colour in zip((first, second), self._held, strict=True):
             run_bands(lambda begin, end: view.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
-        one, other = (Rendering.of(v.inverse_depth, c, v.target_from_source)
+        one, other = (replace(Rendering.of(v.inverse_depth, c, v.target_from_source), samples=v.samples)
                       for v, c in zip((first, second), self._held, strict=True))  # fmt: skip
         return one, other
 

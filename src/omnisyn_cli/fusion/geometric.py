@@ -9,9 +9,19 @@ from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.fusion.bands import ROWS, BandRunner, Views
 from omnisyn_cli.fusion.confidence import confidence_step
+from omnisyn_cli.fusion.edges import EdgeSampler
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, is_in_place
-from omnisyn_cli.fusion.kernels import NO_CORRECTION, Correction, Layer, Tables, blend_band, rule_of, storing_in
+from omnisyn_cli.fusion.kernels import (
+    NO_CORRECTION,
+    Correction,
+    Layer,
+    Tables,
+    blend_band,
+    offset_of,
+    rule_of,
+    storing_in,
+)
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.types import ColourStep, Rendering
@@ -25,13 +35,24 @@ Confidence = Float32[np.ndarray, "height width"]
 class GeometricFuser:
     """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
+    Args:
+        size: height and width of the frames.
+        options: of the rule.
+        threads: at most this many; None is one per core.
+        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.edges`, where renderings have
+            some.
+
     Attributes:
         bands: runs through those of both renderings.
         is_seen: of the last picture that was painted: 0 in holes, else 1.
     """
 
-    def __init__(self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None) -> None:
+    def __init__(
+        self, size: tuple[int, int], options: BlendOptions | None = None, threads: int | None = None, *,
+        edges: bool = True,
+    ) -> None:  # fmt: skip
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
+        self._edges = EdgeSampler(size, threads) if edges else None
         self.bands, self.is_seen = BandRunner(size, threads), np.empty(size, np.uint8)
         self._tables = Tables(*(table.astype(np.float32) for table in direction_tables(*size)))
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
@@ -57,7 +78,7 @@ class GeometricFuser:
             out: written: numbers >= 0, or samples.
             correction: of the weights.
         """
-        offsets, (sin_p, cos_p, sin_a, cos_a) = [_offset(view) for view in (views.first, views.second)], self._tables
+        offsets, (sin_p, cos_p, sin_a, cos_a) = [offset_of(view) for view in (views.first, views.second)], self._tables
         storing, numbers, (colours, weights) = storing_in(out), rule_of(rule), self._filler.half
 
         def blend(top: int, bottom: int, first: np.ndarray, second: np.ndarray) -> None:
@@ -71,6 +92,8 @@ class GeometricFuser:
 
         self.bands(views, blend)
         self._filler.fill(out, self.is_seen)
+        if self._edges is not None and views.has_samples:
+            self._edges(views, rule, out, correction)
 
     def _suppression(self, first: Rendering, second: Rendering, rule: BlendRule) -> ColourStep | None:
         """What suppresses ghosts, where there are any."""
@@ -89,9 +112,3 @@ class GeometricFuser:
         if self._image is None:
             self._image = np.empty((*self.size, 3), np.float32)
         return self._image
-
-
-def _offset(view: Rendering) -> tuple[np.float32, np.float32, np.float32]:
-    """Position of a view in the frame of the target, as kernels take it."""
-    x, y, z = np.asarray(view.target_from_source.position, np.float32)
-    return x, y, z

@@ -47,29 +47,60 @@ def suppress_rows(first, second, suppressed, cell, top):
         cell: pixels along the side of a cell.
         top: row of the picture that the first row of both is.
     """
-    rows, cols = suppressed.shape
-    width, size, half = first.shape[1], np.float32(cell), np.float32(0.5)
+    width = first.shape[1]
     for row in range(len(first)):
-        y = (np.float32(top + row) + half) / size - half
-        i = int(np.floor(y))
-        down = y - np.float32(i)
-        upper, lower = min(max(i, 0), rows - 1), min(max(i + 1, 0), rows - 1)
+        upper, lower, down = _rows_of_cells(suppressed, cell, top + row)
         for block in range(-(-width // cell)):
             if _is_free(suppressed, upper, lower, block):
                 continue
             for col in range(block * cell, min((block + 1) * cell, width)):
-                x = (np.float32(col) + half) / size - half
-                j = int(np.floor(x))
-                right = x - np.float32(j)
-                left, beyond = j % cols, (j + 1) % cols
-                above = suppressed[upper, left] + right * (suppressed[upper, beyond] - suppressed[upper, left])
-                below = suppressed[lower, left] + right * (suppressed[lower, beyond] - suppressed[lower, left])
-                value = above + down * (below - above)
-                if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
-                    if value > np.float32(0.0):
-                        second[row, col, 3] *= np.float32(1.0) - value
-                    else:
-                        first[row, col, 3] *= np.float32(1.0) + value
+                _lessen(first, second, row, col, _between(suppressed, cell, upper, lower, down, col))
+
+
+@fast_kernel()
+def suppress_spots(first, second, suppressed, cell, spots):
+    """The same for the samples of spots, ``(2, samples, 4)`` of either view: each by where its spot is."""
+    for row in range(len(spots.begins)):
+        upper, lower, down = _rows_of_cells(suppressed, cell, spots.top + row)
+        for at in range(spots.begins[row, 0], spots.begins[row, -1]):
+            col = spots.cols[at]
+            if col < 0 or _is_free(suppressed, upper, lower, col // cell):
+                continue
+            value = _between(suppressed, cell, upper, lower, down, col)
+            for half in range(2):
+                _lessen(first, second, half, 2 * at, value)
+                _lessen(first, second, half, 2 * at + 1, value)
+
+
+@inlined()
+def _rows_of_cells(suppressed, cell, row):
+    """The rows of cells between whose centres a row lies, and how far it is from the first of them."""
+    y = (np.float32(row) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
+    i = int(np.floor(y))
+    last = len(suppressed) - 1
+    return min(max(i, 0), last), min(max(i + 1, 0), last), y - np.float32(i)
+
+
+@inlined()
+def _between(suppressed, cell, upper, lower, down, col):
+    """What is said of a column between four cells."""
+    x = (np.float32(col) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
+    j, cols = int(np.floor(x)), suppressed.shape[1]
+    right = x - np.float32(j)
+    left, beyond = j % cols, (j + 1) % cols
+    above = suppressed[upper, left] + right * (suppressed[upper, beyond] - suppressed[upper, left])
+    below = suppressed[lower, left] + right * (suppressed[lower, beyond] - suppressed[lower, left])
+    return above + down * (below - above)
+
+
+@inlined()
+def _lessen(first, second, row, col, value):
+    """Take weight from one view where both see something."""
+    if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+        if value > np.float32(0.0):
+            second[row, col, 3] *= np.float32(1.0) - value
+        else:
+            first[row, col, 3] *= np.float32(1.0) + value
 
 
 @inlined()

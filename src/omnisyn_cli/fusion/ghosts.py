@@ -10,6 +10,8 @@ Colours may be numpy arrays or torch tensors on any device. Only what is done fo
 here, and kernels for the processor.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -19,14 +21,14 @@ from array_api_compat import array_namespace, device, is_numpy_array
 from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.fusion.cells import greatest_near, mean_near, side_of_cells, step_in_cells
-from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows
+from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows, suppress_spots
 from omnisyn_cli.fusion.rule import BlendRule, Shown, view_weights
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
-from omnisyn_cli.types import UNSEEN, ColourStep, Rendering
+from omnisyn_cli.types import UNSEEN, Rendering, Spots
 
-__all__ = ["GhostRemover", "is_in_place"]
+__all__ = ["GhostRemover", "Suppression", "is_in_place"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -61,6 +63,27 @@ class GhostOptions:
     neighbourhood: int = 12
 
 
+@dataclass(frozen=True)
+class Suppression:
+    """What takes weight away from the view that is not shown; a :data:`omnisyn_cli.types.ColourStep`.
+
+    Attributes:
+        suppressed: by cell: from −1 (the first loses all of its weight) to 1 (the second does).
+        cell: pixels along the side of a cell.
+    """
+
+    suppressed: Float32[Array, "rows cols"]
+    cell: int
+
+    def __call__(self, first: Array, second: Array, top: int) -> None:
+        """In some rows of both views, see :func:`suppress`."""
+        suppress(first, second, top, self.suppressed, self.cell)
+
+    def of_samples(self, first: Array, second: Array, spots: Spots) -> None:
+        """In the samples of spots, ``(2, samples, 4)`` of either view."""
+        suppress_spots(first, second, self.suppressed, self.cell, spots)
+
+
 class GhostRemover:
     """Finds where blending two renderings would show a ghost, and which of them is not to be shown there.
 
@@ -82,7 +105,7 @@ class GhostRemover:
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._directions = pixel_directions(*self._grid).astype(np.float32)
 
-    def __call__(self, first: Rendering, second: Rendering, rule: BlendRule) -> ColourStep | None:
+    def __call__(self, first: Rendering, second: Rendering, rule: BlendRule) -> Suppression | None:
         """What suppresses ghosts in colours of both views; None where there are none.
 
         Args:
@@ -97,7 +120,7 @@ class GhostRemover:
         if not is_any(differs):
             return None
         preference = self._preference(one, other, count, rule)
-        return partial(suppress, suppressed=suppressed_cells(differs, preference), cell=self.cell)
+        return Suppression(suppressed_cells(differs, preference), self.cell)
 
     @property
     def _reach(self) -> int:

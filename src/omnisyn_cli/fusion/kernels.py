@@ -10,7 +10,7 @@ import numpy as np
 
 from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendRule
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
-from omnisyn_cli.types import BELIEF, UNSEEN
+from omnisyn_cli.types import BELIEF, UNSEEN, Rendering
 
 __all__ = ["blend_band", "quantize_rows", "storing_in"]
 
@@ -100,6 +100,12 @@ def storing_in(out: np.ndarray) -> Storing:
     return Storing(np.float32(1.0), np.float32(np.iinfo(out.dtype).max), np.float32(0.5))
 
 
+def offset_of(view: Rendering) -> tuple[np.float32, np.float32, np.float32]:
+    """Position of a view in the frame of the target, as kernels take it."""
+    x, y, z = np.asarray(view.target_from_source.position, np.float32)
+    return x, y, z
+
+
 @inlined(fastmath=True)
 def stored(value, storing):
     """A number as it is assigned to a sample."""
@@ -180,7 +186,7 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
     rows, width = seen.shape
     upper, lower = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32)
     first_flat, second_flat, out_flat = first.colour.reshape(-1), second.colour.reshape(-1), out.reshape(-1)
-    coarse_flat, half_width = coarse_colour.reshape(-1), coarse_weight.shape[1]
+    coarse_flat, half_width, cols = coarse_colour.reshape(-1), coarse_weight.shape[1], np.arange(width)
     for pair in range(len(coarse_weight)):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
@@ -196,7 +202,7 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
                 )
                 _blend_run(a, b, rule, some, mixed)
                 if len(correction.shift) > 0:
-                    _correct_run(a, b, rule, some, correction, top + row, height, left, width, mixed)
+                    _correct_run(a, b, rule, some, correction, top + row, height, cols[left:right], width, mixed)
                 _store_run(mixed, storing, out_flat[3 * begin : 3 * end], seen[row, left:right])
                 if right < left + RUN:  # an odd last column stands alone
                     for number in range(4):
@@ -204,6 +210,69 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
             begin, end = pair * half_width + left // 2, pair * half_width + (right + 1) // 2
             half = coarse_weight[pair, left // 2 : (right + 1) // 2]
             _pull_run(upper, lower, coarse_flat[3 * begin : 3 * end], half)
+
+
+@fast_kernel()
+def blend_spots(first, second, rule, tables, correction, spots, height, width, share, storing, out):
+    """Give some pixels the means of their samples, blended one by one; samples that see nothing keep the pixel's own.
+
+    Args:
+        first: :class:`Layer` of the first view: ``(2, samples, 4)`` and ``(2, samples)``.
+        second: of the second view.
+        rule: :class:`Rule`.
+        tables: :class:`Tables`, of which those of rows: of all rows of a picture of twice the size.
+        correction: :class:`Correction` of the weights.
+        spots: :class:`omnisyn_cli.types.Spots`.
+        height: rows of the picture.
+        width: its columns.
+        share: of the mean; the rest is what the pixel was.
+        storing: :class:`Storing`.
+        out: ``(height, width, 3)`` samples, changed.
+    """
+    upper, lower, columns = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32), np.empty(RUN, np.int64)
+    for row in range(len(spots.begins)):
+        begin, end = 2 * spots.begins[row, 0], 2 * spots.begins[row, -1]
+        for left in range(begin, end, RUN):
+            right = min(left + RUN, end)
+            for at in range(left, right):
+                columns[at - left] = max(0, 2 * spots.cols[at // 2] + at % 2)
+            for half, mixed in ((0, upper), (1, lower)):
+                double_row = 2 * (spots.top + row) + half
+                a = Layer(
+                    first.colour[half, left:right].reshape(-1), first.inverse_depth[half, left:right], first.offset
+                )
+                b = Layer(
+                    second.colour[half, left:right].reshape(-1), second.inverse_depth[half, left:right], second.offset
+                )
+                some = Tables(
+                    tables.sin_p[double_row:], tables.cos_p[double_row:],
+                    spots.sin_a[left:right], spots.cos_a[left:right],
+                )  # fmt: skip
+                _blend_run(a, b, rule, some, mixed)
+                if len(correction.shift) > 0:
+                    run = columns[: right - left]
+                    _correct_run(a, b, rule, some, correction, double_row, 2 * height, run, 2 * width, mixed)
+            for at in range(left // 2, right // 2):
+                if spots.cols[at] >= 0:
+                    _store_mean(upper, lower, 2 * at - left, share, storing, out[spots.top + row, spots.cols[at]])
+
+
+@inlined()
+def _run_of_samples(layer, half, begin, end):
+    """Some samples of one row, colours flat."""
+    return Layer(layer.colour[half, begin:end].reshape(-1), layer.inverse_depth[half, begin:end], layer.offset)
+
+
+@inlined(fastmath=True)
+def _store_mean(upper, lower, at, share, storing, pixel):
+    """The mean of four samples, and of what the pixel was, as that pixel."""
+    quarter, zero = np.float32(0.25), np.float32(0.0)
+    for k in range(3):
+        total, own = zero, np.float32(pixel[k]) / storing.scale
+        for mixed in (upper, lower):
+            for i in (at, at + 1):
+                total += mixed[k * RUN + i] if mixed[3 * RUN + i] > zero else own
+        pixel[k] = stored(own + share * (quarter * total - own), storing)
 
 
 @fast_kernel()
@@ -283,10 +352,10 @@ def _relevance(first, second, col):
 
 
 @fast_kernel()
-def _correct_run(first, second, rule, tables, correction, row, height, left, width, mixed):
+def _correct_run(first, second, rule, tables, correction, row, height, columns, width, mixed):
     """Correct what :func:`_blend_run` found where it matters which of the views is shown.
 
-    The run begins at ``row`` and column ``left`` of a picture of ``height`` and ``width``; other arguments as there.
+    The run is of ``columns`` in a ``row`` of a picture of ``height`` and ``width``; other arguments as there.
     """
     rows, cols = correction.shift.shape
     zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -308,7 +377,7 @@ def _correct_run(first, second, rule, tables, correction, row, height, left, wid
         if not (a > zero and b > zero):
             continue
         ratio = np.float32(math.log((a + LEAST_RATIO * b) / (b + LEAST_RATIO * a)))
-        j, right = neighbours(left + col, width, cols)
+        j, right = neighbours(columns[col], width, cols)
         before, beyond = j % cols, (j + 1) % cols
         total = value = zero
         for corner in range(4):

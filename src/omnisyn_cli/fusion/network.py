@@ -66,6 +66,7 @@ class NetworkFuser(GeometricFuser):
         options: of the geometric fusion.
         threads: at most this many; None is one per core.
         rows: that the network looks at, at most.
+        edges: see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
     """
 
     def __init__(
@@ -75,8 +76,10 @@ class NetworkFuser(GeometricFuser):
         options: BlendOptions | None = None,
         threads: int | None = None,
         rows: int = WORKING_ROWS,
+        *,
+        edges: bool = True,
     ) -> None:
-        super().__init__(size, options, threads)
+        super().__init__(size, options, threads, edges=edges)
         self._correction = correction
         small = working_size(size, rows)
         self._planes = None if small is None else PlaneMaker(small, self.bands)

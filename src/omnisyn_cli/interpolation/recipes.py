@@ -36,7 +36,7 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
         cut=usual.cut if is_cut_as_usual else job.cut,
         cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
         adaptive=job.adaptive, fusion=usual.fusion if job.fusion == "auto" else job.fusion,
-        fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
+        edges=usual.edges, fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
     )  # fmt: skip
     return replace(recipe, is_on_gpu=job.device == "cuda" and not _against_gpu(recipe))
 

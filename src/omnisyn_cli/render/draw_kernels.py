@@ -92,7 +92,7 @@ def _plane(block, row, k, x, y, z):
 
 
 @inlined()
-def _seen(block, k, x, y, z, old):
+def seen_on_rays(block, k, x, y, z, old):
     """Inverse depth of a quad on eight rays, whether it is nearer than ``old``, and whether its triangle is A."""
     zero = splat(np.float32(0.0))
     in_a = _edge(block, CUT, k, x, y, z) >= zero
@@ -154,7 +154,7 @@ def _draw_wide(block, k, number, row_first, row_last, col_first, col_last, targe
             col = min(column, width - LANES)
             at = row * width + col
             old = load(out, at)
-            seen, wins, in_a = _seen(block, k, sp * load(cols[0], col), y, sp * load(cols[1], col), old)
+            seen, wins, in_a = seen_on_rays(block, k, sp * load(cols[0], col), y, sp * load(cols[1], col), old)
             store(out, at, where(wins, seen, old))
             if face is not None:
                 faces = where(in_a, splat(np.int32(number)), splat(np.int32(number + 1)))
@@ -173,7 +173,7 @@ def _draw_narrow(block, k, number, row_first, row_last, col_first, target, face)
         sp, y = pair(rows[0, row], rows[0, below]), pair(rows[1, row], rows[1, below])
         at, at_below = row * width + col, below * width + col
         old = load_halves(out, at, at_below)
-        seen, wins, in_a = _seen(block, k, sp * sine, y, sp * minus_cosine, old)
+        seen, wins, in_a = seen_on_rays(block, k, sp * sine, y, sp * minus_cosine, old)
         store_halves(out, at, at_below, where(wins, seen, old))
         if face is not None:
             faces = where(in_a, splat(np.int32(number)), splat(np.int32(number + 1)))
@@ -262,32 +262,46 @@ def _outwards(gap, a, b):
     return -gap * (abs(b[0] - a[0]) + abs(b[1] - a[1]) + abs(b[2] - a[2]))
 
 
+@inlined_contracting()
+def exact_quad(p0, p1, p2, p3, gap):
+    """Both triangles of a quad in float64: edges, by how much they reach outwards, planes, and which there are."""
+    cut, left, bottom, right, top, det_a, plane_a, det_b, plane_b = split_exactly(p0, p1, p2, p3)
+    return (
+        cut, (left, _outwards(gap, p2, p0)), (bottom, _outwards(gap, p3, p2)), (right, _outwards(gap, p1, p3)),
+        (top, _outwards(gap, p0, p1)), det_a > EDGE_ON, _divided(plane_a, det_a), det_b > EDGE_ON,
+        _divided(plane_b, det_b),
+    )  # fmt: skip
+
+
+@inlined_contracting()
+def seen_exactly(quad, x, y, z):
+    """Inverse depth of such a quad on a ray, negative beside it, and 1 for its second triangle, else 0."""
+    cut, left, bottom, right, top, has_a, plane_a, has_b, plane_b = quad
+    side = _along(x, y, z, cut)
+    seen, second = np.float32(-1.0), 0
+    is_in_a = side >= 0.0 and _along(x, y, z, left[0]) >= left[1] and _along(x, y, z, bottom[0]) >= bottom[1]
+    is_in_b = side <= 0.0 and _along(x, y, z, right[0]) >= right[1] and _along(x, y, z, top[0]) >= top[1]
+    if has_a and is_in_a:
+        seen = np.float32(max(0.0, _along(x, y, z, plane_a)))
+    if has_b and is_in_b:
+        other = np.float32(max(0.0, _along(x, y, z, plane_b)))
+        if other > seen:
+            seen, second = other, 1
+    return seen, second
+
+
 @kernel(fastmath={"contract"})
 def _draw_float64(p0, p1, p2, p3, gap, number, row_first, row_last, col_first, col_last, target, face):
     """Both triangles of a quad against the rays in a box; columns outside the image are wrapped."""
     rows, cols = target.exact_rows, target.exact_cols
     out, width = target.inverse_depth, target.width
-    cut, left, bottom, right, top, det_a, plane_a, det_b, plane_b = split_exactly(p0, p1, p2, p3)
-    has_a, has_b = det_a > EDGE_ON, det_b > EDGE_ON
-    plane_a, plane_b = _divided(plane_a, det_a), _divided(plane_b, det_b)
-    left_out, bottom_out = _outwards(gap, p2, p0), _outwards(gap, p3, p2)
-    right_out, top_out = _outwards(gap, p1, p3), _outwards(gap, p0, p1)
+    quad = exact_quad(p0, p1, p2, p3, gap)
     for row in range(row_first, row_last + 1):
         sp, y = rows[0, row], rows[1, row]
         for turned in range(col_first, col_last + 1):
             col = turned + width if turned < 0 else (turned - width if turned >= width else turned)
             at = row * width + col
-            x, z = sp * cols[0, col], sp * cols[1, col]
-            side = _along(x, y, z, cut)
-            seen, second = np.float32(-1.0), 0
-            is_in_a = side >= 0.0 and _along(x, y, z, left) >= left_out and _along(x, y, z, bottom) >= bottom_out
-            is_in_b = side <= 0.0 and _along(x, y, z, right) >= right_out and _along(x, y, z, top) >= top_out
-            if has_a and is_in_a:
-                seen = np.float32(max(0.0, _along(x, y, z, plane_a)))
-            if has_b and is_in_b:
-                other = np.float32(max(0.0, _along(x, y, z, plane_b)))
-                if other > seen:
-                    seen, second = other, 1
+            seen, second = seen_exactly(quad, sp * cols[0, col], y, sp * cols[1, col])
             if seen > out[at]:
                 out[at] = seen
                 if face is not None:
@@ -300,6 +314,14 @@ def _point(block, at):
         np.float64(block[X, at]), np.float64(block[Y, at]), np.float64(block[Z, at]),
         np.float64(block[INVERSE_DEPTH, at]),
     )  # fmt: skip
+
+
+@inlined()
+def exact_corners(block, corners, code, k):
+    """Of a quad, in the order in which it is split from the first to the fourth."""
+    at0, at1, at2, at3 = corners
+    q0, q1, q2, q3 = _point(block, at0 + k), _point(block, at1 + k), _point(block, at2 + k), _point(block, at3 + k)
+    return (q1, q3, q0, q2) if code & DIAGONAL else (q0, q1, q2, q3)
 
 
 @kernel()
@@ -332,13 +354,6 @@ def draw_quads(block, corners, codes, gaps, number, target, face, begin, end):
             else:
                 _draw_wide(block, k, number + 2 * k, row_first, row_last, col_first, col_last, target, face)
         else:
-            at0, at1, at2, at3 = corners
-            q0, q1, q2, q3 = (
-                _point(block, at0 + k),
-                _point(block, at1 + k),
-                _point(block, at2 + k),
-                _point(block, at3 + k),
-            )
-            p0, p1, p2, p3 = (q1, q3, q0, q2) if codes[k] & DIAGONAL else (q0, q1, q2, q3)
+            p0, p1, p2, p3 = exact_corners(block, corners, codes[k], k)
             gap = np.float64(gaps[k]) if len(gaps) > 0 else 0.0
             _draw_float64(p0, p1, p2, p3, gap, number + 2 * k, row_first, row_last, col_first, col_last, target, face)

@@ -7,11 +7,19 @@ target's frame and projected, boxes are found, edges and planes are planned, ray
 
 import numpy as np
 
-from omnisyn_cli.render.box_kernels import FIRST_ROW, LAST_ROW, MOST_POINTS, find_boxes, place_block
+from omnisyn_cli.render.box_kernels import (
+    FIRST_COL,
+    FIRST_ROW,
+    LAST_COL,
+    LAST_ROW,
+    MOST_POINTS,
+    find_boxes,
+    place_block,
+)
 from omnisyn_cli.render.draw_kernels import draw_quads
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, plan_quads
 from omnisyn_cli.render.quads import BLOCK
-from omnisyn_cli.runtime.jit import fast_kernel, kernel
+from omnisyn_cli.runtime.jit import fast_kernel, inlined, kernel
 
 __all__ = ["rasterize_blocks"]
 
@@ -20,13 +28,19 @@ NOTHING = -1
 
 
 @kernel()
-def find_block_rows(quads, pose, target, rows, begin, end):
-    """First and last target row that blocks ``begin`` to ``end`` can touch."""
+def find_block_boxes(quads, pose, target, boxes, begin, end):
+    """First and last target row, first and last column that blocks ``begin`` to ``end`` can touch."""
     block = np.empty((BLOCK_ROWS, MOST_POINTS), np.float32)
     for k in range(begin, end):
         corners = place_block(quads, k, pose, target.scale, block)
         find_boxes(block, corners, quads.gaps[BLOCK * k : BLOCK * (k + 1)], target.rows[0], target.height, target.width)
-        rows[k, 0], rows[k, 1] = _range(block[FIRST_ROW], block[LAST_ROW])
+        _keep_box(block, boxes, k)
+
+
+@inlined()
+def _keep_box(block, boxes, k):
+    boxes[k, 0], boxes[k, 1] = _range(block[FIRST_ROW], block[LAST_ROW])
+    boxes[k, 2], boxes[k, 3] = _range(block[FIRST_COL], block[LAST_COL])
 
 
 @fast_kernel()
@@ -39,19 +53,23 @@ def _range(first, last):
 
 
 @kernel()
-def rasterize_blocks(quads, rows, pose, target, face, begin, end):
+def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
     """All quads in target rows ``begin`` to ``end``.
 
-    Unless ``face`` is None it gets twice the place of the quad that is seen, plus one for its second triangle.
+    ``boxes`` are those of :func:`find_block_boxes`; they are written where all rows are drawn. Unless ``face`` is None
+    it gets twice the place of the quad that is seen, plus one for its second triangle.
     """
     target.inverse_depth[begin * target.width : end * target.width] = -1.0
     if face is not None:
         face[begin * target.width : end * target.width] = NOTHING
     block = np.empty((BLOCK_ROWS, MOST_POINTS), np.float32)
-    for k in range(len(rows)):
-        if rows[k, 0] < end and rows[k, 1] >= begin:
+    is_whole = begin == 0 and end == target.height
+    for k in range(len(boxes)):
+        if is_whole or (boxes[k, 0] < end and boxes[k, 1] >= begin):
             codes, gaps = quads.codes[k], quads.gaps[BLOCK * k : BLOCK * (k + 1)]
             corners = place_block(quads, k, pose, target.scale, block)
             find_boxes(block, corners, gaps, target.rows[0], target.height, target.width)
+            if is_whole:
+                _keep_box(block, boxes, k)
             plan_quads(block, corners, codes, gaps)
             draw_quads(block, corners, codes, gaps, 2 * BLOCK * k, target, face, begin, end)

@@ -8,6 +8,7 @@ r of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
@@ -17,8 +18,10 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quads import QuadBlocks
-from omnisyn_cli.render.raster_kernels import NOTHING, find_block_rows, rasterize_blocks
+from omnisyn_cli.render.raster_kernels import NOTHING, find_block_boxes, rasterize_blocks
+from omnisyn_cli.render.spot_kernels import rasterize_spots
 from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Spots
 
 __all__ = ["NOTHING", "Fragments", "rasterize"]
 
@@ -46,14 +49,14 @@ class Rasterizer:
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
-        sin_p, cos_p, sin_a, cos_a = direction_tables(*size)
-        rows, cols = np.stack([sin_p, cos_p]), np.stack([sin_a, -cos_a])
-        row_scale, row_zero, col_scale, col_zero = map(np.float32, pixel_scale(size))
         self._inverse_depth = np.empty(size, np.float32)
-        self._target = Target(
-            rows.astype(np.float32), cols.astype(np.float32), rows, cols, (row_scale, row_zero, col_scale, col_zero),
-            self._inverse_depth.reshape(-1), size[0], size[1],
-        )  # fmt: skip
+        self._target = _target(size, self._inverse_depth)
+        self._boxes = np.empty((0, 4), np.int32)
+
+    @cached_property
+    def _of_samples(self) -> Target:
+        """What the samples of spots are pixels of."""
+        return _target((2 * self.size[0], 2 * self.size[1]), np.empty(0, np.float32))
 
     def __call__(
         self, quads: QuadBlocks, target_from_source: Pose, face: Int32[np.ndarray, " pixels"] | None = None
@@ -66,20 +69,47 @@ class Rasterizer:
             face: written if it is given, row after row: twice the place in ``quads`` of what is seen, plus one for the
                 second triangle of a quad; faces cost time.
         """
-        rotation, position = target_from_source.rotation, target_from_source.position
-        pose = tuple(tuple(map(np.float32, (*row, shift))) for row, shift in zip(rotation, position, strict=True))
-        rows = np.empty((len(quads.codes), 2), np.int32)
-        rows[:] = 0, self.size[0]
+        pose, boxes = _rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
         if self.threads != 1:  # else one band takes everything: nothing has to be sorted into bands
             run_bands(
-                lambda begin, end: find_block_rows(quads, pose, self._target, rows, begin, end), len(rows), self.threads
+                lambda begin, end: find_block_boxes(quads, pose, self._target, boxes, begin, end),
+                len(boxes),
+                self.threads,
             )
         run_bands(
-            lambda begin, end: rasterize_blocks(quads, rows, pose, self._target, face, begin, end),
+            lambda begin, end: rasterize_blocks(quads, boxes, pose, self._target, face, begin, end),
             self.size[0],
             self.threads,
         )
+        self._boxes = boxes
         return self._inverse_depth
+
+    def samples(self, quads: QuadBlocks, target_from_source: Pose, spots: Spots) -> Float32[np.ndarray, "2 samples"]:
+        """Inverse depth of the samples of spots, negative where nothing is seen, in the caller's thread.
+
+        Args:
+            quads: as in the last call.
+            target_from_source: likewise.
+            spots: of rows of the target.
+        """
+        out = spots.inverse_depth.copy()
+        rasterize_spots(quads, self._boxes, _rows_of(target_from_source), self._of_samples, spots, out.reshape(-1))
+        return out
+
+
+def _target(size: tuple[int, int], inverse_depth: Float32[np.ndarray, "*size"]) -> Target:
+    sin_p, cos_p, sin_a, cos_a = direction_tables(*size)
+    rows, cols = np.stack([sin_p, cos_p]), np.stack([sin_a, -cos_a])
+    row_scale, row_zero, col_scale, col_zero = map(np.float32, pixel_scale(size))
+    return Target(
+        rows.astype(np.float32), cols.astype(np.float32), rows, cols, (row_scale, row_zero, col_scale, col_zero),
+        inverse_depth.reshape(-1), size[0], size[1],
+    )  # fmt: skip
+
+
+def _rows_of(pose: Pose) -> tuple[tuple[np.float32, ...], ...]:
+    """Three rows of a rotation with the shift behind them, as kernels take it."""
+    return tuple(tuple(map(np.float32, (*row, shift))) for row, shift in zip(pose.rotation, pose.position, strict=True))
 
 
 def rasterize(mesh: Mesh, target_from_source: Pose, size: tuple[int, int], threads: int | None = None) -> Fragments:

@@ -19,7 +19,7 @@ from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass import TwoPassRenderer
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Rendering, Samples, Spots
 
 __all__ = ["MeshRenderer", "Renderer", "make_renderer"]
 
@@ -59,16 +59,22 @@ class MeshRenderer:
         self._texture, self._shader = make_texture(image, mask), Shader(size, threads)
         self._trust = make_trust(mesh, self._texture)
         every = mesh.face_count()
-        quads, drawn = (mesh.blocks, every) if way is None else simplify(mesh, way, size[0], threads=threads)
-        self.triangles, self._see = (drawn, every), partial(Rasterizer(size, threads), quads)
+        self._quads, drawn = (mesh.blocks, every) if way is None else simplify(mesh, way, size[0], threads=threads)
+        self.triangles, self._rasterizer = (drawn, every), Rasterizer(size, threads)
 
     def __call__(self, target_from_source: Pose) -> Rendering:
         """See :class:`Renderer`; colours are made as they are asked for."""
-        seen = self._see(target_from_source)
+        seen = self._rasterizer(self._quads, target_from_source)
         what = (seen, self._trust, self._texture, target_from_source)
         return Rendering(
-            seen, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source
-        )
+            seen, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source,
+            samples=partial(self._samples, target_from_source),
+        )  # fmt: skip
+
+    def _samples(self, target_from_source: Pose, spots: Spots) -> Samples:
+        """Of spots of what was seen last."""
+        seen = self._rasterizer.samples(self._quads, target_from_source, spots)
+        return seen, self._shader.samples(seen, spots, self._trust, self._texture, target_from_source)
 
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {

@@ -6,6 +6,7 @@ A target ray r that meets a surface at inverse depth ρ meets the point that the
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float32, Integer
@@ -13,9 +14,10 @@ from jaxtyping import Float32, Integer
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.shade_kernels import shade_rows
+from omnisyn_cli.render.shade_kernels import shade_rows, shade_spots
 from omnisyn_cli.render.texture import CHANNELS, Texture
 from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Spots
 
 __all__ = ["Shader", "TrustMap", "make_trust"]
 
@@ -114,11 +116,40 @@ class Shader:
         run_bands(lambda begin, end: shade_band(some, tables, out, begin, end), len(rows), self.threads)
         return out
 
-    def _kernel(self, trust: TrustMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
-        """Takes inverse depth, direction tables, an image, first row and the row after the last."""
+    def samples(
+        self, inverse_depth: Float32[np.ndarray, "2 samples"], spots: Spots, trust: TrustMap, texture: Texture,
+        target_from_source: Pose,
+    ) -> Float32[np.ndarray, "2 samples 4"]:  # fmt: skip
+        """Colour and trust of the samples of spots, in the caller's thread.
+
+        Args:
+            inverse_depth: of the samples.
+            spots: of rows of the target.
+            trust: in the surface.
+            texture: the photograph.
+            target_from_source: the transform.
+        """
+        out = np.empty((*inverse_depth.shape, CHANNELS), np.float32)
+        sin_p, cos_p = self._rows_of_samples
+        rotation, translation, ratio = self._view(texture, target_from_source)
+        source = (trust.values, trust.layout, texture.texels, texture.layout)
+        shade_spots(inverse_depth, spots, *source, sin_p, cos_p, rotation, translation, ratio / np.float32(2.0), out)
+        return out
+
+    @cached_property
+    def _rows_of_samples(self) -> tuple[Float32[np.ndarray, " rows"], ...]:
+        """Sines and cosines of polar angles."""
+        return tuple(table.astype(np.float32) for table in direction_tables(2 * self.size[0], 2 * self.size[1])[:2])
+
+    def _view(self, texture: Texture, target_from_source: Pose) -> tuple[np.ndarray, np.ndarray, np.float32]:
+        """Rotation, position, and texels in a pixel of the target, as kernels take them."""
         rotation = np.ascontiguousarray(target_from_source.rotation, np.float32)
         translation = np.ascontiguousarray(target_from_source.position, np.float32)
-        ratio = np.float32(texture.size[0] / self.size[0])
+        return rotation, translation, np.float32(texture.size[0] / self.size[0])
+
+    def _kernel(self, trust: TrustMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
+        """Takes inverse depth, direction tables, an image, first row and the row after the last."""
+        rotation, translation, ratio = self._view(texture, target_from_source)
         source = (trust.values, trust.layout, texture.texels, texture.layout)
 
         def band(

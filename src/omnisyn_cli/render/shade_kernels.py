@@ -46,47 +46,81 @@ def shade_rows(
     Trust is that of the quarter of a quad that a texture coordinate lies in: ``trust_layout`` takes texel rows and
     columns to those of ``trust``. Without any ``trust`` it is 1.
     """
-    width = rho.shape[1]
-    places, kinds, quarters = np.zeros((3, RUN), np.float32), np.empty(RUN, np.int32), np.empty(RUN, np.int32)
-    cubic_index, cubic = np.empty(RUN, np.int32), np.empty((8, RUN), np.float32)
-    levels = layout.shape[0]
-    index, weights = np.empty((levels, RUN), np.int32), np.empty((levels, 3, RUN), np.float32)
-    has_level = np.empty(levels, np.bool_)
-    flat, unit = image.reshape(-1), np.float32(layout[0, 6])
-    starts, strides, factors = layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64), _levels_from_full(layout)
+    width, flat, source = rho.shape[1], image.reshape(-1), (trust, trust_layout, texels, layout)
+    view, room = (rotation, t, ratio), _room_for_runs(layout)
     for row in range(begin, end):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
-            _find_places(
-                rho[row, left:right], sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], rotation, t, ratio,
-                layout, places, kinds,
+            _shade_run(
+                rho[row, left:right], source, sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], view,
+                room, flat, 4 * (row * width + left),
             )  # fmt: skip
-            if len(trust) > 0:
-                _find_quarters(places, trust_layout, quarters, right - left)
-            has_cubic, has_level[:], last = False, False, HOLE
-            for col in range(right - left):
-                kind, at = kinds[col], 4 * (row * width + left + col)
-                if kind == FULL:
-                    if not has_cubic:
-                        _find_cubic(places, strides[0], cubic_index, cubic)
-                        has_cubic = True
-                    colour = _bicubic(texels, strides[0], 4 * np.int64(cubic_index[col]), cubic, col)
-                elif kind == HOLE:
-                    for k in range(4):
-                        flat[at + k] = 0.0
-                    continue
-                else:
-                    if kind != last:
-                        _prepare_levels(places, kind, strides, factors, has_level, index, weights)
-                        last = kind
-                    finer = np.uint64(kind)  # without a sign no index is looked at twice
-                    colour = _level(texels, starts, strides, finer, index, weights, col)
-                    colour = colour + _level(texels, starts, strides, finer + np.uint64(1), index, weights, col)
-                    colour = colour + swapped(colour)
-                colour = colour * splat(unit)
-                if len(trust) > 0:
-                    colour = fourth_times(colour, trust[quarters[col]])
-                store_half(flat, at, colour)
+
+
+@fast_kernel()
+def shade_spots(
+    rho, spots, trust, trust_layout, texels, layout, sin_p, cos_p, rotation, t, ratio, colour
+):  # fmt: skip
+    """The same for the samples of spots; ``sin_p`` and ``cos_p`` are of all rows of a target of twice the size."""
+    source, view, room = (trust, trust_layout, texels, layout), (rotation, t, ratio), _room_for_runs(layout)
+    for row in range(len(spots.begins)):
+        begin, end = 2 * spots.begins[row, 0], 2 * spots.begins[row, -1]
+        for half in range(2):
+            flat, double_row = colour[half].reshape(-1), 2 * (spots.top + row) + half
+            for left in range(begin, end, RUN):
+                right = min(left + RUN, end)
+                _shade_run(
+                    rho[half, left:right], source, sin_p[double_row], cos_p[double_row], spots.sin_a[left:right],
+                    spots.cos_a[left:right], view, room, flat, 4 * left,
+                )  # fmt: skip
+
+
+@inlined(fastmath=True)
+def _room_for_runs(layout):
+    """Memory for what is found out about a run, and what does not depend on it."""
+    levels = layout.shape[0]
+    return (
+        np.zeros((3, RUN), np.float32), np.empty(RUN, np.int32), np.empty(RUN, np.int32), np.empty(RUN, np.int32),
+        np.empty((8, RUN), np.float32), np.empty((levels, RUN), np.int32), np.empty((levels, 3, RUN), np.float32),
+        np.empty(levels, np.bool_), layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64),
+        _levels_from_full(layout),
+    )  # fmt: skip
+
+
+@inlined(fastmath=True)
+def _shade_run(rho, source, sp, cp, sin_a, cos_a, view, room, flat, first):
+    """Up to :data:`RUN` pixels of a row, written to ``flat`` from ``first`` on."""
+    trust, trust_layout, texels, layout = source
+    rotation, t, ratio = view
+    places, kinds, quarters, cubic_index, cubic, index, weights, has_level, starts, strides, factors = room
+    unit = np.float32(layout[0, 6])
+    _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, kinds)
+    if len(trust) > 0:
+        _find_quarters(places, trust_layout, quarters, len(rho))
+    has_cubic, has_level[:], last = False, False, HOLE
+    for col in range(len(rho)):
+        kind, at = kinds[col], first + 4 * col
+        if kind == FULL:
+            if not has_cubic:
+                _find_cubic(places, strides[0], cubic_index, cubic)
+                has_cubic = True
+            colour = _bicubic(texels, strides[0], 4 * np.int64(cubic_index[col]), cubic, col)
+        elif kind == HOLE:
+            for k in range(4):
+                flat[at + k] = 0.0
+            continue
+        else:
+            if kind != last:
+                _prepare_levels(places, kind, strides, factors, has_level, index, weights)
+                last = kind
+            finer = np.uint64(kind)  # without a sign no index is looked at twice
+            colour = _level(texels, starts, strides, finer, index, weights, col)
+            colour = colour + _level(texels, starts, strides, finer + np.uint64(1), index, weights, col)
+            colour = colour + swapped(colour)
+        colour = colour * splat(unit)
+        if len(trust) > 0:
+            colour = fourth_times(colour, trust[quarters[col]])
+        store_half(flat, at, colour)
 
 
 @fast_kernel()

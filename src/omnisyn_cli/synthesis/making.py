@@ -67,7 +67,7 @@ def make_method(
 
         return (FlowFades if recipe.method == "flow" else CrossFades)(options, clock)
     device = _open_gpu(size) if recipe.is_on_gpu else None
-    fuser = fuser or make_fuser(recipe.fusion, size, device=recipe.device, threads=threads)
+    fuser = fuser or make_fuser(recipe.fusion, size, device=recipe.device, threads=threads, edges=recipe.edges)
     estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
     return SurfaceMethod(estimator, options, fuser, clock, device)
 
@@ -111,8 +111,9 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
 
 
 def make_fuser(
-    name: str, size: tuple[int, int], *, model: str | None = None, device: str = "auto", threads: int | None = None
-) -> Fuser:
+    name: str, size: tuple[int, int], *, model: str | None = None, device: str = "auto", threads: int | None = None,
+    edges: bool = True,
+) -> Fuser:  # fmt: skip
     """A fuser for frames of a size.
 
     Args:
@@ -122,6 +123,7 @@ def make_fuser(
             :data:`omnisyn_cli.synthesis.recipe.FUSION_MODELS`.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
+        edges: whether pixels at edges are means of samples; never where a network paints.
 
     Raises:
         ValueError: an unknown name.
@@ -132,7 +134,7 @@ def make_fuser(
     if name == "geometric":
         from omnisyn_cli.fusion.geometric import GeometricFuser
 
-        return GeometricFuser(size, threads=threads)
+        return GeometricFuser(size, threads=threads, edges=edges)
     from omnisyn_cli.runtime.planes import SessionFusion, SessionPainter
 
     session = _session(model or FUSION_MODELS[name], device, threads)
@@ -142,7 +144,7 @@ def make_fuser(
         return PaintingFuser(size, SessionPainter(session), threads=threads)
     from omnisyn_cli.fusion.network import NetworkFuser
 
-    return NetworkFuser(size, SessionFusion(session), threads=threads)
+    return NetworkFuser(size, SessionFusion(session), threads=threads, edges=edges)
 
 
 def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:

@@ -24,8 +24,8 @@ class Preset:
     recipe: Recipe
 
 
-def _refined(rows: int, fusion: str = "geometric") -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced"), fusion=fusion)
+def _refined(rows: int, fusion: str = "geometric", *, edges: bool = True) -> Recipe:
+    return Recipe(DepthSource("refined", rows, "completion-balanced"), fusion=fusion, edges=edges)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -33,7 +33,7 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 
 
 SCALE: Mapping[str, Preset] = _by_name(
-    Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384)),
+    Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
     Preset("balanced", "matching, refined by a network, sharpened at twice the size", _refined(1024)),
     Preset("accurate", "sharpened once more at four times the size; a network fuses", _refined(2048, "network")),
 )

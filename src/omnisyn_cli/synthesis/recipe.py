@@ -92,6 +92,8 @@ class Recipe:
         cut_metres: step of depth at which they are cut (the paper's rule), likewise.
         adaptive: whether flat surfaces are drawn with fewer triangles.
         fusion: one of :data:`FUSIONS`.
+        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.edges`; meshes that rules fuse
+            have some.
         fallback: one of :data:`FALLBACKS`.
         confidence: whether every frame gets a map of its confidence.
         device: where networks run, one of :data:`DEVICES`.
@@ -105,6 +107,7 @@ class Recipe:
     cut_metres: float | None = None
     adaptive: bool = False
     fusion: str = "geometric"
+    edges: bool = True
     fallback: str = "none"
     confidence: bool = False
     device: str = "auto"

@@ -100,7 +100,7 @@ def on_processor(
         image = view.image if view.samples is None else view.samples
         render = make_renderer("mesh", image, view.mask, depth.inverse_depth, depth.confidence, size, threads=1)
         shown.append(render(pose))
-    return GeometricFuser(size, threads=1)(*ExposureMatcher(curve)(*shown, t), t)
+    return GeometricFuser(size, threads=1, edges=False)(*ExposureMatcher(curve)(*shown, t), t)
 
 
 def share_within_a_level(one: np.ndarray, other: np.ndarray) -> float:

@@ -11,6 +11,7 @@ from gpu_samples import pair_along, share_within_a_level
 
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.cli import main
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
@@ -152,7 +153,8 @@ def test_masked_photographs_are_painted_over_first() -> None:
     path = plan_path([first.pose, second.pose], 3)
     frames: dict[str, list[np.ndarray]] = {}
     for name, device in (("cpu", None), ("gpu", GpuFrames(SIZE, "cpu"))):
-        method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1), device=device)
+        fuser = GeometricFuser(SIZE, threads=1, edges=False)
+        method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1), fuser, device=device)
         frames[name] = [frame.image.copy() for frame in synthesize(views, path, method)]
         assert (method.prepare(0, *views).segment.on_device is None) == (device is None)
     for found, expected in zip(frames["gpu"], frames["cpu"], strict=True):

@@ -1,7 +1,8 @@
 """Both renderings of a frame brought to the exposure that belongs to its share of the way."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.fusion.photometry.curve import ExposureCurve, linear_from_stored
 from omnisyn_cli.fusion.photometry.kernels import expose_rows
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Rendering, Samples, Spots
 
 __all__ = ["CLIPPING", "MOST_LOSS"]
 
@@ -66,7 +67,15 @@ class ExposureMatcher:
             change(colour)
             return colour
 
-        return Rendering(view.inverse_depth, colour_rows, colour_at, view.target_from_source)
+        exposed = replace(view, colour_rows=colour_rows, colour_at=colour_at, held=None)
+        return exposed if view.samples is None else replace(exposed, samples=partial(_samples, view.samples, change))
+
+
+def _samples(of_view: Callable[[Spots], Samples], change: Callable[[Array], None], spots: Spots) -> Samples:
+    """Those of a view, exposed."""
+    inverse_depth, colour = of_view(spots)
+    change(colour)
+    return inverse_depth, colour
 
 
 def loss_of_white(table: Float[np.ndarray, "3 entries"]) -> np.float32:

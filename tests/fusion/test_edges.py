@@ -1,0 +1,181 @@
+"""Pixels at edges are the means of the pixels of twice the size; all others are left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ball_samples import CENTRE, hits, inverse_depth
+
+from omnisyn_cli.fusion.bands import Views
+from omnisyn_cli.fusion.edges import CONTRAST, EdgeSampler
+from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.fusion.ghosts import Suppression
+from omnisyn_cli.fusion.kernels import NO_CORRECTION, Correction
+from omnisyn_cli.fusion.kinds import is_apart
+from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.types import Rendering
+
+SIZE = (64, 128)
+DOUBLE = (2 * SIZE[0], 2 * SIZE[1])
+TARGET = np.array([0.05, 0.1, 0.0])
+PLACES = (np.array([-0.3, 0.1, 0.1]), np.array([0.4, -0.1, 0.0]))
+
+
+def image(place: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A pale ball before a dark, striped wall."""
+    directions = pixel_directions(*size)
+    ball, wall = hits(place, directions)
+    stripes = 0.2 + 0.1 * np.sin(7.0 * (place + wall[..., None] * directions))
+    return np.where(np.isfinite(ball)[..., None], [0.9, 0.8, 0.7], stripes).astype(np.float32)
+
+
+def seen(size: tuple[int, int], target: np.ndarray = TARGET) -> list[Rendering]:
+    fine = (192, 384)
+    drawn = [MeshRenderer(image(p, fine), None, inverse_depth(p, fine), None, size, threads=1) for p in PLACES]
+    return [draw(Pose(np.eye(3), p - target)) for draw, p in zip(drawn, PLACES, strict=True)]
+
+
+VIEWS, FINE_VIEWS = seen(SIZE), seen(DOUBLE)
+
+
+def fused(views: list[Rendering], size: tuple[int, int], t: float = 0.5, **options: object) -> np.ndarray:
+    fuser = GeometricFuser(size, threads=options.pop("threads", 1), **options)
+    return fuser(*views, t).copy()
+
+
+def spots(picture: np.ndarray) -> np.ndarray:
+    return EdgeSampler(SIZE, 1).marked(Views(*VIEWS), picture) > 0
+
+
+def halved(picture: np.ndarray) -> np.ndarray:
+    return picture.reshape(SIZE[0], 2, SIZE[1], 2, 3).mean(axis=(1, 3))
+
+
+def test_edges_are_the_means_of_twice_the_size_and_nothing_else_changes() -> None:
+    with_edges, without = fused(VIEWS, SIZE), fused(VIEWS, SIZE, edges=False)
+    expected, there = halved(fused(FINE_VIEWS, DOUBLE, edges=False)), spots(without)
+    assert 0.01 < there.mean() < 0.1
+    np.testing.assert_array_equal(with_edges[~there], without[~there])
+    found = np.abs(with_edges - expected).max(axis=-1)[there]
+    assert (found < 0.01).mean() > 0.9, "but where samples are holes, which are filled otherwise"
+    assert np.abs(without - expected).max(axis=-1)[there].mean() > 5 * found.mean()
+
+
+def test_edges_come_closer_to_the_truth() -> None:
+    """A picture of many samples, which no part of the program has made."""
+    many = 8
+    truth = image(TARGET, (many * SIZE[0], many * SIZE[1])).reshape(SIZE[0], many, SIZE[1], many, 3).mean(axis=(1, 3))
+    errors = [((fused(VIEWS, SIZE, edges=edges) - truth) ** 2).mean() for edges in (True, False)]
+    assert errors[0] < 0.6 * errors[1]
+
+
+def test_spots_are_where_surfaces_jump_and_colours_differ() -> None:
+    picture = fused(VIEWS, SIZE, edges=False)
+    jumps = np.zeros(SIZE, bool)
+    for view in VIEWS:
+        near = np.maximum(view.inverse_depth, 0.0)
+        for step, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
+            moved = np.roll(near, step, axis)
+            if axis == 0:
+                moved[0 if step > 0 else -1] = near[0 if step > 0 else -1]
+            jumps |= is_apart(near, moved)
+    levels = np.floor(
+        255 * np.pad(np.pad(picture, ((0, 0), (1, 1), (0, 0)), "wrap"), ((1, 1), (0, 0), (0, 0)), "edge") + 0.5
+    )
+    around = np.stack([levels[i : i + SIZE[0], j : j + SIZE[1]] for i in range(3) for j in range(3)])
+    contrast = np.ptp(around, axis=0).max(axis=-1)
+    np.testing.assert_array_equal(spots(picture), jumps & (contrast >= CONTRAST))
+
+
+@pytest.mark.parametrize("t", [0.06, 0.5])
+def test_samples_of_eight_bits_are_numbers_rounded(t: float) -> None:
+    numbers, out = fused(VIEWS, SIZE, t), np.empty((*SIZE, 3), np.uint8)
+    GeometricFuser(SIZE, threads=1)(*VIEWS, t, out)
+    assert np.abs(out - np.clip(255 * numbers, 0, 255)).max() <= 1.01, "a rounded pixel may have a part in the mean"
+    assert (np.abs(out - np.clip(255 * numbers, 0, 255)) <= 0.51).mean() > 0.995
+
+
+def test_threads_change_nothing() -> None:
+    np.testing.assert_array_equal(fused(VIEWS, SIZE, threads=3), fused(VIEWS, SIZE))
+
+
+@pytest.mark.parametrize("t", [1e-6, 1 - 1e-6])
+def test_at_the_ends_photographs_are_shown_as_they_are(t: float) -> None:
+    np.testing.assert_array_equal(fused(VIEWS, SIZE, t), fused(VIEWS, SIZE, t, edges=False))
+
+
+def test_samples_set_in_with_the_rule() -> None:
+    """Half way between none and all of them, half of the change."""
+    t = 0.05
+    strictness = BlendRule.at(t, BlendOptions()).strictness
+    without, there = fused(VIEWS, SIZE, t, edges=False), spots(fused(VIEWS, SIZE, t, edges=False))
+    every = halved(fused(FINE_VIEWS, DOUBLE, t, edges=False))
+    expected = without + strictness * (every - without)
+    assert strictness == pytest.approx(0.5)
+    assert (np.abs(fused(VIEWS, SIZE, t) - expected).max(axis=-1)[there] < 0.01).mean() > 0.9
+
+
+def test_nothing_is_sampled_in_place_or_without_samples() -> None:
+    bare = [replace(view, samples=None) for view in VIEWS]
+    np.testing.assert_array_equal(fused(bare, SIZE), fused(VIEWS, SIZE, edges=False))
+    in_place = [replace(view, target_from_source=Pose(np.eye(3), CENTRE)) for view in VIEWS]
+    np.testing.assert_array_equal(fused(in_place, SIZE), fused(in_place, SIZE, edges=False))
+
+
+def test_what_is_suppressed_is_suppressed_in_samples() -> None:
+    """With the first view suppressed everywhere it is as if it saw nothing that the second sees."""
+    views = Views(*VIEWS)
+    rule, cells = BlendRule.at(0.5, BlendOptions()), np.full((8, 16), -1.0, np.float32)
+    fuser, out = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
+    fuser.paint(views.then(Suppression(cells, 8)), rule, out)
+    fine = GeometricFuser(DOUBLE, threads=1, edges=False)
+    expected = np.empty((*DOUBLE, 3), np.float32)
+    fine.paint(Views(*FINE_VIEWS).then(Suppression(cells, 16)), rule, expected)
+    plain = np.empty_like(out)
+    GeometricFuser(SIZE, threads=1, edges=False).paint(views.then(Suppression(cells, 8)), rule, plain)
+    there = spots(plain)
+    assert (np.abs(out - halved(expected)).max(axis=-1)[there] < 0.01).mean() > 0.9
+
+
+def test_weights_are_corrected_in_samples_as_in_pixels() -> None:
+    rng, rule = np.random.default_rng(8), BlendRule.at(0.5, BlendOptions())
+    correction = Correction(
+        *(rng.uniform(low, high, (16, 32)).astype(np.float32) for low, high in ((2, 3), (-1, 1), (1, 1)))
+    )
+    found = {}
+    for name, size, views, options in (("spots", SIZE, VIEWS, {}), ("fine", DOUBLE, FINE_VIEWS, {"edges": False})):
+        for with_it in (True, False):
+            out = np.empty((*size, 3), np.float32)
+            fuser = GeometricFuser(size, threads=1, **options)
+            fuser.paint(Views(*views), rule, out, correction if with_it else NO_CORRECTION)
+            found[name, with_it] = out
+    there = spots(fused(VIEWS, SIZE, edges=False))
+    expected = halved(found["fine", True])
+    assert np.abs(expected - halved(found["fine", False]))[there].max() > 0.02, "nothing was corrected"
+    assert (np.abs(found["spots", True] - expected).max(axis=-1)[there] < 0.015).mean() > 0.85
+
+
+def test_where_a_view_does_not_jump_its_samples_lie_on_its_plane() -> None:
+    """The other one jumps, so pixels are spots; a hole of this one stays a hole."""
+    row, col = (np.arange(n, dtype=np.float32) for n in SIZE)
+    plane = 0.3 + 0.0002 * col[None, :] + 0.0005 * row[:, None]
+    steps = np.where((np.arange(SIZE[1]) // 8 % 2 == 0)[None, :], 0.2, 0.5) * np.ones((SIZE[0], 1))
+    steps[20:30, 40:60] = -1.0
+    colour = np.random.default_rng(9).random((*SIZE, 4)).astype(np.float32)
+    first, second = (Rendering.of(rho.astype(np.float32), colour, Pose.identity()) for rho in (plane, steps))
+    sampler, views = EdgeSampler(SIZE, 1), Views(first, second)
+    known, sought = sampler._spots(sampler.marked(views, colour[..., :3].copy()), views, 4, SIZE[0] - 3)
+    rows = 4 + np.repeat(np.arange(len(known.begins)), np.diff([0, *known.begins[:, -1]]))
+    inner = (known.cols > 0) & (known.cols < SIZE[1] - 1)
+    at = np.repeat(known.cols, 2) + np.tile([-0.25, 0.25], len(known.cols))
+    for half, down in ((0, -0.25), (1, 0.25)):
+        expected = 0.3 + 0.0002 * at + 0.0005 * (np.repeat(rows, 2) + down)
+        there = np.repeat(inner, 2)
+        np.testing.assert_allclose(known.inverse_depth[half, there], expected[there], atol=2e-6)
+    assert (known.counts == 0).all()
+    assert (sought.inverse_depth == -1.0).all(), "its jumps are what makes them spots"
+    assert (np.diff(sought.counts, axis=1) >= 0).all()
+    assert sought.counts[:, -1].sum() == (sought.cols >= 0).sum(), "all of them are counted"
