@@ -11,7 +11,7 @@ from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
 from omnisyn_cli.scenes.walls import Cell, Openings
 
-Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]
+Thing = Callable[[Turned], None]
 
 AT_HOME: tuple[Thing, ...] = (
     furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp,
@@ -90,18 +90,16 @@ def _against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Openings,
     radius = 0.62
     if is_open > 1 or not _is_free(taken, x, z, radius):
         return
-    base = (x, 0.0, z)
+    at = Turned(build, (x, 0.0, z), yaw)
     choices = LOW if is_open else AT_HOME if use == "home" else AT_WORK
     if rng.random() < 0.12:
-        goods.carton_pile(build, base, yaw)
+        goods.carton_pile(at)
     else:
         thing = choices[rng.integers(len(choices))]
         if thing is furniture.bed:
-            inward = (x + 0.7 * math.sin(yaw), 0.0, z + 0.7 * math.cos(yaw))
-            furniture.bed(build, inward, yaw)
-            taken.append((inward[0], inward[2], 0.9))
-        else:
-            thing(build, base, yaw)
+            at = Turned(build, at.place(0.0, 0.0, 0.7), yaw)
+            taken.append((at.base[0], at.base[2], 0.9))
+        thing(at)
     if rng.random() < 0.7:
         _picture(build, cell, openings)
 
@@ -162,12 +160,9 @@ def _rows_of_desks(build: SceneBuilder, cell: Cell, taken: Taken) -> None:
     for x in np.arange(cell.low[0] + 1.6, cell.high[0] - 1.4, step[0]):
         for z in np.arange(cell.low[1] + 1.5, cell.high[1] - 1.2, step[1]):
             if rng.random() < 0.8 and _is_free(taken, float(x), float(z), 0.7):
-                furniture.table(build, (float(x), 0.0, float(z)), 0.0, (0.6, 0.35))
-                seat(
-                    build,
-                    (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7)),
-                    math.pi + rng.uniform(-0.5, 0.5),
-                )
+                furniture.table(Turned(build, (float(x), 0.0, float(z)), 0.0), (0.6, 0.35))
+                behind = (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7))
+                seat(Turned(build, behind, math.pi + rng.uniform(-0.5, 0.5)))
 
 
 def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> None:
@@ -180,23 +175,22 @@ def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> N
     if choice < 0.45 and _is_free(taken, x, z, 1.15):
         yaw = float(rng.choice([0.0, 0.5 * math.pi])) + rng.normal(0, 0.06)
         half = (rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.5))
-        furniture.table(build, base, yaw, half)
+        at = Turned(build, base, yaw)
+        furniture.table(at, half)
         seat = furniture.office_chair if use == "office" and rng.random() < 0.5 else furniture.chair
         for side in (-1.0, 1.0):
             for place in (-0.5, 0.5):
                 if rng.random() < 0.7:
-                    a, b = place * half[0], side * (half[1] + rng.uniform(0.05, 0.3))
-                    c, s = math.cos(yaw), math.sin(yaw)
-                    turn = yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)
-                    seat(build, (x + c * a + s * b, 0.0, z - s * a + c * b), turn)
+                    spot = at.place(place * half[0], 0.0, side * (half[1] + rng.uniform(0.05, 0.3)))
+                    seat(Turned(build, spot, yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)))
     elif choice < 0.6 and _is_free(taken, x, z, 0.55):
-        furniture.armchair(build, base, yaw)
+        furniture.armchair(Turned(build, base, yaw))
     elif choice < 0.7 and _is_free(taken, x, z, 0.4):
-        furniture.chair(build, base, yaw)
+        furniture.chair(Turned(build, base, yaw))
     elif choice < 0.78 and _is_free(taken, x, z, 0.4):
         props.person(build, base)
     elif choice < 0.86 and _is_free(taken, x, z, 0.35):
-        goods.carton_pile(build, base, yaw)
+        goods.carton_pile(Turned(build, base, yaw))
     elif choice < 0.93 and _is_free(taken, x, z, 0.4):
         plaster = Material(Pattern.PLAIN, pick(rng, palette.INTERIOR), grain=0.08)
         if rng.random() < 0.5:
@@ -205,7 +199,8 @@ def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> N
             half_wide = rng.uniform(0.1, 0.25)
             build.add(Shape.BOX, (x, 0.5 * cell.tall, z), (half_wide, 0.5 * cell.tall, half_wide), plaster)
     elif cell.tall > 2.6 and rng.random() < 0.6 and _is_free(taken, x, z, 1.4):
-        furniture.stairs(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi, int(rng.integers(4, 12)))
+        at = Turned(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
+        furniture.stairs(at, int(rng.integers(4, 12)))
 
 
 def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
@@ -222,11 +217,12 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
             bays = max(1, min(6, int((x1 - x0) * rng.uniform(0.25, 0.85) / 2.7)))
             span = 0.5 * bays * 2.7
             x = rng.uniform(x0 + span + 0.2, max(x0 + span + 0.21, x1 - span - 0.2))
-            goods.rack(build, (x, 0.0, z), 0.0, bays, rack_tall)
+            goods.rack(Turned(build, (x, 0.0, z), 0.0), bays, rack_tall)
         elif roll < 0.9:
             for x in np.arange(x0 + 1.5, x1 - 1.5, rng.uniform(1.8, 4.5)):
                 if rng.random() < 0.6:
-                    goods.loaded_pallet(build, (float(x), 0.0, z + rng.uniform(-0.2, 0.4)), rng.normal(0, 0.1))
+                    base = (float(x), 0.0, z + rng.uniform(-0.2, 0.4))
+                    goods.loaded_pallet(Turned(build, base, rng.normal(0, 0.1)))
         _marking(build, cell, z + 0.9)
         z += aisle * rng.uniform(0.8, 1.2)
     for _ in range(int(rng.integers(2, 7))):
@@ -234,9 +230,9 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
         if rng.random() < 0.5:
             yaw = rng.uniform(0, math.pi)
             thing = goods.loaded_pallet if rng.random() < 0.6 else goods.carton_pile
-            thing(build, (x, 0.0, z), yaw)
+            thing(Turned(build, (x, 0.0, z), yaw))
         else:
-            furniture.table(build, (x, 0.0, z), rng.uniform(0, math.pi), (0.9, 0.4))
+            furniture.table(Turned(build, (x, 0.0, z), rng.uniform(0, math.pi)), (0.9, 0.4))
     if rng.random() < 0.5:
         _columns(build, cell)
 
