@@ -5,8 +5,6 @@ each row.
 """
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from typing import Any
 
@@ -15,6 +13,7 @@ from jaxtyping import Float, Int
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
+from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.scenes.culling import list_tile, tile_planes
 from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.raycast import cast_rays, first_hit
@@ -163,21 +162,15 @@ def render_views(
     images = np.empty((len(positions), height, width, 3), dtype=np.float32)
     depths = np.empty((len(positions), height, width), dtype=np.float32)
     bands = -(-height // _TILES[0])
-    workers = min(bands, threads or os.cpu_count() or 1)
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
         world, bounds = seen_from(packed, scene, position)
         fixed = (world, papers_of(scene), bounds, tables, supersample, _TILES)
-        if workers == 1:
-            render_tiles(*fixed, (0, bands), image, depth)
-            continue
-        render_band = partial(_render_band, fixed, image, depth)
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(render_band, range(bands)))
+        run_bands(partial(_render_bands, fixed, image, depth), bands, threads)
     return images, depths
 
 
-def _render_band(fixed: tuple[Any, ...], image: np.ndarray, depth: np.ndarray, band: int) -> None:
-    render_tiles(*fixed, (band, band + 1), image, depth)
+def _render_bands(fixed: tuple[Any, ...], image: np.ndarray, depth: np.ndarray, begin: int, end: int) -> None:
+    render_tiles(*fixed, (begin, end), image, depth)
 
 
 def distances(
