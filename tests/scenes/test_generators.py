@@ -2,10 +2,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scene_samples import builder, oracle_distance, unit_directions
+from scene_samples import builder, clearance, oracle_distance, unit_directions
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.scenes import GENERATORS, Shape, clearance, distances, generate_scene, sample_path
+from omnisyn_cli.scenes import GENERATORS, Shape, distances, generate_scene, sample_path
 from omnisyn_cli.scenes.materials import Column, Material
 from omnisyn_cli.scenes.scene import Walkway
 
