@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 
 from omnisyn_cli.scenes import furniture, goods, palette, props
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, picked
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
-from omnisyn_cli.scenes.walls import Cell, Openings
+from omnisyn_cli.scenes.walls import Cell, Openings, wall_axes
 
 Thing = Callable[[Turned], None]
 
@@ -25,6 +25,9 @@ AT_WORK: tuple[Thing, ...] = (
 
 LOW: tuple[Thing, ...] = (furniture.table, furniture.plant, furniture.armchair)
 """What stands before a window."""
+
+INWARD = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
+"""Yaw of what looks away from a wall."""
 
 Taken = list[tuple[float, float, float]]
 """Places on the floor that are taken: x, z and radius, metres."""
@@ -68,16 +71,7 @@ def _rug(build: SceneBuilder, cell: Cell) -> None:
     half = (rng.uniform(0.7, 1.4), 0.006, rng.uniform(0.6, 1.1))
     x = rng.uniform(cell.low[0] + 1.5, max(cell.low[0] + 1.51, cell.high[0] - 1.5))
     z = rng.uniform(cell.low[1] + 1.2, max(cell.low[1] + 1.21, cell.high[1] - 1.2))
-    weave = Material(
-        Pattern.RUG,
-        pick(rng, palette.CLOTH),
-        pick(rng, palette.CLOTH),
-        pick(rng, palette.CLOTH),
-        cell=(0.3, 0.3),
-        grain=0.12,
-        grain_size=0.08,
-        seed=int(rng.integers(1, 1000)),
-    )
+    weave = picked(rng, Pattern.RUG, [palette.CLOTH] * 3, cell=(0.3, 0.3), grain=0.12, grain_size=0.08)
     build.add(
         Shape.BOX, (x, 0.006, z), half, weave, yaw=float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])), casts_shadow=False
     )
@@ -110,16 +104,11 @@ def _wall_place(
     """A point ``gap`` in front of a wall, the yaw that looks away from it, and 0 (wall), 1 (window) or 2 (door)."""
     name = str(rng.choice(["south", "north", "west", "east"]))
     x, z = rng.uniform(cell.low[0] + 0.8, cell.high[0] - 0.8), rng.uniform(cell.low[1] + 0.8, cell.high[1] - 0.8)
-    along = x if name in ("south", "north") else z
-    before = [o for o in openings[name] if o.start - 0.6 < along < o.end + 0.6]
+    *_, across, is_x = wall_axes(cell, name, gap)
+    before = [o for o in openings[name] if o.start - 0.6 < (x if is_x else z) < o.end + 0.6]
     is_open = 0 if not before else (2 if before[0].bottom <= 0.0 else 1)
-    if name == "south":
-        return x, cell.low[1] + gap, 0.0, is_open
-    if name == "north":
-        return x, cell.high[1] - gap, math.pi, is_open
-    if name == "west":
-        return cell.low[0] + gap, z, 0.5 * math.pi, is_open
-    return cell.high[0] - gap, z, -0.5 * math.pi, is_open
+    x, z = (x, across) if is_x else (across, z)
+    return x, z, INWARD[name], is_open
 
 
 def _picture(build: SceneBuilder, cell: Cell, openings: Openings) -> None:

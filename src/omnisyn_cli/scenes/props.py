@@ -6,7 +6,7 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, grown, picked, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Turned
 
@@ -98,17 +98,8 @@ def sign(build: SceneBuilder, base: Point, yaw: float) -> None:
     height = rng.uniform(2.1, 3.0)
     build.pole(base, height, 0.032, Material(Pattern.PLAIN, (0.55, 0.56, 0.56), grain=0.06, gloss=0.2))
     for level in range(int(rng.integers(1, 3))):
-        face = Material(
-            Pattern.COLLAGE,
-            pick(rng, palette.SIGN),
-            pick(rng, palette.SIGN),
-            (0.92, 0.92, 0.9),
-            cell=(0.5, 0.3),
-            grain=0.03,
-            gloss=0.15,
-            detail=0.6,
-            seed=int(rng.integers(1, 1000)),
-        )
+        look = {"third": (0.92, 0.92, 0.9), "cell": (0.5, 0.3), "grain": 0.03, "gloss": 0.15, "detail": 0.6}
+        face = picked(rng, Pattern.COLLAGE, [palette.SIGN] * 2, **look)
         half = (rng.uniform(0.2, 0.45), rng.uniform(0.18, 0.35), 0.012)
         build.add(Shape.BOX, (x, y + height - half[1] - 0.75 * level, z), half, face, yaw=yaw)
 
