@@ -23,7 +23,7 @@ from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import ingredients_of
 from omnisyn_cli.evaluation.pareto import Figures, Setting
 from omnisyn_cli.evaluation.scene_files import suite_scenes, write_suite_scene
-from omnisyn_cli.io.outputs import make_folder, replaced_when_complete, staged_folder
+from omnisyn_cli.io.outputs import make_folder, staged_folder, write_parts
 from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
 from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.scenes.suite import SEEDS
@@ -168,8 +168,7 @@ def _append(path: Path, figures: Figures) -> None:
     """Add a line; what an interrupted run left of one is replaced."""
     complete, newline, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
     line = json.dumps(figures.to_json(), ensure_ascii=False, allow_nan=False) + "\n"
-    with replaced_when_complete(path) as temporary:
-        temporary.write_bytes(complete + newline + line.encode("utf-8", "backslashreplace"))
+    write_parts(path, [complete, newline, line.encode("utf-8", "backslashreplace")])
 
 
 COMPILING = "compiling"

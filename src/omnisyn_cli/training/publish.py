@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.io.outputs import check_output, make_folder, replaced_when_complete
+from omnisyn_cli.io.outputs import check_output, make_folder, write_parts
 from omnisyn_cli.networks.export import PARITY, export_network, largest_difference
 from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
@@ -166,5 +166,4 @@ def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
         lines += [f"{key} = {json.dumps(getattr(entry, key), ensure_ascii=False)}" for key in plain]
         if entry.metrics:
             lines += ["", "[models.metrics]", *(f"{key} = {value!r}" for key, value in entry.metrics.items())]
-    with replaced_when_complete(folder / MANIFEST) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_parts(folder / MANIFEST, ["\n".join([*lines, ""]).encode()])
