@@ -57,7 +57,7 @@ def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], sc
     (ratios,) = json.loads(result.out)["ratios"].values()
     measured = Figures.from_json(figures)
     assert ratios["clip_to_encoder"] == standard_seconds(measured) / (STANDARD_FRAMES * figures["encoder"]) > 0
-    (stored,) = read_table(tmp_path / "table.json").figures
+    (stored,) = read_table(tmp_path / "table.json")
     assert stored.to_json() == Figures.from_json(figures).to_json()
     assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
 
