@@ -5,9 +5,10 @@ import pytest
 from scene_samples import builder, clearance, oracle_distance, unit_directions
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.scenes import GENERATORS, Shape, distances, generate_scene, sample_path
+from omnisyn_cli.scenes import GENERATORS, generate_scene, sample_path
 from omnisyn_cli.scenes.materials import Column, Material
-from omnisyn_cli.scenes.scene import Walkway
+from omnisyn_cli.scenes.panorama import distances
+from omnisyn_cli.scenes.scene import Shape, Walkway
 
 KINDS = sorted(GENERATORS)
 HARD = ("home", "jumble", "yard")

@@ -6,7 +6,6 @@ each row.
 
 import math
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -68,7 +67,7 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, i
 
 
 @kernel
-def render_tiles(world, papers, bounds, tables, samples, tiles, bands, image, depth):  # type: ignore[no-untyped-def]
+def render_tiles(world, papers, bounds, tables, samples, tiles, image, depth, begin, end):  # type: ignore[no-untyped-def]
     """Render some bands of tiles.
 
     Args:
@@ -79,16 +78,17 @@ def render_tiles(world, papers, bounds, tables, samples, tiles, bands, image, de
         samples: samples per pixel along each axis.
         tiles: pixels along the side of a large and of a small tile; shapes are chosen for the former, then for the
             latter.
-        bands: first band of large tiles and one past the last.
         image: (H, W, 3) float32 output in [0, 1].
         depth: (H, W) float32 output, metres, inf for the sky.
+        begin: first band of large tiles.
+        end: one past the last.
     """
     sin_sample, cos_sample, horizon, up = tables[3], tables[4], tables[5], tables[6]
     height, width = depth.shape
     large, small = tiles
     coarse, fine = np.empty_like(bounds.order), np.empty_like(bounds.order)
     planes = np.zeros((4, 3))
-    for top in range(bands[0] * large, min(height, bands[1] * large), large):
+    for top in range(begin * large, min(height, end * large), large):
         for left in range(0, width, large):
             bottom, right = min(height, top + large), min(width, left + large)
             rows, columns = (top * samples, bottom * samples - 1), (left * samples, right * samples - 1)
@@ -161,16 +161,11 @@ def render_views(
     packed = pack(scene)
     images = np.empty((len(positions), height, width, 3), dtype=np.float32)
     depths = np.empty((len(positions), height, width), dtype=np.float32)
-    bands = -(-height // _TILES[0])
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
         world, bounds = seen_from(packed, scene, position)
-        fixed = (world, papers_of(scene), bounds, tables, supersample, _TILES)
-        run_bands(partial(_render_bands, fixed, image, depth), bands, threads)
+        kernel = partial(render_tiles, world, papers_of(scene), bounds, tables, supersample, _TILES, image, depth)
+        run_bands(kernel, -(-height // _TILES[0]), threads)
     return images, depths
-
-
-def _render_bands(fixed: tuple[Any, ...], image: np.ndarray, depth: np.ndarray, begin: int, end: int) -> None:
-    render_tiles(*fixed, (begin, end), image, depth)
 
 
 def distances(
