@@ -22,7 +22,6 @@ from jaxtyping import Float
 
 __all__ = [
     "FORWARD",
-    "LINEARISED_CAP",
     "UP",
     "angles_to_direction",
     "angles_to_pixel",

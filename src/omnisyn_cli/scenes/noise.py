@@ -1,8 +1,7 @@
 """Band-limited building blocks of the procedural textures, evaluated at one point at a time.
 
 Everything here knows the footprint, the width in metres (or cells) that one sample covers, and fades to its own mean
-when the
-footprint outgrows the detail: far textures become plain instead of noisy.
+when the footprint outgrows the detail: far textures become plain instead of noisy.
 """
 
 import math

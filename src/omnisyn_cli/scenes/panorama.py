@@ -197,12 +197,8 @@ def _unrotated_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, 
 def _ray_tables(rotation: Float[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> tuple[np.ndarray, ...]:
     height, width = size
     up = rotation @ angles_to_direction(np.array(0.0), np.array(0.0))
-    centres = _unrotated_tables(height, width)
-    samples = _unrotated_tables(height * supersample, width * supersample)
-    return (
-        *centres[:2],
-        np.ascontiguousarray(centres[2] @ rotation.T),
-        *samples[:2],
-        np.ascontiguousarray(samples[2] @ rotation.T),
-        up,
+    centres, samples = (
+        (sine, cosine, np.ascontiguousarray(horizon @ rotation.T))
+        for sine, cosine, horizon in (_unrotated_tables(height * k, width * k) for k in (1, supersample))
     )
+    return *centres, *samples, up

@@ -156,7 +156,8 @@ def _slab(
 def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening], material: Material) -> None:
     wall = wall_axes(cell, name)
     at, half = wall[0], 0.5 * THICKNESS
-    for opening in sorted(openings, key=lambda o: o.start):
+    ordered = sorted(openings, key=lambda opening: opening.start)
+    for opening in ordered:
         _slab(build, wall, (at, opening.start), (0.0, cell.tall), half, material)
         _slab(build, wall, (opening.start, opening.end), (0.0, opening.bottom), half, material)
         _slab(build, wall, (opening.start, opening.end), (opening.top, cell.tall), half, material)
@@ -165,10 +166,7 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
     if build.rng.random() < 0.5:
         skirting = Material(Pattern.PLAIN, palette.darker(material.first, build.rng.choice([0.5, 1.15])), grain=0.04)
         at = wall[0]
-        for opening in [
-            *sorted((o for o in openings if o.bottom <= 0.0), key=lambda o: o.start),
-            Opening(wall[1], wall[1], 0.0, 0.0),
-        ]:
+        for opening in (*(o for o in ordered if o.bottom <= 0.0), Opening(wall[1], wall[1], 0.0, 0.0)):
             _slab(build, wall, (at, opening.start), (0.0, 0.09), half + 0.012, skirting)
             at = opening.end
 
