@@ -95,13 +95,9 @@ class Figures:
         """Plain values."""
         return asdict(self)
 
-    @staticmethod
-    def from_json(values: Any) -> Figures:
-        """The figures that :meth:`to_json` made plain values of; ValueError where it did not make them."""
-        return FIGURES.validate_python(values)
-
 
 FIGURES = TypeAdapter(Figures)
+"""Makes figures of the plain values again."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +198,7 @@ def read_table(path: Path) -> tuple[Figures, ...]:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != VERSION:
             raise ValueError(f"version {content['version']}")
-        return tuple(Figures.from_json(values) for values in content["figures"])
+        return tuple(FIGURES.validate_python(values) for values in content["figures"])
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: expected a table of version {VERSION} from `omnisyn bench --store`, got '{error}'; write it anew"
