@@ -40,8 +40,8 @@ from synthesis_samples import as_bytes, ws_psnr
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """No processes: what they add is tested with the engine and with the command."""
 
-    def inline(factory: str, settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineExecutor:
-        return InlineExecutor(Work(factory, settings(1)))
+    def inline(settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineExecutor:
+        return InlineExecutor(Work(batch_module.INTERPOLATOR, settings(1)))
 
     monkeypatch.setattr(batch_module, "make_executor", inline)
 

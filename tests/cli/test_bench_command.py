@@ -12,7 +12,7 @@ from omnisyn_cli.evaluation import bench
 from omnisyn_cli.evaluation.bench import BenchJob
 from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.datasets import FORMATS
-from omnisyn_cli.evaluation.pareto import FRAME_STAGES, STANDARD_FRAMES, Figures, read_table, standard_seconds
+from omnisyn_cli.evaluation.pareto import FIGURES, FRAME_STAGES, STANDARD_FRAMES, Figures, read_table, standard_seconds
 from omnisyn_cli.synthesis.presets import PRESETS, SCALE
 from synthesis_samples import posed, write_hall
 
@@ -55,10 +55,10 @@ def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], sc
     assert (figures["status"], figures["source"], figures["pairs"]) == ("done", [32, 64], 1)
     assert figures["ws_psnr"] > 10
     (ratios,) = json.loads(result.out)["ratios"].values()
-    measured = Figures.from_json(figures)
+    measured = FIGURES.validate_python(figures)
     assert ratios["clip_to_encoder"] == standard_seconds(measured) / (STANDARD_FRAMES * figures["encoder"]) > 0
-    (stored,) = read_table(tmp_path / "table.json").figures
-    assert stored.to_json() == Figures.from_json(figures).to_json()
+    (stored,) = read_table(tmp_path / "table.json")
+    assert stored.to_json() == FIGURES.validate_python(figures).to_json()
     assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
 
 

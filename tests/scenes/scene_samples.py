@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.scenes import Lighting, Scene, SceneBuilder, Shape
 from omnisyn_cli.scenes.materials import Material
+from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
 
 DAY = Lighting(sun_direction=(0.0, 1.0, 0.0), sun=(1.0, 1.0, 1.0), sky=(0.3, 0.3, 0.3), bounce=(0.2, 0.2, 0.2))
 
@@ -93,3 +93,16 @@ def _roots(a: float, b: float, c: float) -> list[float]:
     if inside < 0 or a == 0:
         return []
     return [(-b - math.sqrt(inside)) / (2 * a), (-b + math.sqrt(inside)) / (2 * a)]
+
+
+def clearance(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    """Lower bound in metres of the distance from each position to the nearest surface, negative inside it.
+
+    Every shape counts as its oriented box.
+    """
+    local = np.einsum("nji,pnj->pni", scene.rotation, positions[:, None, :] - scene.centre)
+    beyond = np.abs(local) - scene.half
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+    distance = outside + np.minimum(beyond.max(axis=-1), 0.0)
+    above = positions @ scene.ground[:3] - scene.ground[3]
+    return np.minimum(distance.min(axis=1, initial=np.inf), above)

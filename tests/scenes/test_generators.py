@@ -2,12 +2,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scene_samples import builder, oracle_distance, unit_directions
+from scene_samples import builder, clearance, oracle_distance, unit_directions
 
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.scenes import GENERATORS, Shape, clearance, distances, generate_scene, sample_path
+from omnisyn_cli.scenes import GENERATORS, generate_scene, sample_path
 from omnisyn_cli.scenes.materials import Column, Material
-from omnisyn_cli.scenes.scene import Walkway
+from omnisyn_cli.scenes.panorama import distances
+from omnisyn_cli.scenes.scene import Shape, Walkway
 
 KINDS = sorted(GENERATORS)
 HARD = ("home", "jumble", "yard")

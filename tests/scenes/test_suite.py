@@ -5,6 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scene_samples import clearance
 
 from omnisyn_cli.cli.scenes import scenes
 from omnisyn_cli.errors import OutputPathError
@@ -13,7 +14,7 @@ from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.scene_files import suite_scenes, write_suite_scene
 from omnisyn_cli.io import read_depth
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.scenes import clearance, generate_scene
+from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.scenes.suite import BASELINES, FRAMES, SEEDS, suite_of
 
 POSES_SHA256 = "c13f327442a7aa68c9116086252862149caf00cf1960164983f519322565bc01"

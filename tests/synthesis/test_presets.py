@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation import budget
 from omnisyn_cli.evaluation.bench import BenchJob
-from omnisyn_cli.evaluation.budget import apply_budget, shipped_table
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.pareto import Figures, Setting
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
@@ -74,17 +74,18 @@ def test_known_depth_is_fused_by_rules_with_this_preset_too(tmp_path: Path) -> N
     assert (recipe.fusion, recipe.renderer) == ("geometric", "two-pass")
 
 
-def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path]) -> None:
+def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Even where it was measured and looks both fast and accurate."""
-    table = shipped_table()
     setting = Setting("paper", PAPER.depth.rows, (64, 128), 1)
     stages = dict.fromkeys(("start", "decode", "depth", "mesh", "render", "fuse", "encode", "convert"), 1e-6)
     tempting = Figures(setting, seconds=stages, calibration=1.0, source=(64, 128), ws_psnr=99.0)
-    with_paper = replace(table, figures=(*table.figures, tempting))
+    with_paper = (*budget.shipped_table(), tempting)
+    monkeypatch.setattr(budget, "shipped_table", lambda: with_paper)
+    monkeypatch.setattr(budget, "calibrate", lambda threads: 0.05)
     plan = plan_interpolation(job_of(tmp_path, images))
-    assert apply_budget(plan, 1e9, with_paper, 0.05).job.preset in SCALE
+    assert budget.apply_budget(plan, 1e9).job.preset in SCALE
     with pytest.raises(InputError, match="renderer 'mesh' with a budget, got 'two-pass'"):
-        apply_budget(plan_interpolation(job_of(tmp_path, images, preset="paper")), 1e9, table, 0.05)
+        budget.apply_budget(plan_interpolation(job_of(tmp_path, images, preset="paper")), 1e9)
 
 
 def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:

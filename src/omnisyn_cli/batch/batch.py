@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +26,9 @@ from omnisyn_cli.io import read_header
 from omnisyn_cli.runtime.threads import available_threads
 
 __all__ = ["BatchOptions", "BatchReport", "Progress", "run_batch"]
+
+INTERPOLATOR = "omnisyn_cli.batch.interpolations:Interpolator"
+"""What workers make their work function with."""
 
 FRAMES_PER_DEPTH = 12.0
 """Finding the depth of a pair of 2048×1024 takes as long as making so many frames; see docs/batch.md."""
@@ -130,10 +133,7 @@ def run_batch(
         jobs = [Job(job.id, job, _cost(job), job.group) for job in todo]
         tell = on_progress or (lambda _: None)
         tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
-        executor = make_executor(
-            "omnisyn_cli.batch.interpolations:Interpolator",
-            lambda threads: Settings(folder.absolute(), token, threads), options, len(jobs),
-        )  # fmt: skip
+        executor = make_executor(partial(Settings, folder.absolute(), token), options, len(jobs))
         with closing(run_jobs(jobs, executor)) as outcomes:
             for outcome in outcomes:
                 record = _record(outcome, folder)
@@ -145,12 +145,11 @@ def run_batch(
     return report
 
 
-def make_executor(factory: str, settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> Executor:
+def make_executor(settings: Callable[[int], Settings], options: BatchOptions, jobs: int) -> Executor:
     """The workers that options ask for, none of them without a job.
 
     Args:
-        factory: of the :class:`~omnisyn_cli.batch.executor.Work` that they do.
-        settings: called with the threads of each worker, makes the settings of the work.
+        settings: called with the threads of each worker, makes the settings of its work.
         options: see there.
         jobs: how many there will be.
 
@@ -161,14 +160,14 @@ def make_executor(factory: str, settings: Callable[[int], Any], options: BatchOp
         from omnisyn_cli.batch.ray_executor import RayExecutor
 
         threads = options.threads or 1
-        work = Work(factory, settings(threads))
+        work = Work(INTERPOLATOR, settings(threads))
         return RayExecutor(work, options.workers, threads, options.gpus, options.ray_address)
     if options.gpus or options.ray_address:
         raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
     cores = available_threads()
     workers = options.workers or cores
     threads = options.threads or max(1, cores // workers)
-    return LocalExecutor(Work(factory, settings(threads)), max(1, min(workers, jobs)), threads)
+    return LocalExecutor(Work(INTERPOLATOR, settings(threads)), max(1, min(workers, jobs)), threads)
 
 
 def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport, retry_failed: bool) -> bool:

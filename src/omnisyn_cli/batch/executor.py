@@ -121,15 +121,12 @@ class Executor(AbstractContextManager["Executor"], Protocol):
 
     def ready(self) -> list[int]:
         """Workers that can be given a job."""
-        ...
 
     def give(self, worker: int, job: Job) -> None:
         """Start a job on a worker that is ready."""
-        ...
 
     def wait(self) -> list[Report]:
         """Wait until something happens; there may be no report in it, only a worker that has become ready."""
-        ...
 
 
 def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None, None]:

@@ -130,8 +130,9 @@ class _Reader:
     def take(self, number: int, value: dict[str, Any] | str) -> None:
         """Check one line."""
         try:
-            line = _refusing(value)
-            job = self._job(line)
+            if isinstance(value, str):
+                raise InputError(value)
+            job = self._job(Line.model_validate(value))
             self._check_unique(job, number)
             _check_feasible(job.interpolation(Path()))
         except ValidationError as error:
@@ -206,12 +207,6 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except (OSError, ValueError):
         return False
-
-
-def _refusing(value: dict[str, Any] | str) -> Any:
-    if isinstance(value, str):
-        raise InputError(value)
-    return Line.model_validate(value)
 
 
 def _poses_or_problem(path: Path, allow_outside: bool) -> PoseFile | str:

@@ -73,7 +73,10 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
 """What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
 
-PLACES = ("id", "inputs", "scene", "poses", "group", *OUTPUTS)
+NAMED = ("scene", "poses", "group", *OUTPUTS)
+"""What a line may name beside that."""
+
+PLACES = ("id", "inputs", *NAMED)
 """What a line says beside the options of its interpolation."""
 
 Name = Annotated[str, StringConstraints(min_length=1)]
@@ -92,20 +95,12 @@ def _size(text: str) -> str:
 
 
 class _Places(BaseModel):
-    """The part of a line that is about files."""
+    """What every line says."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     id: Annotated[str, AfterValidator(_id)]
     inputs: Annotated[list[Name], Field(min_length=2)] | None = None
-    scene: Name | None = None
-    poses: Name | None = None
-    group: Name | None = None
-    output: Name | None = None
-    save_depth: Name | None = None
-    save_frames: Name | None = None
-    save_confidence: Name | None = None
-    view: Name | None = None
 
 
 CONSTRAINED: Mapping[str, Any] = {
@@ -122,9 +117,9 @@ OF_THE_RUN = {"images", "threads", "overwrite"}
 
 
 def _options() -> dict[str, Any]:
-    """Type and default of every option that a line may have."""
+    """Type and default of everything that a line may name, and of every option that it may have."""
     hints = {**get_type_hints(InterpolationJob, include_extras=True), **CONSTRAINED}
-    return {
+    return dict.fromkeys(NAMED, (Name | None, None)) | {
         field.name: (hints[field.name], None if field.default == () else field.default)
         for field in fields(InterpolationJob)
         if field.name not in OF_THE_RUN | set(PLACES)

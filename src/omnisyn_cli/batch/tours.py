@@ -18,7 +18,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.io import check_output
-from omnisyn_cli.io.outputs import replaced_when_complete
+from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.poses.file import POSES_NAME, read_poses
 
 __all__ = ["TourOptions", "plan_tours", "write_manifest"]
@@ -76,8 +76,7 @@ def write_manifest(path: Path, lines: Iterable[Mapping[str, Any]], *, overwrite:
     """
     check_output(path, overwrite)
     text = "".join(json.dumps(_relative(line, path.parent), ensure_ascii=False) + "\n" for line in lines)
-    with replaced_when_complete(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_parts(path, [text.encode()])
 
 
 def neighbours(positions: Float[np.ndarray, "count 3"], count: int, farthest: float) -> list[tuple[int, int]]:

@@ -21,9 +21,9 @@ from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import ingredients_of
-from omnisyn_cli.evaluation.pareto import Figures, Setting
+from omnisyn_cli.evaluation.pareto import FIGURES, Figures, Setting
 from omnisyn_cli.evaluation.scene_files import suite_scenes, write_suite_scene
-from omnisyn_cli.io.outputs import make_folder, replaced_when_complete, staged_folder
+from omnisyn_cli.io.outputs import make_folder, staged_folder, write_parts
 from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
 from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.scenes.suite import SEEDS
@@ -159,7 +159,7 @@ def _read(path: Path) -> list[Figures]:
         return []
     try:
         lines = path.read_text(encoding="utf-8").split("\n")[:-1]
-        return [Figures.from_json(json.loads(line)) for line in lines]
+        return [FIGURES.validate_python(json.loads(line)) for line in lines]
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
 
@@ -168,8 +168,7 @@ def _append(path: Path, figures: Figures) -> None:
     """Add a line; what an interrupted run left of one is replaced."""
     complete, newline, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
     line = json.dumps(figures.to_json(), ensure_ascii=False, allow_nan=False) + "\n"
-    with replaced_when_complete(path) as temporary:
-        temporary.write_bytes(complete + newline + line.encode("utf-8", "backslashreplace"))
+    write_parts(path, [complete, newline, line.encode("utf-8", "backslashreplace")])
 
 
 COMPILING = "compiling"

@@ -5,7 +5,7 @@ Only presets of the scale from fast to accurate are chosen: what is there to com
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import pairwise
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.pareto import ParetoTable, Workload, expected_seconds, quality, read_table
+from omnisyn_cli.evaluation.pareto import Figures, Workload, expected_seconds, nearest_figures, quality, read_table
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -57,7 +57,7 @@ class Choice:
         return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own}{rest}"
 
 
-def shipped_table() -> ParetoTable:
+def shipped_table() -> tuple[Figures, ...]:
     """The figures that came with the program.
 
     Raises:
@@ -66,16 +66,12 @@ def shipped_table() -> ParetoTable:
     return read_table(Path(str(files("omnisyn_cli"))) / "evaluation" / "pareto.json")
 
 
-def apply_budget(
-    plan: InterpolationPlan, budget: float, table: ParetoTable | None = None, calibration: float | None = None
-) -> InterpolationPlan:
+def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
     """The plan with the most accurate preset that is expected to be done in time, and a note that says so.
 
     Args:
         plan: of the job; its preset only says what is drawn, and how.
         budget: seconds that the whole run may take.
-        table: figures to choose by; by default those that came with the program.
-        calibration: see :func:`omnisyn_cli.evaluation.budget.calibrate`; measured now by default.
 
     Raises:
         InputError: the job asks for something that was not measured, or no preset was.
@@ -83,9 +79,9 @@ def apply_budget(
     _check_measured(plan)
     work = Workload(
         len(plan.entries), len(plan.path), plan.size, max(plan.source_sizes),
-        calibrate(plan.job.threads) if calibration is None else calibration, plan.recipe.depth.kind != "file",
+        calibrate(plan.job.threads), plan.recipe.depth.kind != "file",
     )  # fmt: skip
-    choice = choose_preset(table or shipped_table(), work, plan.job.threads or available_threads(), budget)
+    choice = choose_preset(shipped_table(), work, plan.job.threads or available_threads(), budget)
     if plan.recipe.depth.kind == "file":
         return replace(plan, notes=(*plan.notes, _without_choice(choice)))
     chosen = with_preset(plan, choice.preset)
@@ -119,7 +115,7 @@ def _without_choice(choice: Choice) -> str:
     )
 
 
-def choose_preset(table: ParetoTable, work: Workload, threads: int, budget: float) -> Choice:
+def choose_preset(table: Sequence[Figures], work: Workload, threads: int, budget: float) -> Choice:
     """The most accurate preset that fits into ``budget`` seconds, or the fastest where none does.
 
     Raises:
@@ -128,7 +124,7 @@ def choose_preset(table: ParetoTable, work: Workload, threads: int, budget: floa
     measured = {
         name: figures
         for name, preset in SCALE.items()
-        if (figures := table.of_preset(name, preset.recipe.depth.rows, work.size, threads)) is not None
+        if (figures := nearest_figures(table, name, preset.recipe.depth.rows, work.size, threads)) is not None
     }
     if not measured:
         raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, TypeAdapter
 
 from omnisyn_cli import __version__
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io.outputs import replaced_when_complete
+from omnisyn_cli.io.outputs import write_parts
 
 __all__ = ["write_table"]
 
@@ -95,13 +95,9 @@ class Figures:
         """Plain values."""
         return asdict(self)
 
-    @staticmethod
-    def from_json(values: Any) -> Figures:
-        """The figures that :meth:`to_json` made plain values of; ValueError where it did not make them."""
-        return FIGURES.validate_python(values)
-
 
 FIGURES = TypeAdapter(Figures)
+"""Makes figures of the plain values again."""
 
 
 @dataclass(frozen=True)
@@ -170,27 +166,15 @@ def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
     return front
 
 
-@dataclass(frozen=True)
-class ParetoTable:
-    """The figures of many settings that were measured on one machine.
-
-    Attributes:
-        version: of the program that was measured.
-        machine: what it ran on, in a few words.
-        figures: of all settings.
-    """
-
-    version: str
-    machine: str
-    figures: tuple[Figures, ...]
-
-    def of_preset(self, preset: str, rows: int, size: tuple[int, int], threads: int) -> Figures | None:
-        """The figures of a preset whose threads and, among those, whose frames are the nearest; None: not measured."""
-        return min(
-            (f for f in self.figures if f.setting.preset == preset and f.setting.depth_rows == rows),
-            key=lambda f: (_ratio(f.setting.threads, threads), _ratio(math.prod(f.setting.size), math.prod(size))),
-            default=None,
-        )
+def nearest_figures(
+    measured: Iterable[Figures], preset: str, rows: int, size: tuple[int, int], threads: int
+) -> Figures | None:
+    """The figures of a preset whose threads and, among those, whose frames are the nearest; None: not measured."""
+    return min(
+        (f for f in measured if f.setting.preset == preset and f.setting.depth_rows == rows),
+        key=lambda f: (_ratio(f.setting.threads, threads), _ratio(math.prod(f.setting.size), math.prod(size))),
+        default=None,
+    )
 
 
 def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
@@ -201,12 +185,11 @@ def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
     """
     done = [figures.to_json() for figures in measured if figures.status == "done"]
     content = {"version": VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
-    with replaced_when_complete(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_parts(path, [(json.dumps(content, indent=1, allow_nan=False) + "\n").encode()])
 
 
-def read_table(path: Path) -> ParetoTable:
-    """The table that :func:`write_table` wrote.
+def read_table(path: Path) -> tuple[Figures, ...]:
+    """The figures that :func:`write_table` wrote, all of one machine.
 
     Raises:
         InputError: it cannot be read, or is none.
@@ -215,8 +198,7 @@ def read_table(path: Path) -> ParetoTable:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != VERSION:
             raise ValueError(f"version {content['version']}")
-        measured = tuple(Figures.from_json(values) for values in content["figures"])
-        return ParetoTable(str(content["omnisyn"]), str(content["machine"]), measured)
+        return tuple(FIGURES.validate_python(values) for values in content["figures"])
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: expected a table of version {VERSION} from `omnisyn bench --store`, got '{error}'; write it anew"

@@ -64,8 +64,7 @@ class Pose:
 
     def transform(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*moved 3"]:
         """Points taken from the camera's frame to the world; their batch axes broadcast against the pose's."""
-        moved: np.ndarray = np.squeeze(self.rotation @ points[..., None], -1) + self.position
-        return moved
+        return np.asarray(np.squeeze(self.rotation @ points[..., None], -1) + self.position)
 
     def almost_equals(self, other: Pose, *, metres: float = 1e-9, radians: float = 1e-9) -> bool:
         """Whether both poses agree everywhere within the given tolerances."""
@@ -125,8 +124,7 @@ def rotation_vector_from_rotation(rotation: Float[np.ndarray, "*batch 3 3"]) -> 
     sine = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
     is_small = sine < SMALL_ANGLE
-    vector: np.ndarray = quaternion[..., 1:] * np.where(is_small, 2.0, angle / np.where(is_small, 1.0, sine))
-    return vector
+    return np.asarray(quaternion[..., 1:] * np.where(is_small, 2.0, angle / np.where(is_small, 1.0, sine)))
 
 
 def rotation_angle(rotation: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch"]:
@@ -164,8 +162,7 @@ def rotation_from_heading(heading: float, pitch: float = 0.0, roll: float = 0.0)
     about_up = turn(np.array([0.0, -heading, 0.0]))
     about_right = turn(np.array([pitch, 0.0, 0.0]))
     about_forward = turn(np.array([0.0, 0.0, -roll]))
-    rotation: np.ndarray = about_up @ about_right @ about_forward
-    return rotation
+    return np.asarray(about_up @ about_right @ about_forward)
 
 
 def enu_from_geographic(
@@ -188,8 +185,7 @@ def enu_from_geographic(
             [cos_phi * cos_lam, cos_phi * sin_lam, sin_phi],
         ]
     )
-    enu: np.ndarray = enu_from_ecef @ offset
-    return enu
+    return np.asarray(enu_from_ecef @ offset)
 
 
 def _ecef(latitude: float, longitude: float, altitude: float) -> Float[np.ndarray, " 3"]:
@@ -208,8 +204,7 @@ def nearest_rotation(matrix: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarra
     u, _, vt = np.linalg.svd(matrix)
     sign = np.linalg.det(u @ vt)
     u[..., :, -1] *= sign[..., None]
-    rotation: np.ndarray = u @ vt
-    return rotation
+    return np.asarray(u @ vt)
 
 
 def rotation_taking(source: Float[np.ndarray, " 3"], target: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:

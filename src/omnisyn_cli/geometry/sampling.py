@@ -23,7 +23,6 @@ __all__ = [
     "sample_nearest",
     "turned_directions",
     "turned_image",
-    "wrap_pixel",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor

@@ -22,7 +22,6 @@ from jaxtyping import Float
 
 __all__ = [
     "FORWARD",
-    "LINEARISED_CAP",
     "UP",
     "angles_to_direction",
     "angles_to_pixel",
@@ -115,8 +114,7 @@ def pixel_to_texture(row: Array, col: Array, size: tuple[int, int]) -> tuple[Arr
 def pixel_directions(height: int, width: int) -> Float[np.ndarray, "height width 3"]:
     """Unit vector through every pixel centre, float64."""
     row, col = np.arange(height, dtype=np.float64)[:, None], np.arange(width, dtype=np.float64)[None, :]
-    directions: np.ndarray = pixel_to_direction(row, col, (height, width))
-    return directions
+    return np.asarray(pixel_to_direction(row, col, (height, width)))
 
 
 def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

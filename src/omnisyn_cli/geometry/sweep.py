@@ -51,8 +51,7 @@ def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
     Returns:
         ``(first, second, baseline)``: the turned world-from-camera poses (same positions) and the distance in metres.
     """
-    along, baseline = _baseline(first, second)
-    right = _orthogonal_to(along, hint=np.cross(along, UP))
+    right, along, baseline = _right_and_along(first, second)
     rotation = np.stack([right, along, np.cross(right, along)], axis=-1)
     return Pose(rotation, first.position), Pose(rotation, second.position), baseline
 
@@ -62,8 +61,7 @@ def forward_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
 
     Source: OmniSyn, section 3.2 (there for horizontal baselines).
     """
-    along, baseline = _baseline(first, second)
-    right = _orthogonal_to(along, hint=np.cross(along, UP))
+    right, along, baseline = _right_and_along(first, second)
     rotation = np.stack([right, np.cross(right, along), -along], axis=-1)
     return Pose(rotation, first.position), Pose(rotation, second.position), baseline
 
@@ -136,17 +134,15 @@ def free_space_agreement(
     return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)
 
 
-def _baseline(first: Pose, second: Pose) -> tuple[np.ndarray, float]:
+def _right_and_along(first: Pose, second: Pose) -> tuple[np.ndarray, np.ndarray, float]:
+    """Orthogonal unit vectors, level (but for a vertical baseline) and along the baseline, and its length in metres."""
     offset = second.position - first.position
     baseline = float(np.linalg.norm(offset))
     if baseline == 0.0:
         raise ValueError("expected two different positions, got a baseline of 0 m; a turn in place has no sweep")
-    return offset / baseline, baseline
-
-
-def _orthogonal_to(axis: np.ndarray, hint: np.ndarray) -> np.ndarray:
-    """A unit vector orthogonal to ``axis``: along ``hint`` unless that vanishes (a vertical baseline)."""
-    length = float(np.linalg.norm(hint))
+    along = offset / baseline
+    right = np.cross(along, UP)
+    length = float(np.linalg.norm(right))
     if length > 1e-6:
-        return np.asarray(hint / length)
-    return np.asarray(rotation_taking(UP if axis[1] >= 0 else -UP, axis) @ np.array([1.0, 0.0, 0.0]))
+        return right / length, along, baseline
+    return rotation_taking(UP if along[1] >= 0 else -UP, along) @ np.array([1.0, 0.0, 0.0]), along, baseline

@@ -69,5 +69,4 @@ VARIANTS = {
 def level_roots(config: DepthConfig) -> Float[np.ndarray, " levels"]:
     """Roots of the spheres of the volume: even steps, the first one below zero so that a mean can reach zero."""
     step = config.greatest_root / (config.levels - 2)
-    roots: np.ndarray = np.linspace(-step, config.greatest_root, config.levels)
-    return roots
+    return np.asarray(np.linspace(-step, config.greatest_root, config.levels))

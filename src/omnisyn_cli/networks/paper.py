@@ -126,8 +126,7 @@ class PaperPrediction(DepthAnswer):
 
 def sphere_inverse_depths(config: PaperConfig) -> Float[np.ndarray, " levels"]:
     """Inverse depth · baseline of the spheres, in even steps from infinity to the nearest."""
-    spheres: np.ndarray = np.linspace(0.0, config.nearest_sphere, config.levels)
-    return spheres
+    return np.asarray(np.linspace(0.0, config.nearest_sphere, config.levels))
 
 
 def sweep_grid(

@@ -16,7 +16,7 @@ from typing import Any
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import listed, read_json, validated
-from omnisyn_cli.io.outputs import check_output, replaced_when_complete
+from omnisyn_cli.io.outputs import check_output, write_parts
 from omnisyn_cli.poses.entries import (
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
@@ -134,8 +134,7 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
     entries = {name: _written(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
     _pose_file(target, {"version": VERSION, "panoramas": entries}, allow_outside)  # it can be read back
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
-    with replaced_when_complete(target) as temporary:
-        temporary.write_text(f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n', encoding="utf-8")
+    write_parts(target, [f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n'.encode()])
 
 
 def check_companions_named(path: Path, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:

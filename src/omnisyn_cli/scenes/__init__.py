@@ -8,22 +8,17 @@ from collections.abc import Callable, Mapping
 
 from omnisyn_cli.scenes.home import home
 from omnisyn_cli.scenes.jumble import jumble, yard
-from omnisyn_cli.scenes.panorama import distances, render_panorama, render_views
-from omnisyn_cli.scenes.paths import clearance, sample_path
+from omnisyn_cli.scenes.panorama import render_panorama, render_views
+from omnisyn_cli.scenes.paths import sample_path
 from omnisyn_cli.scenes.photos import Photos, pack_photos, with_photos
 from omnisyn_cli.scenes.room import room
-from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.street import street
 
 __all__ = [
     "GENERATORS",
-    "Lighting",
     "Photos",
     "Scene",
-    "SceneBuilder",
-    "Shape",
-    "clearance",
-    "distances",
     "generate_scene",
     "pack_photos",
     "render_panorama",

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette, props
-from omnisyn_cli.scenes.materials import Material, Pattern, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, picked, shaded
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
@@ -139,16 +139,8 @@ def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, fl
     )
     if not shop:
         return
-    board = Material(
-        Pattern.COLLAGE,
-        pick(rng, palette.SIGN),
-        pick(rng, palette.PLASTER),
-        pick(rng, palette.SIGN),
-        cell=(1.2, 0.5),
-        grain=0.05,
-        detail=0.3,
-        seed=int(rng.integers(1, 1000)),
-    )
+    palettes = (palette.SIGN, palette.PLASTER, palette.SIGN)
+    board = picked(rng, Pattern.COLLAGE, palettes, cell=(1.2, 0.5), grain=0.05, detail=0.3)
     build.add(Shape.BOX, (x - side * 0.06, y + floor - 0.45, z), (0.08, 0.28, 0.45 * wide), board)
     if rng.random() < 0.5:
         cloth = Material(

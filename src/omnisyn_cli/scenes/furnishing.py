@@ -6,12 +6,12 @@ from collections.abc import Callable
 import numpy as np
 
 from omnisyn_cli.scenes import furniture, goods, palette, props
-from omnisyn_cli.scenes.materials import Material, Pattern
+from omnisyn_cli.scenes.materials import Material, Pattern, picked
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
-from omnisyn_cli.scenes.walls import Cell, Openings
+from omnisyn_cli.scenes.walls import Cell, Openings, wall_axes
 
-Thing = Callable[[SceneBuilder, tuple[float, float, float], float], None]
+Thing = Callable[[Turned], None]
 
 AT_HOME: tuple[Thing, ...] = (
     furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp,
@@ -25,6 +25,9 @@ AT_WORK: tuple[Thing, ...] = (
 
 LOW: tuple[Thing, ...] = (furniture.table, furniture.plant, furniture.armchair)
 """What stands before a window."""
+
+INWARD = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
+"""Yaw of what looks away from a wall."""
 
 Taken = list[tuple[float, float, float]]
 """Places on the floor that are taken: x, z and radius, metres."""
@@ -68,16 +71,7 @@ def _rug(build: SceneBuilder, cell: Cell) -> None:
     half = (rng.uniform(0.7, 1.4), 0.006, rng.uniform(0.6, 1.1))
     x = rng.uniform(cell.low[0] + 1.5, max(cell.low[0] + 1.51, cell.high[0] - 1.5))
     z = rng.uniform(cell.low[1] + 1.2, max(cell.low[1] + 1.21, cell.high[1] - 1.2))
-    weave = Material(
-        Pattern.RUG,
-        pick(rng, palette.CLOTH),
-        pick(rng, palette.CLOTH),
-        pick(rng, palette.CLOTH),
-        cell=(0.3, 0.3),
-        grain=0.12,
-        grain_size=0.08,
-        seed=int(rng.integers(1, 1000)),
-    )
+    weave = picked(rng, Pattern.RUG, [palette.CLOTH] * 3, cell=(0.3, 0.3), grain=0.12, grain_size=0.08)
     build.add(
         Shape.BOX, (x, 0.006, z), half, weave, yaw=float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])), casts_shadow=False
     )
@@ -90,18 +84,16 @@ def _against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Openings,
     radius = 0.62
     if is_open > 1 or not _is_free(taken, x, z, radius):
         return
-    base = (x, 0.0, z)
+    at = Turned(build, (x, 0.0, z), yaw)
     choices = LOW if is_open else AT_HOME if use == "home" else AT_WORK
     if rng.random() < 0.12:
-        goods.carton_pile(build, base, yaw)
+        goods.carton_pile(at)
     else:
         thing = choices[rng.integers(len(choices))]
         if thing is furniture.bed:
-            inward = (x + 0.7 * math.sin(yaw), 0.0, z + 0.7 * math.cos(yaw))
-            furniture.bed(build, inward, yaw)
-            taken.append((inward[0], inward[2], 0.9))
-        else:
-            thing(build, base, yaw)
+            at = Turned(build, at.place(0.0, 0.0, 0.7), yaw)
+            taken.append((at.base[0], at.base[2], 0.9))
+        thing(at)
     if rng.random() < 0.7:
         _picture(build, cell, openings)
 
@@ -112,16 +104,11 @@ def _wall_place(
     """A point ``gap`` in front of a wall, the yaw that looks away from it, and 0 (wall), 1 (window) or 2 (door)."""
     name = str(rng.choice(["south", "north", "west", "east"]))
     x, z = rng.uniform(cell.low[0] + 0.8, cell.high[0] - 0.8), rng.uniform(cell.low[1] + 0.8, cell.high[1] - 0.8)
-    along = x if name in ("south", "north") else z
-    before = [o for o in openings[name] if o.start - 0.6 < along < o.end + 0.6]
+    *_, across, is_x = wall_axes(cell, name, gap)
+    before = [o for o in openings[name] if o.start - 0.6 < (x if is_x else z) < o.end + 0.6]
     is_open = 0 if not before else (2 if before[0].bottom <= 0.0 else 1)
-    if name == "south":
-        return x, cell.low[1] + gap, 0.0, is_open
-    if name == "north":
-        return x, cell.high[1] - gap, math.pi, is_open
-    if name == "west":
-        return cell.low[0] + gap, z, 0.5 * math.pi, is_open
-    return cell.high[0] - gap, z, -0.5 * math.pi, is_open
+    x, z = (x, across) if is_x else (across, z)
+    return x, z, INWARD[name], is_open
 
 
 def _picture(build: SceneBuilder, cell: Cell, openings: Openings) -> None:
@@ -162,12 +149,9 @@ def _rows_of_desks(build: SceneBuilder, cell: Cell, taken: Taken) -> None:
     for x in np.arange(cell.low[0] + 1.6, cell.high[0] - 1.4, step[0]):
         for z in np.arange(cell.low[1] + 1.5, cell.high[1] - 1.2, step[1]):
             if rng.random() < 0.8 and _is_free(taken, float(x), float(z), 0.7):
-                furniture.table(build, (float(x), 0.0, float(z)), 0.0, (0.6, 0.35))
-                seat(
-                    build,
-                    (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7)),
-                    math.pi + rng.uniform(-0.5, 0.5),
-                )
+                furniture.table(Turned(build, (float(x), 0.0, float(z)), 0.0), (0.6, 0.35))
+                behind = (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7))
+                seat(Turned(build, behind, math.pi + rng.uniform(-0.5, 0.5)))
 
 
 def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> None:
@@ -180,23 +164,22 @@ def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> N
     if choice < 0.45 and _is_free(taken, x, z, 1.15):
         yaw = float(rng.choice([0.0, 0.5 * math.pi])) + rng.normal(0, 0.06)
         half = (rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.5))
-        furniture.table(build, base, yaw, half)
+        at = Turned(build, base, yaw)
+        furniture.table(at, half)
         seat = furniture.office_chair if use == "office" and rng.random() < 0.5 else furniture.chair
         for side in (-1.0, 1.0):
             for place in (-0.5, 0.5):
                 if rng.random() < 0.7:
-                    a, b = place * half[0], side * (half[1] + rng.uniform(0.05, 0.3))
-                    c, s = math.cos(yaw), math.sin(yaw)
-                    turn = yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)
-                    seat(build, (x + c * a + s * b, 0.0, z - s * a + c * b), turn)
+                    spot = at.place(place * half[0], 0.0, side * (half[1] + rng.uniform(0.05, 0.3)))
+                    seat(Turned(build, spot, yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)))
     elif choice < 0.6 and _is_free(taken, x, z, 0.55):
-        furniture.armchair(build, base, yaw)
+        furniture.armchair(Turned(build, base, yaw))
     elif choice < 0.7 and _is_free(taken, x, z, 0.4):
-        furniture.chair(build, base, yaw)
+        furniture.chair(Turned(build, base, yaw))
     elif choice < 0.78 and _is_free(taken, x, z, 0.4):
         props.person(build, base)
     elif choice < 0.86 and _is_free(taken, x, z, 0.35):
-        goods.carton_pile(build, base, yaw)
+        goods.carton_pile(Turned(build, base, yaw))
     elif choice < 0.93 and _is_free(taken, x, z, 0.4):
         plaster = Material(Pattern.PLAIN, pick(rng, palette.INTERIOR), grain=0.08)
         if rng.random() < 0.5:
@@ -205,7 +188,8 @@ def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> N
             half_wide = rng.uniform(0.1, 0.25)
             build.add(Shape.BOX, (x, 0.5 * cell.tall, z), (half_wide, 0.5 * cell.tall, half_wide), plaster)
     elif cell.tall > 2.6 and rng.random() < 0.6 and _is_free(taken, x, z, 1.4):
-        furniture.stairs(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi, int(rng.integers(4, 12)))
+        at = Turned(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
+        furniture.stairs(at, int(rng.integers(4, 12)))
 
 
 def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
@@ -222,11 +206,12 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
             bays = max(1, min(6, int((x1 - x0) * rng.uniform(0.25, 0.85) / 2.7)))
             span = 0.5 * bays * 2.7
             x = rng.uniform(x0 + span + 0.2, max(x0 + span + 0.21, x1 - span - 0.2))
-            goods.rack(build, (x, 0.0, z), 0.0, bays, rack_tall)
+            goods.rack(Turned(build, (x, 0.0, z), 0.0), bays, rack_tall)
         elif roll < 0.9:
             for x in np.arange(x0 + 1.5, x1 - 1.5, rng.uniform(1.8, 4.5)):
                 if rng.random() < 0.6:
-                    goods.loaded_pallet(build, (float(x), 0.0, z + rng.uniform(-0.2, 0.4)), rng.normal(0, 0.1))
+                    base = (float(x), 0.0, z + rng.uniform(-0.2, 0.4))
+                    goods.loaded_pallet(Turned(build, base, rng.normal(0, 0.1)))
         _marking(build, cell, z + 0.9)
         z += aisle * rng.uniform(0.8, 1.2)
     for _ in range(int(rng.integers(2, 7))):
@@ -234,9 +219,9 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
         if rng.random() < 0.5:
             yaw = rng.uniform(0, math.pi)
             thing = goods.loaded_pallet if rng.random() < 0.6 else goods.carton_pile
-            thing(build, (x, 0.0, z), yaw)
+            thing(Turned(build, (x, 0.0, z), yaw))
         else:
-            furniture.table(build, (x, 0.0, z), rng.uniform(0, math.pi), (0.9, 0.4))
+            furniture.table(Turned(build, (x, 0.0, z), rng.uniform(0, math.pi)), (0.9, 0.4))
     if rng.random() < 0.5:
         _columns(build, cell)
 

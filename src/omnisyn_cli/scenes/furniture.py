@@ -8,7 +8,7 @@ from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.goods import CARTON
 from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder, Turned
+from omnisyn_cli.scenes.scene import Turned
 
 BLACK = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
@@ -42,10 +42,9 @@ def _cloth(rng: np.random.Generator) -> Material:
     return shaded(Pattern.PLAIN, tone, 0.85, grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000)))
 
 
-def table(build: SceneBuilder, base: Point, yaw: float, size: tuple[float, float] | None = None) -> None:
+def table(at: Turned, size: tuple[float, float] | None = None) -> None:
     """Add a table with four legs, trestles or one column, and things on it."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     wide, deep = size or (rng.uniform(0.4, 1.0), rng.uniform(0.3, 0.5))
     tall = rng.uniform(0.42, 0.55) if rng.random() < 0.25 else rng.uniform(0.7, 0.78)
     top = wood(rng, 0.2)
@@ -83,10 +82,9 @@ def clutter(at: Turned, half: tuple[float, float], height: float, count: int) ->
             at.ellipsoid((x, height + radius, z), (radius, radius, radius), plain)
 
 
-def chair(build: SceneBuilder, base: Point, yaw: float) -> None:
+def chair(at: Turned) -> None:
     """Add a chair with four thin legs, a seat and a back of slats or one board."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     body = wood(rng, 0.1)
     leg = body if rng.random() < 0.6 else CHROME
     seat = _cloth(rng) if rng.random() < 0.5 else body
@@ -103,10 +101,9 @@ def chair(build: SceneBuilder, base: Point, yaw: float) -> None:
             at.box((0.0, tall + share * (top - tall), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
 
 
-def office_chair(build: SceneBuilder, base: Point, yaw: float) -> None:
+def office_chair(at: Turned) -> None:
     """Add a swivel chair on a star of five feet."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     cloth = _cloth(rng)
     for k in range(5):
         angle = 2.0 * math.pi * k / 5
@@ -119,10 +116,9 @@ def office_chair(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.rod((x, 0.5, -0.05), (x, 0.67, -0.05), 0.014, BLACK)
 
 
-def sofa(build: SceneBuilder, base: Point, yaw: float) -> None:
+def sofa(at: Turned) -> None:
     """Add a sofa with cushions."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     cloth = _cloth(rng)
     wide = rng.uniform(0.65, 1.15)
     at.box((0.0, 0.22, 0.0), (wide, 0.14, 0.42), cloth)
@@ -137,20 +133,18 @@ def sofa(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.ellipsoid((rng.uniform(-0.8, 0.8) * wide, 0.62, -0.18), (0.2, 0.18, 0.09), _cloth(rng))
 
 
-def armchair(build: SceneBuilder, base: Point, yaw: float) -> None:
+def armchair(at: Turned) -> None:
     """Add an armchair."""
-    at = Turned(build, base, yaw)
-    cloth = _cloth(build.rng)
+    cloth = _cloth(at.build.rng)
     at.box((0.0, 0.25, 0.0), (0.3, 0.16, 0.34), cloth)
     at.box((0.0, 0.6, -0.32), (0.34, 0.34, 0.08), cloth, tint=0.95)
     for x in (-0.36, 0.36):
         at.box((x, 0.34, 0.0), (0.07, 0.26, 0.36), cloth, tint=0.9)
 
 
-def bed(build: SceneBuilder, base: Point, yaw: float) -> None:
+def bed(at: Turned) -> None:
     """Add a bed with its head at the back."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     frame, cover = wood(rng, 0.2), _cloth(rng)
     wide = rng.uniform(0.45, 0.9)
     white = Material(Pattern.PLAIN, (0.87, 0.86, 0.83), (0.8, 0.79, 0.76), grain=0.06, grain_size=0.3)
@@ -162,10 +156,9 @@ def bed(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
 
 
-def cabinet(build: SceneBuilder, base: Point, yaw: float) -> None:
+def cabinet(at: Turned) -> None:
     """Add a cupboard or chest with doors or drawers."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     wide, height, deep = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     face = shaded(
@@ -183,10 +176,9 @@ def cabinet(build: SceneBuilder, base: Point, yaw: float) -> None:
         clutter(at, (wide, deep), height, int(rng.integers(0, 4)))
 
 
-def shelf(build: SceneBuilder, base: Point, yaw: float) -> None:
+def shelf(at: Turned) -> None:
     """Add an open shelf with books and boxes."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     board = wood(rng, 0.3)
     wide, tall, deep = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.2), rng.uniform(0.13, 0.2)
     rows = max(2, int(tall / rng.uniform(0.3, 0.42)))
@@ -222,10 +214,9 @@ def _shelf_row(at: Turned, y: float, room: float, wide: float, deep: float) -> N
             at.box((x * wide, y + half[1], 0.0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
 
 
-def floor_lamp(build: SceneBuilder, base: Point, yaw: float) -> None:
+def floor_lamp(at: Turned) -> None:
     """Add a lamp on a thin stand with a glowing shade."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     tall = rng.uniform(1.3, 1.8)
     shade = Material(Pattern.PLAIN, (0.93, 0.84, 0.66), grain=0.03, glow=rng.uniform(0.3, 1.4))
     at.rod((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), 0.15, BLACK)
@@ -236,10 +227,9 @@ def floor_lamp(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.ellipsoid((0.0, tall + 0.1, 0.0), (0.16, 0.16, 0.16), shade)
 
 
-def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
+def plant(at: Turned) -> None:
     """Add a pot plant."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     clay = pick(rng, palette.BRICK)
     at.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, shaded(Pattern.PLAIN, clay, 0.9, grain=0.1))
     green = pick(rng, palette.FOLIAGE)
@@ -252,10 +242,9 @@ def plant(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.ellipsoid(centre, (size, 1.2 * size, size), leaves)
 
 
-def screen(build: SceneBuilder, base: Point, yaw: float) -> None:
+def screen(at: Turned) -> None:
     """Add a standing screen or whiteboard."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     wide, tall = rng.uniform(0.4, 0.8), rng.uniform(1.3, 1.8)
     board = Material(
         Pattern.WINDOW,
@@ -273,10 +262,9 @@ def screen(build: SceneBuilder, base: Point, yaw: float) -> None:
         at.rod((x, 0.03, -0.25), (x, 0.03, 0.25), 0.018, CHROME)
 
 
-def stairs(build: SceneBuilder, base: Point, yaw: float, steps: int) -> None:
+def stairs(at: Turned, steps: int) -> None:
     """Add a flight of steps with a railing; it climbs along the local −z axis."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     tread, rail = wood(rng, 0.3), CHROME
     wide, rise, run = rng.uniform(0.45, 0.7), 0.175, 0.28
     for k in range(steps):

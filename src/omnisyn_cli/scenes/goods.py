@@ -5,34 +5,27 @@ import numpy as np
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder, Turned
+from omnisyn_cli.scenes.scene import Point, Turned
 
 CARTON = Material(
     Pattern.CARTON, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), (0.88, 0.87, 0.84), grain=0.08, grain_size=0.4, seed=3
 )
 
 
-def carton_pile(build: SceneBuilder, base: Point, yaw: float) -> None:
+def carton_pile(at: Turned) -> None:
     """Add a few cartons, one on the other."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     height = 0.0
     for _ in range(int(rng.integers(1, 4))):
         half = (rng.uniform(0.15, 0.32), rng.uniform(0.1, 0.24), rng.uniform(0.15, 0.28))
-        at.box(
-            (rng.uniform(-0.04, 0.04), height + half[1], 0.0),
-            half,
-            CARTON,
-            tint=rng.uniform(0.8, 1.15),
-            turn=rng.uniform(-0.2, 0.2),
-        )
+        centre = (rng.uniform(-0.04, 0.04), height + half[1], 0.0)
+        at.box(centre, half, CARTON, tint=rng.uniform(0.8, 1.15), turn=rng.uniform(-0.2, 0.2))
         height += 2.0 * half[1]
 
 
-def loaded_pallet(build: SceneBuilder, base: Point, yaw: float) -> None:
+def loaded_pallet(at: Turned) -> None:
     """Add a pallet with equal cartons in layers."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     pallet = Material(
         Pattern.PLANKS, (0.66, 0.54, 0.38), (0.55, 0.44, 0.3), (0.2, 0.15, 0.1), cell=(2.0, 0.14), line=0.04
     )
@@ -55,10 +48,9 @@ def loaded_pallet(build: SceneBuilder, base: Point, yaw: float) -> None:
                     at.box(centre, size, CARTON, tint=rng.uniform(0.85, 1.1))
 
 
-def rack(build: SceneBuilder, base: Point, yaw: float, bays: int, tall: float) -> None:
+def rack(at: Turned, bays: int, tall: float) -> None:
     """Add a pallet rack: frames, beams, loads; it stretches along the local x axis, its middle at the base."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     upright = Material(
         Pattern.PLAIN, pick(rng, ((0.12, 0.2, 0.42), (0.2, 0.2, 0.2), (0.2, 0.3, 0.25))), grain=0.06, gloss=0.1
     )
@@ -81,13 +73,8 @@ def rack(build: SceneBuilder, base: Point, yaw: float, bays: int, tall: float) -
             at.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
         for k in range(bays):
             if rng.random() < 0.8:
-                _load(
-                    at,
-                    ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0),
-                    0.42 * bay,
-                    deep,
-                    tall / (levels + 1),
-                )
+                base = ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0)
+                _load(at, base, 0.42 * bay, deep, tall / (levels + 1))
 
 
 def _load(at: Turned, base: Point, wide: float, deep: float, room: float) -> None:

@@ -12,7 +12,7 @@ from omnisyn_cli.scenes.furnishing import furnish
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.obstacles import Space, Way
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape, Turned, Walkway
 from omnisyn_cli.scenes.walls import Cell, Opening, Openings, enclose
 
 NEAR_THE_WAY = (
@@ -33,7 +33,7 @@ Grid = dict[tuple[int, int], tuple[Cell, Openings]]
 def home(seed: int) -> Scene:
     """Generate a home; equal seeds give equal homes."""
     rng = np.random.default_rng([17, seed])
-    build = SceneBuilder(rng, lighting=indoor_light(rng, is_lamp_lit=True))
+    build = SceneBuilder(rng, lighting=indoor_light(rng))
     build.ground = (0.0, 1.0, 0.0, -0.3)
     build.ground_material = any_finish(rng, 3.0)
     rooms = _plan(rng)
@@ -51,13 +51,13 @@ def home(seed: int) -> Scene:
     return build.build("home")
 
 
-def indoor_light(rng: np.random.Generator, *, is_lamp_lit: bool) -> Lighting:
+def indoor_light(rng: np.random.Generator) -> Lighting:
     """Light from above through a ceiling that casts no shadow, or low from one side with dark on the other."""
     day, warmth, level = daylight(rng), rng.uniform(0.0, 1.0), rng.uniform(0.2, 0.55)
     tone = (1.0, 0.97 - 0.1 * warmth, 0.95 - 0.3 * warmth)
     is_sided = rng.random() < 0.4
     strength = rng.uniform(0.8, 1.6) if is_sided else rng.uniform(0.2, 0.8)
-    elevation = rng.uniform(0.35, 0.9) if is_sided or not is_lamp_lit else rng.uniform(1.15, 1.5)
+    elevation = rng.uniform(0.35, 0.9) if is_sided else rng.uniform(1.15, 1.5)
     level *= 0.6 if is_sided else 1.0
     return replace(
         day,
@@ -136,7 +136,7 @@ def _close_by(build: SceneBuilder, cell: Cell) -> None:
     for _ in range(int(rng.integers(2, 7))):
         place = space.floor_place(rng, 0.5, 0.9)
         if place is not None:
-            NEAR_THE_WAY[rng.integers(len(NEAR_THE_WAY))](build, place, rng.uniform(-math.pi, math.pi))
+            NEAR_THE_WAY[rng.integers(len(NEAR_THE_WAY))](Turned(build, place, rng.uniform(-math.pi, math.pi)))
     for thing, chance in ((_hang, 0.5), (_stand_by, 0.35), (_dark_door, 0.4)):
         if rng.random() < chance:
             thing(build, space)

@@ -21,7 +21,7 @@ def jumble(seed: int) -> Scene:
     """Generate a hall or a roofless court full of things; equal seeds give equal places."""
     rng = np.random.default_rng([19, seed])
     has_roof = rng.random() < 0.6
-    build = SceneBuilder(rng, lighting=indoor_light(rng, is_lamp_lit=True) if has_roof else daylight(rng))
+    build = SceneBuilder(rng, lighting=indoor_light(rng) if has_roof else daylight(rng))
     build.ground_material = _drawn_finish(rng, floor_finish, 2.0)
     space = _space(rng, rng.uniform(3.0, 14.0, 2), rng.uniform(2.4, 6.0))
     _shell(build, space, has_roof=has_roof)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.scenes.palette import Colour, darker
+from omnisyn_cli.scenes.palette import Colour, Palette, darker, pick
 
 
 class Pattern(IntEnum):
@@ -98,6 +98,12 @@ def shaded(pattern: Pattern, tone: Colour, second: float, third: float | None = 
 def grown(pattern: Pattern, green: Colour, first: float, second: float, **look: Any) -> Material:
     """What grows: its first and second colour are a green made darker by a factor, the rest is ``look``."""
     return Material(pattern, darker(green, first), darker(green, second), **look)
+
+
+def picked(rng: np.random.Generator, pattern: Pattern, palettes: Sequence[Palette], **look: Any) -> Material:
+    """A material whose colours are picked from a palette each and whose seed is drawn; the rest is ``look``."""
+    look |= zip(("first", "second", "third"), [pick(rng, palette) for palette in palettes], strict=False)
+    return Material(pattern, seed=int(rng.integers(1, 1000)), **look)
 
 
 _OPEN = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)

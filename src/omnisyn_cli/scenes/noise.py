@@ -1,11 +1,11 @@
 """Band-limited building blocks of the procedural textures, evaluated at one point at a time.
 
 Everything here knows the footprint, the width in metres (or cells) that one sample covers, and fades to its own mean
-when the
-footprint outgrows the detail: far textures become plain instead of noisy.
+when the footprint outgrows the detail: far textures become plain instead of noisy.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ _PERIOD = 128  # lattice points before the noise repeats, a power of two
 _MASK = _PERIOD - 1
 
 
+@lru_cache(maxsize=1)
 def lattice() -> Float[np.ndarray, "128 128"]:
     """Return the random values, uniform in [0, 1), that all noise interpolates: a table costs less than hashing."""
     return np.random.default_rng(20220809).random((_PERIOD, _PERIOD), dtype=np.float32)

@@ -213,10 +213,9 @@ def arch(build: SceneBuilder, space: Space) -> None:
             return
 
 
-def unit(build: SceneBuilder, base: Point, yaw: float) -> None:
+def unit(at: Turned) -> None:
     """Add a kitchen unit or counter on a dark plinth, its board sticking out."""
-    rng = build.rng
-    at = Turned(build, base, yaw)
+    rng = at.build.rng
     wide, tall, deep = rng.uniform(0.4, 1.2), rng.uniform(0.7, 1.0), rng.uniform(0.25, 0.35)
     at.box((0.0, 0.06, -0.05), (wide - 0.02, 0.06, deep - 0.05), BLACK)
     at.box((0.0, 0.5 * (tall + 0.12), 0.0), (wide, 0.5 * (tall - 0.12), deep), wood(rng, 1.0))

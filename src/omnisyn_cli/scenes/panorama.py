@@ -5,16 +5,14 @@ each row.
 """
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
+from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.scenes.culling import list_tile, tile_planes
 from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.raycast import cast_rays, first_hit
@@ -69,7 +67,7 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, i
 
 
 @kernel
-def render_tiles(world, papers, bounds, tables, samples, tiles, bands, image, depth):  # type: ignore[no-untyped-def]
+def render_tiles(world, papers, bounds, tables, samples, tiles, image, depth, begin, end):  # type: ignore[no-untyped-def]
     """Render some bands of tiles.
 
     Args:
@@ -80,16 +78,17 @@ def render_tiles(world, papers, bounds, tables, samples, tiles, bands, image, de
         samples: samples per pixel along each axis.
         tiles: pixels along the side of a large and of a small tile; shapes are chosen for the former, then for the
             latter.
-        bands: first band of large tiles and one past the last.
         image: (H, W, 3) float32 output in [0, 1].
         depth: (H, W) float32 output, metres, inf for the sky.
+        begin: first band of large tiles.
+        end: one past the last.
     """
     sin_sample, cos_sample, horizon, up = tables[3], tables[4], tables[5], tables[6]
     height, width = depth.shape
     large, small = tiles
     coarse, fine = np.empty_like(bounds.order), np.empty_like(bounds.order)
     planes = np.zeros((4, 3))
-    for top in range(bands[0] * large, min(height, bands[1] * large), large):
+    for top in range(begin * large, min(height, end * large), large):
         for left in range(0, width, large):
             bottom, right = min(height, top + large), min(width, left + large)
             rows, columns = (top * samples, bottom * samples - 1), (left * samples, right * samples - 1)
@@ -162,22 +161,11 @@ def render_views(
     packed = pack(scene)
     images = np.empty((len(positions), height, width, 3), dtype=np.float32)
     depths = np.empty((len(positions), height, width), dtype=np.float32)
-    bands = -(-height // _TILES[0])
-    workers = min(bands, threads or os.cpu_count() or 1)
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
         world, bounds = seen_from(packed, scene, position)
-        fixed = (world, papers_of(scene), bounds, tables, supersample, _TILES)
-        if workers == 1:
-            render_tiles(*fixed, (0, bands), image, depth)
-            continue
-        render_band = partial(_render_band, fixed, image, depth)
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(render_band, range(bands)))
+        kernel = partial(render_tiles, world, papers_of(scene), bounds, tables, supersample, _TILES, image, depth)
+        run_bands(kernel, -(-height // _TILES[0]), threads)
     return images, depths
-
-
-def _render_band(fixed: tuple[Any, ...], image: np.ndarray, depth: np.ndarray, band: int) -> None:
-    render_tiles(*fixed, (band, band + 1), image, depth)
 
 
 def distances(
@@ -209,12 +197,8 @@ def _unrotated_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, 
 def _ray_tables(rotation: Float[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> tuple[np.ndarray, ...]:
     height, width = size
     up = rotation @ angles_to_direction(np.array(0.0), np.array(0.0))
-    centres = _unrotated_tables(height, width)
-    samples = _unrotated_tables(height * supersample, width * supersample)
-    return (
-        *centres[:2],
-        np.ascontiguousarray(centres[2] @ rotation.T),
-        *samples[:2],
-        np.ascontiguousarray(samples[2] @ rotation.T),
-        up,
+    centres, samples = (
+        (sine, cosine, np.ascontiguousarray(horizon @ rotation.T))
+        for sine, cosine, horizon in (_unrotated_tables(height * k, width * k) for k in (1, supersample))
     )
+    return *centres, *samples, up

@@ -16,20 +16,6 @@ _SHORTER = 0.985  # factor on a baseline at every attempt, where it may be short
 _LOOK, _NEAR = (8, 16), 0.04  # rays cast, and the quantile of their lengths that is called the distance of what is near
 
 
-def clearance(scene: Scene, positions: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
-    """Lower bound in metres of the distance from each position to the nearest surface, negative inside it.
-
-    Every shape counts as its oriented box.
-    """
-    local = np.einsum("nji,pnj->pni", scene.rotation, positions[:, None, :] - scene.centre)
-    beyond = np.abs(local) - scene.half
-    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
-    distance = outside + np.minimum(beyond.max(axis=-1), 0.0)
-    above = positions @ scene.ground[:3] - scene.ground[3]
-    nearest: np.ndarray = np.minimum(distance.min(axis=1, initial=np.inf), above)
-    return nearest
-
-
 def sample_path(
     scene: Scene, seed: int, frames: int, *, baseline: float | None = None, vertical: float = 0.05, tilt: float = 0.0
 ) -> list[Pose]:

@@ -6,9 +6,9 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, grown, picked, shaded
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
+from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Turned
 
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)
@@ -98,17 +98,8 @@ def sign(build: SceneBuilder, base: Point, yaw: float) -> None:
     height = rng.uniform(2.1, 3.0)
     build.pole(base, height, 0.032, Material(Pattern.PLAIN, (0.55, 0.56, 0.56), grain=0.06, gloss=0.2))
     for level in range(int(rng.integers(1, 3))):
-        face = Material(
-            Pattern.COLLAGE,
-            pick(rng, palette.SIGN),
-            pick(rng, palette.SIGN),
-            (0.92, 0.92, 0.9),
-            cell=(0.5, 0.3),
-            grain=0.03,
-            gloss=0.15,
-            detail=0.6,
-            seed=int(rng.integers(1, 1000)),
-        )
+        look = {"third": (0.92, 0.92, 0.9), "cell": (0.5, 0.3), "grain": 0.03, "gloss": 0.15, "detail": 0.6}
+        face = picked(rng, Pattern.COLLAGE, [palette.SIGN] * 2, **look)
         half = (rng.uniform(0.2, 0.45), rng.uniform(0.18, 0.35), 0.012)
         build.add(Shape.BOX, (x, y + height - half[1] - 0.75 * level, z), half, face, yaw=yaw)
 
@@ -129,23 +120,21 @@ def waste_bin(build: SceneBuilder, base: Point) -> None:
         build.add(Shape.BOX, (base[0], base[1] + 0.55, base[2]), (0.3, 0.5, 0.35), paint, yaw=rng.uniform(-0.4, 0.4))
 
 
-def bench(build: SceneBuilder, base: Point, yaw: float) -> None:
+def bench(at: Turned) -> None:
     """Add a bench of slats on two iron legs."""
     wood = Material(
         Pattern.PLANKS, (0.50, 0.36, 0.24), (0.42, 0.29, 0.2), (0.1, 0.08, 0.06), cell=(3.0, 0.1), line=0.02
     )
     iron = Material(Pattern.PLAIN, (0.15, 0.15, 0.15), grain=0.05)
-    x, y, z = base
-    c, s = math.cos(yaw), math.sin(yaw)
-    build.add(Shape.BOX, (x, y + 0.44, z), (0.8, 0.025, 0.22), wood, yaw=yaw)
-    build.add(Shape.BOX, (x - 0.24 * s, y + 0.75, z - 0.24 * c), (0.8, 0.2, 0.02), wood, yaw=yaw)
+    at.box((0.0, 0.44, 0.0), (0.8, 0.025, 0.22), wood)
+    at.box((0.0, 0.75, -0.24), (0.8, 0.2, 0.02), wood)
     for side in (-0.65, 0.65):
-        build.add(Shape.BOX, (x + side * c, y + 0.21, z - side * s), (0.03, 0.21, 0.2), iron, yaw=yaw)
+        at.box((side, 0.21, 0.0), (0.03, 0.21, 0.2), iron)
 
 
-def car(build: SceneBuilder, base: Point, yaw: float) -> None:
+def car(at: Turned) -> None:
     """Add a car: body, cabin of glass, bumpers, wheels and lights; its nose points along the local −z."""
-    rng = build.rng
+    rng = at.build.rng
     paint = pick(rng, palette.CAR)
     body = shaded(Pattern.PLAIN, paint, 0.9, grain=0.02, gloss=0.5, grain_size=2.0)
     dark = Material(Pattern.PLAIN, (0.09, 0.09, 0.1), grain=0.05, gloss=0.2)
@@ -164,39 +153,25 @@ def car(build: SceneBuilder, base: Point, yaw: float) -> None:
     length, width = rng.uniform(3.7, 4.7), rng.uniform(0.83, 0.95)
     waist, roof = (1.0, rng.uniform(1.9, 2.2)) if is_van else (rng.uniform(0.82, 0.95), rng.uniform(1.4, 1.65))
     half = 0.5 * length
-    c, s = math.cos(yaw), math.sin(yaw)
-
-    def place(x: float, y: float, z: float) -> Point:
-        return base[0] + c * x + s * z, base[1] + y, base[2] - s * x + c * z
-
-    def part(x: float, y: float, z: float, size: Point, material: Material, cap: Material | None = None) -> None:
-        build.add(Shape.BOX, place(x, y, z), size, material, cap=cap, yaw=yaw)
-
-    part(0.0, 0.5 * (waist + 0.28), 0.0, (width, 0.5 * (waist - 0.28), half), body)
-    part(0.0, 0.32, 0.0, (width - 0.05, 0.14, half + 0.06), dark)
+    at.box((0.0, 0.5 * (waist + 0.28), 0.0), (width, 0.5 * (waist - 0.28), half), body)
+    at.box((0.0, 0.32, 0.0), (width - 0.05, 0.14, half + 0.06), dark)
     back = 0.0 if is_van else 0.12 * length
     cabin = 0.45 * length if is_van else 0.27 * length
-    part(0.0, 0.5 * (waist + roof) - 0.03, back, (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, dark)
-    part(0.0, roof - 0.04, back, (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
+    middle = 0.5 * (waist + roof)
+    at.box((0.0, middle - 0.03, back), (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, cap=dark)
+    at.box((0.0, roof - 0.04, back), (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
     if not is_van:  # raked windscreens, front and back
         for end, lean in ((back - cabin - 0.05, 0.95), (back + cabin + 0.02, -0.7)):
             rake = rotation_from_rotation_vector(np.array([lean, 0.0, 0.0]))
-            turned = rotation_from_rotation_vector(np.array([0.0, yaw, 0.0])) @ rake
-            middle = place(0.0, 0.5 * (waist + roof) - 0.02, end)
-            build.add(
-                Shape.BOX,
-                middle,
-                (width - 0.13, 0.5 * (roof - waist) / math.cos(lean) - 0.05, 0.02),
-                screen,
-                rotation=turned,
-            )
+            turned = rotation_from_rotation_vector(np.array([0.0, at.yaw, 0.0])) @ rake
+            size = (width - 0.13, 0.5 * (roof - waist) / math.cos(lean) - 0.05, 0.02)
+            at.build.add(Shape.BOX, at.place(0.0, middle - 0.02, end), size, screen, rotation=turned)
     for z in (-0.62 * half, 0.62 * half):
-        hub_left, hub_right = place(-width - 0.01, 0.31, z), place(width + 0.01, 0.31, z)
-        build.rod(hub_left, hub_right, 0.31, TYRE)
-        build.rod(place(-width - 0.02, 0.31, z), place(width + 0.02, 0.31, z), 0.18, RIM)
+        at.rod((-width - 0.01, 0.31, z), (width + 0.01, 0.31, z), 0.31, TYRE)
+        at.rod((-width - 0.02, 0.31, z), (width + 0.02, 0.31, z), 0.18, RIM)
     for x in (-0.72 * width, 0.72 * width):
-        part(x, 0.68, -half, (0.16, 0.07, 0.02), HEADLIGHT)
-        part(x, 0.72, half, (0.14, 0.08, 0.02), TAIL_LIGHT)
+        at.box((x, 0.68, -half), (0.16, 0.07, 0.02), HEADLIGHT)
+        at.box((x, 0.72, half), (0.14, 0.08, 0.02), TAIL_LIGHT)
 
 
 def person(build: SceneBuilder, base: Point) -> None:

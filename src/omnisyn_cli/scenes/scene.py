@@ -159,7 +159,7 @@ class SceneBuilder:
     """Collects shapes; every ``add`` method takes metres, radians and a :class:`Material`."""
 
     rng: np.random.Generator
-    lighting: Lighting | None = None
+    lighting: Lighting
     ground: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
     ground_material: Material = field(default_factory=Material)
     lamps: list[tuple[float, ...]] = field(default_factory=list)
@@ -177,29 +177,19 @@ class SceneBuilder:
         cap: Material | None = None,
         yaw: float = 0.0,
         rotation: Float[np.ndarray, "3 3"] | None = None,
-        tint: Colour | float = 1.0,
+        tint: float = 1.0,
         casts_shadow: bool = True,
     ) -> None:
         """Add one shape; ``yaw`` turns it about the vertical, ``rotation`` replaces that by any rotation."""
         sides, ends = self._row(material), self._row(material if cap is None else cap)
-        colour = (tint, tint, tint) if isinstance(tint, (int, float)) else tint
         turn = yaw if rotation is None else rotation
-        self._shapes.append(_Added(int(shape), centre, turn, half, (sides, ends), colour, casts_shadow))
+        self._shapes.append(_Added(int(shape), centre, turn, half, (sides, ends), (tint, tint, tint), casts_shadow))
 
-    def box(
-        self,
-        low: Point,
-        high: Point,
-        material: Material,
-        *,
-        cap: Material | None = None,
-        tint: Colour | float = 1.0,
-        casts_shadow: bool = True,
-    ) -> None:
+    def box(self, low: Point, high: Point, material: Material, *, casts_shadow: bool = True) -> None:
         """Add an axis-aligned box from corner to corner."""
         centre = (0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2]))
         half = (0.5 * abs(high[0] - low[0]), 0.5 * abs(high[1] - low[1]), 0.5 * abs(high[2] - low[2]))
-        self.add(Shape.BOX, centre, half, material, cap=cap, tint=tint, casts_shadow=casts_shadow)
+        self.add(Shape.BOX, centre, half, material, casts_shadow=casts_shadow)
 
     def pole(self, bottom: Point, height: float, radius: float, material: Material) -> None:
         """Add a vertical cylinder that stands on ``bottom``."""
@@ -221,8 +211,6 @@ class SceneBuilder:
 
     def build(self, kind: str) -> Scene:
         """Freeze what was collected."""
-        if self.lighting is None:
-            raise ValueError("expected a lighting before the scene is built, got none: set SceneBuilder.lighting")
         count = len(self._shapes)
         ground_material = self._row(self.ground_material)
         added = self._shapes

@@ -124,16 +124,15 @@ def _ceiling_lamp(build: SceneBuilder, cell: Cell) -> None:
         build.add(Shape.BOX, (x, cell.tall - 0.04, z), (0.6, 0.03, 0.08), shade)
 
 
-def _axes(cell: Cell, name: str) -> tuple[float, float, float, bool]:
-    """Start and end along the wall, where its inner slab's middle stands across, and whether it runs along x."""
-    inset = 0.5 * THICKNESS
-    if name == "west":
-        return cell.low[1], cell.high[1], cell.low[0] + inset, False
-    if name == "east":
-        return cell.low[1], cell.high[1], cell.high[0] - inset, False
-    if name == "south":
-        return cell.low[0], cell.high[0], cell.low[1] + inset, True
-    return cell.low[0], cell.high[0], cell.high[1] - inset, True
+def wall_axes(cell: Cell, name: str, inset: float = 0.5 * THICKNESS) -> tuple[float, float, float, bool]:
+    """Start and end along the wall, where what stands ``inset`` inside is across, and whether it runs along x.
+
+    Without an ``inset`` it is the middle of the wall's slabs.
+    """
+    is_x = name in ("south", "north")
+    along, across = (0, 1) if is_x else (1, 0)
+    place = cell.low[across] + inset if name in ("west", "south") else cell.high[across] - inset
+    return cell.low[along], cell.high[along], place, is_x
 
 
 def _slab(
@@ -155,9 +154,10 @@ def _slab(
 
 
 def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening], material: Material) -> None:
-    wall = _axes(cell, name)
+    wall = wall_axes(cell, name)
     at, half = wall[0], 0.5 * THICKNESS
-    for opening in sorted(openings, key=lambda o: o.start):
+    ordered = sorted(openings, key=lambda opening: opening.start)
+    for opening in ordered:
         _slab(build, wall, (at, opening.start), (0.0, cell.tall), half, material)
         _slab(build, wall, (opening.start, opening.end), (0.0, opening.bottom), half, material)
         _slab(build, wall, (opening.start, opening.end), (opening.top, cell.tall), half, material)
@@ -166,10 +166,7 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
     if build.rng.random() < 0.5:
         skirting = Material(Pattern.PLAIN, palette.darker(material.first, build.rng.choice([0.5, 1.15])), grain=0.04)
         at = wall[0]
-        for opening in [
-            *sorted((o for o in openings if o.bottom <= 0.0), key=lambda o: o.start),
-            Opening(wall[1], wall[1], 0.0, 0.0),
-        ]:
+        for opening in (*(o for o in ordered if o.bottom <= 0.0), Opening(wall[1], wall[1], 0.0, 0.0)):
             _slab(build, wall, (at, opening.start), (0.0, 0.09), half + 0.012, skirting)
             at = opening.end
 
@@ -177,7 +174,7 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
 def _window(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> None:
     """Add frame and bars of a window, its board, and perhaps curtains or a radiator."""
     rng = build.rng
-    wall = _axes(cell, name)
+    wall = wall_axes(cell, name)
     frame = Material(Pattern.PLAIN, (0.88, 0.88, 0.86) if rng.random() < 0.7 else (0.25, 0.24, 0.23), grain=0.03)
     a, b, low, high = opening.start, opening.end, opening.bottom, opening.top
     for edge in (a + 0.03, b - 0.03):
@@ -219,7 +216,7 @@ def _window(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> Non
 def _doorway(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> None:
     """Add the frame of a doorway and, if it is narrow, an open door."""
     rng = build.rng
-    wall = _axes(cell, name)
+    wall = wall_axes(cell, name)
     frame = Material(Pattern.PLAIN, pick(rng, palette.WOOD) if rng.random() < 0.4 else (0.85, 0.85, 0.83), grain=0.04)
     a, b, top = opening.start, opening.end, opening.top
     for edge in (a, b):
@@ -233,7 +230,7 @@ def _doorway(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> No
 
 def _closed_door(build: SceneBuilder, cell: Cell, name: str) -> None:
     rng = build.rng
-    low, high, across, is_x = _axes(cell, name)
+    low, high, across, is_x = wall_axes(cell, name)
     if high - low < 2.0:
         return
     middle = rng.uniform(low + 0.6, high - 0.6)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -192,11 +191,6 @@ def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, "3"]) -> tuple[
         lamps=scene.lamps,
         grid_start=packed.grid_start,
         grid_items=packed.grid_items,
-        noise=_noise_table(),
+        noise=lattice(),
     )
     return world, Bounds(scene.shape, offset, packed.axes, order)
-
-
-@lru_cache(maxsize=1)
-def _noise_table() -> Float[np.ndarray, "128 128"]:
-    return lattice()

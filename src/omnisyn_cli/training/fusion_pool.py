@@ -22,7 +22,7 @@ from torch import Tensor
 
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.network import NetworkFuser
-from omnisyn_cli.geometry.pose import Pose, slerp
+from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.synthesis.frames import synthesize
@@ -140,7 +140,9 @@ def _samples(
     views = [_photograph(scene, end.position, tilt, error, size, rng) for end in ends]
     recorder = _Recorder()
     fuser = NetworkFuser(size, recorder, threads=1, rows=config.size[0])
-    path = [_between(views, share) for share in np.sort(rng.uniform(*config.shares, config.places))]
+    first, second = (view.pose for view in views)
+    shares = np.sort(rng.uniform(*config.shares, config.places))
+    path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in shares]
     for made in synthesize(views, path, SurfaceMethod(estimator, SynthesisOptions(size, threads=1), fuser)):
         if recorder.planes:
             truth = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
@@ -156,12 +158,6 @@ def _photograph(
     image, depth = render_panorama(scene, pose, size, supersample=1, threads=1)
     known = DepthEstimate((1.0 / depth).astype(np.float32), np.ones(size, np.float32))
     return View(np.asarray(image, np.float32), as_told(pose, error, rng), known_depth=known)
-
-
-def _between(views: Sequence[View], share: float) -> Waypoint:
-    first, second = (view.pose for view in views)
-    position = (1.0 - share) * first.position + share * second.position
-    return Waypoint(0, share, Pose(slerp(first.rotation, second.rotation, share), position))
 
 
 def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> FusionBatch:

@@ -150,15 +150,9 @@ def joint_answer(network: JointNetwork, triples: Triples) -> JointAnswer:
 
 def joint_loss(answer: JointAnswer, triples: Triples) -> Tensor:
     """The loss of both panoramas' depth and that of the picture, a scalar."""
-    return depth_part(answer.prediction, triples) + FUSION_WEIGHT * fusion_loss(answer.picture, triples.middle)
-
-
-def depth_part(prediction: PairPrediction, triples: Triples) -> Tensor:
-    """What the depth network is told by itself, of both panoramas."""
-    roots = triples.roots.flatten(0, 1)
-    if isinstance(prediction.stacked, DepthPrediction):
-        return depth_loss(prediction.stacked, roots)
-    return paper_loss(prediction.stacked, roots)
+    stacked, roots = answer.prediction.stacked, triples.roots.flatten(0, 1)
+    depth = depth_loss(stacked, roots) if isinstance(stacked, DepthPrediction) else paper_loss(stacked, roots)
+    return depth + FUSION_WEIGHT * fusion_loss(answer.picture, triples.middle)
 
 
 def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:

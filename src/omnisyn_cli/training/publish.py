@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.io.outputs import check_output, make_folder, replaced_when_complete
+from omnisyn_cli.io.outputs import check_output, make_folder, staged_folder, write_parts
 from omnisyn_cli.networks.export import PARITY, export_network, largest_difference
 from omnisyn_cli.networks.interface import Network
 from omnisyn_cli.networks.synsin import SynSinNetwork
@@ -75,19 +75,13 @@ def publish(
     make_folder(folder, "models")
     for part in parts:
         check_output(folder / f"{part.name}.onnx", overwrite)
-    partials = [folder / f"{part.name}.partial.onnx" for part in parts]
-    try:
-        differences = [_exported(part, partial) for part, partial in zip(parts, partials, strict=True)]
+    with staged_folder(folder, overwrite=overwrite) as staged:
+        differences = [_exported(part, staged / f"{part.name}.onnx") for part in parts]
         if not max(differences) <= PARITY:
             raise OmnisynError(
                 f"expected ONNX Runtime to agree with torch within {PARITY}, got {max(differences):.1e}; not exported: "
                 "train it longer, weights of the first steps may answer with nothing but rounding"
             )
-        for part, partial in zip(parts, partials, strict=True):
-            partial.replace(folder / f"{part.name}.onnx")
-    finally:
-        for partial in partials:
-            partial.unlink(missing_ok=True)
     entries = [_entry(part, folder / f"{part.name}.onnx", state, training, licence) for part in parts]
     write_manifest(folder, read_manifest(folder) | {entry.name: entry for entry in entries})
     return list(zip(entries, differences, strict=True))
@@ -166,5 +160,4 @@ def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:
         lines += [f"{key} = {json.dumps(getattr(entry, key), ensure_ascii=False)}" for key in plain]
         if entry.metrics:
             lines += ["", "[models.metrics]", *(f"{key} = {value!r}" for key, value in entry.metrics.items())]
-    with replaced_when_complete(folder / MANIFEST) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_parts(folder / MANIFEST, ["\n".join([*lines, ""]).encode()])

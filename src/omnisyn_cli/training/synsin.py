@@ -177,15 +177,11 @@ def own_loss(made: Made, samples: Sequence[ViewSample]) -> Tensor:
     """Absolute error of colours, and that of roots of inverse depth; both weighted by solid angle."""
     truth = _truth(samples)
     colours = ((made.pictures - truth).abs() * polar_weights(truth)).mean()
-    return colours + DEPTH_WEIGHT * root_loss(made.roots, _roots(samples))
+    return colours + DEPTH_WEIGHT * root_loss(made.roots, torch.cat([sample.roots for sample in samples]))
 
 
 def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height width"]:
     return torch.stack([sample.truth for sample in samples])
-
-
-def _roots(samples: Sequence[ViewSample]) -> Float[Tensor, "views 1 height width"]:
-    return torch.cat([sample.roots for sample in samples])
 
 
 def adversarial_losses(

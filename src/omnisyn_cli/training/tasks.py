@@ -36,10 +36,6 @@ __all__ = ["TASKS", "kinds_for", "task_of"]
 NetworkConfig = DepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 
-def _depth_scores(answer: DepthAnswer, batch: Batch) -> dict[str, float]:
-    return losses.depth_scores(answer, batch.root, batch.baseline)
-
-
 def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
     found = answer.inverse_depth().sqrt()
     return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
@@ -67,7 +63,7 @@ _STEREO = Task(
         pool, rng, stage.batch, stage.size, network.frame, varied, network.config.greatest_root
     ),
     loss=lambda answer, batch: losses.depth_loss(answer, batch.root),
-    scores=_depth_scores,
+    scores=lambda answer, batch: losses.depth_scores(answer, batch.root, batch.baseline),
     pictures=_depth_pictures,
 )
 

@@ -104,11 +104,12 @@ def test_sizes_are_read_or_given(tmp_path: Path, format_name: str) -> None:
 
 @every_format
 def test_a_full_disk_is_said_of_the_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_name: str) -> None:
-    def full(path: Path, text: str, encoding: str) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     poses, output = written(tmp_path), tmp_path / OUTPUTS[format_name]
-    monkeypatch.setattr(Path, "write_text", full)
+    for way in ("open", "write_text"):
+        monkeypatch.setattr(Path, way, full)
     with pytest.raises(WriteError, match=f"{output.name}: expected to write it, got 'No space"):
-        export_poses(poses, output, format_name)
+        export_poses(poses, output, format_name, size=(4, 8))
     assert not output.exists()

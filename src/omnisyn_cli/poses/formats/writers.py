@@ -43,15 +43,13 @@ def export_poses(
         outputs.check_output(output / name, overwrite)
     chosen = {name: panorama.pose for name, panorama in poses.panoramas.items()}
     if format_name == "tum":
-        with outputs.replaced_when_complete(output) as temporary:
-            temporary.write_text(tum_text(chosen), encoding="utf-8")
+        outputs.write_parts(output, [tum_text(chosen).encode()])
         return ("time stamps: the numbers of the panoramas; their names are in comments",)
     folder = images or poses.path.parent
     files = {name: folder / name if (folder / name).is_file() else None for name in chosen}
     sizes = {name: size or _size(poses.path, name, folder, file) for name, file in files.items()}
     if format_name == "nerfstudio":
-        with outputs.replaced_when_complete(output) as temporary:
-            temporary.write_text(nerfstudio_text(chosen, sizes, files, output.parent), encoding="utf-8")
+        outputs.write_parts(output, [nerfstudio_text(chosen, sizes, files, output.parent).encode()])
         return ("world: z up; depth and masks are not written",)
     with outputs.staged_folder(output, overwrite=overwrite) as staged, outputs.write_errors(output):
         for name, text in colmap_files(chosen, sizes).items():
