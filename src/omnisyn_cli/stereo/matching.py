@@ -29,7 +29,7 @@ HINT = 0.002
 """Weight of a disparity that only one direction believes, against 1 for what both agree on."""
 
 NEAR = 0.08
-"""Share of a disparity by which both directions may differ where that is more than the rows that they may always."""
+"""Share of a disparity by which both directions may differ, between what they may for far and for near things."""
 
 SPECKLE = 20
 """Pixels at half size: smaller islands are mistakes more often than things."""
@@ -97,9 +97,9 @@ def _match(pair: RectifiedPair, options: MatchingOptions) -> tuple[Matches, Matc
     pairs = (pair, pair.reversed())
     grids = [Meridians.of(p) for p in pairs]
     one, other = (match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True))  # costs take much memory
-    free = agreeing((one, other), options)
+    free = agreeing((one, other), options.agreement, options.near_agreement)
     surfaces = both(*(partial(assign_surfaces, p, g, f, options) for p, g, f in zip(pairs, grids, free, strict=True)))
-    return agreeing(surfaces, options)
+    return agreeing(surfaces, options.agreement, options.near_agreement)
 
 
 def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) -> Evidence:
@@ -131,26 +131,32 @@ def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.nd
     return inverse_depth, agreed, sky
 
 
-def agreeing(found: tuple[Matches, Matches], options: MatchingOptions) -> tuple[Matches, Matches]:
-    """Left-right check of both directions: keep as seen what the other one saw at the same depth."""
+def agreeing(found: tuple[Matches, Matches], far: float, near: float | None = None) -> tuple[Matches, Matches]:
+    """Left-right check of both directions: keep as seen what the other one saw at the same depth.
+
+    Args:
+        found: disparities of both.
+        far: rows by which they may differ.
+        near: rows by which they may differ where they are large; None makes no difference.
+    """
     there, back = (
-        replace(a, seen=a.seen & _confirmed(a.disparity, exchanged_in_epipole_frame(b.disparity), options.agreement))
+        replace(a, seen=a.seen & _confirmed(a.disparity, exchanged_in_epipole_frame(b.disparity), far, near or far))
         for a, b in (found, found[::-1])
     )
     return there, back
 
 
-def _confirmed(disparity: np.ndarray, other: np.ndarray, tolerance: float) -> Bool[np.ndarray, "height width"]:
+def _confirmed(disparity: np.ndarray, other: np.ndarray, far: float, near: float) -> Bool[np.ndarray, "height width"]:
     """Whether the other direction found the same where this one points to.
 
-    Near things move by many rows, of which a few more or less say little about how far away they are; and what is seen
-    foreshortened here takes several rows of the other picture, in each of which it has moved differently.
+    That is half a row off at most. What is near is often foreshortened in one picture and takes several rows of the
+    other one, from each to the next of which its disparity changes by more than that.
     """
     height = disparity.shape[0]
     target = np.arange(height)[:, None] + disparity
     row = np.clip(np.rint(target), 0, height - 1).astype(np.int64)
     found = np.take_along_axis(other, row, axis=0)
-    is_same = np.abs(found - disparity) <= np.maximum(tolerance, NEAR * disparity)
+    is_same = np.abs(found - disparity) <= np.clip(NEAR * disparity, far, near)
     return np.asarray(is_same & (target <= height - 1))
 
 

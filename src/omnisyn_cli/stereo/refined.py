@@ -69,7 +69,7 @@ def sharpened(
         _match(each, grid, _in_pair(base[0], view, each), options)
         for each, grid, base, view in zip(pairs, grids, bases, views, strict=True)
     )
-    matches = agreeing((there, back), options)
+    matches = agreeing((there, back), options.agreement)
     return both(*(partial(_measured, *each) for each in zip(views, bases, pairs, grids, matches, strict=True)))
 
 

@@ -53,7 +53,7 @@ class MatchingOptions:
         seen_bias, unseen_bias: what semi-global matching costs more than a plane where it is sure and where not.
         remote_bias: what a plane costs more far from every point that it was found by.
         under_floor: what a surface costs more where it lies beneath the floor.
-        agreement: rows by which both directions may differ.
+        agreement, near_agreement: rows by which both directions may differ about far and about near things.
     """
 
     size: tuple[int, int] = (512, 1024)
@@ -75,6 +75,7 @@ class MatchingOptions:
     remote_bias: float = 0.2
     under_floor: float = 0.3
     agreement: float = 1.0
+    near_agreement: float = 1.5
 
 
 @dataclass(frozen=True)
