@@ -37,10 +37,12 @@ LONG = 60.0
 
 @pytest.fixture(autouse=True)
 def _heeded() -> Iterator[None]:
-    """SIGTERM does what it does in a fresh process, whatever those who started the tests made of it."""
-    former = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    """Whatever the shell that runs the tests, or a test before, ignores."""
+    own = {signal.SIGTERM: signal.SIG_DFL, signal.SIGINT: signal.default_int_handler}
+    former = {number: signal.signal(number, handler) for number, handler in own.items()}
     yield
-    signal.signal(signal.SIGTERM, former)
+    for number, handler in former.items():
+        signal.signal(number, handler)
 
 
 def end() -> None:
