@@ -9,7 +9,9 @@ from stereo_samples import OPENINGS, SIZE, landscape, room
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions, agreeing
+from omnisyn_cli.stereo.surfaces import Matches
 from omnisyn_cli.types import DepthEstimate, View
 
 ORIGIN = Pose.identity()
@@ -151,3 +153,16 @@ def test_rendered_warehouse_with_true_depth() -> None:
     for estimate, truth in zip(MatchingDepthEstimator(MatchingOptions())(*views), truths, strict=True):
         assert share_within(estimate.inverse_depth, truth, 1.25) > 0.93
         assert share_within(estimate.inverse_depth, truth, 1.05) > 0.80
+
+
+@pytest.mark.parametrize(("rows", "apart", "is_confirmed"), [
+    (4.0, 0.9, True), (4.0, 1.1, False), (40.0, 1.4, True), (40.0, -1.4, True), (40.0, 1.6, False), (40.0, -1.6, False),
+])  # fmt: skip
+def test_both_directions_may_differ_by_more_about_near_things(rows: float, apart: float, is_confirmed: bool) -> None:
+    """Far things move by a few rows, near ones by many; the other direction has found some rows more or less."""
+    size, options = (64, 4), MatchingOptions()
+    there = Matches(np.full(size, rows, np.float32), np.ones(size, np.bool_))
+    back = Matches(exchanged_in_epipole_frame(np.full(size, rows + apart, np.float32)), np.ones(size, np.bool_))
+    seen = agreeing((there, back), options.agreement, options.near_agreement)[0].seen
+    assert seen[: 64 - int(rows)].all() == is_confirmed
+    assert not seen[64 - int(rows) :].any()

@@ -257,12 +257,6 @@ def blend_spots(first, second, rule, tables, correction, spots, height, width, s
                     _store_mean(upper, lower, 2 * at - left, share, storing, out[spots.top + row, spots.cols[at]])
 
 
-@inlined()
-def _run_of_samples(layer, half, begin, end):
-    """Some samples of one row, colours flat."""
-    return Layer(layer.colour[half, begin:end].reshape(-1), layer.inverse_depth[half, begin:end], layer.offset)
-
-
 @inlined(fastmath=True)
 def _store_mean(upper, lower, at, share, storing, pixel):
     """The mean of four samples, and of what the pixel was, as that pixel."""

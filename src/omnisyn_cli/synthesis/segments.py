@@ -19,7 +19,7 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check, in_one_exposure
 from omnisyn_cli.synthesis.fallback import CrossFade
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
@@ -97,14 +97,16 @@ def measure_pair(
 ) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
     """The depth of both views, and what they say of each other through it.
 
-    Depth is found in pictures of one exposure; where both views stand at the same place it is not looked for.
+    Depth that is not known is found in pictures of one exposure; where both views stand at one place it is not looked
+    for.
     """
     with clock("depth"):
-        depths = (
-            estimator(*in_one_exposure(first, second, options.threads))
-            if _is_moving(first, second)
-            else _depths_in_place(first, second, options)
-        )
+        if not _is_moving(first, second):
+            depths = _depths_in_place(first, second, options)
+        elif isinstance(estimator, KnownDepth):
+            depths = estimator(first, second)
+        else:
+            depths = estimator(*in_one_exposure(first, second, options.threads))
     with clock("check"):
         return depths, cross_check((first, second), depths, options.cut, options.threads)
 
