@@ -56,7 +56,7 @@ def frames(
     memory = np.empty((*size, 3), np.uint8)
     path = plan_path([view.pose for view in views], count + 2)[1:-1]
     fuser = GeometricFuser(size, edges=False)  # which a GPU does not sample more than once
-    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(size), fuser, device=device).prepare(0, *views)
+    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(size), fuser, device=device).prepare(0, views)
     for waypoint in path:
         begin = time.perf_counter()
         image = pair.frame(waypoint, lambda: memory).image

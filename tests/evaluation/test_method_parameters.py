@@ -33,7 +33,7 @@ def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geomet
     """What the product makes of true depth."""
     fuser = make_fuser(fusion, pair.size, threads=1)
     method = SurfaceMethod(KnownDepth(), SynthesisOptions(pair.size, threads=1, **options), fuser)
-    made = method.prepare(0, *views)
+    made = method.prepare(0, views)
     return np.stack([made.frame(truth.waypoint).image.copy() for truth in pair.truths])
 
 

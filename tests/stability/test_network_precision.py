@@ -83,7 +83,7 @@ def quality(room: Room, path: Path) -> tuple[np.ndarray, float]:
     refinement = SessionRefinement(open_session(path, device="cpu", threads=1))
     estimator = RefinedDepthEstimator(Remembered(room.evidence), refinement, 0)  # type: ignore[arg-type]
     waypoint = Waypoint(0, 0.5, room.middle)
-    pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=1)).prepare(0, *room.views)
+    pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=1)).prepare(0, room.views)
     picture = pair.frame(waypoint).image
     return refinement(planes(room)[0])[0], ws_psnr(picture, room.truth)
 

@@ -61,5 +61,5 @@ def test_triangles_are_counted_and_the_switch_draws_them_all() -> None:
     counts = {}
     for adaptive in (False, True):
         method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1, adaptive=adaptive))
-        counts[adaptive] = method.prepare(0, *views).segment.triangles
+        counts[adaptive] = method.prepare(0, views).segment.triangles
     assert counts[False][0] == counts[False][1] == counts[True][1] > counts[True][0]

@@ -35,7 +35,7 @@ def room() -> list[View]:
 
 
 def half_way(first: View, middle: View, last: View, estimator: DepthEstimator, **options: bool) -> np.ndarray:
-    pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=2, **options)).prepare(0, first, last)
+    pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=2, **options)).prepare(0, [first, last])
     return np.clip(pair.frame(Waypoint(0, 0.5, middle.pose)).image, 0, 1)
 
 
@@ -61,7 +61,7 @@ def test_white_balance_is_matched_as_well(room: list[View]) -> None:
 
 
 def test_pictures_exposed_alike_are_not_changed_at_all(room: list[View]) -> None:
-    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE)).prepare(0, room[0], room[2])
+    pair = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE)).prepare(0, [room[0], room[2]])
     assert pair.segment.check.curve.is_identity
 
 

@@ -22,7 +22,7 @@ def test_a_method_is_what_its_recipe_names_and_makes_frames_of_its_size(name: st
     views = [hall_view(posed((0, 0, z)), SIZE) for z in (0.5, -0.5)]
     method = make_method(Recipe(method=name), (32, 64), threads=1)
     assert type(method) is kind
-    pair = method.prepare(0, *views)
+    pair = method.prepare(0, views)
     frame, geometry = pair.frame(HALF_WAY), pair.inverse_depth(HALF_WAY)
     assert frame.image.shape == (32, 64, 3)
     assert (geometry is None) == (pair.depths is None) == (name != "omnisyn")
@@ -38,7 +38,7 @@ def test_an_estimator_and_a_fuser_of_ones_own_take_the_place_of_the_recipes() ->
         recipe, SIZE, threads=1, estimator=lambda *_: tuple(view.known_depth for view in views),
         fuser=lambda first, second, t: 0.5 * first.colour[..., :3] + 0.5 * second.colour[..., :3],
     )  # fmt: skip
-    image = method.prepare(0, *views).frame(HALF_WAY).image
+    image = method.prepare(0, views).frame(HALF_WAY).image
     assert ws_psnr(np.clip(image, 0, 1), hall_image(HALF_WAY.pose, SIZE)) > 30
 
 

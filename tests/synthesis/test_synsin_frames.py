@@ -46,7 +46,7 @@ def test_a_frame_shows_the_hall_from_its_place(sources, t, order):
 
 def test_one_source_is_the_nearer_panorama_and_each_is_looked_at_once():
     networks = HallNetworks([FIRST.position, SECOND.position])
-    pair = SynSin(networks, 1, OPTIONS).prepare(0, hall_view(FIRST), hall_view(SECOND))
+    pair = SynSin(networks, 1, OPTIONS).prepare(0, [hall_view(FIRST), hall_view(SECOND)])
     for seen, t in ((1, 0.1), (1, 0.2), (1, 0.49), (2, 0.5), (2, 0.9)):
         pair.frame(Waypoint(0, t, BETWEEN))
         assert networks.looked_at == seen
@@ -102,7 +102,7 @@ def test_installed_networks_make_frames_of_any_size(installed):
     options = SynthesisOptions((48, 96), threads=1)
     assert (installed.size, installed.radius, installed.points) == (TINY_SIZE, 2.0, 8)
     for sources in (1, 2):
-        pair = SynSin(installed, sources, options).prepare(0, hall_view(FIRST), hall_view(SECOND))
+        pair = SynSin(installed, sources, options).prepare(0, [hall_view(FIRST), hall_view(SECOND)])
         frame = pair.frame(Waypoint(0, 0.5, BETWEEN))
         assert frame.image.shape == (48, 96, 3)
         assert frame.image.dtype == np.float32

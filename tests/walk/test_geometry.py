@@ -187,7 +187,7 @@ def unfolded(shot: Shot, pose: Pose, size: tuple[int, int], side: int) -> np.nda
 def likeness(shot: Shot, t: float) -> float:
     """WS-PSNR of six faces and of the frame of a video whose edges are sampled once, as those on a screen are."""
     method = make_method(Recipe(cut=shot.plan.recipe.cut, edges=False), SIZE, estimator=KnownDepth())
-    frame = method.prepare(0, *shot.views).frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
+    frame = method.prepare(0, shot.views).frame(Waypoint(segment=0, t=t, pose=shot.pose(t))).image
     return ws_psnr(unfolded(shot, shot.pose(t), SIZE, 2 * SIZE[0]), np.clip(frame, 0, 1))
 
 

@@ -58,6 +58,11 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
     help="Frames that are inputs, by index in every scene; every:4 takes 0:4, 4:8 and so on; a text file has one pair "
     "a line: scene, first, second.  [default: the first and the last]",
 )  # fmt: skip
+@click.option(
+    "--tours", is_flag=True,
+    help="Compare methods with themselves in a tour, where the depth of a panorama that two pairs share comes from "
+    "both its neighbours; every second frame is an input unless --pairs names others.",
+)  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
 @click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the folders of poses.json.")
 @click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
@@ -74,6 +79,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     omnisyn eval scenes/ --report report/ --methods all
     omnisyn eval scenes/ --methods matching,crossfade,oracle-depth --size 512x256
     omnisyn eval Town06/ --format carla --pairs every:5 --report report/
+    omnisyn eval walks/ --tours --methods omnisyn-balanced
 
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, those between
     are the truth; true depth is compared where there is some. Errors are told by kind of pixel as well: both views
@@ -115,11 +121,12 @@ def print_records(records: Sequence[UnitRecord], **about: str | None) -> None:
 
 
 def _print_table(records: Sequence[UnitRecord]) -> None:
-    """The means per method, and why others have none."""
-    from omnisyn_cli.evaluation.tables import report_tables
+    """The means per method, what tours are worth, and why others have none."""
+    from omnisyn_cli.evaluation.tables import mean_table, tour_table
 
-    for means in report_tables(records)[:1]:
-        print_table(means)
+    for table, title in ((mean_table(records), None), (tour_table(records), "In tours, against pairs alone")):
+        if table.rows:
+            print_table(table, title)
     for record in records:
         if record.status == "failed" or not record.method:
             name = " ".join(part for part in (record.scene, record.method) if part)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes
+from omnisyn_cli.evaluation.datasets import NoScaleError, Pair, SceneSource, choose_pairs, find_scenes, in_tours
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.measure import Measurement, Perceptual, measure
 from omnisyn_cli.evaluation.methods import (
@@ -20,6 +20,7 @@ from omnisyn_cli.evaluation.methods import (
     MethodAtWork,
     MethodUnavailableError,
     PairDepths,
+    also_in_tours,
     find_methods,
 )
 from omnisyn_cli.evaluation.results import FrameRecord, Status, UnitRecord, append_record, latest_records, read_records
@@ -33,6 +34,9 @@ Known = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""
 
 NO_TRUTH = "expected true frames between the two panoramas, got none"
+
+EVERY_SECOND = "every:2"
+"""Pairs of tours unless others are asked for."""
 
 TOO_FEW = "expected panoramas enough for a pair, got fewer"
 
@@ -53,6 +57,8 @@ class EvaluationJob:
         device: where networks run.
         threads: at most this many; None is one per core.
         allow_outside: accept depth and masks that ``poses.json`` names outside of its folder.
+        tours: compare methods that look for depth with themselves in tours; every second frame is an input then,
+            unless ``pairs`` says otherwise.
     """
 
     dataset: Path
@@ -66,6 +72,7 @@ class EvaluationJob:
     device: str = "auto"
     threads: int | None = None
     allow_outside: bool = False
+    tours: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,12 +106,14 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
     """
     if job.size is not None and job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
-    methods, choose = find_methods(job.methods), choose_pairs(job.pairs)
+    methods = also_in_tours(find_methods(job.methods)) if job.tours else find_methods(job.methods)
+    has_tours = any(method.is_in_tour for method in methods)
+    choose = choose_pairs(job.pairs or (EVERY_SECOND if job.tours else None))
     pairs: list[Pair] = []
     findings: list[UnitRecord] = []
     for source in find_scenes(job.dataset, job.layout, allow_outside=job.allow_outside):
         try:
-            found = choose(source.read())
+            found = in_tours(choose(source.read())) if has_tours else choose(source.read())
         except NoScaleError as error:
             findings.append(_finding(source, "skipped", str(error)))
         except Exception as error:  # noqa: BLE001 - one broken scene must not end an evaluation of many
@@ -226,7 +235,8 @@ class _Worker:
             )
             try:
                 ingredients = [method.name, *method.ingredients()]
-                blank = replace(blank, key=self._fingerprints.of(pair, ingredients, self._options))
+                looked_at = pair if method.is_in_tour else replace(pair, before=None, after=None)
+                blank = replace(blank, key=self._fingerprints.of(looked_at, ingredients, self._options))
             except InputError as error:
                 yield replace(blank, reason=one_line(error))
                 continue
@@ -256,7 +266,9 @@ class _Worker:
         """Measure one method; whatever breaks in it is written down, and the others go on."""
         try:
             threads, device = self._job.threads, self._job.device
-            at_work = MethodAtWork(method, loaded.views, threads=threads, device=device, known=depths)
+            at_work = MethodAtWork(
+                method, loaded.views, threads=threads, device=device, known=depths, around=loaded.around
+            )
             made = measure(at_work, loaded, (blank.first, blank.second), self._perceptual, threads)
         except MethodUnavailableError as error:
             return replace(blank, status="unavailable", reason=one_line(error))

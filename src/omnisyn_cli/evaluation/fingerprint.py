@@ -53,7 +53,8 @@ class Fingerprints:
         """
         frames = [
             [frame.name, frame.pose.position.tolist(), frame.pose.rotation.tolist(), *map(self.of_file, frame.files)]
-            for frame in (pair.first, pair.second, *pair.between)
+            for frame in (pair.first, pair.second, *pair.between, pair.before, pair.after)
+            if frame is not None
         ]
         described = [*self._program, list(method), dict(options), frames]
         return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()

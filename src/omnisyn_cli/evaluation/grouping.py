@@ -10,6 +10,9 @@ from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 BOUNDS = frozenset({"oracle-depth"})
 """Methods that are told what the others have to find out, whatever their parameters."""
 
+IN_TOUR = "neighbours=2"
+"""The parameter of a method that lets depth come from both neighbours of a panorama."""
+
 MAIN_SCORE = "ws_psnr"
 
 BAND_EDGES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0, math.inf)
@@ -46,6 +49,18 @@ def frames_of(records: Iterable[UnitRecord], method: str) -> Iterator[tuple[floa
     """The :data:`MAIN_SCORE` of every frame of a method that has it, with the frame."""
     for record in finished(records, method):
         yield from ((frame.scores[MAIN_SCORE], frame) for frame in record.frames if MAIN_SCORE in frame.scores)
+
+
+def differences(records: Sequence[UnitRecord], method: str, other: str) -> dict[str, list[float]]:
+    """By scene, how much higher the :data:`MAIN_SCORE` of ``other`` is in every frame that both methods have."""
+    found: defaultdict[str, list[float]] = defaultdict(list)
+    scores = {record.pair: record for record in finished(records, method)}
+    for record in finished(records, other):
+        before = scores[record.pair].frames if record.pair in scores else ()
+        for own, frame in zip(before, record.frames, strict=False):
+            if MAIN_SCORE in own.scores and MAIN_SCORE in frame.scores:
+                found[record.scene].append(frame.scores[MAIN_SCORE] - own.scores[MAIN_SCORE])
+    return dict(found)
 
 
 def figures_of(record: UnitRecord) -> Iterator[tuple[tuple[str, str, float | str, float | str], Mapping[str, float]]]:

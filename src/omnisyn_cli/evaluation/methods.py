@@ -7,13 +7,14 @@ Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
 estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
-does) or ``views=1`` (only the first panorama is shown); those whose depth a network refines take ``model=none`` (all
+does), ``views=1`` (only the first panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in
+which its depth comes from both its neighbours); those whose depth a network refines take ``model=none`` (all
 else as it is, without that network): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
 ``omnisyn-accurate:model=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +22,7 @@ from functools import partial
 import numpy as np
 
 from omnisyn_cli.errors import InputError, OmnisynError
+from omnisyn_cli.evaluation.grouping import IN_TOUR
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -45,20 +47,21 @@ class MethodUnavailableError(OmnisynError):
 
 
 class PairDepths:
-    """Depth of one pair by its source, and the seconds that it took; every source is asked once."""
+    """Depth of a pair, and of those beside it in a tour, by source, and its seconds; every source is asked once."""
 
     def __init__(self) -> None:
-        self._found: dict[DepthSource, tuple[tuple[DepthEstimate, DepthEstimate], float]] = {}
+        self._found: dict[tuple[DepthSource, bytes], tuple[tuple[DepthEstimate, DepthEstimate], float]] = {}
 
     def recall(
         self, source: DepthSource, estimator: DepthEstimator, first: View, second: View
     ) -> tuple[tuple[DepthEstimate, DepthEstimate], float]:
         """What the source's estimator finds, and the seconds that it took when it was asked."""
-        if source not in self._found:
+        key = (source, first.pose.position.tobytes() + second.pose.position.tobytes())
+        if key not in self._found:
             begin = time.perf_counter()
             found = estimator(first, second)
-            self._found[source] = (found, time.perf_counter() - begin)
-        return self._found[source]
+            self._found[key] = (found, time.perf_counter() - begin)
+        return self._found[key]
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class ComparedMethod:
         recipe: what its frames are made with; depth from files is the truth, which no other method sees.
         depth_size: height and width of the surfaces' grids; None is that of the estimates.
         shows_first_only: whether the second panorama is hidden.
+        is_in_tour: whether the panoramas before and after the pair take part in its depth.
     """
 
     name: str
@@ -78,6 +82,7 @@ class ComparedMethod:
     recipe: Recipe
     depth_size: tuple[int, int] | None = None
     shows_first_only: bool = False
+    is_in_tour: bool = False
 
     def ingredients(self) -> tuple[str, ...]:
         """What its results depend on besides its name."""
@@ -99,6 +104,8 @@ class MethodAtWork:
         threads: at most this many; None is one per core.
         device: where networks run: ``auto``, ``cpu`` or ``cuda``.
         known: depth that other methods have found, which counts with the seconds that it took there.
+        around: the panoramas before and after both, likewise, for a method that is in a tour. The seconds of their
+            pairs are not counted here, as each is a pair of its own.
 
     Raises:
         MethodUnavailableError: true depth or a network is missing.
@@ -106,14 +113,16 @@ class MethodAtWork:
 
     def __init__(
         self, method: ComparedMethod, views: tuple[View, View], *, threads: int | None = None, device: str = "auto",
-        known: PairDepths | None = None,
+        known: PairDepths | None = None, around: tuple[View | None, View | None] = (None, None),
     ) -> None:  # fmt: skip
         self._method, self._threads, self._known = method, threads, known or PairDepths()
         self._recipe = replace(method.recipe, device=device)
         sees_truth = self._recipe.depth.kind == "file"
         if sees_truth and self._recipe.method == OMNISYN and any(view.known_depth is None for view in views):
             raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
-        self._views = views if sees_truth else tuple(View(view.image, view.pose, view.mask) for view in views)
+        before, after = around if method.is_in_tour else (None, None)
+        self._index, chain = int(before is not None), [view for view in (before, *views, after) if view is not None]
+        self._views = chain if sees_truth else [View(view.image, view.pose, view.mask) for view in chain]
         with _unavailable_without_network():
             self._estimator = make_estimator(self._recipe.depth, device=device, threads=threads)
 
@@ -125,7 +134,7 @@ class MethodAtWork:
                 self._recipe, size, threads=self._threads, clock=clock, estimator=partial(self._depths, clock),
                 fuser=fuser,
             )  # fmt: skip
-        pair = method.prepare(0, *self._views)
+        pair = method.prepare(self._index, self._views)
         return _FirstOfPair(pair) if fuser is not None and isinstance(pair, SurfacePair) else pair
 
     def _depths(self, clock: Stopwatch, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
@@ -134,7 +143,9 @@ class MethodAtWork:
         found, seconds = self._known.recall(self._recipe.depth, self._estimator, first, second)
         if (size := self._method.depth_size) is not None:
             found = (_resized(found[0], size), _resized(found[1], size))
-        clock.seconds["depth"] += max(0.0, seconds - (time.perf_counter() - begin))
+        taken, own = time.perf_counter() - begin, self._views[self._index]
+        is_own = np.array_equal(first.pose.position, own.pose.position)
+        clock.seconds["depth"] += max(0.0, seconds - taken) if is_own else -taken
         return found
 
 
@@ -280,6 +291,8 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
             return replace(method, recipe=replace(recipe, depth=replace(recipe.depth, model=None)))
         if parameter == ONE_VIEW:
             return replace(method, shows_first_only=True)
+        if parameter == IN_TOUR and recipe.depth.kind != "file":
+            return replace(method, is_in_tour=True)
         if key == "depth":
             width, height = (int(number) for number in value.lower().split("x"))
             if width == 2 * height > 0:
@@ -288,7 +301,8 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     raise InputError(
         f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)}, {NO_MODEL} (where one "
-        f"refines matching) or {ONE_VIEW} after the colon, got {parameter!r} in {name!r}"
+        f"refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) after the colon, got "
+        f"{parameter!r} in {name!r}"
     )
 
 
@@ -300,6 +314,21 @@ BOUND = "oracle-depth"
 
 USUAL = ("crossfade", "matching", *(f"omnisyn-{name}" for name in SCALE), BOUND)
 """What ``usual`` stands for: what costs nothing, what needs no network, the presets, and the bound of them all."""
+
+
+def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
+    """Each method and, where it looks for depth, the same in a tour."""
+    asked = dict.fromkeys(
+        name
+        for method in methods
+        for name in (method.name, f"{method.name}:{IN_TOUR}")
+        if name == method.name or _can_be_in_tour(method)
+    )
+    return [find_method(name) for name in asked]
+
+
+def _can_be_in_tour(method: ComparedMethod) -> bool:
+    return method.recipe.method == OMNISYN and method.recipe.depth.kind != "file" and not method.is_in_tour
 
 
 def find_methods(text: str) -> list[ComparedMethod]:

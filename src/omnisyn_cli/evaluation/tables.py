@@ -10,6 +10,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import stdev
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -17,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from omnisyn_cli.evaluation import grouping
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-__all__ = ["Table", "format_value", "report_tables"]
+__all__ = ["Table", "format_value", "mean_table", "report_tables", "tour_table"]
 
 
 @dataclass(frozen=True)
@@ -95,6 +96,10 @@ TEMPORAL_COLUMNS = {
     "end_second": Column("At the second panorama", -1, 4),
 }
 
+DIFFERENCE_COLUMNS = (
+    Column("Gain, dB"), Column("standard error"), Column("least"), Column("most"), Column("Frames", 0, 0),
+)  # fmt: skip
+
 KINDS = {
     "agree": "Both views agree",
     "disagree": "they disagree",
@@ -126,6 +131,7 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
     """All tables that the records have figures for, the means per method first."""
     tables = [
         mean_table(records),
+        tour_table(records),
         *_score_tables(records),
         *_kind_tables(records),
         depth_table(records, weighted=False),
@@ -143,6 +149,25 @@ def mean_table(records: Sequence[UnitRecord]) -> Table:
     shown = {row.name for row in table.rows}
     absent = [Row(name, (), _reasons(records, name)) for name in grouping.ranked_methods(records) if name not in shown]
     return replace(table, rows=(*table.rows, *absent))
+
+
+def tour_table(records: Sequence[UnitRecord]) -> Table:
+    """What it is worth that depth comes from both neighbours: each method in tours against itself in pairs alone."""
+    note = "WS-PSNR in a tour minus that of the pair alone, of the same frames; the standard error is over scenes."
+    rows = [
+        Row(base, _difference_cells(found))
+        for base in grouping.ranked_methods(records)
+        if (found := grouping.differences(records, base, f"{base}:{grouping.IN_TOUR}"))
+    ]
+    return Table("In tours", note, "Method", DIFFERENCE_COLUMNS, tuple(rows))
+
+
+def _difference_cells(found: Mapping[str, Sequence[float]]) -> tuple[Cell, ...]:
+    """Of differences by scene."""
+    every = [value for values in found.values() for value in values]
+    of_scenes = [mean(values) for values in found.values()]
+    error = stdev(of_scenes) / math.sqrt(len(of_scenes)) if len(of_scenes) > 1 else math.nan
+    return tuple(map(Cell, (mean(every), error, min(every), max(every), len(every))))
 
 
 def depth_table(records: Sequence[UnitRecord], *, weighted: bool) -> Table:

@@ -43,11 +43,13 @@ class LoadedPair:
         views: both panoramas at their own resolution, with true depth as ``known_depth`` where there is any.
         truths: of the frames between.
         size: height and width at which frames are compared.
+        around: the panorama before the first and the one after the second view, where the pair is part of a tour.
     """
 
     views: tuple[View, View]
     truths: tuple[TrueFrame, ...]
     size: tuple[int, int]
+    around: tuple[View | None, View | None] = (None, None)
 
 
 def baseline_of(pair: Pair) -> float:
@@ -82,7 +84,8 @@ def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | No
         truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
     views = (_view(pair.first), _view(pair.second))
     height, width = views[0].image.shape[:2]
-    return LoadedPair(views, tuple(truths), size or (height, width))
+    before, after = (None if frame is None else _view(frame) for frame in (pair.before, pair.after))
+    return LoadedPair(views, tuple(truths), size or (height, width), (before, after))
 
 
 def _view(frame: SceneFrame) -> View:

@@ -45,13 +45,16 @@ class KeptPanorama:
 
 
 class Loader(Sequence[View]):
-    """All views, read from their files when they are needed; the last two are kept, as long as the loader is."""
+    """All views, read from their files when they are needed.
+
+    The last two are kept, as long as the loader is; three where depth is looked for in a tour.
+    """
 
     def __init__(self, plan: TourPlan, clock: Stopwatch, read: PanoramaReader) -> None:
         self._plan, self._clock = plan, clock
         # Methods of its own in here would keep the loader, and what it keeps, alive until somebody looks for cycles.
-        self.panorama = lru_cache(maxsize=2)(partial(_read_panorama, plan.job, read))
-        self._companions = lru_cache(maxsize=2)(partial(_read_companions, plan, self.panorama))
+        self.panorama = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_panorama, plan.job, read))
+        self._companions = lru_cache(maxsize=2 + plan.looks_ahead)(partial(_read_companions, plan, self.panorama))
 
     def __len__(self) -> int:
         return len(self._plan.entries)
@@ -62,8 +65,9 @@ class Loader(Sequence[View]):
             return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, samples=panorama.samples)
 
     def forget_numbers(self, index: int) -> None:
-        """What a surface has been made of is not needed as numbers any more."""
-        self.panorama(index).forget_numbers()
+        """What the surfaces of a pair have been made of is not needed as numbers any more."""
+        for view in range(index, min(index + 2 + self._plan.looks_ahead, len(self))):
+            self.panorama(view).forget_numbers()
 
 
 def _read_panorama(job: InterpolationJob, read: PanoramaReader, index: int) -> KeptPanorama:

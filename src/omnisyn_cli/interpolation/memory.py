@@ -58,6 +58,14 @@ NUMBERS = 12
 BETWEEN_PAIRS = 80e6
 """Bytes that finding the depth of one pair leaves lying until that of the next is found."""
 
+AHEAD = 4 * 8
+"""Bytes of each vertex of a surface that are held of the pair after the one at work, and while both are joined."""
+
+
+def joins_depth(recipe: Recipe, panoramas: int) -> bool:
+    """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
+    return recipe.method == OMNISYN and recipe.depth.kind != "file" and panoramas > 2
+
 
 @dataclass(frozen=True)
 class Keeping:
@@ -98,6 +106,8 @@ def estimated_surface_memory(
     has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
     panorama = NUMBERS + (3 if has_samples else NUMBERS)
     more = (panorama * largest + BETWEEN_PAIRS) if len(sources) > 2 else 0.0
+    if joins_depth(recipe, len(sources)):
+        more += panorama * largest + AHEAD * vertices
     picture = largest if keeping.columns is None else min(largest, keeping.columns**2 // 2)
     kept = len(sources) * (keeping.per_pixel * picture + keeping.per_vertex * vertices)
     making = max(
@@ -156,9 +166,11 @@ def estimated_memory(
     making, keeping = (
         table.get(recipe.renderer, MOST_PER_VERTEX) for table in (BYTES_PER_VERTEX, BYTES_PER_KEPT_VERTEX)
     )
+    ahead = (NUMBERS + (3 if has_samples else 0)) * largest + AHEAD * vertices + BETWEEN_PAIRS
     texturing_surfaces = 2 * making * vertices + 2 * (NUMBERS + texturing) * largest
     frames += 2 * keeping * vertices
-    return int(program + 2 * kept * largest + max(finding, texturing_surfaces, frames))
+    more = ahead if joins_depth(recipe, len(sources)) else 0.0
+    return int(program + 2 * kept * largest + more + max(finding, texturing_surfaces, frames))
 
 
 def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int]) -> float:

@@ -13,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
-from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory
+from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
 from omnisyn_cli.interpolation.recipes import notes_about_gpu, recipe_of
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.depth_files import depth_size
@@ -51,6 +51,11 @@ class TourPlan:
     source_sizes: tuple[tuple[int, int], ...]
     recipe: Recipe
     notes: tuple[str, ...]
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
+        return joins_depth(self.recipe, len(self.entries))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.synthesis.making import make_method
 from omnisyn_cli.synthesis.recipe import OMNISYN, DepthSource, Recipe
 from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions, measure_pair
+from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -87,16 +88,16 @@ class Rehearsal:
 
     def perform(self) -> None:
         """Make a frame, or what frames are judged by, of two plain pictures a metre apart."""
-        first, second = (_plain_view(self.has_samples, z) for z in (0.0, -1.0))
+        views = [_plain_view(self.has_samples, z) for z in (0.0, -1.0)]
         depth = _two_walls()
         if self.size is None:
-            measure_pair(
-                first, second, lambda *_: (depth, depth), SynthesisOptions(SMALL, threads=THREADS), Stopwatch()
-            )
+            clock = Stopwatch()
+            tour = TourDepths(views, lambda *_: (depth, depth), clock, THREADS)
+            measure_pair(0, tour, SynthesisOptions(SMALL, threads=THREADS), clock)
             return
         rows = min(self.size[0], MOST_ROWS)
         method = make_method(self.recipe, (rows, 2 * rows), threads=THREADS, estimator=lambda *_: (depth, depth))
-        pair = method.prepare(0, first, second)
+        pair = method.prepare(0, views)
         memory = np.empty((rows, 2 * rows, 3), np.uint8)
         pair.frame(
             Waypoint(0, 0.5, Pose(np.eye(3), np.array([0.0, 0.0, -0.5]))), (lambda: memory) if self.is_rounded else None

@@ -172,16 +172,15 @@ class _PairKeeper:
             self.triangles[index] = pair.segment.triangles
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.segment.check)
-        for view in (index, index + 1):
-            self._loader.forget_numbers(view)
+        self._loader.forget_numbers(index)
 
     def add_pairs_without_frames(self, method: SurfaceMethod) -> None:
         """Keep the depth of neighbours that no frame lay between, if depth is kept."""
         if self._plan.job.save_depth is None and self._packer is None:
             return
         for index in sorted(set(range(len(self._loader) - 1)) - self.pairs.keys()):
-            views = self._loader[index], self._loader[index + 1]
-            self._keep(index, *measure_pair(*views, method.estimator, method.options, self._clock))
+            tour = method.depths_of(self._loader)
+            self._keep(index, *measure_pair(index, tour, method.options, self._clock))
 
     def _keep(self, index: int, depths: tuple[DepthEstimate, DepthEstimate], check: CrossCheck) -> None:
         self._keep_depth(index, depths)

@@ -1,20 +1,17 @@
 """The depth and the meshes of a tour, for what is made of surfaces instead of frames.
 
 :func:`tour_surfaces` goes through the pairs of neighbours as ``interpolate`` does, with the same poses, masks, depth
-and preset; :func:`panorama_surfaces` makes one surface of each panorama, where the two pairs of one inside a chain
-have different opinions of it.
+and preset; :func:`panorama_surfaces` is for what wants the surface of each panorama once.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain, groupby, pairwise
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from omnisyn_cli.geometry.sampling import sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import read_panorama
@@ -23,10 +20,8 @@ from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions, measure_pair, usable_image
+from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
-
-SAME_PLACE = 0.05
-"""Relative difference of inverse depth up to which two estimates of one panorama are averaged."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +90,12 @@ def tour_surfaces(
     clock, recipe, threads = clock or Stopwatch(), plan.recipe, plan.job.threads
     loader = Loader(plan, clock, read)
     estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
+    tour = TourDepths(loader, estimator, clock, threads)
     for first, second in pairwise(range(len(loader))):
         with limited_threads(threads):
             views = loader[first], loader[second]
             size, cut = min(view.image.shape[:2] for view in views), Cut(recipe.cut, recipe.cut_metres)
-            depths, check = measure_pair(*views, estimator, SynthesisOptions(size, cut=cut, threads=threads), clock)
+            depths, check = measure_pair(first, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
                 pair = pair_surfaces(plan, first, views, depths, check)
         yield pair
@@ -127,40 +123,15 @@ def _meshed(index: int, view: View, depth: DepthEstimate, cut: Cut) -> PanoramaS
     return PanoramaSurface(index, view, depth, build_mesh(depth.inverse_depth, cut, mask, depth.confidence))
 
 
-def panorama_surfaces(plan: TourPlan, pairs: Iterator[PairSurfaces]) -> Iterator[PanoramaSurface]:
+def panorama_surfaces(pairs: Iterator[PairSurfaces]) -> Iterator[PanoramaSurface]:
     """One surface of every panorama, in order, as soon as all its pairs are there.
 
+    Both pairs of one inside a chain have the same, but for a pair at one place, which has next to nothing: the one of
+    more vertices is taken.
+
     Args:
-        plan: that the pairs were made by.
         pairs: from :func:`tour_surfaces`.
     """
-    cut = Cut(plan.recipe.cut, plan.recipe.cut_metres)
-    waiting: PanoramaSurface | None = None
-    for surface in chain.from_iterable(pair.surfaces for pair in pairs):
-        if waiting is None or waiting.index != surface.index:
-            if waiting is not None:
-                yield waiting
-            waiting = surface
-        else:
-            waiting = _meshed(surface.index, surface.view, _joined(waiting.depth, surface.depth), cut)
-    if waiting is not None:
-        yield waiting
-
-
-def _joined(first: DepthEstimate, second: DepthEstimate) -> DepthEstimate:
-    """Of two estimates of one panorama the mean where they agree, weighted by confidence, else the more confident.
-
-    The size is that of the larger.
-    """
-    small, large = sorted((first, second), key=lambda depth: depth.inverse_depth.size)
-    directions = pixel_directions(*large.inverse_depth.shape)
-    rho, weight = (
-        np.stack([sample_nearest(np.asarray(values), directions), other])
-        for values, other in ((small.inverse_depth, large.inverse_depth), (small.confidence, large.confidence))
-    )
-    agree = np.abs(rho[0] - rho[1]) <= SAME_PLACE * rho.max(axis=0)
-    total = weight.sum(axis=0)
-    mean = (rho * weight).sum(axis=0) / np.where(total > 0, total, 1.0)
-    chosen = np.where(weight[0] > weight[1], rho[0], rho[1])
-    joined = np.where(agree & (total > 0), mean, chosen)
-    return DepthEstimate(joined.astype(np.float32), weight.max(axis=0).astype(np.float32))
+    every = chain.from_iterable(pair.surfaces for pair in pairs)
+    for _, found in groupby(every, key=lambda surface: surface.index):
+        yield max(found, key=lambda surface: surface.depth.inverse_depth.size)

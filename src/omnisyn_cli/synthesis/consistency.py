@@ -19,7 +19,7 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
 from omnisyn_cli.types import DepthEstimate, Rendering, View
 
-__all__ = ["CrossCheck", "in_one_exposure"]
+__all__ = ["CHECK_SIZE", "SAME_PLACE", "CrossCheck", "in_one_exposure", "middle_of", "resized"]
 
 CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
@@ -93,12 +93,12 @@ def _seen_across(
 
 def _reduced(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
     """A view at the size of the check, its depth with it."""
-    image = _resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
-    mask = None if view.mask is None else _resized(view.mask.astype(np.float32), size, cv2.INTER_AREA) > 0.99
-    return View(image, view.pose, mask, _middle_of(depth, size))
+    image = resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
+    mask = None if view.mask is None else resized(view.mask.astype(np.float32), size, cv2.INTER_AREA) > 0.99
+    return View(image, view.pose, mask, middle_of(depth, size))
 
 
-def _middle_of(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
+def middle_of(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     """Depth that is larger at a smaller size: of the four pixels around the centre of a new one, the second farthest.
 
     A mean would lie between two surfaces, and always the same one of the four would move every edge to its side.
@@ -118,7 +118,8 @@ def _around_centres(count: int, of: int) -> tuple[np.ndarray, np.ndarray]:
     return np.floor(centre).astype(np.intp), np.ceil(centre).astype(np.intp)
 
 
-def _resized(image: np.ndarray, size: tuple[int, int], method: int) -> np.ndarray:
+def resized(image: np.ndarray, size: tuple[int, int], method: int) -> np.ndarray:
+    """An image at another size by a method of OpenCV; the very same one where it has that size."""
     return image if image.shape[:2] == size else np.asarray(cv2.resize(image, size[::-1], interpolation=method))
 
 
@@ -137,8 +138,8 @@ def _crossed(here: View, renderer: Renderer, there: View) -> tuple[Rendering, Re
     if depth is None:
         raise ValueError("expected a view with its depth, got one without")
     size = here.image.shape[:2]
-    rho = _resized(depth.inverse_depth, size, cv2.INTER_NEAREST)
-    weight = np.maximum(_resized(depth.confidence, size, cv2.INTER_NEAREST), LEAST_WEIGHT)
+    rho = resized(depth.inverse_depth, size, cv2.INTER_NEAREST)
+    weight = np.maximum(resized(depth.confidence, size, cv2.INTER_NEAREST), LEAST_WEIGHT)
     if here.mask is not None:
         rho, weight = np.where(here.mask, rho, np.float32(-1.0)), weight * here.mask
     colour = np.dstack([here.image, weight]).astype(np.float32)

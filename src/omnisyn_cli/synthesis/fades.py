@@ -6,6 +6,8 @@ rotation that costs nothing to undo.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from jaxtyping import Float, Float32
@@ -32,9 +34,9 @@ class CrossFades:
     def __init__(self, options: SynthesisOptions, clock: Stopwatch | None = None) -> None:
         self.options, self.clock = options, clock or Stopwatch()
 
-    def prepare(self, index: int, first: View, second: View) -> _CrossFadePair:
+    def prepare(self, index: int, views: Sequence[View]) -> _CrossFadePair:
         """Both as they are."""
-        return _CrossFadePair((first, second), self.options, self.clock)
+        return _CrossFadePair((views[index], views[index + 1]), self.options, self.clock)
 
 
 class FlowFades(CrossFades):
@@ -45,9 +47,9 @@ class FlowFades(CrossFades):
     where the orientation changes.
     """
 
-    def prepare(self, index: int, first: View, second: View) -> _FlowPair:
+    def prepare(self, index: int, views: Sequence[View]) -> _FlowPair:
         """Both as they are."""
-        return _FlowPair((first, second), self.options, self.clock)
+        return _FlowPair((views[index], views[index + 1]), self.options, self.clock)
 
 
 class _CrossFadePair:

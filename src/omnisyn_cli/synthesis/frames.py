@@ -49,7 +49,7 @@ def synthesize(
             continue
         if pair is None or waypoint.segment != current:
             current, pair = waypoint.segment, None  # memory is free before the next takes its own
-            pair = method.prepare(current, views[current], views[current + 1])
+            pair = method.prepare(current, views)
             if on_pair is not None:
                 on_pair(current, pair)
         yield pair.frame(waypoint, out)

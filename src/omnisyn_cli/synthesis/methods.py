@@ -15,6 +15,7 @@ from jaxtyping import Float32
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.synthesis.between import Frame, Fused, MemoryForFrames, fused
 from omnisyn_cli.synthesis.segments import Segment, Stopwatch, SynthesisOptions, prepare_segment
+from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
@@ -61,8 +62,8 @@ class Method(Protocol):
     options: SynthesisOptions
     clock: Stopwatch
 
-    def prepare(self, index: int, first: View, second: View) -> Pair:
-        """Make ready for the frames between two views, the first of which is number ``index`` of its chain."""
+    def prepare(self, index: int, views: Sequence[View]) -> Pair:
+        """Make ready for the frames between the views ``index`` and ``index + 1`` of a chain."""
         ...
 
 
@@ -70,7 +71,7 @@ class SurfaceMethod:
     """Depth → mesh → render both → fuse; a :class:`Method`.
 
     Args:
-        estimator: finds the depth of each pair.
+        estimator: finds the depth of each pair, see :class:`~omnisyn_cli.synthesis.tours.TourDepths`.
         options: size and settings.
         fuser: joins the two renderings; geometric by default.
         clock: collects seconds by stage.
@@ -84,10 +85,17 @@ class SurfaceMethod:
     ) -> None:  # fmt: skip
         self.estimator, self.options, self.clock = estimator, options, clock or Stopwatch()
         self._fuser, self._device = fuser or GeometricFuser(options.size, threads=options.threads), device
+        self._tour: TourDepths | None = None
 
-    def prepare(self, index: int, first: View, second: View) -> SurfacePair:
+    def depths_of(self, views: Sequence[View]) -> TourDepths:
+        """The depth of a chain, which remembers what the next pair needs as long as no other chain is asked for."""
+        if self._tour is None or self._tour.views is not views:
+            self._tour = TourDepths(views, self.estimator, self.clock, self.options.threads)
+        return self._tour
+
+    def prepare(self, index: int, views: Sequence[View]) -> SurfacePair:
         """Find the depth of both and make their surfaces."""
-        segment = prepare_segment(index, first, second, self.estimator, self.options, self.clock, self._device)
+        segment = prepare_segment(index, self.depths_of(views), self.options, self.clock, self._device)
         return SurfacePair(segment, self._fuser, self.options, self.clock)
 
 

@@ -14,12 +14,13 @@ from jaxtyping import Float, UInt8
 
 from omnisyn_cli.fusion.confidence import LEAST_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.geometry.pose import STILL, Pose
+from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
-from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check, in_one_exposure
+from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
+from omnisyn_cli.synthesis.tours import TourDepths, is_moving
+from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
@@ -93,36 +94,29 @@ class Segment:
 
 
 def measure_pair(
-    first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch
+    index: int, tour: TourDepths, options: SynthesisOptions, clock: Stopwatch
 ) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
-    """The depth of both views, and what they say of each other through it.
+    """The depth of the view number ``index`` of a tour and of the next, and what they say of each other through it.
 
-    Depth that is not known is found in pictures of one exposure; where both views stand at one place it is not looked
-    for.
+    Where both views stand at one place depth is not looked for.
     """
-    with clock("depth"):
-        if not _is_moving(first, second):
+    first, second = tour.views[index], tour.views[index + 1]
+    if is_moving(first, second):
+        depths = tour(index)
+    else:
+        with clock("depth"):
             depths = _depths_in_place(first, second, options)
-        elif isinstance(estimator, KnownDepth):
-            depths = estimator(first, second)
-        else:
-            depths = estimator(*in_one_exposure(first, second, options.threads))
     with clock("check"):
         return depths, cross_check((first, second), depths, options.cut, options.threads)
 
 
-def _is_moving(first: View, second: View) -> bool:
-    return bool(np.linalg.norm(second.pose.position - first.pose.position) > STILL)
-
-
 def prepare_segment(
-    index: int, first: View, second: View, estimator: DepthEstimator, options: SynthesisOptions, clock: Stopwatch,
-    device: GpuFrames | None = None,
-) -> Segment:  # fmt: skip
+    index: int, tour: TourDepths, options: SynthesisOptions, clock: Stopwatch, device: GpuFrames | None = None
+) -> Segment:
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
-    is_moving = _is_moving(first, second)
-    depths, check = measure_pair(first, second, estimator, options, clock)
-    views, poses = (first, second), (first.pose, second.pose)
+    depths, check = measure_pair(index, tour, options, clock)
+    views = first, second = tour.views[index], tour.views[index + 1]
+    poses = (first.pose, second.pose)
     if device is not None:
         with clock("mesh"):
             surfaces = [
@@ -137,7 +131,7 @@ def prepare_segment(
             make_renderer(
                 options.renderer, usable_image(view, options), view.mask,
                 depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
-                _path_to(view, other) if options.adaptive and is_moving else None,
+                _path_to(view, other) if options.adaptive and is_moving(first, second) else None,
             )
             for view, other, depth in zip(views, views[::-1], depths, strict=True)
         ]  # fmt: skip

@@ -9,6 +9,7 @@ Source: Wiles et al., SynSin (CVPR 2020); OmniSyn, section 4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -42,10 +43,10 @@ class SynSin:
         self.networks, self.sources, self.options, self.clock = networks, sources, options, clock or Stopwatch()
         self._clouds: dict[int, Cloud] = {}
 
-    def prepare(self, index: int, first: View, second: View) -> SynSinPair:
+    def prepare(self, index: int, views: Sequence[View]) -> SynSinPair:
         """Nothing is computed yet: of one source, half of the frames may do with one panorama."""
         self._clouds = {known: cloud for known, cloud in self._clouds.items() if known == index}
-        return SynSinPair(self, index, (first, second))
+        return SynSinPair(self, index, (views[index], views[index + 1]))
 
     def cloud(self, index: int, view: View) -> Cloud:
         """The points of a panorama, upright, with its position in the world for a pose; found once for both pairs."""

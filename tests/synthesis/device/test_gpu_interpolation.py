@@ -156,6 +156,6 @@ def test_masked_photographs_are_painted_over_first() -> None:
         fuser = GeometricFuser(SIZE, threads=1, edges=False)
         method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1), fuser, device=device)
         frames[name] = [frame.image.copy() for frame in synthesize(views, path, method)]
-        assert (method.prepare(0, *views).segment.on_device is None) == (device is None)
+        assert (method.prepare(0, views).segment.on_device is None) == (device is None)
     for found, expected in zip(frames["gpu"], frames["cpu"], strict=True):
         assert share_within_a_level(found, expected) >= 0.995

@@ -6,9 +6,27 @@ from pathlib import Path
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.datasets.layouts import carla_scenes, habitat_scenes, own_scenes, zind_scenes
-from omnisyn_cli.evaluation.datasets.sources import NoScaleError, Pair, Scene, SceneFrame, SceneSource, choose_pairs
+from omnisyn_cli.evaluation.datasets.sources import (
+    NoScaleError,
+    Pair,
+    Scene,
+    SceneFrame,
+    SceneSource,
+    choose_pairs,
+    in_tours,
+)
 
-__all__ = ["FORMATS", "NoScaleError", "Pair", "Scene", "SceneFrame", "SceneSource", "choose_pairs", "find_scenes"]
+__all__ = [
+    "FORMATS",
+    "NoScaleError",
+    "Pair",
+    "Scene",
+    "SceneFrame",
+    "SceneSource",
+    "choose_pairs",
+    "find_scenes",
+    "in_tours",
+]
 
 Finder = Callable[[Path], list[SceneSource]]
 

@@ -1,8 +1,8 @@
 """A scene as the evaluation sees it, whatever layout it has on disk: posed panoramas in walking order; its pairs."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -80,12 +80,21 @@ def scene_folders(folder: Path, pattern: str) -> list[tuple[str, Path]]:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two frames of a scene and what lies strictly between them, in walking order."""
+    """Two frames of a scene and what lies strictly between them, in walking order.
+
+    Attributes:
+        scene: its name.
+        first, second: the inputs.
+        between: the truth.
+        before, after: inputs of the pairs that end and begin where this one begins and ends, if it is part of a tour.
+    """
 
     scene: str
     first: SceneFrame
     second: SceneFrame
     between: tuple[SceneFrame, ...]
+    before: SceneFrame | None = None
+    after: SceneFrame | None = None
 
 
 PairChooser = Callable[[Scene], list[Pair]]
@@ -117,6 +126,13 @@ def choose_pairs(text: str | None) -> PairChooser:
         )
     wanted = list(dict.fromkeys((int(first), int(second)) for first, second in re.findall(r"(\d+):(\d+)", plain)))
     return lambda scene: [_pair(scene, first, second) for first, second in wanted]
+
+
+def in_tours(pairs: Sequence[Pair]) -> list[Pair]:
+    """The pairs of a scene, each with the panoramas before and after it: those of the pairs that it shares one with."""
+    before = {pair.second.name: pair.first for pair in pairs[::-1]}
+    after = {pair.first.name: pair.second for pair in pairs[::-1]}
+    return [replace(pair, before=before.get(pair.first.name), after=after.get(pair.second.name)) for pair in pairs]
 
 
 def _from_file(path: Path) -> PairChooser:

@@ -239,7 +239,7 @@ def run_export(
             yield pair
 
     def surfaces() -> Iterator[PanoramaSurface]:
-        for done, surface in enumerate(panorama_surfaces(plan.tour, remembered()), start=1):
+        for done, surface in enumerate(panorama_surfaces(remembered()), start=1):
             yield surface
             if on_panorama:
                 on_panorama(done)
