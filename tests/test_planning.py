@@ -10,13 +10,14 @@ import pytest
 
 from interpolation_samples import CHAIN, job_of, listing
 from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseError
-from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render import renderer
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.synthesis.recipe import RENDERERS
-from synthesis_samples import as_bytes, hall_image, write_hall
+from synthesis_samples import as_bytes, hall_image, posed, write_hall
 
 
 def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
@@ -220,3 +221,20 @@ def test_two_pictures_of_one_name_are_refused_and_the_same_one_again_is_not(tmp_
     other.unlink()
     other.symlink_to(images[0])
     assert len(plan_interpolation(job_of(tmp_path, [images[0], images[1], other])).entries) == 3
+
+
+def test_a_tour_says_how_many_panoramas_have_depth_from_both_neighbours(tmp_path: Path) -> None:
+    """None of those at one place with a neighbour, none where depth is known; and the memory of one pair ahead."""
+
+    def plan(poses: list[Pose], **options: object) -> InterpolationPlan:
+        images = write_hall(tmp_path, poses, **options)
+        return plan_interpolation(job_of(tmp_path, images, frames=9))
+
+    ahead = [posed((0, 0, -0.4 * k)) for k in range(5)]
+    assert plan(ahead, with_depth=False).describe()["joined_depths"] == 3
+    assert plan([*ahead, ahead[4]], with_depth=False).describe()["joined_depths"] == 3
+    assert plan([ahead[0], *ahead[:2]], with_depth=False).describe()["joined_depths"] == 0
+    assert plan(ahead[:2], with_depth=False).describe()["joined_depths"] == 0
+    assert plan(ahead).describe()["joined_depths"] == 0
+    two, three, five = (plan(ahead[:count], with_depth=False).memory for count in (2, 3, 5))
+    assert two < three == five

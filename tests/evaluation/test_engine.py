@@ -8,7 +8,7 @@ import pytest
 from hall_samples import PATH, SIZE, damage, repaint, run, scores_of, write_halls
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import engine, fingerprint
+from omnisyn_cli.evaluation import engine, fingerprint, methods
 from omnisyn_cli.evaluation.datasets import Pair, Scene
 from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation
 from omnisyn_cli.evaluation.measure import measure
@@ -20,8 +20,8 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.synthesis import making
 from omnisyn_cli.synthesis.frames import Frame
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
-from omnisyn_cli.types import View
-from synthesis_samples import ws_psnr
+from omnisyn_cli.types import DepthEstimate, View
+from synthesis_samples import distance_to_wall, posed, write_hall, ws_psnr
 
 METHODS = "crossfade,oracle-depth"
 
@@ -326,3 +326,38 @@ def test_what_makes_no_sense_is_refused_before_any_work(
     with pytest.raises(InputError, match=message):
         plan_evaluation(EvaluationJob(data, tmp_path / "report", **options))
     assert not (tmp_path / "report").exists()
+
+
+def test_methods_are_compared_with_themselves_in_tours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that look for depth; each pair knows half of the middle panorama, in a tour it has the other half too."""
+    data = tmp_path / "data" / "walk"
+    data.mkdir(parents=True)
+    poses = [posed((0, 0, 0.8 - 0.4 * k)) for k in range(5)]
+    write_hall(data, poses)
+    truths = {pose.position.tobytes(): distance_to_wall(pose, SIZE) for pose in poses}
+
+    def half_blind(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
+        found = []
+        for view, is_left in ((first, False), (second, True)):
+            knows = np.broadcast_to((np.arange(SIZE[1]) < SIZE[1] // 2) == is_left, SIZE).astype(np.float32)
+            rho = np.where(knows > 0, 1 / truths[view.pose.position.tobytes()], 0.9)
+            found.append(DepthEstimate(rho.astype(np.float32), knows))
+        return found[0], found[1]
+
+    monkeypatch.setattr(methods, "make_estimator", lambda *_, **__: half_blind)
+    records = run(data.parent, "crossfade,matching,oracle-depth", tours=True)
+    tour = "matching:neighbours=2"
+    assert [record.method for record in records[:4]] == ["crossfade", "matching", tour, "oracle-depth"]
+    assert [(record.first, record.second) for record in records[::4]] == [("p0.png", "p2.png"), ("p2.png", "p4.png")]
+    assert (scores_of(records, tour) > scores_of(records, "matching") + 1).all()
+
+
+def test_a_tour_is_measured_again_where_a_panorama_beside_it_changed(tmp_path: Path) -> None:
+    data = tmp_path / "data" / "walk"
+    data.mkdir(parents=True)
+    write_hall(data, [posed((0, 0, 0.8 - 0.4 * k)) for k in range(5)])
+    before = {(r.first, r.method): r.key for r in run(data.parent, "matching", tours=True)}
+    repaint(data / "p4.png")
+    after = {(r.first, r.method): r.key for r in run(data.parent, "matching", tours=True)}
+    changed = {unit for unit in before if before[unit] != after[unit]}
+    assert changed == before.keys() - {("p0.png", "matching")}

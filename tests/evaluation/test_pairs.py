@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.datasets import Scene, SceneFrame, choose_pairs
+from omnisyn_cli.evaluation.datasets import Scene, SceneFrame, choose_pairs, in_tours
 from omnisyn_cli.geometry.pose import Pose
 
 
@@ -66,3 +66,10 @@ def test_a_wrong_line_is_explained(tmp_path: Path, line: str, message: str) -> N
     path.write_text(line)
     with pytest.raises(InputError, match=message):
         choose_pairs(str(path))(scene(5))
+
+
+def test_in_a_tour_pairs_know_the_panoramas_of_those_that_they_share_one_with() -> None:
+    pairs = in_tours(choose_pairs("0:2,2:4,5:6")(scene(7)))
+    around = [[frame and frame.name for frame in (pair.before, pair.after)] for pair in pairs]
+
+    assert around == [[None, "f4"], ["f0", None], [None, None]]

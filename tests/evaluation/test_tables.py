@@ -38,6 +38,22 @@ def test_methods_are_averaged_over_all_their_frames_and_ranked() -> None:
     assert "LPIPS" not in matching
 
 
+def test_tours_are_compared_with_pairs_frame_by_frame() -> None:
+    """Only frames that both have count; the standard error is that of the means of the scenes."""
+    records = [
+        unit("hall", "matching", (20.0, 22.0)),
+        unit("hall", "matching:neighbours=2", (21.0, 22.5)),
+        unit("street", "matching", (30.0,)),
+        unit("street", "matching:neighbours=2", (30.25,)),
+        unit("street", "flat", (30.0,)),
+        unit("yard", "matching:neighbours=2", (10.0,)),
+    ]
+    shown = figures(table("In tours", records))
+    assert list(shown) == ["matching"]
+    assert list(shown["matching"].values()) == pytest.approx([(1 + 0.5 + 0.25) / 3, 0.25, 0.25, 1.0, 3])
+    assert "In tours" not in [each.title for each in report_tables(some_records())]
+
+
 def test_errors_stand_by_kind_of_pixel_and_none_is_best() -> None:
     """Kinds without pixels have no column; every method has kinds of its own, so none is compared."""
     errors, areas = table("Error by kind of pixel, dB"), table("Area by kind of pixel")

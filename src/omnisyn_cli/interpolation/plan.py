@@ -57,6 +57,13 @@ class TourPlan:
         """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
         return joins_depth(self.recipe, len(self.entries))
 
+    @property
+    def joined_depths(self) -> int:
+        """How many panoramas have their depth from both neighbours: those inside that stand apart from both."""
+        places = [entry.pose.position for entry in self.entries]
+        is_apart = [bool(np.linalg.norm(after - before) > STILL) for before, after in pairwise(places)]
+        return sum(a and b for a, b in pairwise(is_apart)) if self.looks_ahead else 0
+
 
 @dataclass(frozen=True)
 class InterpolationPlan(TourPlan):
@@ -90,6 +97,7 @@ class InterpolationPlan(TourPlan):
             "preset": self.job.preset if is_own else "",
             "depth": recipe.depth.kind,
             "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
+            "joined_depths": self.joined_depths,
             "renderer": recipe.renderer if is_own else "soft points",
             "fusion": recipe.fusion if is_own else "",
             "view": "" if self.job.view is None else str(self.job.view),

@@ -35,7 +35,7 @@ __all__ = ["TourDepths", "is_moving"]
 MISMATCH = 0.02
 """Difference of colours that makes an estimate e times less likely where two contradict each other."""
 
-MOST_MISMATCH = 0.1
+MOST_MISMATCH = 0.2
 """Greater differences say no more, as masked pixels do."""
 
 AROUND = 3

@@ -138,6 +138,7 @@ class ExportPlan:
         return {
             "inputs": [str(image) for image in job.images], "output": str(job.output), "format": self.format,
             "preset": job.preset, "depth": recipe.depth.kind, "model": recipe.depth.model or "",
+            "joined_depths": self.tour.joined_depths,
             "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
             "memory_mib": round(self.memory / 2**20), "notes": list(self.notes),
         }  # fmt: skip

@@ -71,7 +71,7 @@ class WalkPlan:
         return {
             "inputs": [str(image) for image in job.images], "output": str(job.output), "folder": self.job.is_folder,
             "texture": self.job.options.texture, "lossless": self.job.options.is_lossless, "preset": job.preset,
-            "depth": recipe.depth.kind, "model": recipe.depth.model or "",
+            "depth": recipe.depth.kind, "model": recipe.depth.model or "", "joined_depths": self.tour.joined_depths,
             "memory_mib": round(self.memory / 2**20), "notes": list(self.notes),
         }  # fmt: skip
 
