@@ -44,6 +44,9 @@ OVERLAP = np.float32(5e-7)
 STEEPEST = 100.0
 """Largest ratio of a plane's slope to its inverse depth at which float32 keeps 1e-4 of the inverse depth."""
 
+FARTHEST = 1e-4
+"""1/metre: what is farther away is told from infinity by nobody, and may be as wrong as what is this far."""
+
 NEVER = np.float32(-1e30)
 """Moves the edge of a triangle that is not seen so far inwards that no ray passes it."""
 
@@ -176,6 +179,7 @@ def plan_quads(block, corners, codes, gaps):
         _store_edge(block, B_OTHER, k, top, has_b, gap, p0, p1)
         far = _larger(_larger(_square(p0), _square(p1)), _larger(_square(p2), _square(p3)))
         least = _smaller(_smaller(p0[3], p1[3]), _smaller(p2[3], p3[3]))
+        least = _larger(least, splat(FARTHEST))
         steepest = splat(STEEPEST * STEEPEST) * (least * least)
         plane_a, plane_b = _times(plane_a, scale_a), _times(plane_b, scale_b)
         _store(block, A_PLANE, k, plane_a)
