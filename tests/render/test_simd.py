@@ -4,18 +4,24 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.render.simd import (
+    FIXED_ONE,
+    FIXED_TEXEL,
     LANES,
     double,
+    fetch,
+    four_weights,
     has_bits,
     load,
     load_halves,
+    load_texel_pairs,
+    load_texels,
+    one_weight,
     pair,
     single,
     splat,
     store,
-    store_half,
     store_halves,
-    swapped,
+    store_sum,
     where,
 )
 from omnisyn_cli.runtime.jit import kernel
@@ -45,9 +51,7 @@ def choices(a, b, flags, bits, out):
 def halves(a, out, numbers):
     x = load_halves(a, 2, 11)
     store(out, 0, x)
-    store(out, 8, swapped(x))
     store(out, 16, pair(np.float32(3.0), np.float32(4.0)))
-    store_half(out, 24, x)
     store_halves(out, 36, 28, x)
     store_halves(numbers, 4, 0, load_halves(numbers, 0, 4))
 
@@ -87,6 +91,32 @@ def test_halves_come_from_and_go_to_different_places(two):
     a, out, numbers = two[0], np.zeros(40, np.float32), np.arange(8, dtype=np.int32)
     halves(a, out, numbers)
     lower, upper = a[2:6], a[11:15]
-    expected = [lower, upper, upper, lower, [3] * 4, [4] * 4, lower, upper, [0] * 4, lower]
+    expected = [lower, upper, [0] * 4, [0] * 4, [3] * 4, [4] * 4, [0] * 4, upper, [0] * 4, lower]
     np.testing.assert_array_equal(out.reshape(10, 4), expected)
     assert numbers.tolist() == [4, 5, 6, 7, 0, 1, 2, 3]
+
+
+@kernel(cache=False)
+def sums(texels, of_rows, of_columns, once, twice, out):
+    fetch(texels, 1 << 20)
+    rows = load_texels(texels, 4) * one_weight(of_rows, 1) + load_texels(texels, 24) * one_weight(of_rows, 2)
+    store_sum(out, 0, rows * four_weights(of_columns, 2), twice, np.float32(0.5), np.float32(3.0))
+    pairs = load_texel_pairs(texels, 4, 28) * four_weights(of_columns, 1)
+    store_sum(out, 4, pairs, once, np.float32(0.0), np.float32(1.0))
+
+
+def test_texels_are_weighted_and_summed():
+    """To rounding as numbers; as integers to a 32nd of a level for each product, which are cut off."""
+    rng = np.random.default_rng(1)
+    texels, weights, out = rng.integers(0, 256, 48), rng.uniform(-0.1, 0.7, 8), np.zeros(8, np.float32)
+    rows = texels[4:20] * weights[1] + texels[24:40] * weights[2]
+    pairs = np.concatenate([texels[4:12], texels[28:36]])
+    four = (weights[2:6] @ rows.reshape(4, 4)) * [1, 1, 1, 3] + [0.5, 0.5, 0.5, 0]
+    expected = np.concatenate([four, weights[1:5] @ pairs.reshape(4, 4)])
+    one = np.float32(1.0)
+    sums(texels.astype(np.float32), *[weights.astype(np.float32)] * 2, one, one, out)
+    np.testing.assert_allclose(out, expected, rtol=1e-5)
+    fixed, once = np.rint(weights * FIXED_ONE).astype(np.int16), np.float32(2.0 / FIXED_TEXEL)
+    sums(texels.astype(np.uint8), np.repeat(fixed, 2).view(np.int32), fixed, once, 2 * once, out)
+    errors = (expected - out) / [1, 1, 1, 3, 1, 1, 1, 1]
+    assert ((errors > 0) & (errors < 6 / 32)).all()

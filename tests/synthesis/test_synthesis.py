@@ -86,11 +86,12 @@ def test_the_picture_looks_where_the_waypoint_says(heading: str) -> None:
         assert ws_psnr(frame.image, hall_image(frame.waypoint.pose)) > 54
 
 
-@pytest.mark.parametrize(("columns", "tolerance"), [(8, 1e-5), (40, 1e-5), (1, 3e-3), (13, 3e-3)])
+@pytest.mark.parametrize(("columns", "tolerance"), [(8, 5e-5), (40, 5e-5), (1, 3e-3), (13, 3e-3)])
 def test_rolling_both_inputs_rolls_the_output(columns: int, tolerance: float) -> None:
     """A camera turned to the left by k columns takes the same picture k columns further to the right.
 
-    Within rounding for whole blocks of the rasteriser, which draws almost flat blocks of quads as one plane.
+    Within rounding of places between texels for whole blocks of the rasteriser, which draws almost flat blocks of quads
+    as one plane.
     """
     poses = BASELINES["sideways"]
     turn = rotation_from_heading(columns * 2 * np.pi / SIZE[1]).T

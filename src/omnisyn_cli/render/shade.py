@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.shade_kernels import shade_rows, shade_spots
-from omnisyn_cli.render.texture import CHANNELS, Texture
+from omnisyn_cli.render.texture import CHANNELS, Texture, cubic_weights
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Spots
 
@@ -132,7 +132,7 @@ class Shader:
         out = np.empty((*inverse_depth.shape, CHANNELS), np.float32)
         sin_p, cos_p = self._rows_of_samples
         rotation, translation, ratio = self._view(texture, target_from_source)
-        source = (trust.values, trust.layout, texture.texels, texture.layout)
+        source = (trust.values, trust.layout, *_as_kernels_take(texture))
         shade_spots(inverse_depth, spots, *source, sin_p, cos_p, rotation, translation, ratio / np.float32(2.0), out)
         return out
 
@@ -150,7 +150,7 @@ class Shader:
     def _kernel(self, trust: TrustMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
         """Takes inverse depth, direction tables, an image, first row and the row after the last."""
         rotation, translation, ratio = self._view(texture, target_from_source)
-        source = (trust.values, trust.layout, texture.texels, texture.layout)
+        source = (trust.values, trust.layout, *_as_kernels_take(texture))
 
         def band(
             inverse_depth: np.ndarray, tables: tuple[np.ndarray, ...], image: np.ndarray, begin: int, end: int
@@ -173,6 +173,11 @@ class Shader:
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
         self._kernel(WHOLE_TRUST, texture, target_from_source)(sky, tables, out, 0, end - begin)
         return out
+
+
+def _as_kernels_take(texture: Texture) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Texels, how they lie, and the weights that go with them."""
+    return texture.texels, texture.layout, cubic_weights(str(texture.texels.dtype))
 
 
 def shade(

@@ -5,7 +5,16 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.render.simd import fourth_times, load, pair, splat, store_half, swapped
+from omnisyn_cli.render.simd import (
+    FIXED_ONE,
+    FIXED_TEXEL,
+    fetch,
+    four_weights,
+    load_texel_pairs,
+    load_texels,
+    one_weight,
+    store_sum,
+)
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 from omnisyn_cli.runtime.jit import fast_kernel, inlined
 
@@ -13,6 +22,9 @@ __all__ = ["FINER", "SPECIAL"]
 
 MAGNIFIED = 1.1
 """Texels per target pixel up to which the full resolution is read as it is."""
+
+AHEAD = 32
+"""Pixels after the one that is read for which the processor is to bring texels near."""
 
 RUN = 256
 """Pixels of a row whose places are found together: they stay in the nearest cache."""
@@ -33,21 +45,23 @@ HOLE, FULL = np.int32(-2), np.int32(-1)
 ALMOST = np.float32(1e-3)
 """The last mip level is always read together with the one before it, even where only so little of that is left."""
 
-LEVEL, Y, X = 0, 1, 2
-"""Numbers per pixel of a row: mip level, texel row and column at full resolution."""
+LEVEL, Y, X, Z = 0, 1, 2, 3
+"""Numbers per pixel of a row: mip level, texel row and column at full resolution, and room for one more on the way."""
 
 
 @fast_kernel()
 def shade_rows(
-    rho, trust, trust_layout, texels, layout, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, image, begin, end,
+    rho, trust, trust_layout, texels, layout, weights, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, image,
+    begin, end,
 ):  # fmt: skip
-    """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are one half of a vector.
+    """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are a quarter of a vector.
 
     Trust is that of the quarter of a quad that a texture coordinate lies in: ``trust_layout`` takes texel rows and
-    columns to those of ``trust``. Without any ``trust`` it is 1.
+    columns to those of ``trust``. Without any ``trust`` it is 1. ``weights`` are the tables of
+    :func:`omnisyn_cli.render.texture.cubic_weights` for these texels.
     """
-    width, flat, source = rho.shape[1], image.reshape(-1), (trust, trust_layout, texels, layout)
-    view, room = (rotation, t, ratio), _room_for_runs(layout)
+    width, flat, source = rho.shape[1], image.reshape(-1), (trust, trust_layout, texels, layout, weights)
+    view, room = (rotation, t, ratio), _room_for_runs(layout, weights[1])
     for row in range(begin, end):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
@@ -59,10 +73,11 @@ def shade_rows(
 
 @fast_kernel()
 def shade_spots(
-    rho, spots, trust, trust_layout, texels, layout, sin_p, cos_p, rotation, t, ratio, colour
+    rho, spots, trust, trust_layout, texels, layout, weights, sin_p, cos_p, rotation, t, ratio, colour
 ):  # fmt: skip
     """The same for the samples of spots; ``sin_p`` and ``cos_p`` are of all rows of a target of twice the size."""
-    source, view, room = (trust, trust_layout, texels, layout), (rotation, t, ratio), _room_for_runs(layout)
+    source, view = (trust, trust_layout, texels, layout, weights), (rotation, t, ratio)
+    room = _room_for_runs(layout, weights[1])
     for row in range(len(spots.begins)):
         begin, end = 2 * spots.begins[row, 0], 2 * spots.begins[row, -1]
         for half in range(2):
@@ -76,12 +91,12 @@ def shade_spots(
 
 
 @inlined(fastmath=True)
-def _room_for_runs(layout):
+def _room_for_runs(layout, cubic):
     """Memory for what is found out about a run, and what does not depend on it."""
     levels = layout.shape[0]
     return (
-        np.zeros((3, RUN), np.float32), np.empty(RUN, np.int32), np.empty(RUN, np.int32), np.empty(RUN, np.int32),
-        np.empty((8, RUN), np.float32), np.empty((levels, RUN), np.int32), np.empty((levels, 3, RUN), np.float32),
+        np.zeros((4, RUN), np.float32), np.empty(RUN, np.int32), np.ones(RUN, np.float32),
+        np.empty((3, RUN), np.int32), np.empty((levels, RUN), np.int32), np.empty(levels * 4 * RUN, cubic.dtype),
         np.empty(levels, np.bool_), layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64),
         _levels_from_full(layout),
     )  # fmt: skip
@@ -90,57 +105,98 @@ def _room_for_runs(layout):
 @inlined(fastmath=True)
 def _shade_run(rho, source, sp, cp, sin_a, cos_a, view, room, flat, first):
     """Up to :data:`RUN` pixels of a row, written to ``flat`` from ``first`` on."""
-    trust, trust_layout, texels, layout = source
-    rotation, t, ratio = view
-    places, kinds, quarters, cubic_index, cubic, index, weights, has_level, starts, strides, factors = room
-    unit = np.float32(layout[0, 6])
-    _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, kinds)
+    trust, trust_layout, texels, layout, weights = source
+    places, kinds, trusted, fractions, index, shares, has_level, starts, strides, factors = room
+    scales = _scales(weights[1], np.float32(layout[0, 6]))
+    _find_places(rho, sp, cp, sin_a, cos_a, view, layout, places, kinds)
     if len(trust) > 0:
-        _find_quarters(places, trust_layout, quarters, len(rho))
-    has_cubic, has_level[:], last = False, False, HOLE
-    for col in range(len(rho)):
-        kind, at = kinds[col], first + 4 * col
-        if kind == FULL:
+        _find_trust(places, trust, trust_layout, trusted, len(rho))
+    has_cubic, has_level[:], left = False, False, 0
+    while left < len(rho):
+        kind, right = kinds[left], left + _count_same(kinds[left : len(rho)])
+        some = flat[first + 4 * left : first + 4 * right]
+        if kind == HOLE:
+            some[:] = np.float32(0.0)
+        elif kind == FULL:
             if not has_cubic:
-                _find_cubic(places, strides[0], cubic_index, cubic)
+                _find_fractions(places, strides[0], len(weights[1]) // 4 - 1, fractions)
                 has_cubic = True
-            colour = _bicubic(texels, strides[0], 4 * np.int64(cubic_index[col]), cubic, col)
-        elif kind == HOLE:
-            for k in range(4):
-                flat[at + k] = 0.0
-            continue
+            _read_full(texels, strides[0], weights, fractions[:, left:right], scales, trusted[left:right], some)
         else:
-            if kind != last:
-                _prepare_levels(places, kind, strides, factors, has_level, index, weights)
-                last = kind
-            finer = np.uint64(kind)  # without a sign no index is looked at twice
-            colour = _level(texels, starts, strides, finer, index, weights, col)
-            colour = colour + _level(texels, starts, strides, finer + np.uint64(1), index, weights, col)
-            colour = colour + swapped(colour)
-        colour = colour * splat(unit)
-        if len(trust) > 0:
-            colour = fourth_times(colour, trust[quarters[col]])
-        store_half(flat, at, colour)
+            _prepare_levels(places, kind, strides, factors, np.float32(weights[1][1]), has_level, index, shares)
+            finer, own = np.int64(kind), shares[4 * (RUN * np.int64(kind) + left) :]
+            _read_levels(
+                texels, starts, strides, finer, index[finer : finer + 2, left:right], own, scales,
+                trusted[left:right], some,
+            )  # fmt: skip
+        left = right
+
+
+@inlined()
+def _count_same(kinds):
+    """How many at the beginning are the same."""
+    for k in range(len(kinds)):
+        if kinds[k] != kinds[0]:
+            return k
+    return len(kinds)
+
+
+@inlined(fastmath=True)
+def _scales(cubic, unit):
+    """What sums of texels are multiplied by, and what is added, after one product each and after two.
+
+    Products of integers are cut off, by half a part on average.
+    """
+    one, zero = np.float32(cubic[1]), np.float32(0.0)
+    if one == np.float32(1.0):
+        return unit, zero, unit, zero
+    once = unit * np.float32(65536.0 / FIXED_ONE / FIXED_TEXEL)
+    twice = once * np.float32(65536.0 / FIXED_ONE)
+    return once, np.float32(8 * 0.5) * once, twice, np.float32(4 * (0.5 + 0.25)) * twice
+
+
+@inlined(fastmath=True)
+def _find_places(rho, sp, cp, sin_a, cos_a, view, layout, places, kinds):
+    """Where the source sees what the pixels of a row show, and how it is read."""
+    rotation, t, ratio = view
+    _find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places)
+    _find_texels(places, layout, len(rho))
+    squared, highest = ratio * ratio, np.float32(layout.shape[0] - 1) - ALMOST
+    _find_kinds(rho, places, squared, highest, kinds)
 
 
 @fast_kernel()
-def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, kinds):
-    """Where the source sees what the pixels of a row show, at ``Rᵀ(r − ρ·t)``, and how it is read."""
+def _find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places):
+    """``Rᵀ(r − ρ·t)`` of the pixels of a row, and its square."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     t0, t1, t2 = t[0], t[1], t[2]
-    y_scale, y_zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
-    x_scale, x_zero = np.float32(layout[0, 4]), np.float32(layout[0, 5])
-    highest, squared = np.float32(layout.shape[0] - 1) - ALMOST, ratio * ratio
     for col in range(len(rho)):
         w = max(rho[col], np.float32(0.0))
         x, y, z = sp * sin_a[col] - w * t0, cp - w * t1, -sp * cos_a[col] - w * t2
         dx, dy, dz = r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
-        flat = dx * dx + dz * dz
-        places[Y, col] = atan2_fast(math.sqrt(flat), dy) * y_scale + y_zero
-        places[X, col] = atan2_fast(dx, -dz) * x_scale + x_zero
-        level = np.float32(0.5) * log2_fast(squared / (flat + dy * dy + np.float32(1e-20)))
+        places[X, col], places[Y, col], places[Z, col] = dx, dy, dz
+        places[LEVEL, col] = dx * dx + dy * dy + dz * dz
+
+
+@fast_kernel()
+def _find_texels(places, layout, count):
+    """Rows and columns at full resolution that directions lie at, one after the other: constants stay in registers."""
+    scale, zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
+    for col in range(count):
+        dx, dz = places[X, col], places[Z, col]
+        places[Y, col] = atan2_fast(math.sqrt(dx * dx + dz * dz), places[Y, col]) * scale + zero
+    scale, zero = np.float32(layout[0, 4]), np.float32(layout[0, 5])
+    for col in range(count):
+        places[X, col] = atan2_fast(places[X, col], -places[Z, col]) * scale + zero
+
+
+@fast_kernel()
+def _find_kinds(rho, places, squared, highest, kinds):
+    """Mip levels from squares of distances, and how pixels are read by them."""
+    for col in range(len(rho)):
+        level = np.float32(0.5) * log2_fast(squared / (places[LEVEL, col] + np.float32(1e-20)))
         level = min(max((np.float32(1.0) - FINER) * level, level - FINER), highest)
         places[LEVEL, col] = level
         kind = np.int32(level) if level > SPECIAL else FULL
@@ -148,57 +204,41 @@ def _find_places(rho, sp, cp, sin_a, cos_a, rotation, t, ratio, layout, places, 
 
 
 @fast_kernel()
-def _find_quarters(places, trust_layout, quarters, count):
-    """Index of the quarter at each texture coordinate in an image of quarters with a border."""
+def _find_trust(places, trust, trust_layout, trusted, count):
+    """Trust in the quarter at each texture coordinate, from an image of quarters with a border."""
     row_scale, row_zero, col_scale, col_zero = trust_layout[0], trust_layout[1], trust_layout[2], trust_layout[3]
     stride = np.int32(trust_layout[4])
     for k in range(count):
         row, col = np.int32(places[Y, k] * row_scale + row_zero), np.int32(places[X, k] * col_scale + col_zero)
-        quarters[k] = np.int32(row * stride) + col
+        trusted[k] = trust[np.int32(row * stride) + col]
 
 
 @fast_kernel()
-def _find_cubic(places, stride, index, weights):
-    """For a whole run, the second texel of the second row that is read, and the weights of four rows and columns."""
-    texels_a_row = np.int32(stride // 4)
+def _find_fractions(places, stride, parts, fractions):
+    """For a whole run, the second texel of the second row that is read, and which weights rows and columns have."""
+    texels_a_row, parts = np.int32(stride // 4), np.float32(parts)
+    ys, xs, index, down, across = places[Y], places[X], fractions[0], fractions[1], fractions[2]
     for col in range(RUN):
-        y, x = places[Y, col], places[X, col]
-        i, j = np.int32(y), np.int32(x)
+        i, j = np.int32(ys[col]), np.int32(xs[col])
         index[col] = np.int32(i * texels_a_row) + j
-        down, across = y - np.float32(i), x - np.float32(j)
-        weights[0, col], weights[1, col], weights[2, col], weights[3, col] = _cubic_weights(down)
-        weights[4, col], weights[5, col], weights[6, col], weights[7, col] = _cubic_weights(across)
+        down[col] = np.int32((ys[col] - np.float32(i)) * parts + np.float32(0.5))
+        across[col] = np.int32((xs[col] - np.float32(j)) * parts + np.float32(0.5))
 
 
 @inlined(fastmath=True)
-def _cubic_weights(x):
-    """Catmull-Rom weights at offsets −1, 0, 1, 2 of a fraction in [0, 1)."""
-    half, two, three, four, five = (
-        np.float32(0.5), np.float32(2.0), np.float32(3.0), np.float32(4.0), np.float32(5.0)
-    )  # fmt: skip
-    x2 = x * x
-    x3 = x2 * x
-    return (
-        half * (two * x2 - x3 - x), half * (three * x3 - five * x2 + two),
-        half * (four * x2 - three * x3 + x), half * (x3 - x2),
-    )  # fmt: skip
-
-
-@inlined(fastmath=True)
-def _bicubic(texels, stride, at, weights, col):
-    """Four texels of each of four rows are two vectors; ``at`` is the second of the second."""
-    first, second = at - stride - 4, at - 4
-    third, fourth = at + stride - 4, at + 2 * stride - 4
-    u0, u1, u2, u3 = (
-        splat(weights[0, col]), splat(weights[1, col]), splat(weights[2, col]), splat(weights[3, col])
-    )  # fmt: skip
-    left = load(texels, first) * u0 + load(texels, second) * u1
-    left = left + load(texels, third) * u2 + load(texels, fourth) * u3
-    right = load(texels, first + 8) * u0 + load(texels, second + 8) * u1
-    right = right + load(texels, third + 8) * u2 + load(texels, fourth + 8) * u3
-    mixed = left * pair(weights[4, col], weights[5, col])
-    mixed = mixed + right * pair(weights[6, col], weights[7, col])
-    return mixed + swapped(mixed)
+def _read_full(texels, stride, weights, fractions, scales, trusted, flat):
+    """Four texels of each of four rows, weighted, for some pixels of a run."""
+    (of_rows, of_columns), (_, _, scale, shift) = weights, scales
+    index, down, across = fractions[0], fractions[1], fractions[2]
+    for k in range(len(trusted)):
+        at, row = 4 * np.int64(index[k]) - stride - 4, 4 * np.int64(down[k])
+        fetch(texels, 4 * np.int64(index[min(k + AHEAD, len(trusted) - 1)]) + 2 * stride)
+        mixed = load_texels(texels, at) * one_weight(of_rows, row)
+        mixed = mixed + load_texels(texels, at + stride) * one_weight(of_rows, row + 1)
+        mixed = mixed + load_texels(texels, at + 2 * stride) * one_weight(of_rows, row + 2)
+        mixed = mixed + load_texels(texels, at + 3 * stride) * one_weight(of_rows, row + 3)
+        mixed = mixed * four_weights(of_columns, 4 * np.int64(across[k]))
+        store_sum(flat, 4 * k, mixed, scale, shift, trusted[k])
 
 
 @inlined(fastmath=True)
@@ -214,35 +254,43 @@ def _levels_from_full(layout):
 
 
 @fast_kernel()
-def _prepare_levels(places, finer, strides, factors, has_level, index, weights):
+def _prepare_levels(places, finer, strides, factors, whole, has_level, index, shares):
     """What reading two levels takes, unless the run has it already."""
     for level in range(finer, finer + 2):
         if not has_level[level]:
-            _find_bilinear(places, level, strides[level], factors[level], index[level], weights[level])
+            some = shares[4 * RUN * level : 4 * RUN * (level + 1)]
+            _find_bilinear(places, level, strides[level], factors[level], whole, index[level], some)
             has_level[level] = True
 
 
 @fast_kernel()
-def _find_bilinear(places, level, stride, factors, index, weights):
-    """For a whole run, the first texel in a mip level, the share of the lower row, and weights of both columns.
+def _find_bilinear(places, level, stride, factors, whole, index, shares):
+    """For a whole run, the first texel in a mip level, and the weights of two by two: above first.
 
-    These are multiplied by the weight of the level: 1 where it is what is wanted, 0 at the next ones.
+    These are multiplied by the weight of the level: ``whole`` where it is what is wanted, 0 at the next ones.
     """
-    texels_a_row, one = np.int32(stride // 4), np.float32(1.0)
+    texels_a_row, one, zero = np.int32(stride // 4), np.float32(1.0), np.float32(0.0)
     y_scale, y_zero, x_scale, x_zero = factors[0], factors[1], factors[2], factors[3]
     for col in range(RUN):
         y, x = places[Y, col] * y_scale + y_zero, places[X, col] * x_scale + x_zero
         i, j = np.int32(y), np.int32(x)
         index[col] = np.int32(i * texels_a_row) + j
-        share, across = one - abs(places[LEVEL, col] - np.float32(level)), x - np.float32(j)
-        weights[0, col] = y - np.float32(i)
-        weights[1, col], weights[2, col] = share * (one - across), share * across
+        share, across = whole * max(one - abs(places[LEVEL, col] - np.float32(level)), zero), x - np.float32(j)
+        below = share * (y - np.float32(i))
+        above, below_right = share - below, below * across
+        above_right = above * across
+        shares[4 * col], shares[4 * col + 1] = above - above_right, above_right
+        shares[4 * col + 2], shares[4 * col + 3] = below - below_right, below_right
 
 
 @inlined(fastmath=True)
-def _level(texels, starts, strides, level, index, weights, col):
-    """Two texels of a mip level side by side and those below them, as two summands with their weights."""
-    at = starts[level] + 4 * np.int64(index[level, col])
-    above, below = load(texels, at), load(texels, at + strides[level])
-    mixed = above + (below - above) * splat(weights[level, 0, col])
-    return mixed * pair(weights[level, 1, col], weights[level, 2, col])
+def _read_levels(texels, starts, strides, finer, index, shares, scales, trusted, flat):
+    """Two by two texels of each of two mip levels, weighted, for some pixels of a run."""
+    scale, shift, _, _ = scales
+    start, next_start, stride, next_stride = starts[finer], starts[finer + 1], strides[finer], strides[finer + 1]
+    for k in range(len(trusted)):
+        at, below = start + 4 * np.int64(index[0, k]), next_start + 4 * np.int64(index[1, k])
+        fetch(texels, start + 4 * np.int64(index[0, min(k + AHEAD, len(trusted) - 1)]) + stride)
+        mixed = load_texel_pairs(texels, at, at + stride) * four_weights(shares, 4 * k)
+        mixed = mixed + load_texel_pairs(texels, below, below + next_stride) * four_weights(shares, 4 * (RUN + k))
+        store_sum(flat, 4 * k, mixed, scale, shift, trusted[k])

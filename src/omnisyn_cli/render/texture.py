@@ -1,11 +1,13 @@
 """A photograph made ready to be looked up: bordered, and averaged to smaller sizes."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 
 from omnisyn_cli.geometry.sphere import pixel_scale
+from omnisyn_cli.render.simd import FIXED_ONE
 
 __all__ = ["Texture", "make_texture"]
 
@@ -18,6 +20,9 @@ SMALLEST_LEVEL = 8
 """Rows of the smallest mip level."""
 
 ROWS_AT_A_TIME = 64
+
+CUBIC_PARTS = {"uint8": 1024, "float32": 8192}
+"""Places between two texels at which they are read where the photograph is magnified: 8 bits tell fewer apart."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,26 @@ def make_texture(
         _repeat_border(bordered)
         layout.append((offset, bordered.shape[1] * CHANNELS, *_angle_to_texel((rows, cols)), 1.0 / peak))
     return Texture(sizes[0], texels, np.array(layout, np.float64))
+
+
+@cache
+def cubic_weights(dtype: str) -> tuple[Shaped[np.ndarray, " numbers"], Shaped[np.ndarray, " numbers"]]:
+    """Catmull-Rom weights of texels at offsets −1, 0, 1, 2 of fractions from 0 to 1.
+
+    Args:
+        dtype: of the texels; the weights are what :mod:`omnisyn_cli.render.simd` takes for them.
+
+    Returns:
+        Those of rows and those of columns.
+    """
+    x = np.linspace(0.0, 1.0, CUBIC_PARTS[dtype] + 1)
+    weights = 0.5 * np.stack(
+        [2 * x**2 - x**3 - x, 3 * x**3 - 5 * x**2 + 2, 4 * x**2 - 3 * x**3 + x, x**3 - x**2], axis=-1
+    )
+    if dtype != "uint8":
+        return weights.astype(np.float32).ravel(), weights.astype(np.float32).ravel()
+    fixed = np.rint(FIXED_ONE * weights).astype(np.int16).ravel()
+    return np.repeat(fixed, 2).view(np.int32), fixed
 
 
 def _level_sizes(height: int, width: int) -> list[tuple[int, int]]:

@@ -39,8 +39,9 @@ def test_agrees_with_the_kernels(rows: int, pose: str, dtype: type) -> None:
     found = looked_up(fragments, mesh, texture, pose)
     assert (found[fragments.face < 0] == 0.0).all()
     # A mip level that is all but whole may be rounded up by one and down by the other; the mixture is the same.
-    np.testing.assert_allclose(found, expected, atol=2e-3)
-    assert np.abs(found - expected).mean() < 1e-4
+    # Kernels round places between samples of 8 bits, and what is read there.
+    np.testing.assert_allclose(found, expected, atol=1 / 255 if dtype is np.uint8 else 2e-3)
+    assert np.abs(found - expected).mean() < (0.1 / 255 if dtype is np.uint8 else 1e-4)
 
 
 @pytest.mark.parametrize("rows", [100, 321, 600], ids=lambda rows: f"{rows} texel rows")
