@@ -174,7 +174,7 @@ def estimated_memory(
 
 
 def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int]) -> float:
-    """What making frames takes: two surfaces as seen, the pyramid that fills holes, frames on their way out."""
+    """What making frames takes: two surfaces as seen, marks of pixels, the pyramid of holes, frames under way."""
     pixels = size[0] * size[1]
     waiting = frames_in_queue(size) + 2
     largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
@@ -191,6 +191,7 @@ def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int
         or (recipe.fusion == "geometric" and step_in_cells(size) == 1)
     )
     is_judged = recipe.fallback == "crossfade" or recipe.confidence
+    marked = 1 if recipe.edges and recipe.renderer == "mesh" and recipe.fusion != "painting" else 0
     frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING
-    whole = 2 * (seen + (16 if is_held else 0)) + 1 + frame + collected + (CONFIDENCE if is_judged else 0)
+    whole = 2 * (seen + (16 if is_held else 0)) + 1 + marked + frame + collected + (CONFIDENCE if is_judged else 0)
     return painted + corrected + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)
