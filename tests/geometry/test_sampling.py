@@ -6,7 +6,7 @@ import torch
 from geometry_samples import directions
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest, wrap_pixel
+from omnisyn_cli.geometry.sampling import at_crossings, sample_bicubic, sample_bilinear, sample_nearest, wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_to_direction
 
 SAMPLERS = [sample_nearest, sample_bilinear, sample_bicubic]
@@ -103,3 +103,14 @@ def test_gradients_are_those_of_finite_differences(sample):
     image = torch.from_numpy(noise(6, 12, 2)).requires_grad_()
     vectors = torch.tensor([[0.3, 0.4, -0.5], [0.01, -0.2, 0.9], [-0.7, 0.1, 0.33]], dtype=torch.float64)
     assert torch.autograd.gradcheck(sample, (image, vectors.requires_grad_()))
+
+
+@pytest.mark.parametrize("rows", [[0, 3, 6], [1, 2, 4, 5], [5], [2, 6]])
+@pytest.mark.parametrize("cols", [[0, 1, 2], [0, 2, 5], [11]])
+@pytest.mark.parametrize("channels", [(), (4,)])
+def test_pixels_where_rows_and_columns_cross_are_those(rows, cols, channels):
+    """In equal steps and others, with and without channels, and in memory of their own, row after row."""
+    image = np.random.default_rng(0).random((7, 12, *channels))
+    found = at_crossings(image, np.array(rows), np.array(cols))
+    np.testing.assert_array_equal(found, [[image[row, col] for col in cols] for row in rows])
+    assert found.flags.c_contiguous

@@ -24,6 +24,7 @@ from omnisyn_cli.fusion.cells import greatest_near, mean_near, side_of_cells, st
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows, suppress_spots
 from omnisyn_cli.fusion.rule import BlendRule, Shown, view_weights
 from omnisyn_cli.geometry.pose import STILL
+from omnisyn_cli.geometry.sampling import at_crossings
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import UNSEEN, Rendering, Spots
@@ -150,6 +151,8 @@ class GhostRemover:
         if self.looks_everywhere and view.held is not None:
             return view.held, view.inverse_depth
         xp, rho = array_namespace(view.inverse_depth), view.inverse_depth
+        if is_numpy_array(rho):
+            return view.colour_at(self._rows, self._cols), at_crossings(rho, self._rows, self._cols)
         rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
         return view.colour_at(self._rows, self._cols), xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
 

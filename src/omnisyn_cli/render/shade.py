@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Integer
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import at_crossings
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.shade_kernels import shade_rows, shade_spots
@@ -109,7 +110,7 @@ class Shader:
     ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
         """What a call gives where some rows and columns cross; arguments as of :meth:`some_rows`."""
         sin_p, cos_p, sin_a, cos_a = self._tables
-        some = inverse_depth[rows].take(cols, axis=1)
+        some = at_crossings(inverse_depth, rows, cols)
         tables = (sin_p[rows], cos_p[rows], sin_a[cols], cos_a[cols])
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
         shade_band = self._kernel(trust, texture, target_from_source)
