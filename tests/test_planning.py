@@ -149,9 +149,10 @@ def test_the_names_of_the_renderers_are_those_that_there_are() -> None:
     assert set(RENDERERS) == set(renderer.RENDERERS)
 
 
-def test_a_plan_is_made_without_kernels(tmp_path: Path) -> None:
-    images = [str(path) for path in write_hall(tmp_path, CHAIN[:2])]
-    arguments = ["interpolate", *images, "--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "a.mp4")]
+@pytest.mark.parametrize("more", [[], ["--budget", "60"]])
+def test_a_plan_is_made_without_kernels(tmp_path: Path, more: list[str]) -> None:
+    images = [str(path) for path in write_hall(tmp_path, CHAIN[:2], with_depth=not more)]
+    arguments = ["interpolate", *images, "--poses", str(tmp_path / "poses.json"), "-o", str(tmp_path / "a.mp4"), *more]
     code = (
         "import sys; from omnisyn_cli.cli import cli; "
         f"cli.main({[*arguments, '--dry-run', '-q']!r}, standalone_mode=False); "

@@ -3,17 +3,20 @@
 import json
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from cli_samples import listing, run_cli, write_pair
 
 from omnisyn_cli.cli.bench import LAYOUTS
+from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench
-from omnisyn_cli.evaluation.bench import BenchJob
+from omnisyn_cli.evaluation.bench import CHOICES, GENERATED, BenchJob
 from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.datasets import FORMATS
-from omnisyn_cli.evaluation.pareto import FIGURES, FRAME_STAGES, STANDARD_FRAMES, Figures, read_table, standard_seconds
-from omnisyn_cli.synthesis.presets import PRESETS, SCALE
+from omnisyn_cli.evaluation.pareto import FIGURES, FRAME_STAGES, Figures, read_table
+from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
+from omnisyn_cli.synthesis.presets import SCALE
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
@@ -36,9 +39,10 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[BenchRun]:
 
     def pretend(run: BenchRun) -> Figures:
         asked.append(run)
-        preset = run.setting.preset
-        seconds = dict.fromkeys(("start", "decode", "depth", "mesh", *FRAME_STAGES), 1.0 + list(SCORES).index(preset))
-        return Figures(run.setting, "done", "", run.key, (32, 64), seconds, 1.0, 10**8, SCORES[preset], 1)
+        score = SCORES.get(run.setting.method.removeprefix("omnisyn-"), 20.0)
+        seconds = dict.fromkeys(("start", "decode", "depth", "mesh", *FRAME_STAGES), score - 19.0)
+        scores = {pair.scene: score for pair in run.pairs if run.is_scored}
+        return Figures(run.setting, key=run.key, source=(32, 64), seconds=seconds, probe=1.0, scores=scores, pairs=1)
 
     monkeypatch.setattr(bench, "_in_child", pretend)
     return asked
@@ -46,17 +50,14 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[BenchRun]:
 
 def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:
     result = run_cli(
-        capsys, "bench", scenes, "--presets", "fast", "--depth-rows", 64, "--sizes", "64x32", "--frames", 1,
+        capsys, "bench", scenes, "--methods", "omnisyn-fast:rows=64", "--sizes", "64x32", "--frames", 1,
         "--threads", 1, "--report", tmp_path / "report", "--store", tmp_path / "table.json", "--json",
     )  # fmt: skip
-    assert (result.code, result.err) == (0, "")
+    assert (result.code, result.err) == (0, "1/1 omnisyn-fast:rows=64, 64x32, 1 thread\n")
     (figures,) = json.loads(result.out)["settings"]
-    assert figures["setting"] == {"preset": "fast", "depth_rows": 64, "size": [32, 64], "threads": 1}
+    assert figures["setting"] == {"method": "omnisyn-fast:rows=64", "size": [32, 64], "threads": 1}
     assert (figures["status"], figures["source"], figures["pairs"]) == ("done", [32, 64], 1)
-    assert figures["ws_psnr"] > 10
-    (ratios,) = json.loads(result.out)["ratios"].values()
-    measured = FIGURES.validate_python(figures)
-    assert ratios["clip_to_encoder"] == standard_seconds(measured) / (STANDARD_FRAMES * figures["encoder"]) > 0
+    assert all(score > 10 for score in figures["scores"].values())
     (stored,) = read_table(tmp_path / "table.json")
     assert stored.to_json() == FIGURES.validate_python(figures).to_json()
     assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
@@ -65,34 +66,44 @@ def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], sc
 def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Path, runs: list[BenchRun]) -> None:
     result = run_cli(capsys, "bench", scenes, "--sizes", "64x32,128x64", "--threads", "1,2")
     assert result.code == 0
-    assert len(runs) == len(SCALE) * 2 * 2
-    assert result.out.count("Which setting for which budget") == 2
-    assert f"balanced, {PRESETS['balanced'].recipe.depth.rows} rows, 64x32, 2 threads" in result.out
+    assert len(runs) == (len(CHOICES) + len(SCALE)) * 2
+    assert result.out.count("What settings cost and are worth") == 1
+    assert "● omnisyn-balanced, 64x32, 1 thread" in result.out
+    assert "○ omnisyn-balanced:rows=512, 64x32, 2 threads" in result.out
     assert "28.00" in result.out
 
 
 def test_scenes_are_made_where_none_are_given(
     capsys: pytest.CaptureFixture[str], runs: list[BenchRun], tmp_path: Path
 ) -> None:
-    options = ("--scene-size", "32x16", "--presets", "fast", "--report", tmp_path / "report", "-q")
+    options = (
+        "--scene-size",
+        "32x16",
+        "--sizes",
+        "32x16",
+        "--methods",
+        "omnisyn-fast",
+        "--report",
+        tmp_path / "report",
+        "-q",
+    )
     assert run_cli(capsys, "bench", *options).out == ""
-    assert {pair.scene for run in runs for pair in run.pairs} == {"street-9000001-2m", "room-9000001-1m"}
+    assert len({pair.scene for run in runs for pair in run.pairs}) == len(GENERATED)
 
 
 def test_a_failure_is_named_and_the_exit_code_is_1(
     capsys: pytest.CaptureFixture[str], scenes: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench, "_in_child", lambda run: Figures(run.setting, "failed", "no memory", run.key))
-    result = run_cli(capsys, "bench", scenes, "--presets", "fast", "--sizes", "64x32", "--threads", 1)
+    monkeypatch.setattr(bench, "_in_child", lambda run: Figures(run.setting, "failed", "no memory"))
+    result = run_cli(capsys, "bench", scenes, "--methods", "omnisyn-fast", "--sizes", "64x32", "--threads", 1)
     assert result.code == 1
-    assert f"fast, {PRESETS['fast'].recipe.depth.rows} rows, 64x32, 1 thread: no memory" in result.out
+    assert "omnisyn-fast, 64x32, 1 thread: no memory" in result.out
 
 
 @pytest.mark.parametrize(
     ("options", "code", "message"),
     [
         (["nosuch"], 3, "expected a folder of scenes"),
-        (["--presets", "nosuch"], 2, "nosuch"),
         (["--sizes", "64x64"], 2, "twice as wide"),
         (["--threads", "0"], 2, "--threads"),
         (["--store", "nosuch/table.json"], 3, "expected an existing folder"),
@@ -119,12 +130,11 @@ def test_defaults_and_choices_are_those_of_the_library() -> None:
     assert ("auto", *FORMATS) == LAYOUTS
     values = command.make_context("bench", []).params
     for name, field in BenchJob.__dataclass_fields__.items():
-        assert name in {"dataset", "report"} or values[name] == field.default, name
+        assert name in {"dataset", "report"} or values[name] in {None, field.default}, name
 
 
 @pytest.fixture
-def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    monkeypatch.setattr("omnisyn_cli.evaluation.budget.calibrate", lambda threads: 1e-3)
+def images(tmp_path: Path) -> list[Path]:
     return write_pair(tmp_path)
 
 
@@ -173,6 +183,36 @@ def test_what_a_budget_does_not_go_with(
 
 
 def test_a_list_of_numbers_names_what_is_none(capsys: pytest.CaptureFixture[str]) -> None:
-    result = run_cli(capsys, "bench", "--depth-rows", "64,abc")
+    result = run_cli(capsys, "bench", "--threads", "64,abc")
     assert result.code == 2
-    assert "'--depth-rows': 'abc' is not a valid integer." in result.err
+    assert "'--threads': 'abc' is not a valid integer." in result.err
+
+
+def test_a_dry_run_says_how_long_it_will_take_and_how_that_is_known(
+    capsys: pytest.CaptureFixture[str], images: list[Path]
+) -> None:
+    arguments = [word for word in budget_of(1, images, "--dry-run", "--json") if word not in {"--budget", 1}]
+    plan = json.loads(run_cli(capsys, *arguments).out)
+    assert plan["expected_seconds"] > 0
+    assert "former run" in plan["expected_from"]
+
+
+def test_a_run_is_remembered_and_one_that_compiles_is_not(
+    capsys: pytest.CaptureFixture[str], images: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remembered: list[object] = []
+    monkeypatch.setattr("omnisyn_cli.evaluation.duration.remember_run", remembered.append)
+    make = [word for word in budget_of(1, images, "-q", "--overwrite") if word not in {"--budget", 1}]
+    with when_compiling(lambda: None):  # the first run here may compile
+        run_cli(capsys, *make)
+    remembered.clear()
+    assert run_cli(capsys, *make).code == 0
+    assert len(remembered) == 1
+
+    def compile_first(*_: object, **__: object) -> NoReturn:
+        announce_compiling()
+        raise InputError("enough")
+
+    monkeypatch.setattr("omnisyn_cli.interpolation.run.run_interpolation", compile_first)
+    assert run_cli(capsys, *make).code == 3
+    assert len(remembered) == 1

@@ -62,7 +62,7 @@ def test_where_nothing_can_be_kept_it_is_said_what_to_do(
         ("omnisyn_cli.evaluation.bench.make_scenes", ("bench",)),
         ("omnisyn_cli.evaluation.bench.plan_bench", ("bench", "scenes")),
         ("omnisyn_cli.evaluation.depth_table.run_depth_table", ("depth-table",)),
-        ("omnisyn_cli.evaluation.budget.apply_budget", ("interpolate", "--budget", 1)),
+        ("omnisyn_cli.interpolation.run.run_interpolation", ("interpolate",)),
     ],
 )
 def test_commands_that_compile_say_so(

@@ -2,6 +2,10 @@
 
 import math
 import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,41 +19,46 @@ from omnisyn_cli.evaluation import bench, bench_run
 from omnisyn_cli.evaluation.bench import BenchJob, make_scenes, plan_bench, run_bench
 from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
-from omnisyn_cli.evaluation.budget import calibrate
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
+from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.runtime.jit import kernel, when_compiling
-from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, SCALE
+from omnisyn_cli.synthesis.recipe import OMNISYN
 from omnisyn_cli.types import KnownDepth
 
-ROWS = 64
+FAST = "omnisyn-fast"
 
 
 def job(tmp_path: Path, **options: object) -> BenchJob:
-    fixed = {"presets": ("fast",), "depth_rows": (ROWS,), "sizes": ((64, 128),), "threads": (1,), "frames": 2}
+    fixed = {"methods": FAST, "sizes": ((64, 128),), "threads": (1,), "frames": 2}
     return BenchJob(tmp_path / "data", tmp_path / "report", **{**fixed, **options})
 
 
 def figures_of(setting: Setting) -> Figures:
     stages = ("start", "decode", "depth", "mesh", *FRAME_STAGES)
-    return Figures(setting, seconds=dict.fromkeys(stages, 0.5), calibration=1.0, source=(64, 128), ws_psnr=30.0)
+    scores = {"hall": 30.0, "yard": 28.0}
+    return Figures(setting, seconds=dict.fromkeys(stages, 0.5), probe=1.0, source=(64, 128), scores=scores)
 
 
-def test_accuracy_is_what_the_evaluation_measures(tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", [FAST, "crossfade"])
+def test_accuracy_is_what_the_evaluation_measures(tmp_path: Path, method: str) -> None:
     """Two ways through the program: files to a video with its depth remembered, and a method on loaded views."""
     pair = hall_pair(tmp_path / "data")
     (tmp_path / "clips").mkdir()
-    setting = Setting("fast", PRESETS["fast"].recipe.depth.rows, (64, 128), 1)
-    figures = measure_setting(BenchRun(setting, (pair,), 1), tmp_path / "clips", launched=0.0)
-    (record,) = run(tmp_path / "data", "omnisyn-fast")
+    figures = measure_setting(BenchRun(Setting(method, (64, 128), 1), (pair,), 1), tmp_path / "clips")
+    (record,) = run(tmp_path / "data", method)
     assert figures.ws_psnr == pytest.approx(record.mean("ws_psnr"), abs=0.01)
+    assert len(figures.scores) == 1
     assert (figures.source, figures.pairs, figures.status) == ((64, 128), 1, "done")
-    assert figures.seconds is not None
     assert all(math.isfinite(seconds) and seconds >= 0 for seconds in figures.seconds.values())
-    assert {"start", "decode", "depth", "mesh", *FRAME_STAGES} <= set(figures.seconds)
-    assert figures.seconds["depth"] > figures.seconds["mesh"] > 0
+    assert {"start", "decode", *FRAME_STAGES} <= set(figures.seconds)
+    assert figures.seconds["encode"] > 0
+    assert figures.recipe == find_method(method).recipe
+    if method == FAST:
+        assert figures.seconds["depth"] > figures.seconds["mesh"] > 0
 
 
 def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path: Path) -> None:
@@ -78,12 +87,35 @@ def test_every_combination_is_a_setting_in_a_process_of_its_own(
 
     monkeypatch.setattr(bench, "_in_child", pretend)
     sizes = ((32, 64), (64, 128))
-    wanted = job(tmp_path, presets=("fast", "balanced"), depth_rows=(64, 128), sizes=sizes, threads=(1, 2))
+    wanted = job(tmp_path, methods=f"{FAST},omnisyn-balanced,matching", sizes=sizes, threads=(1, 2))
     run_bench(plan_bench(wanted))
-    assert len({each.setting for each in runs}) == len(runs) == 2 * 2 * 2 * 2
-    assert all([pair.scene for pair in each.pairs] == ["hall", "yard"] for each in runs)
-    own_rows = plan_bench(job(tmp_path, presets=tuple(PRESETS), depth_rows=())).settings
-    assert [each.depth_rows for each in own_rows] == [preset.recipe.depth.rows for preset in PRESETS.values()]
+    assert len({each.setting for each in runs}) == len(runs) == 3 * 2 + 2 * 2
+    assert all([pair.scene for pair in each.pairs] == ["hall", "yard"] and each.is_scored for each in runs)
+    assert {each.setting.method for each in runs if each.setting.size == (64, 128)} == {FAST, "omnisyn-balanced"}
+
+
+def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_halls(tmp_path / "data", "hall", "nave", "yard")
+    runs: list[BenchRun] = []
+    monkeypatch.setattr(bench, "_in_child", lambda run: runs.append(run) or figures_of(run.setting))
+    run_bench(plan_bench(job(tmp_path, sizes=((64, 128), (128, 256)))))
+    assert [(run.is_scored, len(run.pairs)) for run in runs] == [(True, 3), (False, 2)]
+    figures = measure_setting(BenchRun(runs[1].setting, runs[1].pairs[:1], 1, is_scored=False), tmp_path)
+    assert (figures.scores, figures.ws_psnr) == ({}, None)
+
+
+def test_what_is_measured_is_what_users_may_choose() -> None:
+    chosen = [find_method(name).recipe for name in bench.CHOICES]
+    assert {recipe.method for recipe in chosen} == {"crossfade", "flow", OMNISYN}
+    assert {preset.recipe for preset in SCALE.values()} <= set(chosen)
+    usual = SCALE[DEFAULT_PRESET].recipe
+    for aspect in ("renderer", "fusion", "edges"):
+        assert any(getattr(recipe, aspect) != getattr(usual, aspect) for recipe in chosen), aspect
+    assert len(bench.GENERATED) >= 12
+    assert len({kind for kind, _, _ in bench.GENERATED}) == 5
+    assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench.GENERATED)
 
 
 def test_what_is_measured_is_not_measured_again_and_failures_are(
@@ -95,24 +127,24 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(
     def pretend(each: BenchRun) -> Figures:
         asked.append(each.setting)
         done = Figures(**{**vars(figures_of(each.setting)), "key": each.key})
-        return done if each.setting.preset == "fast" else Figures(each.setting, "failed", "no memory", each.key)
+        return done if each.setting.method == FAST else Figures(each.setting, "failed", "no memory", key=each.key)
 
     monkeypatch.setattr(bench, "_in_child", pretend)
-    plan = plan_bench(job(tmp_path, presets=("fast", "balanced")))
+    plan = plan_bench(job(tmp_path, methods=f"{FAST},matching"))
     first = run_bench(plan)
     with (tmp_path / "report" / "bench.jsonl").open("a") as file:
         file.write('{"setting": {"pre')  # an interruption in the middle of a line
     assert run_bench(plan) == first
-    assert [setting.preset for setting in asked] == ["fast", "balanced", "balanced"]
+    assert [setting.method for setting in asked] == [FAST, "matching", "matching"]
     damage(tmp_path / "data" / "hall" / "p1.png")
     run_bench(plan)
-    assert [setting.preset for setting in asked[3:]] == ["fast", "balanced"]
+    assert [setting.method for setting in asked[3:]] == [FAST, "matching"]
 
 
 def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path: Path) -> None:
     pair = hall_pair(tmp_path / "data")
     damage(tmp_path / "data" / "hall" / "p0.png")
-    setting = Setting("fast", ROWS, (64, 128), 1)
+    setting = Setting(FAST, (64, 128), 1)
     failed = bench._in_child(BenchRun(setting, (pair,), 1, key="key"))
     assert (failed.status, failed.key) == ("failed", "key")
     assert "first.png" in failed.reason
@@ -132,18 +164,36 @@ class Compiling:
 def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
     said: list[str] = []
     with when_compiling(lambda: said.append("compiling")):
-        failed = bench._in_child(BenchRun(Setting("fast", ROWS, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
+        failed = bench._in_child(BenchRun(Setting(FAST, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
     assert (failed.status, failed.reason) == ("failed", "InputError: no panorama")
     assert said == ["compiling"]
+
+
+def test_a_process_that_compiled_ends_before_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[object] = []
+
+    def measure(run: BenchRun, folder: Path, on_warm: Callable[[], None]) -> str:
+        if run.frames == 2:
+            kernel(cache=False)(lambda x: x)(1)
+        on_warm()
+        return "figures"
+
+    monkeypatch.setattr(bench, "measure_setting", measure)
+    monkeypatch.setattr(bench, "end_with_parent", lambda: None)
+    monkeypatch.setattr(bench.signal, "signal", lambda *_: None)
+    for frames, is_patient in ((1, False), (2, False), (2, True)):
+        setting = Setting(FAST, (64, 128), 1)
+        bench._serve(SimpleNamespace(send=sent.append), BenchRun(setting, (), frames), tmp_path, is_patient)  # type: ignore[arg-type]
+    assert sent == ["figures", "compiling", None, "compiling", "figures"]
 
 
 @pytest.mark.parametrize("has_compiled", [False, True])
 def test_a_setting_that_had_to_compile_is_measured_again(has_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Compiling takes a minute once, which is not what a clip takes."""
-    answers = [(figures_of(Setting("fast", rows, (64, 128), 1)), has_compiled) for rows in (64, 128)]
-    monkeypatch.setattr(bench, "_measured_once", lambda run: answers.pop(0))
-    figures = bench._in_child(BenchRun(Setting("fast", ROWS, (64, 128), 1), (), 1))
-    assert figures.setting.depth_rows == (128 if has_compiled else 64)
+    first, second = (figures_of(Setting(FAST, (64, 128), threads)) for threads in (1, 2))
+    answers = [None, second] if has_compiled else [first]
+    monkeypatch.setattr(bench, "_measured_once", lambda run, is_patient=False: answers.pop(0))
+    assert bench._in_child(BenchRun(first.setting, (), 1)) is (second if has_compiled else first)
 
 
 class Deadly:
@@ -165,37 +215,43 @@ def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(
     pair = hall_pair(tmp_path / "data")
 
     seconds = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0, "render": 6.0, "fuse": 2.0, "total": 20.0}
-    monkeypatch.setattr(bench_run, "run_interpolation", lambda plan, estimator: SimpleNamespace(seconds=seconds))
+    monkeypatch.setattr(bench_run, "run_interpolation", lambda plan, estimator, now: SimpleNamespace(seconds=seconds))
     ends = (pair.first.image, pair.second.image)
     plan = plan_interpolation(InterpolationJob(ends, ends[0].parent / "poses.json", tmp_path / "clip.mp4"))
     of_pair = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0}
-    of_frame = {"render": 1.5, "fuse": 0.5, "encode": 0.0, "convert": 1.0}
+    of_frame = {"render": 1.5, "fuse": 0.5, "encode": 1.0}
     assert bench_run._per_pair_and_frame(bench_run._clip(plan, KnownDepth()), 4) == of_pair | of_frame
 
 
-def test_calibration_is_the_median_of_three_steps_or_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = []
-    monkeypatch.setattr("omnisyn_cli.evaluation.budget._step", lambda _: lambda: calls.append(1))
-    marks = iter([0.0, 1.0, 9.0, 11.0])
-    monkeypatch.setattr("omnisyn_cli.evaluation.budget.time.perf_counter", lambda: next(marks))
-    assert calibrate(1, seconds=0.0) == 2.0
-    assert len(calls) == 1 + 3
-
-
-def test_calibration_does_real_work() -> None:
-    assert 1e-5 < calibrate(1, seconds=0.0) < 10.0
+def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended() -> None:
+    begin = bench_run.computing()
+    subprocess.run([sys.executable, "-c", "sum(range(3_000_000))"], check=True)
+    after = bench_run.computing()
+    assert after > begin + 0.01
+    time.sleep(0.2)
+    assert bench_run.computing() < after + 0.1
 
 
 def test_scenes_are_made_once(tmp_path: Path) -> None:
     make_scenes(tmp_path / "scenes", (16, 32))
     pairs = [pair for source in find_scenes(tmp_path / "scenes") for pair in choose_pairs(None)(source.read())]
-    assert [pair.scene for pair in pairs] == ["room-9000001-1m", "street-9000001-2m"]
+    assert sorted(pair.scene for pair in pairs) == sorted(f"{k}-{s}-{b:g}m" for k, s, b in bench.GENERATED)
+    walked = [float(np.linalg.norm(pair.second.pose.position - pair.first.pose.position)) for pair in pairs]
+    assert walked == pytest.approx([float(pair.scene.split("-")[2][:-1]) for pair in pairs])
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}
     make_scenes(tmp_path / "scenes", (16, 32))
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")} == before
 
 
-@pytest.mark.parametrize(("options", "message"), [({"presets": ("nosuch",)}, "nosuch"), ({"pairs": "x"}, "pairs")])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"methods": "nosuch"}, "nosuch"),
+        ({"methods": "oracle-depth"}, "expected methods that `omnisyn interpolate` has"),
+        ({"methods": "matching:depth=64x32"}, "expected methods that `omnisyn interpolate` has"),
+        ({"pairs": "x"}, "pairs"),
+    ],
+)
 def test_wrong_wishes_are_refused(tmp_path: Path, options: dict[str, object], message: str) -> None:
     write_halls(tmp_path / "data", "hall")
     with pytest.raises(InputError, match=message):
@@ -203,7 +259,7 @@ def test_wrong_wishes_are_refused(tmp_path: Path, options: dict[str, object], me
 
 
 def test_the_report_names_failures_and_draws_what_is_rated(tmp_path: Path) -> None:
-    good, bad = (Setting(preset, 256, (64, 128), 1) for preset in ("fast", "accurate"))
+    good, bad = (Setting(method, (64, 128), 1) for method in (FAST, "matching"))
     measured = [figures_of(good), Figures(bad, "failed", "<no memory>")]
     write_bench_report(tmp_path, measured)
     page = (tmp_path / "bench.html").read_text()
@@ -211,5 +267,5 @@ def test_the_report_names_failures_and_draws_what_is_rated(tmp_path: Path) -> No
     assert good.name in page
     assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
     choice, stages = bench_tables(measured)
-    assert [row.name.partition(": ")[2] for row in choice.rows] == [good.name]
+    assert [row.name for row in choice.rows] == [f"● {good.name}"]
     assert [row.reason for row in stages.rows] == ["", "<no memory>"]

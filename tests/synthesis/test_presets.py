@@ -76,12 +76,11 @@ def test_known_depth_is_fused_by_rules_with_this_preset_too(tmp_path: Path) -> N
 
 def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Even where it was measured and looks both fast and accurate."""
-    setting = Setting("paper", PAPER.depth.rows, (64, 128), 1)
-    stages = dict.fromkeys(("start", "decode", "depth", "mesh", "render", "fuse", "encode", "convert"), 1e-6)
-    tempting = Figures(setting, seconds=stages, calibration=1.0, source=(64, 128), ws_psnr=99.0)
+    setting = Setting("omnisyn-paper", (64, 128), 1)
+    stages = dict.fromkeys(("start", "decode", "depth", "check", "mesh", "render", "fuse", "encode"), 1e-6)
+    tempting = Figures(setting, recipe=PAPER, seconds=stages, probe=1.0, source=(64, 128), scores={"hall": 99.0})
     with_paper = (*budget.shipped_table(), tempting)
     monkeypatch.setattr(budget, "shipped_table", lambda: with_paper)
-    monkeypatch.setattr(budget, "calibrate", lambda threads: 0.05)
     plan = plan_interpolation(job_of(tmp_path, images))
     assert budget.apply_budget(plan, 1e9).job.preset in SCALE
     with pytest.raises(InputError, match="renderer 'mesh' with a budget, got 'two-pass'"):
@@ -89,7 +88,7 @@ def test_no_budget_chooses_a_reproduction(tmp_path: Path, images: list[Path], mo
 
 
 def test_measurements_are_of_the_scale_unless_asked_otherwise() -> None:
-    assert BenchJob(Path("data"), Path("report")).presets == tuple(SCALE)
+    assert not set(BenchJob(Path("data"), Path("report")).methods.split(",")) & {"omnisyn-paper", "synsin"}
 
 
 def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:

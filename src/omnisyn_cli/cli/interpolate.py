@@ -30,6 +30,7 @@ from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
 from omnisyn_cli.synthesis.recipe import FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
 
 if TYPE_CHECKING:
+    from omnisyn_cli.interpolation.plan import InterpolationPlan
     from omnisyn_cli.interpolation.summary import Summary
 
 
@@ -53,8 +54,8 @@ if TYPE_CHECKING:
 @preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
-    help="Take the most accurate preset, from fast to accurate, that is expected to be done in this time; how fast "
-    "this machine is, is measured for a second first.",
+    help="Take the preset of the best picture, from fast to accurate, that is expected to be done in this time, and "
+    "say what more time would bring.",
 )  # fmt: skip
 @depth_options
 @click.option(
@@ -124,7 +125,8 @@ if TYPE_CHECKING:
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option(
     "--dry-run", is_flag=True,
-    help="Check options, poses and what files say of themselves, print the plan, make nothing.",
+    help="Check options, poses and what files say of themselves, print the plan and how long it will take, make "
+    "nothing.",
 )  # fmt: skip
 @json_option("the summary")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
@@ -157,8 +159,6 @@ def interpolate(
         _check_budget_decides(options["method"])
     given = named(options, lambda: video_ending(options["codec"]))
     plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **given))
-    if budget is not None or not dry_run:
-        context.with_resource(say_when_compiling(is_quiet=quiet))
     if budget is not None:
         from omnisyn_cli.evaluation.budget import apply_budget
 
@@ -168,18 +168,34 @@ def interpolate(
         for note in plan.notes:
             click.echo(f"note: {note}", err=True)
     if dry_run:
-        print_plan(plan.describe(), as_json=as_json)
+        print_plan({**plan.describe(), **_expected(plan)}, as_json=as_json)
         return
+    compiled: list[str] = []
+    context.with_resource(say_when_compiling(is_quiet=quiet, listen=compiled.append))
     from omnisyn_cli.interpolation.rehearsal import rehearsed  # the kernels, which a plan does without
     from omnisyn_cli.interpolation.run import run_interpolation
 
     context.with_resource(rehearsed(plan))
     with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
         summary = run_interpolation(plan, on_frame)
+    if not compiled:
+        from omnisyn_cli.evaluation.duration import remember_run
+
+        remember_run(summary)
     if not quiet:
         for warning in summary.warnings():
             click.echo(f"warning: {warning}", err=True)
     _print_summary(summary, as_json=as_json, verbose=verbose, quiet=quiet)
+
+
+def _expected(plan: InterpolationPlan) -> dict[str, Any]:
+    """What the job is expected to take, and how that is known."""
+    from omnisyn_cli.evaluation.duration import expected_duration
+
+    duration = expected_duration(plan)
+    if duration is None:
+        return {"expected_seconds": None, "expected_from": "was not measured"}
+    return {"expected_seconds": round(duration.seconds, 1), "expected_from": duration.source}
 
 
 def _check_budget_decides(method: str) -> None:

@@ -19,13 +19,22 @@ COMPILING_AGAIN = (
 )
 
 
-def say_when_compiling(*, is_quiet: bool) -> AbstractContextManager[None]:
-    """Says once that kernels are compiled if that takes a while inside, which only the first run does."""
+def say_when_compiling(
+    *, is_quiet: bool, listen: Callable[[str], None] = lambda note: None
+) -> AbstractContextManager[None]:
+    """Says once that kernels are compiled if that takes a while inside, which only the first run does.
+
+    Args:
+        is_quiet: nothing is printed then.
+        listen: called with what is, or would have been, said.
+    """
     from omnisyn_cli.runtime.jit import are_kernels_kept, when_compiling
 
     def say() -> None:
+        note = COMPILING if are_kernels_kept() else COMPILING_AGAIN
+        listen(note)
         if not is_quiet:
-            click.echo(COMPILING if are_kernels_kept() else COMPILING_AGAIN, err=True)
+            click.echo(note, err=True)
 
     return when_compiling(say, SHORT)
 

@@ -8,10 +8,8 @@ import multiprocessing
 import platform
 import signal
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -20,21 +18,55 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
-from omnisyn_cli.evaluation.methods import ingredients_of
+from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.pareto import FIGURES, Figures, Setting
-from omnisyn_cli.evaluation.scene_files import suite_scenes, write_suite_scene
+from omnisyn_cli.evaluation.scene_files import write_scene
+from omnisyn_cli.io import read_header
 from omnisyn_cli.io.outputs import make_folder, staged_folder, write_parts
 from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
 from omnisyn_cli.runtime.threads import available_threads
-from omnisyn_cli.scenes.suite import SEEDS
-from omnisyn_cli.synthesis.presets import PRESETS, SCALE
+from omnisyn_cli.scenes import generate_scene, sample_path
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, SCALE
+from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["BenchJob", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
 
 RESULTS_NAME = "bench.jsonl"
 
-GENERATED = {"street": 2.0, "room": 1.0}
-"""Scenes of the standard set that are measured where no others are given: the kind and its baseline in metres."""
+GENERATED = (
+    ("street", 5_000_001, 1.0), ("street", 5_000_002, 3.0), ("street", 5_000_003, 6.0),
+    ("room", 5_000_001, 1.0), ("room", 5_000_003, 3.0),
+    ("home", 5_000_002, 1.0), ("home", 5_000_003, 2.0), ("home", 5_000_004, 4.0),
+    ("jumble", 5_000_001, 1.0), ("jumble", 5_000_002, 3.0),
+    ("yard", 5_000_001, 2.0), ("yard", 5_000_002, 6.0),
+)  # fmt: skip
+"""Pairs that are made where no others are given: kind, seed, metres. Nothing was trained or tuned with these seeds."""
+
+NAMES = tuple(f"{frame:04d}.png" for frame in range(5))
+"""Of the panoramas of a scene that is made: two inputs, and three true frames between."""
+
+SUPERSAMPLE = 2
+
+DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"
+"""What others are compared with."""
+
+IN_EVERY_SIZE = tuple(f"omnisyn-{name}" for name in SCALE)
+"""What is measured in further sizes as well."""
+
+CHOICES = (
+    "crossfade",
+    "flow",
+    *IN_EVERY_SIZE,
+    "matching",
+    *(
+        f"{DEFAULT_METHOD}:{change}"
+        for change in ("model=none", "edges=none", "rows=512", "rows=2048", "renderer=points")
+    ),
+)
+"""What is measured unless something else is asked for: everything that costs time and that users may choose."""
+
+PAIRS_TIMED = 2
+"""Pairs between which frames are made that are larger than the panoramas: they cost time, but show no more."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +76,8 @@ class BenchJob:
     Attributes:
         dataset: folder of scenes; figures without true frames have no accuracy.
         report: folder for results; made if it is not there.
-        presets: names of :data:`omnisyn_cli.synthesis.presets.PRESETS`.
-        depth_rows: that depth is looked for at; empty means those of each preset.
-        sizes: (height, width) of the frames.
+        methods: names that :func:`omnisyn_cli.evaluation.methods.find_methods` knows, separated by commas.
+        sizes: (height, width) of the frames; those of the presets alone from the second one on.
         threads: empty means one per core.
         frames: that are rendered of every clip.
         layout: of the data set.
@@ -56,11 +87,10 @@ class BenchJob:
 
     dataset: Path
     report: Path
-    presets: tuple[str, ...] = tuple(SCALE)
-    depth_rows: tuple[int, ...] = ()
-    sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048))
+    methods: str = ",".join(CHOICES)
+    sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048), (2048, 4096))
     threads: tuple[int, ...] = ()
-    frames: int = 24
+    frames: int = 6
     layout: str = "auto"
     pairs: str | None = None
     device: str = "auto"
@@ -82,36 +112,39 @@ def make_scenes(folder: Path, size: tuple[int, int]) -> None:
         OutputPathError, WriteError: the folder cannot be written.
     """
     make_folder(folder, "results")
-    for kind, baseline in GENERATED.items():
-        for walk in suite_scenes((kind,), SEEDS[:1]):
-            if walk.baseline == baseline and walk.path and not (folder / walk.name).exists():
-                with staged_folder(folder / walk.name) as staged:
-                    write_suite_scene(staged, walk, size)
+    for kind, seed, baseline in GENERATED:
+        place = folder / f"{kind}-{seed}-{baseline:g}m"
+        if not place.exists():
+            scene = generate_scene(kind, seed)
+            path = sample_path(scene, seed, len(NAMES), baseline=baseline, vertical=0.0)
+            with staged_folder(place) as staged:
+                write_scene(staged, scene, path, NAMES, size, SUPERSAMPLE)
 
 
 def plan_bench(job: BenchJob) -> BenchPlan:
-    """All settings, the fastest preset first; nothing is measured yet.
+    """All settings in their order; nothing is measured yet.
 
     Raises:
-        InputError: no such preset, no scenes, or poses that cannot be read.
+        InputError: no such method, or one that has no video; no scenes, or poses that cannot be read.
     """
-    unknown = [name for name in job.presets if name not in PRESETS]
-    if unknown:
-        raise InputError(f"expected presets of {', '.join(PRESETS)}, got {', '.join(unknown)}; choose some of these")
+    methods = find_methods(job.methods)
+    for method in methods:
+        needs_truth = method.recipe.method == OMNISYN and method.recipe.depth.kind == "file"
+        if method.shows_first_only or method.is_in_tour or method.depth_size is not None or needs_truth:
+            raise InputError(f"expected methods that `omnisyn interpolate` has, got {method.name}; leave it out")
     choose = choose_pairs(job.pairs)
     pairs = tuple(pair for source in find_scenes(job.dataset, job.layout) for pair in choose(source.read()))
     if not pairs:
         raise InputError(f"{job.dataset}: expected two panoramas in a scene, got fewer; choose another data set")
-    return BenchPlan(job, tuple(_settings(job)), pairs)
+    return BenchPlan(job, tuple(_settings(job, [method.name for method in methods])), pairs)
 
 
-def _settings(job: BenchJob) -> Sequence[Setting]:
-    axes = product(job.sizes, job.threads or (available_threads(),), job.presets)
-    return [
-        Setting(preset, rows, size, threads)
-        for size, threads, preset in axes
-        for rows in job.depth_rows or (PRESETS[preset].recipe.depth.rows,)
-    ]
+def _settings(job: BenchJob, methods: Sequence[str]) -> Iterator[Setting]:
+    for size in job.sizes:
+        for threads in job.threads or (available_threads(),):
+            for method in methods:
+                if size == job.sizes[0] or method in IN_EVERY_SIZE:
+                    yield Setting(method, size, threads)
 
 
 def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None = None) -> list[Figures]:
@@ -134,12 +167,20 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
         key = _key(plan, setting, files)
         figures = known.get(key)
         if figures is None:
-            figures = _in_child(BenchRun(setting, plan.pairs, plan.job.frames, plan.job.device, key))
+            figures = _in_child(_run(plan, setting, key))
             _append(path, figures)
         measured.append(figures)
         if on_setting:
             on_setting(len(measured), figures)
     return measured
+
+
+def _run(plan: BenchPlan, setting: Setting, key: str) -> BenchRun:
+    """What to do for a setting."""
+    truth = next((frame.image for pair in plan.pairs for frame in pair.between), plan.pairs[0].first.image)
+    is_scored = setting.size[0] <= read_header(truth).height
+    pairs = plan.pairs if is_scored else plan.pairs[:PAIRS_TIMED]
+    return BenchRun(setting, pairs, plan.job.frames, plan.job.device, key, is_scored)
 
 
 def machine_in_words() -> str:
@@ -148,7 +189,7 @@ def machine_in_words() -> str:
 
 
 def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
-    ingredients = [setting.name, *ingredients_of(PRESETS[setting.preset].recipe)]
+    ingredients = [setting.name, *find_method(setting.method).ingredients()]
     options = {"frames": plan.job.frames, "device": plan.job.device}
     return "-".join(files.of(pair, ingredients, options)[:16] for pair in plan.pairs)
 
@@ -176,24 +217,25 @@ COMPILING = "compiling"
 
 
 def _in_child(run: BenchRun) -> Figures:
-    """A run in a process of its own; once more where kernels were compiled, which would count as its time."""
-    figures, has_compiled = _measured_once(run)
-    return _measured_once(run)[0] if has_compiled and figures.status == "done" else figures
+    """A run in a process of its own; another one where that had to compile kernels, which would count as its time."""
+    return _measured_once(run) or _measured_once(run, is_patient=True) or _failed(run, "it compiled and did no more")
 
 
-def _measured_once(run: BenchRun) -> tuple[Figures, bool]:
-    """Figures of a process, and whether it compiled; whatever ends it is written down, and the others go on."""
+def _failed(run: BenchRun, reason: str) -> Figures:
+    return Figures(run.setting, "failed", reason, key=run.key)
+
+
+def _measured_once(run: BenchRun, *, is_patient: bool = False) -> Figures | None:
+    """Figures of a process, None if it did no more than compile; whatever ends it is written down, the others go on."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     with tempfile.TemporaryDirectory(prefix="omnisyn-bench-", ignore_cleanup_errors=True) as folder:
-        process = context.Process(target=_serve, args=(theirs, run, Path(folder), time.time()), daemon=True)
+        process = context.Process(target=_serve, args=(theirs, run, Path(folder), is_patient), daemon=True)
         process.start()
         theirs.close()
-        has_compiled = False
         try:
             figures = ours.recv()
             if figures == COMPILING:
-                has_compiled = True
                 announce_compiling()
                 figures = ours.recv()
         except EOFError:
@@ -203,18 +245,32 @@ def _measured_once(run: BenchRun) -> tuple[Figures, bool]:
             process.kill()
             process.join()
             ours.close()
-    if not isinstance(figures, Figures):
-        figures = Figures(run.setting, "failed", str(figures), run.key)
-    return figures, has_compiled
+    return figures if figures is None or isinstance(figures, Figures) else _failed(run, str(figures))
 
 
-def _serve(connection: Connection, run: BenchRun, folder: Path, launched: float) -> None:
-    """Send figures, or the message of what went wrong."""
+class _OnlyCompiledError(Exception):
+    """Everything that is done once has been done, and kernels were compiled: what was measured is of no use."""
+
+
+def _serve(connection: Connection, run: BenchRun, folder: Path, is_patient: bool) -> None:
+    """Send figures, None if kernels were compiled at first, or the message of what went wrong."""
+    compiled: list[str] = []
+
+    def say() -> None:
+        compiled.append(COMPILING)
+        connection.send(COMPILING)
+
+    def on_warm() -> None:
+        if compiled and not is_patient:
+            raise _OnlyCompiledError
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     end_with_parent()
     try:
-        with when_compiling(lambda: connection.send(COMPILING)):
-            figures = measure_setting(run, folder, launched)
+        with when_compiling(say):
+            figures = measure_setting(run, folder, on_warm)
         connection.send(figures)
+    except _OnlyCompiledError:
+        connection.send(None)
     except Exception as error:  # noqa: BLE001 - one broken setting must not end a comparison of many
         connection.send(" ".join(f"{type(error).__name__}: {error}".split()))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from omnisyn_cli import __version__
 from omnisyn_cli.evaluation import pareto
-from omnisyn_cli.evaluation.bench import machine_in_words
+from omnisyn_cli.evaluation.bench import DEFAULT_METHOD, machine_in_words
 from omnisyn_cli.evaluation.pareto import Figures
 from omnisyn_cli.evaluation.plots import pareto_plot
 from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, render_page
@@ -21,6 +21,8 @@ WS_PSNR = Column("WS-PSNR, dB", 1)
 
 MEMORY = Column("Memory, MB", -1, 0)
 
+FRONT, OTHER = "●", "○"
+
 
 def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
     """Write ``bench.html``, ``bench.json`` and, where there is accuracy, ``bench.png``.
@@ -32,7 +34,7 @@ def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
     Raises:
         WriteError: the disk is full, or the folder went away.
     """
-    diagram, tables = pareto_plot(measured), bench_tables(measured)
+    diagram, tables = pareto_plot(measured, DEFAULT_METHOD), bench_tables(measured)
     about = {"version": __version__, "machine": machine_in_words()}
     page = render_page("bench.html.j2", tables=tables, diagram=diagram, **about)
     values = {**about, "settings": [figures.to_json() for figures in measured]}
@@ -45,27 +47,33 @@ def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
 
 
 def bench_tables(measured: Sequence[Figures]) -> list[Table]:
-    """Which setting to take for which budget, one table for each size of frames, then what everything takes."""
-    sizes = dict.fromkeys(figures.setting.size for figures in measured)
-    choices = [_choice_table([f for f in measured if f.setting.size == size], size) for size in sizes]
-    return [*(table for table in choices if table.rows), _stage_table(measured)]
+    """What settings cost and are worth, one table for each size of frames that has scores; then their stages."""
+    sizes = dict.fromkeys(figures.setting.size for figures in measured if figures.scores)
+    trades = [_trade_table([f for f in measured if f.setting.size == size and f.scores], size) for size in sizes]
+    return [*trades, _stage_table(measured)]
 
 
-def _choice_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
+def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
+    usual = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
     columns = {
         WS_PSNR: _ws_psnr,
+        Column(f"against {usual.setting.method}, dB", 1): lambda f: pareto.gain(f, usual)[0],
+        Column("± dB", 0): lambda f: pareto.gain(f, usual)[1],
         Column(f"{pareto.STANDARD_FRAMES} frames, s", -1, 1): pareto.standard_seconds,
         Column("First frame, s", -1, 1): pareto.first_seconds,
         Column("Each further frame, s", -1, 3): pareto.frame_seconds,
         MEMORY: _megabytes,
     }
+    front = pareto.pareto_front(measured)
     rows = tuple(
-        Row(f"from {pareto.standard_seconds(f):.1f} s: {f.setting.name}", tuple(Cell(of(f)) for of in columns.values()))
-        for f in pareto.pareto_front(measured)
+        Row(f"{FRONT if f in front else OTHER} {f.setting.name}", tuple(Cell(of(f)) for of in columns.values()))
+        for f in sorted(measured, key=pareto.standard_seconds)
     )
-    note = "The most accurate setting that fits; from fewer seconds than in the first line on, the first one."
-    title = f"Which setting for which budget, {size[1]}x{size[0]}"
-    return Table(title, note, "Budget and setting", tuple(columns), rows)
+    note = (
+        f"Mean of {len(usual.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
+        f"{FRONT}: nothing else is both faster and more accurate. Seconds are of computing, of one core."
+    )
+    return Table(f"What settings cost and are worth, {size[1]}x{size[0]}", note, "Setting", tuple(columns), rows)
 
 
 def _stage_table(measured: Sequence[Figures]) -> Table:
@@ -74,9 +82,9 @@ def _stage_table(measured: Sequence[Figures]) -> Table:
     columns = (*(Column(stage, -1, 3 if stage in pareto.FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
     rows = tuple(_stage_row(figures, stages) for figures in measured)
     note = (
-        f"Seconds: start once, {', '.join(of_pairs)} for each pair, {', '.join(pareto.FRAME_STAGES)} for each frame. "
-        "The encoder runs beside the other stages: encode is the time that they waited for it. Memory is the peak of "
-        "the program without the encoder."
+        f"Seconds of computing: start once, {', '.join(of_pairs)} for each pair, {', '.join(pareto.FRAME_STAGES)} for "
+        "each frame; encode is the encoder's work and all that is in no other stage. Memory is the peak of the program "
+        "without the encoder."
     )
     return Table("All settings", note, "Setting", columns, rows)
 

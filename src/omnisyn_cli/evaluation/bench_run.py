@@ -1,13 +1,16 @@
 """One setting at work: the product's own pipeline from two files to a video, timed, weighed, compared with the truth.
 
+Times are of computing: of all threads and of the encoder, which ends within the stage that waits for it.
+
 A run wants a process of its own, started for it alone: peak memory and the time to load are facts about processes.
 """
 
 import math
+import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -15,8 +18,9 @@ from statistics import fmean
 
 import numpy as np
 
-from omnisyn_cli.evaluation.budget import calibrate
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
+from omnisyn_cli.evaluation.duration import probe
+from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.evaluation.views import load_pair
@@ -24,19 +28,14 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
-from omnisyn_cli.io import open_video
-from omnisyn_cli.io.ffmpeg_process import read_frames
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.synthesis.frames import synthesize, turned_panorama
 from omnisyn_cli.synthesis.making import make_estimator, make_method
-from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.synthesis.recipe import Recipe
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 PHOTOGRAPHS = 2
 """The first and the last frame of a clip, which are not rendered."""
-
-MOST_BYTES = 2**29
-"""Of frames that are held to be encoded alone."""
 
 MEASURED_PEAK = "VmHWM:"
 
@@ -53,6 +52,7 @@ class BenchRun:
         frames: that are rendered of every clip.
         device: where networks run.
         key: goes into the figures.
+        is_scored: whether frames are compared with true ones.
     """
 
     setting: Setting
@@ -60,9 +60,16 @@ class BenchRun:
     frames: int
     device: str = "auto"
     key: str = ""
+    is_scored: bool = True
 
 
-def measure_setting(run: BenchRun, folder: Path, launched: float) -> Figures:
+def computing() -> float:
+    """Seconds that all threads of this process, and the processes that it has waited for, have computed so far."""
+    times = os.times()
+    return time.process_time() + times.children_user + times.children_system
+
+
+def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = lambda: None) -> Figures:
     """Measure a setting.
 
     The first clip is made twice: what it takes longer the first time is ``start``.
@@ -70,52 +77,38 @@ def measure_setting(run: BenchRun, folder: Path, launched: float) -> Figures:
     Args:
         run: what to do.
         folder: an empty one for copies and clips.
-        launched: when the process was started, in the seconds of ``time.time()``.
+        on_warm: called when all that is done once has been done.
 
     Raises:
         InputError: a picture cannot be read, or a network is missing.
         EncodingError, WriteError: a clip cannot be written.
     """
-    setting, source = run.setting, PRESETS[run.setting.preset].recipe.depth
-    source = replace(source, rows=setting.depth_rows)
-    estimator = _Remembering(make_estimator(source, device=run.device, threads=setting.threads))
-    plans = _plans(run, folder)
+    setting = run.setting
+    recipe = replace(find_method(setting.method).recipe, device=run.device)
+    estimator = _Remembering(make_estimator(recipe.depth, device=run.device, threads=setting.threads))
+    plans = _plans(run, recipe, folder)
     first_plan = next(plans)
-    _clip(plan_interpolation(replace(first_plan.job, frames=1 + PHOTOGRAPHS)), estimator)
-    started = time.time() - launched
+    short = plan_interpolation(replace(first_plan.job, frames=1 + PHOTOGRAPHS))
+    _clip(replace(short, recipe=recipe), estimator)
+    started = computing()
+    on_warm()
     clips, found = [], []
     for plan in chain((first_plan,), plans):
         clips.append(_per_pair_and_frame(_clip(plan, estimator), run.frames))
         found.append(estimator.found)
     memory = _peak_memory()
-    encoder = _encoder_alone(first_plan, estimator)
     start = max(0.0, started - sum(clips[0].values()))
     seconds = {"start": start, **{stage: fmean([clip.get(stage, 0.0) for clip in clips]) for stage in clips[0]}}
-    scores = list(chain.from_iterable(_scores(*each, first_plan) for each in zip(run.pairs, found, strict=True)))
+    scored = run.pairs if run.is_scored else ()
+    scores = {_name(pair): _scores(pair, depths, first_plan) for pair, depths in zip(scored, found, strict=False)}
     return Figures(
-        setting, key=run.key, source=first_plan.source_sizes[0], seconds=seconds,
-        calibration=calibrate(setting.threads), memory=memory, ws_psnr=fmean(scores) if scores else None,
-        pairs=len(clips), encoder=encoder,
+        setting, recipe=recipe, key=run.key, source=first_plan.source_sizes[0], seconds=seconds, probe=probe(),
+        memory=memory, scores={name: fmean(of_pair) for name, of_pair in scores.items() if of_pair}, pairs=len(clips),
     )  # fmt: skip
 
 
-def _encoder_alone(plan: InterpolationPlan, estimator: DepthEstimator) -> float:
-    """Seconds that the encoder takes for a frame of a clip, from memory, before and after the clip is made again."""
-    height, width = plan.size
-    most = max(2, MOST_BYTES // (3 * height * width))
-    frames = list(read_frames(plan.job.output, plan.size, min(most, len(plan.path))))
-    seconds = [_encode(frames, plan)]
-    _clip(plan, estimator)
-    return min(*seconds, _encode(frames, plan)) / len(frames)
-
-
-def _encode(frames: Sequence[np.ndarray], plan: InterpolationPlan) -> float:
-    begin, job = time.perf_counter(), plan.job
-    again = job.output.with_name("again.mp4")
-    with open_video(again, size=plan.size, fps=job.fps, threads=job.threads or 0, overwrite=True) as sink:
-        for frame in frames:
-            sink.write(frame)
-    return time.perf_counter() - begin
+def _name(pair: Pair) -> str:
+    return f"{pair.scene} {pair.first.name} {pair.second.name}"
 
 
 class _Remembering:
@@ -130,7 +123,7 @@ class _Remembering:
         return self.found
 
 
-def _plans(run: BenchRun, folder: Path) -> Iterator[InterpolationPlan]:
+def _plans(run: BenchRun, recipe: Recipe, folder: Path) -> Iterator[InterpolationPlan]:
     """A clip for each pair; pictures are copied, so that those of any data set get names of their own."""
     for index, pair in enumerate(run.pairs):
         place = folder / str(index)
@@ -139,10 +132,10 @@ def _plans(run: BenchRun, folder: Path) -> Iterator[InterpolationPlan]:
         write_poses(place / "poses.json", entries)
         job = InterpolationJob(
             tuple(place / name for name in entries), place / "poses.json", place / "clip.mp4",
-            frames=run.frames + PHOTOGRAPHS, size=run.setting.size, preset=run.setting.preset,
-            device=run.device, threads=run.setting.threads, overwrite=True,
+            frames=run.frames + PHOTOGRAPHS, size=run.setting.size, device=run.device,
+            threads=run.setting.threads, overwrite=True,
         )  # fmt: skip
-        yield plan_interpolation(job)
+        yield replace(plan_interpolation(job), recipe=recipe)
 
 
 def _copied(frame: SceneFrame, place: Path, name: str) -> tuple[str, PosedPanorama]:
@@ -155,12 +148,12 @@ def _copied(frame: SceneFrame, place: Path, name: str) -> tuple[str, PosedPanora
 
 
 def _clip(plan: InterpolationPlan, estimator: DepthEstimator) -> dict[str, float]:
-    """Seconds by stage; whatever is in no other stage is ``convert``."""
-    seconds = run_interpolation(plan, estimator=estimator).seconds
-    staged = {**dict.fromkeys(FRAME_STAGES, 0.0), **seconds}
-    total = staged.pop("total")
+    """Seconds of computing by stage; whatever is in no other stage is ``encode``."""
+    seconds = run_interpolation(plan, estimator=estimator, now=computing).seconds
+    staged = {stage: value for stage, value in seconds.items() if stage not in {"total", "encode"}}
+    rest = max(0.0, seconds["total"] - math.fsum(staged.values()))
     order = [*(stage for stage in staged if stage not in FRAME_STAGES), *FRAME_STAGES]
-    return {stage: staged[stage] for stage in order} | {"convert": max(0.0, total - math.fsum(staged.values()))}
+    return {stage: staged.get(stage, 0.0) for stage in order} | {"encode": rest}
 
 
 def _per_pair_and_frame(seconds: dict[str, float], frames: int) -> dict[str, float]:
@@ -172,15 +165,16 @@ def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan
 
     Args:
         pair: with or without true frames.
-        depths: that were found.
+        depths: that were found, if they were looked for.
         plan: of any pair with the same setting.
     """
-    if depths is None or not pair.between:
+    if not pair.between:
         return []
     threads = plan.job.threads
     loaded = load_pair(pair, None, threads)
     recipe = replace(plan.recipe, is_on_gpu=False)
-    method = make_method(recipe, plan.size, threads=threads, estimator=lambda first, second: depths)
+    known = None if depths is None else lambda first, second: depths
+    method = make_method(recipe, plan.size, threads=threads, estimator=known)
     made = synthesize(loaded.views, [truth.waypoint for truth in loaded.truths], method)
     images = (_resized(frame.image, loaded.size, threads) for frame in made)
     return [ws_psnr(np.clip(image, 0, 1), truth.image) for image, truth in zip(images, loaded.truths, strict=True)]

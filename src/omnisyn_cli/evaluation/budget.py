@@ -1,26 +1,16 @@
-"""Which preset fits into a number of seconds on this machine, from figures that were measured on another one.
+"""Which preset shows the best picture within a number of seconds on this machine.
 
 Only presets of the scale from fast to accurate are chosen: what is there to compare with is neither.
 """
 
-import statistics
-import time
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
-from itertools import pairwise
-from pathlib import Path
-
-import numpy as np
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.pareto import Figures, Workload, expected_seconds, nearest_figures, quality, read_table
-from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.evaluation.duration import Duration, expected_duration, shipped_table
+from omnisyn_cli.evaluation.pareto import Figures, gain, quality
 from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
-from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.synthesis.presets import SCALE
 
 __all__ = ["apply_budget"]
@@ -32,42 +22,33 @@ class Choice:
 
     Attributes:
         preset: its name.
-        expected: seconds that the job is expected to take with each preset that was measured.
+        expected: what the job is expected to take with each preset that was measured.
         budget: seconds that it may take.
+        more: what the preset that shows the best picture of all gains, and how sure that is, in words; or nothing.
     """
 
     preset: str
-    expected: dict[str, float]
+    expected: dict[str, Duration]
     budget: float
+    more: str = ""
 
     @property
     def fits(self) -> bool:
         """Whether the job is expected to be done in time."""
-        return self.expected[self.preset] <= self.budget
+        return self.expected[self.preset].seconds <= self.budget
 
     def __str__(self) -> str:
-        own = f"{self.expected[self.preset]:.1f} s"
+        own = self.expected[self.preset]
         if not self.fits:
             return (
                 f"even the fastest preset, {self.preset}, is expected to take {own}, more than the budget of "
-                f"{self.budget:g} s; it is taken (fewer frames or a smaller --size help)"
+                f"{self.budget:g} s; it is taken (fewer frames or a smaller --size help){self.more}"
             )
-        others = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in self.expected.items() if name != self.preset)
-        rest = f" ({others})" if others else ""
-        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own}{rest}"
-
-
-def shipped_table() -> tuple[Figures, ...]:
-    """The figures that came with the program.
-
-    Raises:
-        InputError: they are missing or damaged.
-    """
-    return read_table(Path(str(files("omnisyn_cli"))) / "evaluation" / "pareto.json")
+        return f"preset {self.preset} for a budget of {self.budget:g} s: expected to take {own}{self.more}"
 
 
 def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
-    """The plan with the most accurate preset that is expected to be done in time, and a note that says so.
+    """The plan with the preset of the best picture that is expected to be done in time, and a note that says so.
 
     Args:
         plan: of the job; its preset only says what is drawn, and how.
@@ -77,19 +58,16 @@ def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
         InputError: the job asks for something that was not measured, or no preset was.
     """
     _check_measured(plan)
-    work = Workload(
-        len(plan.entries), len(plan.path), plan.size, max(plan.source_sizes),
-        calibrate(plan.job.threads), plan.recipe.depth.kind != "file",
-    )  # fmt: skip
-    choice = choose_preset(shipped_table(), work, plan.job.threads or available_threads(), budget)
+    table = shipped_table()
     if plan.recipe.depth.kind == "file":
-        return replace(plan, notes=(*plan.notes, _without_choice(choice)))
+        return replace(plan, notes=(*plan.notes, _without_choice(expected_duration(plan, table), budget)))
+    choice = choose_preset(plan, table, budget)
     chosen = with_preset(plan, choice.preset)
     return replace(chosen, notes=(*chosen.notes, str(choice)))
 
 
 def _check_measured(plan: InterpolationPlan) -> None:
-    """Presets were measured as they are, on the processor; depth from files takes no time."""
+    """Pictures were compared with presets as they are, on the processor; depth from files takes no time."""
     job = plan.job
     asked = {
         "renderer": (plan.recipe.renderer, ("mesh",)),
@@ -102,77 +80,54 @@ def _check_measured(plan: InterpolationPlan) -> None:
         if given not in measured:
             usual = f"the {name} {measured[0]!r}" if measured[0] else f"no {name}"
             raise InputError(
-                f"expected {usual} with a budget, got {given!r}, whose times were not measured; leave one of them out"
+                f"expected {usual} with a budget, got {given!r}, with which presets were not compared; leave one of "
+                "them out"
             )
 
 
-def _without_choice(choice: Choice) -> str:
-    seconds = min(choice.expected.values())
-    verdict = "within" if seconds <= choice.budget else "more than"
+def _without_choice(expected: Duration | None, budget: float) -> str:
+    if expected is None:
+        raise InputError("expected a renderer and a fusion that were measured with a budget, got others; leave it out")
+    verdict = "within" if expected.seconds <= budget else "more than"
     return (
-        f"depth comes from files, so presets make no difference: expected to take {seconds:.1f} s, {verdict} the "
-        f"budget of {choice.budget:g} s"
+        f"depth comes from files, so presets make no difference: expected to take {expected}, {verdict} the budget of "
+        f"{budget:g} s"
     )
 
 
-def choose_preset(table: Sequence[Figures], work: Workload, threads: int, budget: float) -> Choice:
-    """The most accurate preset that fits into ``budget`` seconds, or the fastest where none does.
+def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> Choice:
+    """The preset of the best picture that fits into ``budget`` seconds, or the fastest where none does.
 
     Raises:
         InputError: no preset of this version was measured.
     """
-    measured = {
-        name: figures
-        for name, preset in SCALE.items()
-        if (figures := nearest_figures(table, name, preset.recipe.depth.rows, work.size, threads)) is not None
+    measured = {name: found for name in SCALE if (found := _scored(table, name)) is not None}
+    expected = {
+        name: duration
+        for name in measured
+        if (duration := expected_duration(with_preset(plan, name), table)) is not None
     }
-    if not measured:
+    if not expected:
         raise InputError(f"expected figures of {', '.join(SCALE)} in the table, got none; run omnisyn bench --store")
-    expected = {name: expected_seconds(figures, work) for name, figures in measured.items()}
-    fitting = [name for name, seconds in expected.items() if seconds <= budget]
-    best = (
-        max(fitting, key=lambda name: quality(measured[name])) if fitting else min(expected, key=expected.__getitem__)
+    fitting = [name for name, duration in expected.items() if duration.seconds <= budget]
+    chosen = (
+        max(fitting, key=lambda name: quality(measured[name]))
+        if fitting
+        else min(expected, key=lambda name: expected[name].seconds)
     )
-    return Choice(best, expected, budget)
+    best = max(expected, key=lambda name: quality(measured[name]))
+    return Choice(chosen, expected, budget, "" if best == chosen else _more(best, expected, measured, chosen))
 
 
-SECONDS = 0.8
-"""How long steps are repeated; with the last one that is below two seconds on any machine worth using."""
-
-SIZE = (256, 512)
-"""Of the surfaces and of the picture."""
-
-BASELINE = 1.0
+def _scored(table: Sequence[Figures], preset: str) -> Figures | None:
+    """Figures of a preset in the size with the most pixels that it has scores in."""
+    rated = [f for f in table if f.scores and f.recipe == SCALE[preset].recipe]
+    return max(rated, key=lambda f: math.prod(f.setting.size), default=None)
 
 
-def calibrate(threads: int | None = None, seconds: float = SECONDS) -> float:
-    """Seconds of one step: the median over as many as fit into ``seconds``, three at least.
-
-    Args:
-        threads: at most this many; None is one per core.
-        seconds: how long to go on.
-    """
-    step = _step(threads)
-    step()
-    begin = time.perf_counter()
-    marks = [begin]
-    while len(marks) < 4 or marks[-1] - begin < seconds:
-        step()
-        marks.append(time.perf_counter())
-    return statistics.median(after - before for before, after in pairwise(marks))
-
-
-def _step(threads: int | None) -> Callable[[], None]:
-    """The work: a ball of a room with a bump, seen from both ends of a way."""
-    directions = pixel_directions(*SIZE)
-    inverse_depth = np.asarray(0.3 + 0.2 * (directions[..., 1] < 0) + 0.3 * (directions[..., 0] > 0.8), np.float32)
-    image = np.asarray(0.5 + 0.5 * np.sin(40 * directions), np.float32)
-    renderers = [MeshRenderer(image, None, inverse_depth, None, SIZE, None, threads) for _ in range(2)]
-    fuser = GeometricFuser(SIZE, threads=threads)
-    poses = [Pose(np.eye(3), np.array([0.0, 0.0, side * BASELINE / 2])) for side in (-1, 1)]
-
-    def work() -> None:
-        first, second = (render(pose) for render, pose in zip(renderers, poses, strict=True))
-        fuser(first, second, 0.5)
-
-    return work
+def _more(best: str, expected: dict[str, Duration], measured: dict[str, Figures], chosen: str) -> str:
+    gained, error = gain(measured[best], measured[chosen])
+    return (
+        f"; {best} would take about {expected[best].seconds:.0f} s for {gained:+.2f} ± {error:.2f} dB "
+        f"(the mean of {len(measured[best].scores)} scenes of omnisyn bench)"
+    )

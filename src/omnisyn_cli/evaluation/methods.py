@@ -7,9 +7,10 @@ Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
 estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
-does), ``views=1`` (only the first panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in
-which its depth comes from both its neighbours); those whose depth a network refines take ``model=none`` (all
-else as it is, without that network): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
+does), ``edges=none`` (no edges are sampled), ``views=1`` (only the first panorama is shown) or ``neighbours=2`` (pairs
+that share a panorama are a tour, in which its depth comes from both its neighbours); those whose depth a network
+refines take ``rows`` (that it is looked for at) and ``model=none`` (all else as it is, without that network):
+``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
 ``omnisyn-accurate:model=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
 
@@ -242,6 +243,10 @@ FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
 
 NO_MODEL = "model=none"
 
+NO_EDGES = "edges=none"
+
+LEAST_ROWS = 32
+
 ONE_VIEW = "views=1"
 
 VARIANTS = (
@@ -287,8 +292,10 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
             return replace(method, recipe=replace(recipe, renderer=value))
         if parameter in FUSED_BY:
             return replace(method, recipe=replace(recipe, fusion=FUSED_BY[parameter]), shows_first_only=False)
-        if parameter == NO_MODEL and recipe.depth.kind == "refined":
-            return replace(method, recipe=replace(recipe, depth=replace(recipe.depth, model=None)))
+        if recipe.depth.kind == "refined" and (source := _changed_source(recipe.depth, parameter)) is not None:
+            return replace(method, recipe=replace(recipe, depth=source))
+        if parameter == NO_EDGES:
+            return replace(method, recipe=replace(recipe, edges=False))
         if parameter == ONE_VIEW:
             return replace(method, shows_first_only=True)
         if parameter == IN_TOUR and recipe.depth.kind != "file":
@@ -300,10 +307,18 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)}, {NO_MODEL} (where one "
-        f"refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) after the colon, got "
-        f"{parameter!r} in {name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)}, {NO_EDGES}, rows=1024 or "
+        f"{NO_MODEL} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) after the "
+        f"colon, got {parameter!r} in {name!r}"
     )
+
+
+def _changed_source(source: DepthSource, parameter: str) -> DepthSource | None:
+    """Refined depth of other rows or without its network; None where the parameter says neither."""
+    key, _, value = parameter.partition("=")
+    if key == "rows" and int(value) >= LEAST_ROWS:
+        return replace(source, rows=int(value))
+    return replace(source, model=None) if parameter == NO_MODEL else None
 
 
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}

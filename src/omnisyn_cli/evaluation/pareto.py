@@ -1,7 +1,7 @@
-"""What settings cost and what they are worth: figures, the time that a job will take, and which settings to choose.
+"""What settings cost and what they are worth: figures of a bench, and which settings are worth choosing.
 
-The model of time: what is done once, plus what each pair takes, plus what each frame takes in proportion to its
-pixels, all in proportion to how fast the machine is at one fixed piece of work (:mod:`.calibration`).
+Cost is computing: seconds of one core, those of the encoder included, so that it hardly depends on what else the
+machine does. :mod:`.duration` makes seconds on the clock of them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any, Literal
 
 from pydantic import ConfigDict, TypeAdapter
@@ -18,16 +19,17 @@ from pydantic import ConfigDict, TypeAdapter
 from omnisyn_cli import __version__
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_parts
+from omnisyn_cli.synthesis.recipe import Recipe
 
 __all__ = ["write_table"]
 
-FRAME_STAGES = ("render", "fuse", "encode", "convert")
-"""``encode`` is the time that the other stages waited for the encoder; ``convert`` makes samples of floats."""
+FRAME_STAGES = ("render", "fuse", "encode")
+"""``encode`` is what is in no other stage: samples are converted and handed on, and the encoder works."""
 
 STANDARD_FRAMES = 90
 """Frames of the clip that settings are compared by: three seconds between two panoramas."""
 
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -35,16 +37,14 @@ class Setting:
     """What can be chosen.
 
     Attributes:
-        preset: a name of :data:`omnisyn_cli.synthesis.presets.PRESETS`.
-        depth_rows: that depth is looked for at, which is the density of the mesh as well.
+        method: a name that :func:`omnisyn_cli.evaluation.methods.find_method` knows.
         size: height and width of the frames.
         threads: at most this many.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    preset: str
-    depth_rows: int
+    method: str
     size: tuple[int, int]
     threads: int
 
@@ -52,7 +52,10 @@ class Setting:
     def name(self) -> str:
         """In a few words."""
         threads = "1 thread" if self.threads == 1 else f"{self.threads} threads"
-        return f"{self.preset}, {self.depth_rows} rows, {self.size[1]}x{self.size[0]}, {threads}"
+        return f"{self.method}, {self.size[1]}x{self.size[0]}, {threads}"
+
+
+NO_RECIPE = Recipe()
 
 
 @dataclass(frozen=True)
@@ -61,35 +64,35 @@ class Figures:
 
     Attributes:
         setting: which.
-        status: ``failed`` has a ``reason``.
-        key: hash of everything that the figures depend on, the machine excepted.
+        status: ``done``, or ``failed`` for a ``reason``.
+        reason: why there are no figures.
+        recipe: what the method stands for.
+        key: what the figures depend on, as a digest.
         source: height and width of the panoramas.
-        seconds: wall time by stage: ``start`` once, :data:`FRAME_STAGES` for each frame, all others for each pair.
-        calibration: seconds of the fixed piece of work, beside these.
-        memory: bytes at the peak, without the encoder; None where the system does not tell.
-        ws_psnr: mean over the true frames, dB; None where there are none.
-        pairs: how many it is the mean of.
-        encoder: wall time that the encoder alone takes for each frame of the first clip, beside these.
+        seconds: of computing by stage: ``start`` once; those of :data:`FRAME_STAGES` for each frame; others for each
+            pair.
+        probe: seconds that this machine took for :func:`omnisyn_cli.evaluation.duration.probe`.
+        memory: bytes at most, of the program without the encoder; None where nobody knows.
+        scores: WS-PSNR in dB by the name of the pair, the mean of its true frames.
+        pairs: panoramas between which clips were made.
     """
-
-    __pydantic_config__ = ConfigDict(extra="forbid")
 
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
+    recipe: Recipe = NO_RECIPE
     key: str = ""
     source: tuple[int, int] = (0, 0)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    calibration: float = 0.0
+    probe: float = 0.0
     memory: int | None = None
-    ws_psnr: float | None = None
+    scores: Mapping[str, float] = field(default_factory=dict)
     pairs: int = 0
-    encoder: float | None = None
 
     @property
-    def to_encoder(self) -> float | None:
-        """Time of a standard clip in that of encoding its frames alone."""
-        return None if self.encoder is None else standard_seconds(self) / (STANDARD_FRAMES * self.encoder)
+    def ws_psnr(self) -> float | None:
+        """Mean over pairs in dB."""
+        return fmean(self.scores.values()) if self.scores else None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -100,45 +103,23 @@ FIGURES = TypeAdapter(Figures)
 """Makes figures of the plain values again."""
 
 
-@dataclass(frozen=True)
-class Workload:
-    """A job as far as time depends on it, and the machine that does it.
+def gain(figures: Figures, other: Figures) -> tuple[float, float]:
+    """How much better one is than another between pairs that both have scores of: the mean in dB, its standard error.
 
-    Attributes:
-        panoramas: two or more.
-        frames: of the whole video.
-        size: height and width of the frames.
-        source: height and width of the largest panorama.
-        calibration: seconds that this machine takes for the fixed piece of work now.
-        finds_depth: False where depth is read from files.
+    Both are NaN where there is none, the error also where there is one only.
     """
-
-    panoramas: int
-    frames: int
-    size: tuple[int, int]
-    source: tuple[int, int]
-    calibration: float
-    finds_depth: bool = True
-
-
-def expected_seconds(figures: Figures, work: Workload) -> float:
-    """Seconds that a job is expected to take with a setting that was measured."""
-    seconds = _seconds(figures)
-    source = math.prod(work.source) / math.prod(figures.source)
-    decode = seconds["decode"] * source * work.panoramas / 2
-    skipped = {"decode"} if work.finds_depth else {"decode", "depth"}
-    pairs = (work.panoramas - 1) * math.fsum(seconds[s] for s in pair_stages(figures) if s not in skipped)
-    frames = work.frames * frame_seconds(figures) * math.prod(work.size) / math.prod(figures.setting.size)
-    return (seconds["start"] + decode + pairs + frames) * work.calibration / figures.calibration
+    gains = [score - other.scores[pair] for pair, score in figures.scores.items() if pair in other.scores]
+    error = stdev(gains) / math.sqrt(len(gains)) if len(gains) > 1 else math.nan
+    return (fmean(gains) if gains else math.nan), error
 
 
 def standard_seconds(figures: Figures) -> float:
-    """Seconds for :data:`STANDARD_FRAMES` between two panoramas, on the machine and of the size that was measured."""
+    """Computing for :data:`STANDARD_FRAMES` between two panoramas, of the size that was measured."""
     return first_seconds(figures) + STANDARD_FRAMES * frame_seconds(figures)
 
 
 def first_seconds(figures: Figures) -> float:
-    """Seconds before the first frame."""
+    """Computing before the first frame."""
     seconds = _seconds(figures)
     return seconds["start"] + math.fsum(seconds[stage] for stage in pair_stages(figures))
 
@@ -149,7 +130,7 @@ def pair_stages(figures: Figures) -> list[str]:
 
 
 def frame_seconds(figures: Figures) -> float:
-    """Seconds for each further frame."""
+    """Computing for each further frame."""
     return math.fsum(_seconds(figures)[stage] for stage in FRAME_STAGES)
 
 
@@ -166,17 +147,6 @@ def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
     return front
 
 
-def nearest_figures(
-    measured: Iterable[Figures], preset: str, rows: int, size: tuple[int, int], threads: int
-) -> Figures | None:
-    """The figures of a preset whose threads and, among those, whose frames are the nearest; None: not measured."""
-    return min(
-        (f for f in measured if f.setting.preset == preset and f.setting.depth_rows == rows),
-        key=lambda f: (_ratio(f.setting.threads, threads), _ratio(math.prod(f.setting.size), math.prod(size))),
-        default=None,
-    )
-
-
 def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
     """Write the figures of all settings that were measured as JSON; an existing file is replaced.
 
@@ -185,7 +155,8 @@ def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
     """
     done = [figures.to_json() for figures in measured if figures.status == "done"]
     content = {"version": VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
-    write_parts(path, [(json.dumps(content, indent=1, allow_nan=False) + "\n").encode()])
+    text = json.dumps(content, allow_nan=False).replace('{"setting"', '\n{"setting"')  # a line for each
+    write_parts(path, [f"{text}\n".encode()])
 
 
 def read_table(path: Path) -> tuple[Figures, ...]:
@@ -212,8 +183,3 @@ def _seconds(figures: Figures) -> Mapping[str, float]:
 def quality(figures: Figures) -> float:
     """WS-PSNR in dB; minus infinity where it is not known."""
     return -math.inf if figures.ws_psnr is None else figures.ws_psnr
-
-
-def _ratio(first: float, second: float) -> float:
-    """How far two positive numbers are from equal."""
-    return abs(math.log(first / second))

@@ -6,11 +6,10 @@ import io
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
-from omnisyn_cli.evaluation.pareto import STANDARD_FRAMES, Figures, pareto_front, standard_seconds
+from omnisyn_cli.evaluation.pareto import STANDARD_FRAMES, Figures, gain, pareto_front, quality, standard_seconds
 from omnisyn_cli.evaluation.results import UnitRecord, mean
 
 if TYPE_CHECKING:
@@ -133,30 +132,32 @@ def _seconds_by_stage(records: Sequence[UnitRecord]) -> Figure | None:
     return figure
 
 
-def pareto_plot(measured: Sequence[Figures]) -> bytes | None:
-    """Accuracy against the seconds of a standard clip as a PNG file, a line along the best of each size.
+def pareto_plot(measured: Sequence[Figures], usual_method: str) -> bytes | None:
+    """Accuracy against the computing of a standard clip as a PNG file: a line along the front, full points on it.
 
-    None where no setting has an accuracy.
+    Bars are the standard error of the difference to the default, from pair to pair. None where no setting has an
+    accuracy.
     """
-    rated = [figures for figures in measured if figures.status == "done" and figures.ws_psnr is not None]
+    rated = sorted((f for f in measured if f.status == "done" and f.scores), key=standard_seconds)
     if not rated:
         return None
-    figure, axes = _new_figure(0, HEIGHT + 0.5)
-    presets = list(dict.fromkeys(figures.setting.preset for figures in rated))
-    for marker, size in zip(cycle(MARKERS), dict.fromkeys(figures.setting.size for figures in rated)):
-        of_size = [figures for figures in rated if figures.setting.size == size]
-        axes.plot(*_seconds_and_quality(pareto_front(of_size)), color="0.6", zorder=1)
-        for index, preset in enumerate(presets):
-            points = _seconds_and_quality([figures for figures in of_size if figures.setting.preset == preset])
-            label = f"{preset}, {size[1]}x{size[0]}"
-            axes.scatter(*points, marker=marker, s=45, zorder=2, color=_colour(index), label=label)
-    axes.set_xscale("log")
-    _finish(figure, axes, f"Seconds for {STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB")
+    figure, axes = _new_figure(len(rated), HEIGHT + 0.8)
+    front = pareto_front(rated)
+    axes.plot([standard_seconds(f) for f in front], [quality(f) for f in front], color="0.6", zorder=1)
+    usual = next((f for f in rated if f.setting.method == usual_method), rated[0])
+    for index, figures in enumerate(rated):
+        error = gain(figures, usual)[1]
+        style = {**_style(index), "markerfacecolor": _colour(index) if figures in front else "white"}
+        label = (
+            f"{figures.setting.method.removeprefix('omnisyn-')}, {figures.setting.size[1]}x{figures.setting.size[0]}"
+        )
+        axes.errorbar(
+            standard_seconds(figures), quality(figures), yerr=None if math.isnan(error) else error,
+            linestyle="none", markersize=7, capsize=2, linewidth=1.0, label=_plain(label), **style,
+        )  # fmt: skip
+    axes.set_xscale("log", subs=(2, 3, 5))
+    _finish(figure, axes, f"Seconds of computing for {STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB")
     return _png(figure)
-
-
-def _seconds_and_quality(measured: Sequence[Figures]) -> tuple[list[float], list[float]]:
-    return [standard_seconds(figures) for figures in measured], [figures.ws_psnr or 0.0 for figures in measured]
 
 
 def _new_figure(entries: int, height: float = HEIGHT) -> tuple[Figure, Axes]:

@@ -108,6 +108,7 @@ def run_interpolation(
     *,
     read: PanoramaReader = read_panorama,
     estimator: DepthEstimator | None = None,
+    now: Callable[[], float] = time.perf_counter,
 ) -> Summary:
     """Make the video.
 
@@ -116,12 +117,13 @@ def run_interpolation(
         on_frame: called with the number of finished frames, after each.
         read: decodes a panorama; one that remembers what it has read serves several videos.
         estimator: finds depth for this program's own method in place of what the plan asks for.
+        now: the clock of the summary's seconds.
 
     Raises:
         InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on.
         EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
-    begin, clock = time.perf_counter(), Stopwatch()
+    begin, clock = now(), Stopwatch(now)
     loader = Loader(plan, clock, read)
     kinds, threads = sample_types(plan.job), plan.job.threads
     with limited_threads(threads):
@@ -151,7 +153,7 @@ def run_interpolation(
                 for sink in sinks:
                     sink.finish()
     keeper.write_walk()
-    return Summary(plan, {**clock.seconds, "total": time.perf_counter() - begin}, keeper.pairs, keeper.triangles)
+    return Summary(plan, {**clock.seconds, "total": now() - begin}, keeper.pairs, keeper.triangles)
 
 
 class _PairKeeper:

@@ -35,7 +35,7 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 SCALE: Mapping[str, Preset] = _by_name(
     Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
     Preset("balanced", "matching, refined by a network, sharpened at twice the size", _refined(1024)),
-    Preset("accurate", "sharpened once more at four times the size; a network fuses", _refined(2048, "network")),
+    Preset("accurate", "the same, and a network fuses", _refined(1024, "network")),
 )
 """By name, from the fastest to the most accurate."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -53,19 +53,24 @@ class SynthesisOptions:
 
 
 class Stopwatch:
-    """Seconds by stage."""
+    """Seconds by stage.
 
-    def __init__(self) -> None:
+    Args:
+        now: the clock, in seconds; that on the wall unless something else is to be counted.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
+        self.now = now
         self.seconds: dict[str, float] = defaultdict(float)
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         """Time what happens inside."""
-        begin = time.perf_counter()
+        begin = self.now()
         try:
             yield
         finally:
-            self.seconds[stage] += time.perf_counter() - begin
+            self.seconds[stage] += self.now() - begin
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,272 @@
+"""How long a job will take on this machine: its work by what was measured elsewhere, its pace by former runs here.
+
+Work is computing in seconds of one core of the machine that :data:`TABLE` was measured on: once, plus so much for each
+pair of panoramas, plus so much for each frame. Every stage has the figures of a setting that agrees in what this stage
+depends on. Pace is what a second of work takes here on the clock: that of the most similar runs which this machine
+remembers, or, before there is one, a guess from the time of a small piece of work (:func:`probe`). Nothing heavy is
+loaded for any of it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from importlib.resources import files
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from omnisyn_cli.errors import OmnisynError
+from omnisyn_cli.evaluation.pareto import Figures, read_table
+from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.io.outputs import write_parts
+from omnisyn_cli.runtime.threads import available_threads
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
+
+if TYPE_CHECKING:
+    from omnisyn_cli.interpolation.summary import Summary
+
+__all__ = ["Duration", "expected_duration", "probe", "remember_run", "shipped_table"]
+
+TABLE = "pareto.json"
+
+RUNS_NAME = "runs.json"
+
+MOST_RUNS = 40
+"""That are remembered."""
+
+SIMILAR_RUNS = 5
+"""Of which the median is the pace."""
+
+SPREADING = 0.75
+"""A guess: n threads do as much as n to this power."""
+
+LEAST_SECONDS = 0.5
+"""Of work, below which a run says nothing about the pace."""
+
+TRIES = 7
+
+
+@dataclass(frozen=True)
+class Work:
+    """Seconds of computing on the machine of the table."""
+
+    start: float
+    pairs: float
+    frames: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is remembered of a run.
+
+    Attributes:
+        threads: it used at most this many.
+        pixels: of a frame.
+        pairs, frames: seconds on the clock for a second of work; None where there was too little of it.
+    """
+
+    threads: int
+    pixels: int
+    pairs: float | None
+    frames: float | None
+
+
+RUNS = TypeAdapter(list[Run])
+
+
+@dataclass(frozen=True)
+class Duration:
+    """What a job is expected to take.
+
+    Attributes:
+        seconds: on the clock.
+        source: how that is known, in words.
+    """
+
+    seconds: float
+    source: str
+
+    def __str__(self) -> str:
+        return f"about {self.seconds:.{0 if self.seconds >= 10 else 1}f} s, {self.source}"
+
+
+def probe() -> float:
+    """Seconds of computing, on one core, of a fixed piece of work with arrays: the least of some tries."""
+    values = np.linspace(0.0, 1e3, 1 << 18, dtype=np.float32)
+    least = math.inf
+    for _ in range(TRIES):
+        begin = time.process_time()
+        np.sort(np.sin(values))
+        least = min(least, time.process_time() - begin)
+    return max(least, 1e-6)
+
+
+def shipped_table() -> tuple[Figures, ...]:
+    """The figures that came with the program.
+
+    Raises:
+        InputError: they are missing or damaged.
+    """
+    return read_table(Path(str(files("omnisyn_cli"))) / "evaluation" / TABLE)
+
+
+def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None = None) -> Duration | None:
+    """What a job will take on this machine; None where its depth, method or device was never measured.
+
+    Raises:
+        InputError: the table that came with the program is missing or damaged.
+    """
+    table = shipped_table() if table is None else table
+    work = work_of(plan, table)
+    if work is None:
+        return None
+    slowness = probe() / median(figures.probe for figures in table)
+    threads = _threads(plan)
+    guess = slowness / threads**SPREADING
+    runs = _similar(remembered_runs(), threads, math.prod(plan.size))
+    pairs, frames = (_pace((getattr(run, part) for run in runs), guess) for part in ("pairs", "frames"))
+    source = (
+        f"by the pace of {len(runs)} former run{'s' * (len(runs) > 1)} on this machine"
+        if runs
+        else "a guess from figures of another machine; former runs on this one will make it better"
+    )
+    besides = "" if _is_usual(plan) else ", of an MP4 by the usual encoder and nothing besides"
+    return Duration(work.start * slowness + work.pairs * pairs + work.frames * frames, source + besides)
+
+
+def remember_run(summary: Summary) -> None:
+    """Keep how long a run took, for :func:`expected_duration`; where that cannot be done it is not."""
+    plan, seconds = summary.plan, summary.seconds
+    try:
+        work = work_of(plan, shipped_table())
+        if work is None or not _is_usual(plan):
+            return
+        pairs = sum(seconds.get(stage, 0.0) for stage in ("decode", "depth", "check", "mesh"))
+        pace = (
+            took / planned if planned >= LEAST_SECONDS else None
+            for took, planned in ((pairs, work.pairs), (seconds["total"] - pairs, work.frames))
+        )
+        run = Run(_threads(plan), math.prod(plan.size), *pace)
+        runs = [run, *remembered_runs()][:MOST_RUNS]
+        folder = cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        write_parts(folder / RUNS_NAME, [json.dumps([asdict(each) for each in runs]).encode()])
+    except (OSError, OmnisynError):
+        return
+
+
+def _is_usual(plan: InterpolationPlan) -> bool:
+    """Whether nothing is made besides the frames, and those are encoded as in the table."""
+    job = plan.job
+    besides = (job.view, job.save_depth, job.save_confidence, job.save_frames, job.codec, job.encoder_preset)
+    return all(each is None for each in besides) and job.output.suffix == ".mp4" and job.poses.name != "auto"
+
+
+def remembered_runs() -> list[Run]:
+    """Those that this machine remembers, the last one first; none where they cannot be read."""
+    try:
+        return RUNS.validate_json((cache_folder() / RUNS_NAME).read_bytes())
+    except (OSError, ValueError):
+        return []
+
+
+def cache_folder() -> Path:
+    """Where this program keeps what it may lose: ``OMNISYN_CACHE_DIR``, else what the system has for such things."""
+    if named := os.environ.get("OMNISYN_CACHE_DIR"):
+        return Path(named)
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "omnisyn"
+
+
+def _similar(runs: Iterable[Run], threads: int, pixels: int) -> list[Run]:
+    """Those with as many threads whose frames are the nearest in size, the last ones first."""
+    alike = (run for run in runs if run.threads == threads)
+    return sorted(alike, key=lambda run: abs(math.log2(run.pixels / pixels)))[:SIMILAR_RUNS]
+
+
+def _pace(known: Iterable[float | None], guess: float) -> float:
+    paces = [pace for pace in known if pace is not None]
+    return median(paces) if paces else guess
+
+
+def _threads(plan: InterpolationPlan) -> int:
+    return min(plan.job.threads or available_threads(), available_threads())
+
+
+def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
+    """What a job is in computing, None where the table does not say."""
+    recipe = plan.recipe
+    finders = _usual(table) if recipe.depth.kind == "file" else _like(table, recipe, "depth.kind", "depth.model")
+    renderers, fusers = _like(table, recipe, "renderer"), _like(table, recipe, "fusion", "edges")
+    if recipe.method != OMNISYN or recipe.is_on_gpu or not (finders and renderers and fusers):
+        return None
+    finder, renderer = (_nearest(each, recipe) for each in (finders, renderers))
+    usual = _nearest(_usual(table), PRESETS[DEFAULT_PRESET].recipe)
+    source = math.prod(max(plan.source_sizes)) / math.prod(usual.source)
+    found = sum(finder.seconds[stage] for stage in ("depth",) if recipe.depth.kind != "file")
+    surfaces = finder.seconds["check"] + renderer.seconds["mesh"]
+    panoramas = len(plan.entries)
+    frame = _at(table, renderer, "render", plan.size) + _at(table, _nearest(fusers, recipe), "fuse", plan.size)
+    frame += _at(table, usual, "encode", plan.size)
+    return Work(
+        usual.seconds["start"],
+        usual.seconds["decode"] * source * panoramas / 2 + (panoramas - 1) * (found + surfaces),
+        max(len(plan.path) - panoramas, 0) * frame,
+    )
+
+
+def _usual(table: Sequence[Figures]) -> list[Figures]:
+    return _like(table, PRESETS[DEFAULT_PRESET].recipe, *ASPECTS)
+
+
+ASPECTS: dict[str, Callable[[Recipe], object]] = {
+    "depth.kind": lambda recipe: recipe.depth.kind,
+    "depth.model": lambda recipe: recipe.depth.model,
+    "renderer": lambda recipe: recipe.renderer,
+    "fusion": lambda recipe: recipe.fusion,
+    "edges": lambda recipe: recipe.edges,
+}
+"""What a stage may depend on."""
+
+
+def _like(table: Sequence[Figures], recipe: Recipe, *aspects: str) -> list[Figures]:
+    """Figures of settings that agree with a recipe."""
+    return [f for f in table if all(ASPECTS[aspect](f.recipe) == ASPECTS[aspect](recipe) for aspect in aspects)]
+
+
+def _nearest(measured: Sequence[Figures], recipe: Recipe) -> Figures:
+    """Those with the most similar density of depth, then those with the most pairs."""
+    return min(measured, key=lambda f: (abs(math.log2(f.recipe.depth.rows / recipe.depth.rows)), -f.pairs))
+
+
+def _at(table: Sequence[Figures], figures: Figures, stage: str, size: tuple[int, int]) -> float:
+    """Seconds of a stage for a frame of a size: between the sizes of a method, else as much more than the default's."""
+    sizes = [f for f in table if f.recipe == figures.recipe]
+    if len(sizes) > 1:
+        return _between(sizes, stage, math.prod(size))
+    usual = [f for f in table if f.recipe == _nearest(_usual(table), PRESETS[DEFAULT_PRESET].recipe).recipe]
+    here, there = (_between(usual, stage, math.prod(each)) for each in (size, figures.setting.size))
+    return max(0.0, here + figures.seconds[stage] - there)
+
+
+def _between(sizes: Sequence[Figures], stage: str, pixels: int) -> float:
+    """A line from size to size; beyond, in proportion to the pixels."""
+    points = sorted((math.prod(f.setting.size), f.seconds[stage]) for f in sizes)
+    places, seconds = zip(*points, strict=True)
+    inside = min(max(pixels, places[0]), places[-1])
+    return float(np.interp(inside, places, seconds) * pixels / inside)

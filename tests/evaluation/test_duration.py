@@ -1,0 +1,278 @@
+"""How long a job takes: its work by figures, its pace by former runs; and the preset that a budget takes."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interpolation_samples import CHAIN, job_of
+from omnisyn_cli.errors import InputError
+from omnisyn_cli.evaluation import budget, duration
+from omnisyn_cli.evaluation.budget import choose_preset
+from omnisyn_cli.evaluation.duration import (
+    Duration,
+    Run,
+    Work,
+    expected_duration,
+    probe,
+    remember_run,
+    remembered_runs,
+    work_of,
+)
+from omnisyn_cli.evaluation.pareto import Figures, Setting, gain
+from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
+from omnisyn_cli.interpolation.summary import Summary
+from omnisyn_cli.synthesis.presets import PRESETS, SCALE
+from omnisyn_cli.synthesis.recipe import Recipe
+from synthesis_samples import write_hall
+
+FRAME = {"render": 0.1, "fuse": 0.04, "encode": 0.06}
+
+SECONDS = {"start": 3.0, "decode": 0.2, "depth": 5.0, "check": 0.5, "mesh": 0.3, **FRAME}
+
+SCORES = {"fast": 25.0, "balanced": 27.0, "accurate": 28.0}
+
+
+def figures_of(recipe: Recipe, rows: int = 64, **changes: object) -> Figures:
+    setting = Setting("a method", (rows, 2 * rows), 1)
+    return replace(Figures(setting, recipe=recipe, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
+
+
+TABLE = tuple(
+    figures_of(
+        SCALE[name].recipe, seconds={**SECONDS, "depth": depth, "fuse": fuse}, scores={"a": score, "b": score + 1}
+    )
+    for (name, score), depth, fuse in zip(SCORES.items(), (2.0, 10.0, 10.0), (0.04, 0.04, 3.04), strict=True)
+)
+
+
+@pytest.fixture(autouse=True)
+def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where runs are remembered; this machine is as fast as that of the table."""
+    monkeypatch.setenv("OMNISYN_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(duration, "probe", lambda: 0.01)
+    monkeypatch.setattr(duration, "shipped_table", lambda: TABLE)
+    monkeypatch.setattr(budget, "shipped_table", lambda: TABLE)
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> InterpolationPlan:
+    """Ten frames between two panoramas of 128x64."""
+    images = write_hall(tmp_path, CHAIN[:2], (64, 128), with_depth=False)
+    return plan_interpolation(job_of(tmp_path, images, frames=12, threads=1, output=tmp_path / "out.mp4"))
+
+
+def work(plan: InterpolationPlan, table: Sequence[Figures] = TABLE) -> Work:
+    """Of a job that was measured."""
+    found = work_of(plan, table)
+    assert found is not None
+    return found
+
+
+def expected(plan: InterpolationPlan) -> Duration:
+    """Of a job that was measured."""
+    found = expected_duration(plan, TABLE)
+    assert found is not None
+    return found
+
+
+def chain_of(plan: InterpolationPlan, panoramas: int, frames: int) -> InterpolationPlan:
+    path = tuple(plan.path[0] for _ in range(frames))
+    return replace(plan, entries=plan.entries[:1] * panoramas, path=path)
+
+
+def test_work_is_once_plus_pairs_plus_frames(plan: InterpolationPlan) -> None:
+    once = work(plan)
+    assert (once.start, once.pairs, once.frames) == pytest.approx((3.0, 0.2 + 10.0 + 0.5 + 0.3, 10 * 0.2))
+    tour = work(chain_of(plan, 4, 104))
+    assert (tour.pairs, tour.frames) == pytest.approx((2 * 0.2 + 3 * 10.8, 100 * 0.2))
+
+
+def test_stages_have_the_figures_of_what_they_depend_on(plan: InterpolationPlan) -> None:
+    """Depth that of its rows, frames those of their renderer and of their fusion; whatever else there is."""
+    base = plan.recipe
+    points = figures_of(replace(base, renderer="points"), seconds={**SECONDS, "render": 1.0})
+    both = replace(plan, recipe=replace(base, renderer="points", fusion="network"))
+    usual, asked = work(plan, (*TABLE, points)), work(both, (*TABLE, points))
+    assert asked.frames - usual.frames == pytest.approx(10 * (0.9 + 3.0))
+    assert asked.pairs == usual.pairs
+    assert usual.pairs - work(with_preset(plan, "fast")).pairs == pytest.approx(8.0)
+
+
+def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan: InterpolationPlan) -> None:
+    """A mesh costs the same in every size, so a frame of four times the pixels does not take four times as long."""
+    recipe = plan.recipe
+    large = figures_of(recipe, 128, seconds={**SECONDS, "render": 0.16}, pairs=1)
+    table = (*TABLE, large)
+
+    def render(rows: int) -> float:
+        whole, without = (
+            work(replace(plan, size=(rows, 2 * rows)), [replace(f, seconds={**f.seconds, **zero}) for f in table])
+            for zero in ({}, {"render": 0.0})
+        )
+        return (whole.frames - without.frames) / 10
+
+    assert [render(rows) for rows in (64, 128)] == pytest.approx([0.1, 0.16])
+    assert 0.1 < render(96) < 0.16
+    assert render(256) == pytest.approx(4 * 0.16)
+    assert render(32) == pytest.approx(0.1 / 4)
+
+
+def test_depth_from_files_takes_no_time_to_find(plan: InterpolationPlan) -> None:
+    known = replace(plan, recipe=plan.recipe.of_known_depth())
+    assert work(plan).pairs - work(known).pairs == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [Recipe(method="synsin"), PRESETS["paper"].recipe, replace(SCALE["fast"].recipe, is_on_gpu=True)],
+)
+def test_what_was_not_measured_is_not_guessed(plan: InterpolationPlan, recipe: Recipe) -> None:
+    assert expected_duration(replace(plan, recipe=recipe), TABLE) is None
+
+
+def test_the_first_guess_is_by_the_pace_of_a_small_piece_of_work(
+    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    once = expected(plan)
+    monkeypatch.setattr(duration, "probe", lambda: 0.02)
+    twice = expected(plan)
+    assert once.seconds == pytest.approx(3.0 + 11.0 + 2.0)
+    assert twice.seconds == pytest.approx(2 * once.seconds)
+    assert "a guess" in once.source
+
+
+def summary_of(plan: InterpolationPlan, pairs: float, frames: float) -> Summary:
+    return Summary(plan, {"decode": 0.0, "depth": pairs, "render": frames / 2, "total": pairs + frames})
+
+
+def test_a_run_makes_the_next_expectation_its_own(plan: InterpolationPlan, memory: Path) -> None:
+    """A machine whose depth is half as fast and whose frames are three times as fast as the table says."""
+    plan = chain_of(plan, 2, 92)
+    remember_run(summary_of(plan, 22.0, 6.0))
+    assert expected(plan).seconds == pytest.approx(3.0 + 22.0 + 6.0)
+    assert expected(plan).source == "by the pace of 1 former run on this machine"
+    assert remembered_runs() == [Run(1, 64 * 128, pytest.approx(2.0), pytest.approx(1 / 3))]
+    assert (memory / "runs.json").exists()
+
+
+def test_the_pace_is_that_of_runs_with_as_many_threads_and_frames_of_a_similar_size(
+    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long = chain_of(plan, 2, 92)
+    for pace in (1.0, 2.0, 3.0, 4.0, 5.0):
+        remember_run(summary_of(long, 11.0 * pace, 18.0))
+        remember_run(summary_of(replace(long, size=(1024, 2048)), 11.0 * 50, 900.0))
+    small, large = (expected(replace(long, size=(rows, 2 * rows))) for rows in (64, 1024))
+    assert small.seconds == pytest.approx(3.0 + 11.0 * 3.0 + 18.0)
+    assert large.seconds > 500
+    monkeypatch.setattr(duration, "available_threads", lambda: 8)
+    assert "a guess" in expected(replace(long, job=replace(long.job, threads=None))).source
+
+
+def test_the_last_runs_count(plan: InterpolationPlan) -> None:
+    long = chain_of(plan, 2, 92)
+    for pace in [9.0] * 60 + [1.0] * 5:
+        remember_run(summary_of(long, 11.0 * pace, 18.0))
+    assert expected(long).seconds == pytest.approx(3.0 + 11.0 + 18.0)
+    assert len(remembered_runs()) == duration.MOST_RUNS
+
+
+def test_runs_that_make_other_things_as_well_are_not_remembered(plan: InterpolationPlan, tmp_path: Path) -> None:
+    for changes in ({"codec": "h265"}, {"save_depth": tmp_path / "d"}, {"output": tmp_path / "frames"}):
+        other = replace(plan, job=replace(plan.job, **changes))
+        remember_run(summary_of(other, 11.0, 2.0))
+        assert expected(other).source.endswith("of an MP4 by the usual encoder and nothing besides")
+    assert remembered_runs() == []
+
+
+@pytest.mark.parametrize("text", ["", "{", "[{}]", '[{"threads": "x"}]'])
+def test_a_memory_that_is_damaged_is_as_good_as_none(plan: InterpolationPlan, memory: Path, text: str) -> None:
+    memory.mkdir()
+    (memory / "runs.json").write_text(text)
+    assert expected_duration(plan, TABLE) is not None
+    remember_run(summary_of(chain_of(plan, 2, 92), 11.0, 18.0))
+    assert len(remembered_runs()) == 1
+
+
+def test_where_nothing_can_be_kept_nothing_is(plan: InterpolationPlan, memory: Path) -> None:
+    memory.write_text("a file where the folder would be")
+    remember_run(summary_of(plan, 11.0, 2.0))
+    assert remembered_runs() == []
+
+
+def test_the_probe_does_real_work() -> None:
+    assert 1e-5 < probe() < 10.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "preset", "fits"),
+    [
+        (1.0, "fast", False),
+        (8.0, "fast", True),
+        (15.9, "fast", True),
+        (16.1, "balanced", True),
+        (1e9, "accurate", True),
+    ],
+)
+def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_brings(
+    plan: InterpolationPlan, seconds: float, preset: str, fits: bool
+) -> None:
+    choice = choose_preset(plan, TABLE, seconds)
+    assert (choice.preset, choice.fits) == (preset, fits)
+    assert {name: each.seconds for name, each in choice.expected.items()} == pytest.approx(
+        {"fast": 8.0, "balanced": 16.0, "accurate": 46.0}
+    )
+    assert ("even the fastest" in str(choice)) == (not fits)
+    assert ("accurate would take about 46 s" in str(choice)) == (preset != "accurate")
+    assert "a guess" in str(choice)
+    if preset == "balanced":
+        assert "+1.00 ± 0.00 dB" in str(choice)
+
+
+def test_a_preset_that_is_slower_and_worse_is_never_chosen(plan: InterpolationPlan) -> None:
+    table = [*TABLE[:2], replace(TABLE[2], scores={"a": 26.0})]
+    choice = choose_preset(plan, table, 1e9)
+    assert (choice.preset, choice.more) == ("balanced", "")
+
+
+def test_without_figures_of_a_preset_there_is_no_choice(plan: InterpolationPlan) -> None:
+    with pytest.raises(InputError, match="omnisyn bench --store"):
+        choose_preset(plan, [replace(TABLE[0], scores={})], 10.0)
+
+
+def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(
+    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    table = duration.shipped_table()
+    choice = choose_preset(plan, table, 1e9)
+    assert set(choice.expected) == set(SCALE)
+    assert all(math.isfinite(each.seconds) and each.seconds > 0 for each in choice.expected.values())
+    assert all(f.probe > 0 for f in table)
+    assert min(choice.expected, key=lambda name: choice.expected[name].seconds) == "fast"
+    scored = [f for f in table if f.scores]
+    assert all(len(f.scores) >= 12 and np.min(list(f.scores.values())) > 8 for f in scored)
+    assert {"crossfade", "flow"} < {f.recipe.method for f in scored}
+    assert json.dumps([f.to_json() for f in table])
+
+
+def test_a_preset_that_costs_half_as_much_again_is_worth_it(
+    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By 0.3 dB on scenes that nothing was tuned on, for ninety frames of the size of common photographs."""
+    monkeypatch.undo()
+    table, clip = duration.shipped_table(), replace(chain_of(plan, 2, 92), size=(1024, 2048))
+    found = [budget._scored(table, name) for name in SCALE]
+    scored = [figures for figures in found if figures is not None]
+    assert len(scored) == len(SCALE)
+    for cheap, dear in pairwise(scored):
+        less, more = (work(replace(clip, recipe=each.recipe), table) for each in (cheap, dear))
+        assert sum(vars(more).values()) < 1.5 * sum(vars(less).values()) or gain(dear, cheap)[0] >= 0.3
+        assert gain(dear, cheap)[0] > 2 * gain(dear, cheap)[1]
