@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import cv2
@@ -21,7 +22,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.geometry.pose import STILL, Pose
-from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.synthesis.consistency import CHECK_SIZE, SAME_PLACE, in_one_exposure, middle_of, resized
@@ -71,7 +72,7 @@ class Opinion:
         seen = sample_nearest(self.other, moved)
         gap = np.abs(seen[..., :3] - self.image).mean(axis=-1)
         gap = np.where(seen[..., 3] > 0.99, np.minimum(gap, MOST_MISMATCH), MOST_MISMATCH)
-        return np.asarray(cv2.blur(gap.astype(np.float32), (AROUND, AROUND)))
+        return filter_across_seam(partial(cv2.blur, ksize=(AROUND, AROUND)), gap.astype(np.float32), AROUND // 2)
 
 
 def joined(one: Opinion, other: Opinion) -> DepthEstimate:
