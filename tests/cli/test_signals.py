@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import signal
 import subprocess
@@ -138,6 +139,25 @@ def test_a_signal_while_kernels_are_compiled_is_not_lost() -> None:
     begin = time.monotonic()
     with pytest.raises(Terminated):
         compile_and_go_on()
+    assert time.monotonic() - begin < LONG / 2
+
+
+def test_a_signal_while_garbage_is_collected_is_not_lost() -> None:
+    """Python prints what such a callback raises, and goes on."""
+
+    def collected(phase: str, info: dict[str, int]) -> None:
+        end()
+        gc.callbacks.remove(collected)
+
+    @signals_raised()
+    def collect_and_go_on() -> None:
+        gc.callbacks.append(collected)
+        gc.collect()
+        time.sleep(LONG)
+
+    begin = time.monotonic()
+    with pytest.raises(Terminated):
+        collect_and_go_on()
     assert time.monotonic() - begin < LONG / 2
 
 

@@ -1,5 +1,6 @@
 """Signals that ask the program to end become exceptions, so that half-written files are removed on the way out."""
 
+import gc
 import signal
 import threading
 import time
@@ -89,10 +90,12 @@ def _ending(number: int) -> BaseException:
 
 def _is_fragile(frame: FrameType | None, *, is_waiting: bool) -> bool:
     """Whether the main thread is where it must not be torn out of; ``is_waiting`` if it is where it was before."""
+    collectors = {getattr(callback, "__code__", None) for callback in gc.callbacks}  # what they raise is lost
     while frame is not None:
         name, module = frame.f_code.co_name, frame.f_globals.get("__name__")
         is_borne = name == DECORATED or (is_waiting and name in WAITING)
-        if name in FRAGILE_FUNCTIONS or (module in FRAGILE_MODULES and not is_borne):
+        is_tidying = name in FRAGILE_FUNCTIONS or frame.f_code in collectors
+        if is_tidying or (module in FRAGILE_MODULES and not is_borne):
             return True
         frame = frame.f_back
     return False
