@@ -188,3 +188,12 @@ def test_a_network_is_trained_and_published(tmp_path, pool, config):
     assert difference < 1e-4
     assert (entry.role, entry.size) == ("fusion", SIZE)
     assert read_manifest(tmp_path / "models") == {f"fusion-{config.name}": entry}
+
+
+def test_scenes_are_made_with_the_depth_and_the_renderer_of_a_preset(pool, tmp_path):
+    """The paper's leaves more open than matching does: its surfaces end where depth steps by two metres."""
+    config = FusionPoolConfig(size=SIZE, places=2, preset="paper", matched=0.0, known=0.0)
+    made = make_fusion_scene(tmp_path, int(pool[0].stem), config)
+    for one, other in zip(load_samples(pool[0], FusionSample), load_samples(made, FusionSample), strict=True):
+        np.testing.assert_array_equal(one.truth, other.truth)
+        assert np.abs(one.planes - other.planes)[plane.ROOT].mean() > 0.01

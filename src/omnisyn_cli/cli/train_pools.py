@@ -10,6 +10,7 @@ from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
 
 FOLDER = FilePath(file_okay=False)
 
@@ -104,14 +105,22 @@ def evidence(height: int, **options: Any) -> None:
 
 @click.command("fusion-pool")
 @_scene_options(200, "picture")
+@click.option(
+    "--preset",
+    default=DEFAULT_PRESET,
+    show_default=True,
+    type=click.Choice(list(PRESETS)),
+    help="Whose depth and renderer they are made with.",
+)
 @WORKERS
 @TEXTURES
-def fusion_pool(height: int, **options: Any) -> None:
+def fusion_pool(height: int, preset: str, **options: Any) -> None:
     """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
     from omnisyn_cli.training.fusion_pool import FusionPoolConfig, make_fusion_scene
 
     _check_pool_height(height)
-    _fill(make_fusion_scene, FusionPoolConfig(size=(height, 2 * height), rows=4 * height), **options)
+    config = FusionPoolConfig(size=(height, 2 * height), preset=preset, rows=4 * height)
+    _fill(make_fusion_scene, config, **options)
 
 
 def _check_pool_height(height: int) -> None:

@@ -11,7 +11,7 @@ Renderings are made at twice that size and reduced as in the program, and some p
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,11 +24,13 @@ from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.recipe import DepthSource
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stacked
@@ -64,18 +66,18 @@ class FusionPoolConfig(TiltedConfig):
     Attributes:
         places: per scene.
         shares: of the way, between which the places lie.
-        matched: share of scenes whose depth comes from matching alone, the others' being refined by a network.
+        preset: whose depth and renderer they are made with.
+        matched: share of scenes whose depth comes from matching alone instead.
         known: share of scenes whose depth is the true one.
         rows: that depth is looked for at.
-        model: that refines.
     """
 
     places: int = 3
     shares: tuple[float, float] = (0.1, 0.9)
+    preset: str = DEFAULT_PRESET
     matched: float = 0.1
     known: float = 0.1
     rows: int = 1024
-    model: str = "completion-balanced"
 
 
 @dataclass(frozen=True)
@@ -111,8 +113,8 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
     if found is None:
         return None
     rng = np.random.default_rng([23, seed])
-    estimator = _estimator(_depth_source(rng.random(), config), config.rows, config.model)
-    samples = list(_samples(*found, estimator, rng, config))
+    recipe = replace(PRESETS[config.preset].recipe, depth=_depth_source(rng.random(), config))
+    samples = list(_samples(*found, recipe, rng, config))
     if not samples:
         return None
     file = scene_path(folder, seed)
@@ -120,20 +122,22 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
     return file
 
 
-def _depth_source(draw: float, config: FusionPoolConfig) -> str:
+def _depth_source(draw: float, config: FusionPoolConfig) -> DepthSource:
     """What a number drawn from [0, 1) decides."""
     if draw < config.matched:
-        return "matching"
-    return "file" if draw < config.matched + config.known else "refined"
+        return DepthSource("matching", config.rows)
+    if draw < config.matched + config.known:
+        return DepthSource("file")
+    return replace(PRESETS[config.preset].recipe.depth, rows=config.rows)
 
 
 @lru_cache(maxsize=3)
-def _estimator(depth: str, rows: int, model: str) -> DepthEstimator:
-    return make_estimator(DepthSource(depth, rows, model if depth == "refined" else None), device="cpu", threads=1)
+def _estimator(depth: DepthSource) -> DepthEstimator:
+    return make_estimator(depth, device="cpu", threads=1)
 
 
 def _samples(
-    scene: Scene, ends: Sequence[Pose], estimator: DepthEstimator, rng: np.random.Generator, config: FusionPoolConfig
+    scene: Scene, ends: Sequence[Pose], recipe: Recipe, rng: np.random.Generator, config: FusionPoolConfig
 ) -> Iterator[FusionSample]:
     size = (OVERSIZE * config.size[0], OVERSIZE * config.size[1])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
@@ -143,7 +147,8 @@ def _samples(
     first, second = (view.pose for view in views)
     shares = np.sort(rng.uniform(*config.shares, config.places))
     path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in shares]
-    for made in synthesize(views, path, SurfaceMethod(estimator, SynthesisOptions(size, threads=1), fuser)):
+    options = SynthesisOptions(size, recipe.renderer, Cut(recipe.cut, recipe.cut_metres), threads=1)
+    for made in synthesize(views, path, SurfaceMethod(_estimator(recipe.depth), options, fuser)):
         if recorder.planes:
             truth = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
             small = cv2.resize(truth, config.size[::-1], interpolation=cv2.INTER_AREA)
