@@ -78,8 +78,8 @@ def depth(**options: Any) -> None:
 def completion(**options: Any) -> None:
     """Train the network that completes what matching leaves open in FOLDER; a run that is there goes on.
 
-    What matching would know is made up from the exact depth of the pool. Pools of `omnisyn train evidence`, whose
-    scenes were matched, will do as well: few scenes for much time, best taken last.
+    What matching would know is made up from the exact depth of the pool. Scenes of `omnisyn train evidence`, which were
+    matched, will do as well, in a pool of their own or beside the others: few scenes for much time, best taken last.
     """
     _train_variant("completion", **options)
 

@@ -25,7 +25,7 @@ from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes
 from omnisyn_cli.stereo.filling import fill
 from omnisyn_cli.stereo.matching import HINT
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, is_made_by, load_scene, vary_colours
-from omnisyn_cli.training.evidence_pool import draw_evidence
+from omnisyn_cli.training.evidence_pool import evidence_pair
 from omnisyn_cli.training.pool import held_askew
 
 TILTS = (0.0, 0.02, 0.1)
@@ -71,20 +71,24 @@ def draw_completion(
     """Random pairs of random scenes; every pair gives two samples.
 
     Args:
-        pool: from :func:`omnisyn_cli.training.data.list_pool`, of rendered scenes or of evidence.
+        pool: from :func:`omnisyn_cli.training.data.list_pool`, of rendered scenes, of evidence, or of both.
         rng: random numbers.
         pairs: how many.
         size: ``(height, width)``, at most that of the pool.
         augmentation: of the colours; None leaves them as they are. Those of evidence, whose photographs differ already,
             are varied by rules of their own.
     """
-    if is_made_by("evidence", pool[0]):
-        return draw_evidence(pool, rng, pairs, size, is_recoloured=augmentation is not None)
-    batches = [
-        completion_pair(load_scene(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(pairs)
-    ]
+    batches = [_drawn(pool[rng.integers(len(pool))], rng, size, augmentation) for _ in range(pairs)]
     columns = (torch.cat([getattr(batch, name) for batch in batches]) for name in ("planes", "root", "baseline"))
     return EvidenceBatch(*columns)
+
+
+def _drawn(
+    path: Path, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None
+) -> EvidenceBatch:
+    if is_made_by("evidence", path):
+        return evidence_pair(path, rng, size, is_recoloured=augmentation is not None)
+    return completion_pair(load_scene(path), rng, size, augmentation)
 
 
 def completion_pair(

@@ -14,7 +14,6 @@ the truth is the nearer one: a mesh of that size then shows the least of what is
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float32
 
@@ -68,11 +67,10 @@ def make_evidence(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
 
 
 def _photograph(scene: Scene, pose: Pose, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """The picture, and the inverse depth of the nearest surface in each pixel."""
+    """The picture, twice as high, as it is matched; and the inverse depth of the nearest surface in each pixel."""
     height, width = size
-    image, depth = render_panorama(scene, pose, (2 * height, 2 * width), supersample=1, threads=1)
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    return small, (1.0 / depth).reshape(height, 2, width, 2).max(axis=(1, 3))
+    image, depth = render_panorama(scene, pose, (2 * height, 2 * width), supersample=2, threads=1)
+    return np.asarray(image, np.float32), (1.0 / depth).reshape(height, 2, width, 2).max(axis=(1, 3))
 
 
 def _matched(
@@ -92,33 +90,28 @@ def _matched(
     ]
 
 
-def draw_evidence(
-    pool: list[Path], rng: np.random.Generator, pairs: int, size: tuple[int, int], *, is_recoloured: bool
-) -> EvidenceBatch:
-    """Both panoramas of random pairs of random scenes, turned and mirrored at random.
+def evidence_pair(path: Path, rng: np.random.Generator, size: tuple[int, int], *, is_recoloured: bool) -> EvidenceBatch:
+    """Both panoramas of a random pair of a scene, turned and mirrored at random.
 
     Args:
-        pool: from :func:`omnisyn_cli.training.data.list_pool`.
+        path: of the scene.
         rng: random numbers.
-        pairs: how many.
         size: ``(height, width)``, that of the pool or half of it: things look larger there.
-        is_recoloured: whether colours are varied as well, all pictures of a pair alike.
+        is_recoloured: whether colours are varied as well, all pictures of the pair alike.
 
     Raises:
         InputError: the pool is of another size.
     """
-    drawn = []
-    for _ in range(pairs):
-        path, first = pool[rng.integers(len(pool))], 2 * int(rng.integers(PAIRS // 2))
-        for which in (first, first + 1):
-            stored = load_samples(path, EvidencePair, which)[0]
-            if stored.root.shape[0] not in (size[0], 2 * size[0]):
-                raise InputError(
-                    f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {stored.root.shape[0]}; "
-                    "choose another --height"
-                )
-            pair = stored if stored.root.shape == size else _halved(stored, rng)
-            drawn.append(_turned(_recoloured(pair, rng) if is_recoloured else pair, rng))
+    first, drawn = 2 * int(rng.integers(PAIRS // 2)), []
+    for which in (first, first + 1):
+        stored = load_samples(path, EvidencePair, which)[0]
+        if stored.root.shape[0] not in (size[0], 2 * size[0]):
+            raise InputError(
+                f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {stored.root.shape[0]}; "
+                "choose another --height"
+            )
+        pair = stored if stored.root.shape == size else _halved(stored, rng)
+        drawn.append(_turned(_recoloured(pair, rng) if is_recoloured else pair, rng))
     planes, root, baseline = stacked(drawn)
     return EvidenceBatch(planes, root.unsqueeze(1), baseline)
 
