@@ -51,7 +51,7 @@ FILE_MODULES = (
 """The only ones that open files: io, the model loader, checkpoints and data sets, and the records of a batch."""
 
 LIGHT = {
-    "collections", "contextlib", "dataclasses", "functools", "importlib", "io", "json", "math", "os", "pathlib",
+    "collections", "contextlib", "dataclasses", "functools", "gc", "importlib", "io", "json", "math", "os", "pathlib",
     "shutil", "signal", "sys", "threading", "time", "types", "typing",
 }  # fmt: skip
 """Parts of the standard library that a command may import at its top."""
