@@ -10,7 +10,6 @@ Source: OmniSyn, section 3.5.
 from functools import partial
 from typing import Protocol
 
-import cv2
 import numpy as np
 from jaxtyping import Float32
 
@@ -19,8 +18,8 @@ from omnisyn_cli.fusion.ghosts import is_in_place
 from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.fusion.network import working_size
 from omnisyn_cli.fusion.planes import reduced
-from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
@@ -31,9 +30,6 @@ MOST_ROWS = 1024
 
 MULTIPLE = 64
 """It halves its input six times."""
-
-BORDER = 2
-"""Pixels from over the seam and the poles that interpolation may reach for."""
 
 
 class Painter(Protocol):
@@ -56,8 +52,8 @@ class PaintingFuser(GeometricFuser):
     def __init__(self, size: tuple[int, int], painter: Painter, threads: int | None = None) -> None:
         super().__init__(size, threads=threads)
         self._painter = painter
-        self._small = working_size(size, MOST_ROWS, MULTIPLE)
-        self._maps = None if self._small is None or self._small == size else _maps(self._small, size)
+        small = self._small = working_size(size, MOST_ROWS, MULTIPLE)
+        self._enlarged = None if small is None or small == size else Lookup.along(pixel_directions(*size), small)
 
     def __call__(
         self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
@@ -73,8 +69,8 @@ class PaintingFuser(GeometricFuser):
         views = reduced(self._judged(first, second, confidence), self._small, self.bands)
         planes = [*(view.colour.transpose(2, 0, 1) for view in views), *(view.is_seen[None] for view in views)]
         painted = self._painter(np.concatenate(planes).astype(np.float32)).transpose(1, 2, 0)
-        if self._maps is not None:
-            painted = _enlarged(painted, *self._maps)
+        if self._enlarged is not None:
+            painted = self._enlarged.bilinear(painted)
         return self._stored(painted, self._memory(out))
 
     def _stored(self, picture: Float32[np.ndarray, "height width 3"], out: Picture) -> Picture:
@@ -83,15 +79,3 @@ class PaintingFuser(GeometricFuser):
             return np.clip(picture, 0.0, 1.0, out=out)
         run_bands(partial(quantize_rows, picture, np.float32(np.iinfo(out.dtype).max), out), len(out), self.threads)
         return out
-
-
-def _maps(source: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a bordered picture that the pixels of one of another size lie at."""
-    row, col = direction_to_pixel(pixel_directions(*size), source)
-    return (row + BORDER).astype(np.float32), (col + BORDER).astype(np.float32)
-
-
-def _enlarged(
-    picture: Float32[np.ndarray, "rows cols 3"], row: np.ndarray, col: np.ndarray
-) -> Float32[np.ndarray, "height width 3"]:
-    return np.asarray(cv2.remap(add_border(picture, BORDER), col, row, cv2.INTER_LINEAR), np.float32)

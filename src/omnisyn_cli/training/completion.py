@@ -17,9 +17,10 @@ import torch
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes
 from omnisyn_cli.stereo.filling import fill
@@ -33,9 +34,6 @@ TILTS = (0.0, 0.02, 0.1)
 
 SEEN_WITHIN = 1.08
 """Factor within which the other view has to have the same inverse depth for a point to be seen there."""
-
-BORDER = 2
-"""Pixels from over the seam and the poles that interpolation may reach for."""
 
 UNKNOWN = np.float32(1e-6)
 """Inverse depth in 1/baselines where the truth is not known."""
@@ -135,13 +133,11 @@ def _turned(
     scene: PoolScene, index: int, turn: np.ndarray, size: tuple[int, int], baseline: float, sign: float
 ) -> _Turned:
     image, inverse_depth = scene.images[index], np.asarray(scene.inverse_depth[index], np.float32)
-    row, col = direction_to_pixel(pixel_directions(*size) @ turn.T, inverse_depth.shape)
-    maps = (col + BORDER).astype(np.float32), (row + BORDER).astype(np.float32)
-    colours = cv2.remap(add_border(image, BORDER), *maps, cv2.INTER_LINEAR).astype(np.float32) / np.float32(255.0)
-    depth = cv2.remap(add_border(inverse_depth, BORDER), *maps, cv2.INTER_NEAREST)
+    turned = Lookup.along(pixel_directions(*size) @ turn.T, inverse_depth.shape)
+    colours, depth = turned.bilinear(image).astype(np.float32) / np.float32(255.0), turned.nearest(inverse_depth)
     is_known = np.isfinite(depth)
-    scaled = np.where(is_known, np.asarray(depth) * np.float32(baseline), UNKNOWN)
-    return _Turned(np.asarray(colours), scaled, sign * turn.T @ ZENITH, is_known)
+    scaled = np.where(is_known, depth * np.float32(baseline), UNKNOWN)
+    return _Turned(colours, scaled, sign * turn.T @ ZENITH, is_known)
 
 
 def _root(inverse_depth: np.ndarray) -> Float32[np.ndarray, "height width"]:
@@ -185,9 +181,7 @@ def _agreed(view: _Turned, other: _Turned, rng: np.random.Generator) -> Bool[np.
 def _is_seen(view: _Turned, other: _Turned, directions: np.ndarray) -> Bool[np.ndarray, "height width"]:
     """Whether the other camera sees the same point."""
     moved = sweep_directions(directions, view.inverse_depth.astype(np.float64), Pose(np.eye(3), -view.towards))
-    row, col = direction_to_pixel(moved, view.inverse_depth.shape)
-    maps = (col + BORDER).astype(np.float32), (row + BORDER).astype(np.float32)
-    nearest = cv2.remap(add_border(other.inverse_depth, BORDER), *maps, cv2.INTER_NEAREST)
+    nearest = Lookup.along(moved, view.inverse_depth.shape).nearest(other.inverse_depth)
     expected = view.inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-6)
     return np.asarray(nearest <= SEEN_WITHIN * expected + 0.004)
 

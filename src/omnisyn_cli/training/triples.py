@@ -16,8 +16,8 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
+from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.training import data
 
 EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -25,9 +25,6 @@ EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0
 
 EDGE = 0.05
 """Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
-
-BORDER = 3
-"""Pixels from over the seam and the poles that interpolation may reach for."""
 
 
 def exchanged_panoramas(x: Float[Tensor, "*batch height width"], frame: str) -> Float[Tensor, "*batch height width"]:
@@ -64,29 +61,22 @@ def turned_colours(
     """Panoramas of the epipole frame in the forward frame, by way of ``turned``, 1:2, reduced to ``size``."""
     made = []
     for image in images.permute(0, 2, 3, 1).numpy():
-        sharp = np.clip(_remapped(image, turned, cv2.INTER_CUBIC), 0.0, 1.0)
+        sharp = np.clip(_forward(image.shape, turned).bicubic(image), 0.0, 1.0)
         made.append(sharp if size == turned else cv2.resize(sharp, size[::-1], interpolation=cv2.INTER_AREA))
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2).contiguous()
 
 
 def turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) -> Float32[np.ndarray, "height width"]:
     """Roots of the epipole frame in the forward frame, of ``size``; what is not known (NaN) stays so."""
-    smooth, nearest = (_remapped(root, size, kind) for kind in (cv2.INTER_LINEAR, cv2.INTER_NEAREST))
+    forward = _forward(root.shape, size)
+    smooth, nearest = forward.bilinear(root), forward.nearest(root)
     return np.where(np.abs(smooth - nearest) <= EDGE * nearest, smooth, nearest)  # what is unknown stays unknown
 
 
-def _remapped(
-    image: Float32[np.ndarray, "rows cols *channels"], size: tuple[int, int], interpolation: int
-) -> np.ndarray:
-    row_map, col_map = _maps((image.shape[0], image.shape[1]), size)
-    return np.asarray(cv2.remap(add_border(image, BORDER), col_map, row_map, interpolation))
-
-
 @lru_cache(maxsize=4)
-def _maps(source: tuple[int, int], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the bordered source that pixels of the turned image look at."""
-    row, col = direction_to_pixel(pixel_directions(*size) @ EPIPOLE_FROM_FORWARD.T, source)
-    return (row + BORDER).astype(np.float32), (col + BORDER).astype(np.float32)
+def _forward(source: tuple[int, ...], size: tuple[int, int]) -> Lookup:
+    """Where images of the epipole frame show what those of the forward frame show in their pixels."""
+    return Lookup.along(pixel_directions(*size) @ EPIPOLE_FROM_FORWARD.T, source)
 
 
 LEAST_VIEWS = 3

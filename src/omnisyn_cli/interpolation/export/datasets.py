@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from omnisyn_cli.geometry.lookup import BORDER, Lookup
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import add_columns, sample_nearest
-from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_scale, pixel_to_texture
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.io.outputs import make_folder, write_parts
@@ -37,8 +38,8 @@ MILLIMETRES, MOST_MILLIMETRES = 1000.0, 65535
 """In a metre; in samples of 16 bits."""
 
 
-BORDER, MOST_COLUMNS = 4, 32766
-"""Columns repeated across the seam; columns that OpenCV can look up."""
+MOST_COLUMNS = 32766
+"""That OpenCV can look up."""
 
 
 @dataclass(frozen=True)
@@ -133,13 +134,10 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
 
 
 def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.ndarray) -> np.ndarray:
-    """The panorama in some directions, bicubic; it goes on across the seam, and past the poles by repeated rows."""
+    """The panorama in some directions, bicubic."""
     if picture.shape[1] + 2 * BORDER > MOST_COLUMNS:
         picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    row, col = direction_to_pixel(directions, picture.shape[:2])
-    places = (col + BORDER).astype(np.float32), row.astype(np.float32)
-    seen = cv2.remap(add_columns(picture, BORDER), *places, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(seen)
+    return Lookup.along(directions, picture.shape).bicubic(picture)
 
 
 def _write_picture(path: Path, samples: np.ndarray) -> None:

@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.sampling import add_columns, sample_nearest
-from omnisyn_cli.geometry.sphere import angles_to_pixel, direction_to_pixel, pixel_scale, pixel_to_direction
+from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_scale, pixel_to_direction
 from omnisyn_cli.runtime.thread_limit import limited_threads
 
 MOST_ROWS = 1024
@@ -146,10 +147,8 @@ def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray,
 
 
 def _look(grey: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """The picture in some directions, bilinear, across the seam."""
-    row, col = direction_to_pixel(direction, grey.shape)
-    maps = (np.asarray(col + 1.0, np.float32), np.asarray(row, np.float32))
-    return np.asarray(cv2.remap(add_columns(grey, 1), *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    """The picture in some directions, bilinear."""
+    return Lookup.along(direction, grey.shape).bilinear(grey)
 
 
 def _normalised(descriptor: np.ndarray) -> np.ndarray:
