@@ -45,10 +45,13 @@ class DepthEstimate:
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre, finite and >= 0; 0 is infinitely far.
         confidence: ``(height, width)`` in [0, 1]; 0 where the value is a guess.
+        sure: ``(rows, cols)`` where matching was sure, before anything was filled or measured again, at a size of its
+            own; None for what was not matched. Nothing but an evaluation looks at it.
     """
 
     inverse_depth: Float[np.ndarray, "height width"]
     confidence: Float[np.ndarray, "height width"]
+    sure: Bool[np.ndarray, "rows cols"] | None = None
 
 
 @dataclass(frozen=True)

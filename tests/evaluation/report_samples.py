@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord
+from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord, worst_frames
 from omnisyn_cli.evaluation.visualization import error_map, turbo
 from omnisyn_cli.io import write_image
 
@@ -17,7 +17,9 @@ DEPTH_FIELDS = (
 
 
 def frame(t: float, score: float, *, length: float = 4.0, pictures: dict[str, str] | None = None) -> FrameRecord:
-    scores = {"ws_psnr": score, "psnr": score + 0.5, "ws_ssim": 0.9, "ssim": 0.91, "lrce": 0.01}
+    scores = {"ws_psnr": score, "psnr": score + 0.5, "ws_ssim": 0.9, "ssim": 0.91, "lrce": 0.01, "flying": 0.001}
+    if t > 0.25:  # not of the first of three
+        scores["change_psnr"] = score + 3.0
     by_kind = {
         "psnr": {"agree": score + 2, "one_view": score - 6}, "area": {"agree": 0.75, "one_view": 0.25},
         "error": {"agree": 0.25, "one_view": 0.75},
@@ -27,15 +29,22 @@ def frame(t: float, score: float, *, length: float = 4.0, pictures: dict[str, st
 
 def depth(view: str, error: float, pictures: dict[str, str] | None = None) -> DepthRecord:
     plain = {name: error if index < 5 else 1 - error for index, name in enumerate(DEPTH_FIELDS)}
-    return DepthRecord(view, plain, {name: value / 2 for name, value in plain.items()}, pictures or {})
+    doubt = {"unsure_area": 2 * error, "within_5_unsure": 0.25, "within_5_sure": 0.75, "rank_correlation": 0.5}
+    reliability = {
+        "area": {"0.05": error, "0.95": 1 - error}, "confidence": {"0.05": 0.1, "0.95": 0.9},
+        "within_5": {"0.05": 0.2, "0.95": 0.7}, "within_10": {"0.05": 0.3, "0.95": 0.8},
+    }  # fmt: skip
+    weighted = {name: value / 2 for name, value in plain.items()}
+    return DepthRecord(view, plain, weighted, pictures or {}, doubt, reliability if error else {})
 
 
 def unit(scene: str, method: str, scores: tuple[float, ...] = (20.0, 18.0, 22.0), **changes) -> UnitRecord:
     times = [(index + 1) / (len(scores) + 1) for index in range(len(scores))]
+    frames = tuple(frame(t, score) for t, score in zip(times, scores, strict=True))
     values = {
         "key": f"{scene}-{method}", "scene": scene, "first": "a.jpg", "second": "b.jpg", "method": method,
         "status": "done", "baseline": 4.0, "size": SIZE,
-        "frames": tuple(frame(t, score) for t, score in zip(times, scores, strict=True)),
+        "frames": frames, "worst": worst_frames(frames),
         "temporal": {"warping_error": 0.01, "flicker": 0.002, "end_first": 0.0, "end_second": 0.0},
         "seconds": {stage: index + 0.5 for index, stage in enumerate(STAGES)} | {"total": 8.0},
     }  # fmt: skip

@@ -103,12 +103,31 @@ def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path: Path) -> None:
         for figures in (depth.plain, depth.weighted):
             assert figures["imae"] == pytest.approx(0, abs=1e-6)
             assert figures["delta_105"] == 1
+        assert depth.doubt == {}, "whoever is told the truth has none"
     assert oracle.temporal["warping_error"] < 0.01
     assert oracle.temporal["flicker"] < 0.01
     assert max(oracle.temporal["end_first"], oracle.temporal["end_second"]) < 0.01
     assert fade.depths == ()
     assert set(fade.temporal) == {"end_first", "end_second"}
     assert oracle.seconds["total"] == pytest.approx(sum(s for stage, s in oracle.seconds.items() if stage != "total"))
+
+
+def test_what_matching_is_unsure_of_is_known_whatever_fills_it(tmp_path: Path) -> None:
+    """The same area for both methods; and what changes, flies and is worst stands in every record."""
+    data = write_halls(tmp_path / "data", "hall")
+    matching, filled, fade = run(data, "matching,omnisyn-balanced:model=none,crossfade")
+    for one, other in zip(matching.depths, filled.depths, strict=True):
+        assert 0 < one.doubt["unsure_area"] == other.doubt["unsure_area"] < 0.9
+        assert one.doubt["within_5_sure"] > one.doubt["within_5_unsure"]
+        assert one.doubt["rank_correlation"] > 0
+        assert sum(one.reliability["area"].values()) == pytest.approx(1)
+    first, second = matching.frames
+    assert "change_psnr" not in first.scores
+    assert second.scores["change_psnr"] > fade.frames[1].scores["change_psnr"]
+    assert 0 <= first.scores["flying"] < 0.01
+    assert matching.worst == {
+        "ws_psnr": min((first, second), key=lambda frame: frame.scores["ws_psnr"]).name, "change_psnr": second.name
+    }  # fmt: skip
 
 
 def test_a_size_is_that_of_the_comparison_and_not_of_the_inputs(tmp_path: Path) -> None:

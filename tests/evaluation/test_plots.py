@@ -49,6 +49,14 @@ def test_quality_is_shown_against_mean_seconds() -> None:
     assert {line.get_label(): line.get_xydata()[0].tolist() for line in axes.lines}["crossfade"] == [0.6, 15.5]
 
 
+def test_reliability_is_that_of_all_panoramas_and_right_on_the_diagonal() -> None:
+    axes = plots._reliability(some_records()).axes[0]
+    lines = {line.get_label(): line.get_xydata().tolist() for line in axes.lines}
+    assert lines["matching"] == [[pytest.approx(x), pytest.approx(y)] for x, y in ((0.1, 0.3), (0.9, 0.8))]
+    assert axes.lines[0].get_xydata().tolist() == [[0, 0], [1, 1]]
+    assert plots._reliability([unit("hall", "crossfade")]) is None
+
+
 def test_infinite_scores_are_left_out() -> None:
     records = [unit("hall", "matching", (math.inf, 20.0)), unit("hall", "still", (math.inf,))]
     axes = plots._quality_by_share(records).axes[0]

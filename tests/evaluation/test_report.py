@@ -130,9 +130,10 @@ def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path: Path) -
     write_report(tmp_path, [*some_records(), unit("a|b", "m|n")])
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     tables = [part.splitlines() for part in text.split("\n\n") if part.startswith("|")]
-    assert len(tables) == 12
+    assert len(tables) == 16
     for lines in tables:
         assert len({len(re.findall(r"(?<!\\)\|", line)) for line in lines}) == 1
+    assert r"| street | 28.00 t0\.50.png |" not in text
     assert "| matching | 24.00 |" in text, "it lacks the frames of the scene a|b"
     write_report(tmp_path, some_records())
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
@@ -162,6 +163,11 @@ def test_the_csv_file_has_every_figure_once(tmp_path: Path) -> None:
         "kind-error",
         "depth",
         "depth-weighted",
+        "doubt",
+        "reliability-area",
+        "reliability-confidence",
+        "reliability-within_5",
+        "reliability-within_10",
         "temporal",
         "seconds",
     }

@@ -148,6 +148,34 @@ def test_depth_is_averaged_over_panoramas_plain_and_weighted() -> None:
     assert plain["Panoramas"] == 3
 
 
+def test_changes_are_counted_where_there_is_a_frame_before() -> None:
+    shown = figures(table("Changes and flying pixels"))["matching"]
+    assert shown["Change from frame to frame, dB"] == pytest.approx(np.mean([24, 28, 20, 24]) + 3)
+    assert shown["Flying pixels, share of the sphere"] == pytest.approx(0.001)
+    assert shown["Frames"] == 6
+
+
+def test_the_worst_frames_of_each_pair_are_named() -> None:
+    frames, changes = table("Worst frame of each pair"), table("Worst change of each pair")
+    assert [column.title for column in frames.columns] == ["oracle-depth", "matching", "crossfade"]
+    assert [row.name for row in frames.rows] == ["hall", "street"]
+    assert [(cell.value, cell.name) for cell in frames.rows[0].cells] == [
+        (30.0, "t0.50.png"), (24.0, "t0.50.png"), (15.0, "t0.50.png"),
+    ]  # fmt: skip
+    falling = [unit("hall", "matching", (30.0, 28.0, 26.0))]
+    (row,) = table("Worst change of each pair", falling).rows
+    assert [(cell.value, cell.name) for cell in row.cells] == [(29.0, "t0.75.png")]
+    assert math.isnan(frames.rows[1].cells[0].value)
+    assert frames.rows[1].cells[0].name == changes.rows[1].cells[0].name == ""
+
+
+def test_doubt_is_averaged_over_panoramas_and_has_no_column_that_nobody_fills() -> None:
+    doubt = figures(table("What is known of errors of depth"))["matching"]
+    assert doubt["Unsure area"] == pytest.approx(np.mean([0.2, 0.6, 0.4]))
+    assert doubt["within 5 % there"] == 0.25
+    assert "Calibration error" not in doubt
+
+
 def test_seconds_are_averaged_over_pairs_and_missing_stages_took_none() -> None:
     seconds = figures(table("Seconds per pair"))
     assert seconds["crossfade"] == pytest.approx(

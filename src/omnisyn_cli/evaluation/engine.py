@@ -23,7 +23,15 @@ from omnisyn_cli.evaluation.methods import (
     also_in_tours,
     find_methods,
 )
-from omnisyn_cli.evaluation.results import FrameRecord, Status, UnitRecord, append_record, latest_records, read_records
+from omnisyn_cli.evaluation.results import (
+    FrameRecord,
+    Status,
+    UnitRecord,
+    append_record,
+    latest_records,
+    read_records,
+    worst_frames,
+)
 from omnisyn_cli.evaluation.views import LoadedPair, baseline_of, load_pair
 from omnisyn_cli.evaluation.visualization import PictureWriter, has_all_pictures
 from omnisyn_cli.io.outputs import make_folder
@@ -288,7 +296,7 @@ class _Worker:
         )
         return replace(
             blank, status="done", size=loaded.size, frames=frames, depths=depths,
-            temporal=made.temporal, seconds=made.seconds,
+            temporal=made.temporal, seconds=made.seconds, worst=worst_frames(frames),
         )  # fmt: skip
 
 

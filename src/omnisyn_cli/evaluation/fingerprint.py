@@ -12,7 +12,7 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair
 from omnisyn_cli.runtime.models import sha256_of
 
-FORM = 1
+FORM = 2
 """Counts up when the same inputs are measured or recorded in another way."""
 
 WITHOUT_EFFECT = frozenset({"batch", "cli", "networks", "training"})

@@ -72,6 +72,9 @@ def figures_of(record: UnitRecord) -> Iterator[tuple[tuple[str, str, float | str
     for depth in record.depths:
         yield ("depth", depth.view, "", ""), depth.plain
         yield ("depth-weighted", depth.view, "", ""), depth.weighted
+        yield ("doubt", depth.view, "", ""), depth.doubt
+        for figure, numbers in depth.reliability.items():
+            yield (f"reliability-{figure}", depth.view, "", ""), numbers
     yield ("temporal", "", "", ""), record.temporal
     yield ("seconds", "", "", ""), record.seconds
 

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.evaluation import metrics
-from omnisyn_cli.evaluation.metrics.temporal import flicker, warping_error
+from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.fusion.kinds import pixel_kinds, silhouettes
 from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
-from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.synthesis.frames import turned_panorama
 from omnisyn_cli.synthesis.methods import Pair
@@ -93,9 +93,7 @@ def measure(
     made = method(pair.size, clock)
     images = tuple(_shown(made.frame(truth.waypoint).image) for truth in pair.truths)
     seconds = dict(clock.seconds)
-    scores = tuple(
-        frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
-    )
+    scores = _scores(images, pair, perceptual)
     kinds = tuple(kinds_at(made, truth.waypoint, pair.size) for truth in pair.truths)
     by_kind = tuple(
         metrics.kind_figures(image, truth.image, masks)
@@ -106,6 +104,21 @@ def measure(
     depths = () if found is None else depth_records(found, pair.views, names)
     total = {**seconds, "total": math.fsum(seconds.values())}
     return Measurement(images, scores, kinds, by_kind, depths, found, temporal, total)
+
+
+def _scores(
+    images: tuple[Float[np.ndarray, "height width 3"], ...], pair: LoadedPair, perceptual: Perceptual | None
+) -> tuple[dict[str, float], ...]:
+    """Of every picture: its own, how it changed since the one before, and how much of it flies."""
+    scores = tuple(
+        frame_scores(image, truth.image, perceptual) for image, truth in zip(images, pair.truths, strict=True)
+    )
+    for score, change in zip(scores[1:], change_psnr(images, [truth.image for truth in pair.truths]), strict=True):
+        score["change_psnr"] = change
+    if all(view.known_depth is not None for view in pair.views):
+        for score, image, truth in zip(scores, images, pair.truths, strict=True):
+            score["flying"] = metrics.flying_share(image, truth.image, truth.waypoint.pose, pair.views)
+    return scores
 
 
 def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
@@ -165,11 +178,21 @@ def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
     truth = np.where(known.confidence > 0, known.inverse_depth, np.nan).astype(np.float64)
     if not metrics.scored_pixels(truth).any():
         return DepthRecord(name)
-    estimate = found.inverse_depth.astype(np.float64)
-    if estimate.shape != truth.shape:
-        estimate = sample_bilinear(estimate, pixel_directions(*truth.shape))
+    estimate, confidence = (
+        _resized(each.astype(np.float64), truth.shape) for each in (found.inverse_depth, found.confidence)
+    )
     plain, weighted = (metrics.depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
-    return DepthRecord(name, plain, weighted)
+    doubt, reliability = metrics.confidence_metrics(estimate, confidence, truth)
+    if found.sure is not None:
+        sure = sample_nearest(found.sure.astype(np.float32), pixel_directions(*truth.shape))
+        doubt |= metrics.unsure_metrics(estimate, truth, sure > 0)
+    return DepthRecord(name, plain, weighted, doubt=doubt, reliability=reliability)
+
+
+def _resized(values: Float[np.ndarray, "rows cols"], size: tuple[int, ...]) -> Float[np.ndarray, "height width"]:
+    if values.shape == size:
+        return values
+    return np.asarray(sample_bilinear(values, pixel_directions(*size)))
 
 
 def _clip_measures(method: PairMaker, made: Pair, pair: LoadedPair) -> dict[str, float]:

@@ -161,9 +161,8 @@ def _unavailable_without_network() -> Iterator[None]:
 def _resized(estimate: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     """An estimate at another size; pixels are taken from where they are, so that no edge is blurred."""
     directions = pixel_directions(*size)
-    return DepthEstimate(
-        sample_nearest(estimate.inverse_depth, directions), sample_nearest(estimate.confidence, directions)
-    )
+    inverse_depth, confidence = (sample_nearest(x, directions) for x in (estimate.inverse_depth, estimate.confidence))
+    return replace(estimate, inverse_depth=inverse_depth, confidence=confidence)
 
 
 class _FirstViewOnly:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
+from omnisyn_cli.evaluation.metrics import merged_reliability
 from omnisyn_cli.evaluation.pareto import STANDARD_FRAMES, Figures, gain, pareto_front, quality, standard_seconds
 from omnisyn_cli.evaluation.results import UnitRecord, mean
 
@@ -21,6 +22,7 @@ PLOT_TITLES = {
     "ws-psnr-by-share": "WS-PSNR along the way",
     "ws-psnr-by-seconds": "Quality against time",
     "seconds-by-stage": "Seconds per pair, by stage",
+    "reliability": "Reliability of depth: the share within 10 % (full) and 5 % (dotted) by confidence",
 }
 
 WIDTH = 6.4
@@ -43,7 +45,7 @@ MOST_POINTS = 2000
 
 def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:
     """Every diagram that there are figures for: a key of :data:`PLOT_TITLES` -> PNG file."""
-    drawings = (_quality_by_distance, _quality_by_share, _quality_by_seconds, _seconds_by_stage)
+    drawings = (_quality_by_distance, _quality_by_share, _quality_by_seconds, _seconds_by_stage, _reliability)
     figures = {name: draw(records) for name, draw in zip(PLOT_TITLES, drawings, strict=True)}
     return {name: _png(figure) for name, figure in figures.items() if figure is not None}
 
@@ -129,6 +131,26 @@ def _seconds_by_stage(records: Sequence[UnitRecord]) -> Figure | None:
     axes.invert_yaxis()
     axes.set_xlim(left=0.0, right=1.03 * max(left))
     _finish(figure, axes, "Seconds per pair", "")
+    return figure
+
+
+def _reliability(records: Sequence[UnitRecord]) -> Figure | None:
+    """How often depth of some confidence is right; on the diagonal, confidence is that share."""
+    diagrams = {
+        method: merged_reliability(found)
+        for method in ranked_methods(records)
+        if (found := [d.reliability for record in finished(records, method) for d in record.depths if d.reliability])
+    }
+    if not diagrams:
+        return None
+    figure, axes = _new_figure(len(diagrams))
+    axes.plot([0, 1], [0, 1], color="0.6", linewidth=1.0, zorder=1)
+    for index, (method, diagram) in enumerate(diagrams.items()):
+        at, ten, five = (list(diagram[name].values()) for name in ("confidence", "within_10", "within_5"))
+        axes.plot(at, ten, linewidth=1.6, markersize=5, label=_plain(method), **_style(index))
+        axes.plot(at, five, linewidth=1.2, linestyle=":", color=_colour(index))
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    _finish(figure, axes, "Confidence", "Share of the values")
     return figure
 
 

@@ -32,8 +32,9 @@ CSV_COLUMNS = (
     "scene", "first", "second", "method", "baseline", "subject", "name", "t", "distance", "metric", "value",
 )  # fmt: skip
 """``subject`` is what was measured: ``frame``, ``kind-psnr``, ``kind-area``, ``kind-error`` (of the pixels of a kind,
-which ``metric`` names), ``depth``, ``depth-weighted``, ``temporal`` or ``seconds``; ``name`` is that of the frame or
-panorama; ``distance`` is to the nearer panorama; lengths are metres."""
+which ``metric`` names), ``depth``, ``depth-weighted``, ``doubt``, ``reliability-area``, ``reliability-confidence``,
+``reliability-within_5``, ``reliability-within_10`` (of a bin of confidence, whose middle ``metric`` is), ``temporal``
+or ``seconds``; ``name`` is that of the frame or panorama; ``distance`` is to the nearer panorama; lengths in metres."""
 
 FRAMES_PER_METHOD = 4
 """The worst frames of each method that are shown."""

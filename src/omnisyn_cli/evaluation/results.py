@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -38,7 +38,9 @@ class FrameRecord:
         t: share of the way from the first panorama to the second, by distance, in (0, 1).
         distance: metres to the nearer of the two panoramas.
         scores: ``ws_psnr``, ``psnr``, ``psnr_top`` and ``psnr_bottom``, which may be infinite, ``ws_ssim``, ``ssim``,
-            ``lrce``, and ``lpips`` if a network for it was given.
+            ``lrce``, and ``lpips`` if a network for it was given; ``change_psnr`` of all but the first, see
+            :func:`omnisyn_cli.evaluation.metrics.temporal.change_psnr`; ``flying`` where true depth is known, see
+            :mod:`omnisyn_cli.evaluation.metrics.flying`.
         pictures: ``frame``, ``truth``, ``error`` and, with geometry, ``kinds`` -> file, relative to the folder of the
             report, with "/"; may be empty.
         by_kind: ``psnr`` (dB), ``area`` (share of the sphere), ``error`` (share of the squared error) -> kind of
@@ -63,12 +65,17 @@ class DepthRecord:
             without truth.
         weighted: the same, pixels weighted by solid angle.
         pictures: ``depth`` and ``truth`` -> file in the Turbo colours, relative to the folder of the report.
+        doubt: ``unsure_area``, ``within_5_unsure``, ``within_5_sure``, ``rank_correlation``, ``calibration_error``, see
+            :mod:`omnisyn_cli.evaluation.metrics.doubt`; some are missing where nothing was matched or doubted.
+        reliability: ``area``, ``confidence``, ``within_5``, ``within_10`` -> middle of a bin of confidence -> number.
     """
 
     view: str
     plain: Mapping[str, float] = field(default_factory=dict)
     weighted: Mapping[str, float] = field(default_factory=dict)
     pictures: Mapping[str, str] = field(default_factory=dict)
+    doubt: Mapping[str, float] = field(default_factory=dict)
+    reliability: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,7 @@ class UnitRecord:
             ``end_first``, ``end_second``: root mean square difference, weighted by solid angle, between what the method
             makes at the place of a panorama and that panorama. Measures that a method does not allow are missing.
         seconds: wall time by stage: ``depth``, ``mesh``, ``render``, ``fuse`` and the like; ``total`` is their sum.
+        worst: ``ws_psnr`` and ``change_psnr`` -> name of the frame that has the least of it.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
@@ -107,6 +115,7 @@ class UnitRecord:
     depths: tuple[DepthRecord, ...] = ()
     temporal: Mapping[str, float] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
+    worst: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def pair(self) -> tuple[str, str, str]:
@@ -140,6 +149,12 @@ def mean(values: Iterable[float]) -> float:
     """Arithmetic mean; NaN of nothing, infinite if one value is."""
     listed = list(values)
     return math.fsum(listed) / len(listed) if listed else math.nan
+
+
+def worst_frames(frames: Sequence[FrameRecord]) -> dict[str, str]:
+    """The name of the frame with the least ``ws_psnr``, and of that with the least ``change_psnr``, if any has it."""
+    having = {score: [frame for frame in frames if score in frame.scores] for score in ("ws_psnr", "change_psnr")}
+    return {score: min(some, key=lambda f: f.scores[score]).name for score, some in having.items() if some}
 
 
 def json_values(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from omnisyn_cli import scenes
@@ -8,9 +8,17 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
-from omnisyn_cli.scenes.suite import FRAMES, SEEDS, STANDARD_KINDS, SuiteScene, suite_of
+from omnisyn_cli.scenes.suite import (
+    FRAMES,
+    SEEDS,
+    STANDARD_KINDS,
+    WIDE_SEEDS,
+    SuiteScene,
+    suite_of,
+    wide_walk,
+)
 
-__all__ = ["depth_name", "suite_files", "suite_scenes", "write_scene", "write_suite_scene"]
+__all__ = ["depth_name", "suite_files", "suite_scenes", "wide_scenes", "write_scene", "write_suite_scene"]
 
 NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES))
 """Of the panoramas of every scene of the standard set."""
@@ -24,6 +32,13 @@ def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = S
     for kind in kinds:
         for seed in seeds:
             yield from suite_of(kind, seed, generate_scene(kind, seed))
+
+
+def wide_scenes(seeds: Mapping[str, Sequence[int]] = WIDE_SEEDS) -> Iterator[SuiteScene]:
+    """All walks of the wide set, given its seeds by kind."""
+    for kind, of_kind in seeds.items():
+        for seed in of_kind:
+            yield wide_walk(kind, seed, generate_scene(kind, seed))
 
 
 def suite_files() -> list[str]:

@@ -8,7 +8,7 @@ import base64
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import stdev
 from typing import Any
@@ -37,11 +37,12 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A mean over ``count`` values; NaN of none."""
+    """A mean over ``count`` values, NaN of none; or one value, with the ``name`` of what has it."""
 
     value: float
     count: int = 1
     is_best: bool = False
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,19 @@ DEPTH_COLUMNS = {
     "delta_125_cubed": Column("δ < 1.25³", 1, 4),
 }
 
+TRUE_FRAMES_COLUMNS = {
+    "change_psnr": Column("Change from frame to frame, dB", 1),
+    "flying": Column("Flying pixels, share of the sphere", -1, 5),
+}
+
+DOUBT_COLUMNS = {
+    "unsure_area": Column("Unsure area", 0, 4),
+    "within_5_unsure": Column("within 5 % there", 1, 4),
+    "within_5_sure": Column("within 5 % elsewhere", 1, 4),
+    "rank_correlation": Column("Rank correlation of doubt and error", 1, 3),
+    "calibration_error": Column("Calibration error", -1, 4),
+}
+
 TEMPORAL_COLUMNS = {
     "warping_error": Column("Warping error", -1, 4),
     "flicker": Column("Flicker", -1, 4),
@@ -123,6 +137,12 @@ KIND_TABLES = (
 )
 """Titles, what is said below them, figures and digits."""
 
+WORST_TABLES = (
+    ("Worst frame of each pair", "The least WS-PSNR, dB, and the frame that has it.", "ws_psnr"),
+    ("Worst change of each pair", "The least PSNR of the change from the frame before, dB.", "change_psnr"),
+)
+"""Titles, what is said below them, scores."""
+
 Placed = tuple[tuple[tuple[str, str, str], int], Mapping[str, float]]
 """Values with their pair and their number there."""
 
@@ -134,8 +154,11 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
         tour_table(records),
         *_score_tables(records),
         *_kind_tables(records),
+        _true_frames_table(records),
+        *(_worst_table(records, *each) for each in WORST_TABLES),
         depth_table(records, weighted=False),
         depth_table(records, weighted=True),
+        _doubt_table(records),
         _temporal_table(records),
         _seconds_table(records),
     ]
@@ -184,6 +207,42 @@ def _kind_tables(records: Sequence[UnitRecord]) -> Iterator[Table]:
         yield _method_table(title, f"{note} {KIND_NOTE}", "Frames", records, f"kind-{figure}", columns)
 
 
+def _true_frames_table(records: Sequence[UnitRecord]) -> Table:
+    """What neighbouring true frames and both photographs say."""
+    note = (
+        "Change: PSNR of the difference to the frame before, against that of the true frames. Flying pixels are more "
+        "than 30 of 255 levels off the truth, and neither photograph has their colour near where it could show them."
+    )
+    return _method_table("Changes and flying pixels", note, "Frames", records, "frame", TRUE_FRAMES_COLUMNS)
+
+
+def _worst_table(records: Sequence[UnitRecord], title: str, note: str, score: str) -> Table:
+    """A row for each pair, a column for each method: the frame with the least of a score."""
+    names = grouping.pair_names(records)
+    worst = {
+        (names[record.pair], record.method): frame
+        for record in grouping.finished(records)
+        for frame in record.frames
+        if frame.name == record.worst.get(score)
+    }
+    methods = [method for method in grouping.ranked_methods(records) if any(by == method for _, by in worst)]
+    rows = []
+    for name in dict.fromkeys(pair for pair, _ in worst):
+        shown = [worst.get((name, method)) for method in methods]
+        cells = (Cell(math.nan) if f is None else Cell(f.scores[score], name=f.name) for f in shown)
+        rows.append(Row(name, tuple(cells)))
+    return Table(title, note, "Pair", tuple(Column(method, 1) for method in methods), tuple(rows))
+
+
+def _doubt_table(records: Sequence[UnitRecord]) -> Table:
+    note = (
+        "On pixels with a true depth between 1 m and 50 m, weighted by solid angle. Unsure is where both directions of "
+        "matching did not agree. Doubt is 1 − confidence, error is relative (Spearman). Calibration error: how far "
+        "confidence is from the share of the values within 10 %, in bins of confidence, on average."
+    )
+    return _method_table("What is known of errors of depth", note, "Panoramas", records, "doubt", DOUBT_COLUMNS)
+
+
 def _temporal_table(records: Sequence[UnitRecord]) -> Table:
     note = (
         "Warping error: difference of a frame and the next one warped into it along the geometry. Flicker: second "
@@ -220,7 +279,7 @@ def _method_table(
     title: str, note: str, counted: str, records: Sequence[UnitRecord], subject: str, columns: Mapping[str, Column]
 ) -> Table:
     """One row for each method, best first; columns that nobody has are left out, the last one counts the values."""
-    found = {method: _placed(records, method, subject) for method in grouping.ranked_methods(records)}
+    found = {method: _placed(records, method, subject, columns) for method in grouping.ranked_methods(records)}
     placed = {method: listed for method, listed in found.items() if listed}
     every = [one for listed in placed.values() for one in listed]
     present = [key for key in columns if any(key in values for _, values in every)]
@@ -240,13 +299,13 @@ def _method_table(
     )
 
 
-def _placed(records: Sequence[UnitRecord], method: str, subject: str) -> list[Placed]:
+def _placed(records: Sequence[UnitRecord], method: str, subject: str, keys: Iterable[str]) -> list[Placed]:
     """What a method measured of a subject, each with its pair and its number there, which are the same for all."""
     return [
         ((record.pair, number), values)
         for record in grouping.finished(records, method)
         for number, values in enumerate(values for about, values in grouping.figures_of(record) if about[0] == subject)
-        if values
+        if any(key in values for key in keys)
     ]
 
 

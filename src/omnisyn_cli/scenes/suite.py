@@ -1,7 +1,8 @@
-"""The standard evaluation set: streets and rooms from fixed seeds, each walked 1, 2, 4 and 6 metres.
+"""The standard evaluation set: streets and rooms from fixed seeds, each walked 1, 2, 4 and 6 metres; and a wide one.
 
 All baselines of a scene begin at the same first panorama and go the same way, so that figures differ by the distance
-and by nothing else. Poses are rounded so far that they are the same numbers on every machine.
+and by nothing else. The wide set has ten scenes of every kind instead, each walked once and as far as is usual there,
+so that figures do not hang on a seed. Poses are rounded so far that they are the same numbers on every machine.
 """
 
 from collections.abc import Iterator
@@ -13,13 +14,27 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes.paths import sample_path
 from omnisyn_cli.scenes.scene import Scene
 
-__all__ = ["FRAMES", "SEEDS", "STANDARD_KINDS", "SuiteScene", "suite_of"]
+__all__ = [
+    "FRAMES",
+    "SEEDS",
+    "STANDARD_KINDS",
+    "WIDE_SEEDS",
+    "SuiteScene",
+    "suite_of",
+    "wide_walk",
+]
 
 STANDARD_KINDS = ("street", "room")
 """Generators of the standard set and of the depth table; others may come, these stay what they are."""
 
 SEEDS = (9_000_001, 9_000_002)
 """Far beyond those that networks are trained with."""
+
+WIDE_SEEDS = {
+    kind: range(9_100_001 + 10 * index, 9_100_011 + 10 * index)
+    for index, kind in enumerate((*STANDARD_KINDS, "home", "jumble", "yard"))
+}
+"""Of the wide set by kind: every scene has a seed of its own."""
 
 BASELINES = (1.0, 2.0, 4.0, 6.0)
 """Metres from the first to the last panorama, ascending."""
@@ -64,6 +79,17 @@ def suite_of(kind: str, seed: int, scene: Scene) -> Iterator[SuiteScene]:
     longest = suite_path(scene, seed)
     for baseline in BASELINES:
         yield SuiteScene(kind, seed, baseline, tuple(_beginning(longest, baseline)))
+
+
+def wide_walk(kind: str, seed: int, scene: Scene) -> SuiteScene:
+    """The walk through a scene of the wide set, whose path is empty where there is no room; arguments as above."""
+    try:
+        first, last = sample_path(scene, seed, 2, vertical=0.0)
+    except ValueError:
+        return SuiteScene(kind, seed, 0.0, ())
+    ends = _rounded(first), _rounded(last)
+    length = float(np.linalg.norm(ends[1].position - ends[0].position))
+    return SuiteScene(kind, seed, round(length, 2), tuple(_beginning(ends, length)))
 
 
 def suite_path(scene: Scene, seed: int) -> tuple[Pose, ...]:

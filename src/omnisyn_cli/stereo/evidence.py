@@ -47,6 +47,11 @@ class Evidence:
     second_from_first: Pose
     up: Float[np.ndarray, " 3"]
 
+    @property
+    def sure(self) -> Bool[np.ndarray, "height width"]:
+        """Where matching answers for itself: what agreed, and the sky."""
+        return np.asarray(self.agreed | self.sky)
+
 
 def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, "planes height width"]:
     """The input of a completion network for one panorama, given the evidence of both.
@@ -61,7 +66,6 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
     moved_matched = sweep_directions(directions, evidence.matched.astype(np.float64), evidence.second_from_first)
     expected = evidence.filled / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
     towards = evidence.second_from_first.inverse().position
-    sure = (other.agreed | other.sky).astype(np.float32)
     matched = _root(evidence.matched)
     planes = [
         *np.moveaxis(evidence.image, -1, 0),
@@ -73,7 +77,7 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
         *np.moveaxis(sample_bilinear(other.image, moved), -1, 0),
         *np.moveaxis(sample_bilinear(other.image, moved_matched), -1, 0),
         _root(expected) - _root(sample_nearest(other.filled, moved)),
-        sample_nearest(sure, moved),
+        sample_nearest(other.sure.astype(np.float32), moved),
         directions @ (towards / np.linalg.norm(towards)),
         directions @ evidence.up,
         matched * evidence.agreed,

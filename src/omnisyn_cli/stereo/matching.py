@@ -85,8 +85,8 @@ class MatchingDepthEstimator:
         """At full size, with the edges of the image, in 1/metre."""
         guide = resize_area(view.image, self.options.size)
         whole = upsample(np.where(evidence.sky, 0.0, evidence.filled), evidence.image, guide)
-        confidence = resize_area((evidence.agreed | evidence.sky).astype(np.float32), self.options.size)
-        return DepthEstimate(whole / np.float32(baseline), confidence)
+        confidence = resize_area(evidence.sure.astype(np.float32), self.options.size)
+        return DepthEstimate(whole / np.float32(baseline), confidence, evidence.sure)
 
     def _nothing(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))

@@ -176,8 +176,8 @@ class RefinedDepthEstimator:
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
         (one, trust), (other, back_trust) = answers
         return both(
-            lambda: _estimate(first, second, (one, trust), other, baseline),
-            lambda: _estimate(second, first, (other, back_trust), one, baseline),
+            lambda: _estimate(first, second, (one, trust), other, baseline, there.sure),
+            lambda: _estimate(second, first, (other, back_trust), one, baseline, back.sure),
         )
 
     def _answers(self, there: Evidence, back: Evidence) -> tuple[Answer, Answer]:
@@ -189,18 +189,20 @@ class RefinedDepthEstimator:
 
 def _filled(evidence: Evidence) -> Answer:
     """What matching alone says, believed where it is sure."""
-    return evidence.filled.astype(np.float32), (evidence.agreed | evidence.sky).astype(np.float32)
+    return evidence.filled.astype(np.float32), evidence.sure.astype(np.float32)
 
 
 def _refined(evidence: Evidence, inverse_depth: np.ndarray, confidence: np.ndarray) -> Answer:
-    return np.where(evidence.agreed | evidence.sky, inverse_depth, median_around(inverse_depth)), confidence
+    return np.where(evidence.sure, inverse_depth, median_around(inverse_depth)), confidence
 
 
-def _estimate(view: View, other: View, answer: Answer, back: np.ndarray, baseline: float) -> DepthEstimate:
+def _estimate(
+    view: View, other: View, answer: Answer, back: np.ndarray, baseline: float, sure: np.ndarray
+) -> DepthEstimate:
     """In 1/metre; not trusted where masked, or where the other panorama, whose answer is ``back``, looks through."""
     inverse_depth, confidence = answer
     motion = other.pose.inverse() @ view.pose
     second_from_first = Pose(motion.rotation, motion.position / baseline)
     trust = confidence * free_space_agreement(inverse_depth, back, second_from_first)
     trust = trust * usable_pixels(view, inverse_depth.shape)
-    return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32))
+    return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32), sure)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics.temporal import flicker, warping_error
+from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.geometry.pose import Pose
 from synthesis_samples import PHASES, RADIUS, WAVES, distance_to_wall, hall_image, posed
 
@@ -21,6 +21,18 @@ def brightened(offsets: list[float]) -> list[np.ndarray]:
 def test_true_frames_of_a_static_scene_are_steady() -> None:
     assert warping_error(FRAMES, INVERSE_DEPTHS, POSES) < 5e-4
     assert flicker(FRAMES, INVERSE_DEPTHS, POSES) < 5e-4
+
+
+def test_a_change_is_compared_with_the_true_change() -> None:
+    """What is wrong alike in all frames is none; a step of e is 20·log10(1/e) dB wherever it happens, and once."""
+    truths = [frame.astype(np.float64) for frame in FRAMES]
+    assert min(change_psnr([0.5 * OFFSET + truth for truth in truths], truths)) > 200
+    stepped = [truth + offset for truth, offset in zip(truths, [0, 0, OFFSET, OFFSET], strict=True)]
+    before, at, after = change_psnr(stepped, truths)
+    assert at == pytest.approx(-20 * np.log10(OFFSET))
+    assert before == np.inf
+    assert after > 200
+    assert change_psnr(FRAMES[:1], truths[:1]) == []
 
 
 def test_without_the_geometry_they_would_not_be() -> None:

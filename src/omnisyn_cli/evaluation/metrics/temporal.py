@@ -9,11 +9,12 @@ nothing in common.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.evaluation.metrics.image import row_weights
+from omnisyn_cli.evaluation.metrics.image import row_weights, ws_psnr
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -27,6 +28,18 @@ INFINITE = 1e-3
 
 Frames = Sequence[Float[np.ndarray, "height width 3"]]
 InverseDepths = Sequence[Float[np.ndarray, "height width"]]
+
+
+def change_psnr(frames: Frames, truths: Frames) -> list[float]:
+    """How well each frame but the first changes from the one before as the true frames do: PSNR on the sphere, dB.
+
+    What is wrong alike in both frames is no error here; what appears, vanishes or jumps between them is. The error is
+    ``(made_k − made_{k−1}) − (true_k − true_{k−1})``.
+    """
+    return [
+        ws_psnr(after - before, true_after - true_before)
+        for (before, after), (true_before, true_after) in zip(pairwise(frames), pairwise(truths), strict=True)
+    ]
 
 
 def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]) -> float:

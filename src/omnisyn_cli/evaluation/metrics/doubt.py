@@ -1,0 +1,135 @@
+"""Whether an estimated depth knows where it is wrong: where matching was unsure, and what confidence is worth.
+
+All figures are of the pixels that the depth table scores, weighted by solid angle. The error that confidence is
+compared with is relative, max(p/g, g/p), since confidence is the probability that a value is within a tenth of the
+truth: of absolute errors of inverse depth the far would have hardly any, however wrong.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.evaluation.metrics.depth_errors import DELTAS, scored_pixels
+from omnisyn_cli.evaluation.metrics.image import check_same_size, row_weights
+
+BINS = 10
+"""Of confidence, equally wide."""
+
+Numbers = Float[np.ndarray, " count"]
+
+
+def unsure_metrics(
+    estimate: Float[np.ndarray, "height width"], truth: Float[np.ndarray, "height width"],
+    sure: Bool[np.ndarray, "height width"],
+) -> dict[str, float]:  # fmt: skip
+    """How much matching was not sure of, and how right the depth is there and elsewhere.
+
+    ``unsure_area`` is that share of the scored pixels; ``within_5_unsure`` and ``within_5_sure`` are the shares of the
+    values within 5 % of the truth in it and in the rest; that of an empty area is missing.
+
+    Args:
+        estimate: inverse depth, 1/m, >= 0.
+        truth: true inverse depth, 1/m; 0 is infinitely far, NaN unknown; somewhere it is scored.
+        sure: where matching was sure.
+    """
+    check_same_size(estimate, truth)
+    scored, weights = _scored(truth)
+    is_close, is_sure = _ratio(estimate[scored], truth[scored]) < DELTAS["105"], sure[scored]
+    shares = {"unsure": ~is_sure, "sure": is_sure}
+    return {"unsure_area": float(weights[~is_sure].sum())} | {
+        f"within_5_{name}": float(np.average(is_close[area], weights=weights[area]))
+        for name, area in shares.items()
+        if area.any()
+    }
+
+
+def confidence_metrics(
+    estimate: Float[np.ndarray, "height width"], confidence: Float[np.ndarray, "height width"],
+    truth: Float[np.ndarray, "height width"],
+) -> tuple[dict[str, float], dict[str, dict[str, float]]]:  # fmt: skip
+    """What confidence is worth, and the reliability diagram; both empty where it is the same everywhere.
+
+    ``rank_correlation`` is Spearman's, of doubt (1 − confidence) and relative error: 1 where the less sure is always
+    the more wrong. ``calibration_error`` is the mean over pixels of how far the mean confidence of their bin is from
+    the share within 10 % there. The diagram has, for each bin with pixels, named by its middle, its share of the
+    pixels (``area``), the mean ``confidence``, and the shares ``within_5`` and ``within_10``.
+
+    Args:
+        estimate: inverse depth, 1/m, >= 0.
+        confidence: in [0, 1].
+        truth: true inverse depth, 1/m; 0 is infinitely far, NaN unknown; somewhere it is scored.
+
+    Source: Guo, Pleiss, Sun and Weinberger, On calibration of modern neural networks, 2017.
+    """
+    check_same_size(estimate, truth)
+    scored, weights = _scored(truth)
+    ratio, trust = _ratio(estimate[scored], truth[scored]), confidence[scored].astype(np.float64)
+    if trust.min() == trust.max():
+        return {}, {}
+    diagram = _reliability(trust, ratio, weights)
+    error = sum(
+        share * abs(diagram["confidence"][name] - diagram["within_10"][name]) for name, share in diagram["area"].items()
+    )
+    correlation = rank_correlation(-trust, ratio, weights)
+    found = {} if correlation is None else {"rank_correlation": correlation}
+    return {**found, "calibration_error": error}, diagram
+
+
+def merged_reliability(diagrams: list[Mapping[str, Mapping[str, float]]]) -> dict[str, dict[str, float]]:
+    """The diagram of several panoramas together, each counting alike."""
+    bins = sorted({name for diagram in diagrams for name in diagram["area"]})
+    area = {name: sum(diagram["area"].get(name, 0.0) for diagram in diagrams) for name in bins}
+    merged = {
+        figure: {
+            name: sum(d["area"].get(name, 0.0) * d[figure].get(name, 0.0) for d in diagrams) / area[name]
+            for name in bins
+        }
+        for figure in ("confidence", "within_5", "within_10")
+    }
+    return {"area": {name: share / len(diagrams) for name, share in area.items()}, **merged}
+
+
+def rank_correlation(one: Numbers, other: Numbers, weights: Numbers) -> float | None:
+    """Spearman's correlation of two lists whose entries count by their weights; None where either is constant.
+
+    An entry's rank is the weight of all that are less, and half of that of all that are equal.
+    """
+    first, second = (_ranks(values, weights) for values in (one, other))
+    first, second = (ranks - np.average(ranks, weights=weights) for ranks in (first, second))
+    spread = np.average(first**2, weights=weights) * np.average(second**2, weights=weights)
+    return float(np.average(first * second, weights=weights) / np.sqrt(spread)) if spread > 0.0 else None
+
+
+def _ranks(values: Numbers, weights: Numbers) -> Numbers:
+    _, group = np.unique(values, return_inverse=True)
+    total = np.bincount(group, weights)
+    return np.asarray((np.cumsum(total) - 0.5 * total)[group])
+
+
+def _reliability(trust: Numbers, ratio: Numbers, weights: Numbers) -> dict[str, dict[str, float]]:
+    number = np.minimum((trust * BINS).astype(np.int64), BINS - 1)
+    area = np.bincount(number, weights, BINS)
+    sums = {
+        "confidence": np.bincount(number, weights * trust, BINS),
+        "within_5": np.bincount(number, weights * (ratio < DELTAS["105"]), BINS),
+        "within_10": np.bincount(number, weights * (ratio < DELTAS["110"]), BINS),
+    }
+    named = {f"{(index + 0.5) / BINS:.2f}": index for index in np.flatnonzero(area)}
+    return {"area": {name: float(area[index]) for name, index in named.items()}} | {
+        figure: {name: float(of_bins[index] / area[index]) for name, index in named.items()}
+        for figure, of_bins in sums.items()
+    }
+
+
+def _scored(truth: np.ndarray) -> tuple[np.ndarray, Numbers]:
+    """Which pixels count, and the share of each of them."""
+    scored = scored_pixels(truth)
+    weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape)[scored]
+    return scored, weights / weights.sum()
+
+
+def _ratio(estimate: np.ndarray, truth: np.ndarray) -> Numbers:
+    """max(p/g, g/p); infinite where the estimate is infinitely far."""
+    larger, smaller = np.maximum(estimate, truth), np.minimum(estimate, truth)
+    return np.asarray(np.divide(larger, smaller, out=np.full(larger.shape, np.inf), where=smaller > 0.0))

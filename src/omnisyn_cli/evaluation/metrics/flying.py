@@ -1,0 +1,139 @@
+"""Pixels that show what is not there: far from the truth, and from all that either photograph shows anywhere near.
+
+A surface at a wrong distance displaces what a photograph shows; one that flies puts it where neither photograph has
+anything like it. How near counts as near follows from the true depth of both photographs. Carried to the frame, it says
+for every cell of 2.8° between which distances things lie there and in the eight cells around. Between the places of
+these two distances, on its epipolar line, a photograph may rightly show a pixel's direction; 1.4° beside that line is
+near as well. In cells that neither depth reaches the line begins at infinity and ends at the nearest distance that
+depth is scored at.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.evaluation.metrics.depth_errors import SCORED_DEPTH
+from omnisyn_cli.evaluation.metrics.image import Picture, check_same_size, row_weights
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import add_border, filter_across_seam, sample_nearest
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_scale
+from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.types import View
+
+TOLERANCE = 30 / 255
+"""Difference in any channel from which on a colour is another one."""
+
+CELLS = (64, 128)
+"""Rows and columns of cells."""
+
+SAMPLES = (256, 512)
+"""Rows and columns of true depth that cells are told by: sixteen for each."""
+
+BESIDE = np.radians(1.4)
+"""Angle from the line."""
+
+
+class _Pixels(NamedTuple):
+    """Pixels that are off the truth: unit vectors, RGB, and the ends of their lines in 1/metre."""
+
+    directions: Float[np.ndarray, "count 3"]
+    colours: Float[np.ndarray, "count 3"]
+    farthest: Float[np.ndarray, " count"]
+    nearest: Float[np.ndarray, " count"]
+
+
+def flying_share(image: Picture, truth: Picture, pose: Pose, views: tuple[View, View]) -> float:
+    """Share of the sphere whose pixels fly: see above.
+
+    Args:
+        image: a frame, RGB in [0, 1].
+        truth: what a camera saw there, of the same size.
+        pose: of the frame.
+        views: both photographs, with their true depth.
+
+    Raises:
+        ValueError: sizes differ, or a view has no known depth.
+    """
+    weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape[:2])
+    return float(weights[flying_pixels(image, truth, pose, views)].sum() / weights.sum())
+
+
+def flying_pixels(
+    image: Picture, truth: Picture, pose: Pose, views: tuple[View, View]
+) -> Bool[np.ndarray, "height width"]:
+    """Which pixels fly; arguments as above."""
+    check_same_size(image, truth)
+    flying: np.ndarray = np.abs(image - truth).max(axis=-1) > TOLERANCE
+    directions = pixel_directions(*flying.shape)[flying]
+    ends = (sample_nearest(end, directions) for end in _true_range(pose, views))
+    pixels = _Pixels(directions, image[flying], *ends)
+    for view in views:
+        is_shown = _is_shown(pixels, view, pose)
+        flying[flying] = ~is_shown
+        pixels = _Pixels(*(values[~is_shown] for values in pixels))
+    return flying
+
+
+def _true_range(pose: Pose, views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the greatest true inverse depth around every cell of a frame, 1/metre."""
+    least, greatest = np.full(CELLS, np.inf), np.full(CELLS, -1.0)
+    for view in views:
+        cells, inverse_depth = _carried(pose, view)
+        np.minimum.at(least, cells, inverse_depth)
+        np.maximum.at(greatest, cells, inverse_depth)
+    around = np.ones((3, 3), np.uint8)
+    least, greatest = (
+        filter_across_seam(partial(extreme, kernel=around), values, 1)
+        for extreme, values in ((cv2.erode, least), (cv2.dilate, greatest))
+    )
+    is_known = greatest >= 0.0
+    return np.where(is_known, least, 0.0), np.where(is_known, greatest, 1.0 / SCORED_DEPTH[0])
+
+
+def _carried(pose: Pose, view: View) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Cells of a frame that the true depth of a view falls into, and its inverse depth from there."""
+    if view.known_depth is None:
+        raise ValueError("expected views with known depth, got one without; leave flying pixels out")
+    directions = pixel_directions(*SAMPLES)
+    is_known = sample_nearest(view.known_depth.confidence, directions) > 0
+    inverse_depth = sample_nearest(view.known_depth.inverse_depth, directions)[is_known].astype(np.float64)
+    rays = sweep_directions(directions[is_known], inverse_depth, pose.inverse() @ view.pose)
+    return _pixels_of(rays, CELLS), inverse_depth / np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
+
+
+def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " count"]:
+    """Whether a photograph has the colour of each pixel near its line: looked for from the far end to the near one."""
+    view_from_frame = view.pose.inverse() @ pose
+    step = 2.0 * BESIDE / max(float(np.linalg.norm(view_from_frame.position)), 1e-9)
+    is_shown = np.zeros(len(pixels.colours), bool)
+    left, inverse_depth = np.arange(len(is_shown)), pixels.farthest
+    while left.size:
+        rays = sweep_directions(pixels.directions[left], inverse_depth, view_from_frame)
+        is_shown[left] = _is_around(view.image, rays, pixels.colours[left])
+        is_open = ~is_shown[left] & (inverse_depth < pixels.nearest[left])
+        left, inverse_depth = left[is_open], inverse_depth[is_open]
+        inverse_depth = np.minimum(inverse_depth + step, pixels.nearest[left])
+    return is_shown
+
+
+def _is_around(image: Picture, rays: np.ndarray, colours: np.ndarray) -> Bool[np.ndarray, " count"]:
+    """Whether a picture has each colour in a square around each direction."""
+    size = (image.shape[0], image.shape[1])
+    reach = max(1, round(BESIDE * pixel_scale(size)[0]))
+    wide, (rows, cols) = add_border(image, reach), _pixels_of(rays, size)
+    left = np.arange(len(colours))
+    for down in range(2 * reach + 1):
+        for across in range(2 * reach + 1):
+            shown = wide[rows[left] + down, cols[left] + across]
+            left = left[(np.abs(shown - colours[left]) > TOLERANCE).any(axis=-1)]
+    is_found = np.ones(len(colours), bool)
+    is_found[left] = False
+    return is_found
+
+
+def _pixels_of(rays: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    row, col = direction_to_pixel(rays, size)
+    return np.clip(np.rint(row).astype(np.int64), 0, size[0] - 1), np.rint(col).astype(np.int64) % size[1]

@@ -1,0 +1,105 @@
+"""Pixels that fly, in cases built by hand: a grey hall 2 m in radius around the frame, with marks on its wall."""
+
+import numpy as np
+import pytest
+
+from omnisyn_cli.evaluation.metrics.flying import flying_pixels, flying_share
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, solid_angles
+from omnisyn_cli.types import DepthEstimate, View
+
+SIZE = (128, 256)
+RADIUS = 2.0
+GREY, RED = np.full(3, 0.5), np.array([0.9, 0.1, 0.1])
+HERE = Pose.identity()
+
+
+def disc(direction: np.ndarray, degrees: float, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """Pixels around a direction."""
+    return pixel_directions(*size) @ (direction / np.linalg.norm(direction)) > np.cos(np.radians(degrees))
+
+
+def view(position: tuple[float, float, float], mark: np.ndarray | None = None, heading: float = 0.0) -> View:
+    """The hall from a place inside, with a red mark of 4° where the wall is in a direction of the frame."""
+    pose = Pose(rotation_from_heading(heading), np.asarray(position, dtype=np.float64))
+    rays = pixel_directions(*SIZE) @ pose.rotation.T
+    along = rays @ pose.position
+    distance = -along + np.sqrt(along**2 + RADIUS**2 - pose.position @ pose.position)
+    image = np.broadcast_to(GREY, (*SIZE, 3)).copy()
+    if mark is not None:
+        place = RADIUS * mark / np.linalg.norm(mark) - pose.position
+        image[disc(pose.rotation.T @ place, 4.0)] = RED
+    return View(image, pose, None, DepthEstimate(1.0 / distance, np.ones(SIZE)))
+
+
+def views(mark: np.ndarray | None = None) -> tuple[View, View]:
+    return view((0.9, 0.0, 0.3), mark, heading=0.7), view((-0.9, 0.0, -0.3), mark, heading=-2.1)
+
+
+def with_mark(direction: np.ndarray) -> np.ndarray:
+    image = np.broadcast_to(GREY, (*SIZE, 3)).copy()
+    image[disc(direction, 3.0)] = RED
+    return image
+
+
+TRUTH = np.broadcast_to(GREY, (*SIZE, 3))
+
+AHEAD = np.array([0.2, 0.1, -1.0])
+
+
+def test_what_neither_photograph_shows_anywhere_flies() -> None:
+    image = with_mark(AHEAD)
+    np.testing.assert_array_equal(flying_pixels(image, TRUTH, HERE, views()), disc(AHEAD, 3.0))
+    area = solid_angles(*SIZE)[disc(AHEAD, 3.0)].sum() / (4 * np.pi)
+    assert flying_share(image, TRUTH, HERE, views()) == pytest.approx(area, rel=1e-3)
+
+
+def test_what_a_photograph_shows_where_it_should_does_not_fly_though_it_is_wrong() -> None:
+    """Parallax is followed: in the photographs the mark is up to 27° aside."""
+    image = with_mark(AHEAD)
+    near, other = views(AHEAD)
+    rows, cols = direction_to_pixel(near.pose.rotation.T @ AHEAD, SIZE)
+    assert (near.image[round(float(rows)), round(float(cols))] == GREY).all()
+    assert not flying_pixels(image, TRUTH, HERE, (near, other)).any()
+    assert not flying_pixels(image, TRUTH, HERE, (near, views()[1])).any()
+
+
+def test_what_a_photograph_shows_elsewhere_flies() -> None:
+    """30° from where the wall is shown there."""
+    aside = np.array([0.9, 0.1, -1.0])
+    assert flying_pixels(with_mark(AHEAD), TRUTH, HERE, views(aside)).sum() == disc(AHEAD, 3.0).sum()
+
+
+def test_nothing_flies_that_is_near_the_truth() -> None:
+    image = np.clip(TRUTH + np.random.default_rng(3).uniform(-29 / 255, 29 / 255, (*SIZE, 3)), 0, 1)
+    assert not flying_pixels(image, TRUTH, HERE, views()).any()
+
+
+def test_without_known_distances_a_photograph_may_show_all_from_infinity_to_a_metre() -> None:
+    """The mark hangs 1.3 m before the frame; true depth says that the wall is at 2 m."""
+    mark = 1.3 * AHEAD / np.linalg.norm(AHEAD)
+    shown = []
+    for plain in views():
+        image = plain.image.copy()
+        image[disc(plain.pose.rotation.T @ (mark - plain.pose.position), 4.0)] = RED
+        shown.append(View(image, plain.pose, None, plain.known_depth))
+    unknown = tuple(View(v.image, v.pose, None, DepthEstimate(np.ones(SIZE), np.zeros(SIZE))) for v in shown)
+    assert flying_pixels(with_mark(AHEAD), TRUTH, HERE, (shown[0], shown[1])).any()
+    assert not flying_pixels(with_mark(AHEAD), TRUTH, HERE, (unknown[0], unknown[1])).any()
+
+
+def test_a_photograph_from_the_place_of_the_frame_shows_everything_where_it_is() -> None:
+    assert not flying_pixels(with_mark(AHEAD), TRUTH, HERE, (view((0, 0, 0), AHEAD), views()[1])).any()
+    assert flying_pixels(with_mark(AHEAD), TRUTH, HERE, (view((0, 0, 0)), views()[1])).any()
+
+
+def test_photographs_may_be_larger_than_frames_and_their_true_depth_smaller() -> None:
+    near, other = views(AHEAD)
+    large = View(near.image.repeat(2, 0).repeat(2, 1), near.pose, None, near.known_depth)
+    assert not flying_pixels(with_mark(AHEAD), TRUTH, HERE, (large, other)).any()
+
+
+def test_views_without_depth_are_refused() -> None:
+    blind = View(views()[0].image, HERE)
+    with pytest.raises(ValueError, match="known depth"):
+        flying_pixels(with_mark(AHEAD), TRUTH, HERE, (blind, blind))
