@@ -21,6 +21,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_scale
 from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.runtime.jit import kernel
 from omnisyn_cli.types import View
 
 TOLERANCE = 30 / 255
@@ -29,8 +30,8 @@ TOLERANCE = 30 / 255
 CELLS = (64, 128)
 """Rows and columns of cells."""
 
-SAMPLES = (256, 512)
-"""Rows and columns of true depth that cells are told by: sixteen for each."""
+SAMPLES = (128, 256)
+"""Rows and columns of true depth that cells are told by: four for each, 36 with those around it."""
 
 BESIDE = np.radians(1.4)
 """Angle from the line."""
@@ -69,7 +70,7 @@ def flying_pixels(
     flying: np.ndarray = np.abs(image - truth).max(axis=-1) > TOLERANCE
     directions = pixel_directions(*flying.shape)[flying]
     ends = (sample_nearest(end, directions) for end in _true_range(pose, views))
-    pixels = _Pixels(directions, image[flying], *ends)
+    pixels = _Pixels(directions, image[flying].astype(np.float32), *ends)
     for view in views:
         is_shown = _is_shown(pixels, view, pose)
         flying[flying] = ~is_shown
@@ -108,29 +109,42 @@ def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " cou
     """Whether a photograph has the colour of each pixel near its line: looked for from the far end to the near one."""
     view_from_frame = view.pose.inverse() @ pose
     step = 2.0 * BESIDE / max(float(np.linalg.norm(view_from_frame.position)), 1e-9)
-    is_shown = np.zeros(len(pixels.colours), bool)
+    size = (view.image.shape[0], view.image.shape[1])
+    reach = max(1, round(BESIDE * pixel_scale(size)[0]))
+    wide, is_shown = add_border(view.image.astype(np.float32), reach), np.zeros(len(pixels.colours), bool)
     left, inverse_depth = np.arange(len(is_shown)), pixels.farthest
     while left.size:
         rays = sweep_directions(pixels.directions[left], inverse_depth, view_from_frame)
-        is_shown[left] = _is_around(view.image, rays, pixels.colours[left])
+        is_shown[left] = is_around(wide, reach, *_pixels_of(rays, size), pixels.colours[left])
         is_open = ~is_shown[left] & (inverse_depth < pixels.nearest[left])
         left, inverse_depth = left[is_open], inverse_depth[is_open]
         inverse_depth = np.minimum(inverse_depth + step, pixels.nearest[left])
     return is_shown
 
 
-def _is_around(image: Picture, rays: np.ndarray, colours: np.ndarray) -> Bool[np.ndarray, " count"]:
-    """Whether a picture has each colour in a square around each direction."""
-    size = (image.shape[0], image.shape[1])
-    reach = max(1, round(BESIDE * pixel_scale(size)[0]))
-    wide, (rows, cols) = add_border(image, reach), _pixels_of(rays, size)
-    left = np.arange(len(colours))
-    for down in range(2 * reach + 1):
-        for across in range(2 * reach + 1):
-            shown = wide[rows[left] + down, cols[left] + across]
-            left = left[(np.abs(shown - colours[left]) > TOLERANCE).any(axis=-1)]
-    is_found = np.ones(len(colours), bool)
-    is_found[left] = False
+@kernel()
+def is_around(wide: np.ndarray, reach: int, rows: np.ndarray, cols: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Whether a picture has each colour within ``reach`` rows and columns of each pixel, ``(count,)``.
+
+    Args:
+        wide: the picture with so many more rows and columns on every side, ``(rows, cols, 3)`` float32.
+        reach: see above.
+        rows: of the pixels, without those.
+        cols: likewise.
+        colours: RGB, ``(count, 3)`` float32.
+    """
+    is_found = np.zeros(len(rows), np.bool_)
+    side = 2 * reach + 1
+    for k in range(len(rows)):
+        for place in range(side * side):
+            shown = wide[rows[k] + place // side, cols[k] + place % side]
+            if (
+                abs(shown[0] - colours[k, 0]) <= TOLERANCE
+                and abs(shown[1] - colours[k, 1]) <= TOLERANCE
+                and abs(shown[2] - colours[k, 2]) <= TOLERANCE
+            ):
+                is_found[k] = True
+                break
     return is_found
 
 
