@@ -83,7 +83,8 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
 
     A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, those between
     are the truth; true depth is compared where there is some. Errors are told by kind of pixel as well: both views
-    agree, they disagree, one view only, hole, beside silhouettes.
+    agree, they disagree, one view only, hole, beside silhouettes. The report says as well what depth knows of its
+    errors, how truly frames change from one to the next, and what flies.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 
