@@ -77,17 +77,3 @@ def test_a_checkpoint_needs_room_and_the_former_one_stays(tmp_path: Path) -> Non
     assert "\n" not in str(caught.value)
     assert load_checkpoint(path)["step"] == 1
     assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
-
-
-def test_a_line_of_the_log_survives_the_one_that_was_cut(tmp_path: Path) -> None:
-    import json
-
-    from omnisyn_cli.training.loop import _append
-
-    path = tmp_path / "log.jsonl"
-    _append(path, {"step": 1})
-    path.write_bytes(path.read_bytes() + b'{"step": 2, "lo')
-    _append(path, {"step": 3})
-    first, cut, last = path.read_text().splitlines()
-    assert (json.loads(first), json.loads(last)) == ({"step": 1}, {"step": 3})
-    assert cut.startswith('{"step": 2')

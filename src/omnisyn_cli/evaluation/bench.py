@@ -22,7 +22,8 @@ from omnisyn_cli.evaluation.methods import find_method, find_methods
 from omnisyn_cli.evaluation.pareto import FIGURES, Figures, Setting
 from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.io import read_header
-from omnisyn_cli.io.outputs import make_folder, staged_folder, write_parts
+from omnisyn_cli.io.json_lines import append_line, complete_lines
+from omnisyn_cli.io.outputs import make_folder, staged_folder
 from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
 from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.scenes import generate_scene, sample_path
@@ -168,7 +169,7 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
         figures = known.get(key)
         if figures is None:
             figures = _in_child(_run(plan, setting, key))
-            _append(path, figures)
+            append_line(path, figures.to_json())
         measured.append(figures)
         if on_setting:
             on_setting(len(measured), figures)
@@ -196,20 +197,10 @@ def _key(plan: BenchPlan, setting: Setting, files: Fingerprints) -> str:
 
 def _read(path: Path) -> list[Figures]:
     """All complete lines of an earlier run."""
-    if not path.exists():
-        return []
     try:
-        lines = path.read_text(encoding="utf-8").split("\n")[:-1]
-        return [FIGURES.validate_python(json.loads(line)) for line in lines]
-    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        return [FIGURES.validate_python(json.loads(line)) for line in complete_lines(path)]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
-
-
-def _append(path: Path, figures: Figures) -> None:
-    """Add a line; what an interrupted run left of one is replaced."""
-    complete, newline, _ = path.read_bytes().rpartition(b"\n") if path.exists() else (b"", b"", b"")
-    line = json.dumps(figures.to_json(), ensure_ascii=False, allow_nan=False) + "\n"
-    write_parts(path, [complete, newline, line.encode("utf-8", "backslashreplace")])
 
 
 COMPILING = "compiling"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any, Literal
 from pydantic import ConfigDict, TypeAdapter
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.io.outputs import write_errors
+from omnisyn_cli.io.json_lines import append_line, complete_lines
 
 __all__ = ["UnitRecord"]
 
@@ -167,20 +166,8 @@ def json_values(value: Any) -> Any:
 
 
 def append_record(folder: Path, record: UnitRecord) -> None:
-    """Add a line to ``folder/results.jsonl`` that has reached the disk when this returns.
-
-    What an interrupted run left of a line is removed first.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
-    """
-    path = folder / RESULTS_NAME
-    line = json.dumps(record.to_json(), ensure_ascii=False, allow_nan=False) + "\n"
-    with write_errors(path), path.open("a+b") as file:
-        _drop_unfinished_line(file)
-        file.write(line.encode("utf-8", "backslashreplace"))
-        file.flush()
-        os.fsync(file.fileno())
+    """Add a line to ``folder/results.jsonl``, see :func:`omnisyn_cli.io.json_lines.append_line`."""
+    append_line(folder / RESULTS_NAME, record.to_json())
 
 
 def read_records(folder: Path) -> list[UnitRecord]:
@@ -190,13 +177,7 @@ def read_records(folder: Path) -> list[UnitRecord]:
         InputError: the file cannot be read, or a line but the last is not a record.
     """
     path = folder / RESULTS_NAME
-    if not path.exists():
-        return []
-    try:
-        complete, _, _ = path.read_bytes().rpartition(b"\n")  # what was cut short may end inside a character
-        lines = complete.decode("utf-8").split("\n") if complete else []
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
+    lines = complete_lines(path)
     return [_record(path, number, line) for number, line in enumerate(lines, start=1)]
 
 
@@ -213,15 +194,3 @@ def _record(path: Path, number: int, line: str) -> UnitRecord:
         raise InputError(
             f"{path}: expected a record in line {number}, got '{error!s:.200}'; remove the file or name another folder"
         ) from error
-
-
-def _drop_unfinished_line(file: Any) -> None:
-    """Cut a binary file after its last newline."""
-    end = file.seek(0, os.SEEK_END)
-    if end == 0:
-        return
-    file.seek(end - 1)
-    if file.read(1) != b"\n":
-        file.seek(0)
-        file.truncate(file.read().rfind(b"\n") + 1)
-        file.seek(0, os.SEEK_END)

@@ -5,9 +5,7 @@ time is up, :attr:`TrainConfig.cooldown_steps` more steps take the rate to zero 
 steps: a run that is paused, killed or continued goes the same way, bit for bit on one machine.
 """
 
-import json
 import math
-import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -21,7 +19,8 @@ from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
-from omnisyn_cli.io.outputs import make_folder, write_errors
+from omnisyn_cli.io.json_lines import append_line
+from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
 from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_pool
@@ -233,7 +232,7 @@ def train(
         out_of_time = time.monotonic() - started > 60.0 * minutes
         if trainer.step % config.validate_every == 0:
             row, pictures = _log_row(trainer, losses, time.monotonic() - started)
-            _append(folder / "log.jsonl", row)
+            append_line(folder / "log.jsonl", row)
             if pictures:
                 make_folder(folder / "pictures", "pictures")
                 write_image(folder / "pictures" / f"{trainer.step:08d}.png", contact_sheet(pictures))
@@ -298,16 +297,8 @@ def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> tuple[dic
     network, task = trainer.averaged_network(), trainer.task
     scores = task.validate(network, trainer.config)
     trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
-    row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate(), "loss": float(np.mean(losses))}
-    return row | trainer.scores, task.show(network, trainer.config)
-
-
-def _append(path: Path, row: dict[str, Any]) -> None:
-    """Add a line; what a killed run left of one is ended first, so that it spoils no other."""
-    with write_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("a+b") as file:
-            if file.seek(0, os.SEEK_END):
-                file.seek(-1, os.SEEK_END)
-                file.write(b"" if file.read(1) == b"\n" else b"\n")
-            file.write(json.dumps(row).encode() + b"\n")
+    row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate()}
+    finite = [loss for loss in losses if math.isfinite(loss)]  # the others taught nothing
+    return row | ({"loss": float(np.mean(finite))} if finite else {}) | trainer.scores, task.show(
+        network, trainer.config
+    )
