@@ -71,7 +71,7 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path: Path, pair: list
     assert (result.code, result.err) == (0, "")
     for line in (
         "frames: 3",
-        "encoder: h264 crf 18 preset ultrafast",
+        "encoder: h264 crf 17 preset ultrafast",
         "path metres: 1.0",
         "size: 32x16",
         "depth: file",

@@ -90,7 +90,7 @@ if TYPE_CHECKING:
 @click.option(
     "--crf", type=float,
     help="Constant quality of the encoder, lower is better; for h264 0 is lossless, which few players play.  "
-    "[default: 18 for h264]",
+    "[default: 17 for h264]",
 )  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @masks_option
