@@ -65,8 +65,9 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @cut_options
 @click.option(
-    "--adaptive/--no-adaptive", default=False, show_default=True,
-    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
+    "--adaptive/--no-adaptive", default=None,
+    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.  [default: "
+    "where more than 32 frames lie between two panoramas]",
 )  # fmt: skip
 @click.option(
     "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
