@@ -161,20 +161,20 @@ def _walk(cost, behind, reach, ahead, shift, leap, cheapest, small, least):  # t
         ahead[begin + k + AROUND] = cost[begin + k] + best - cheapest
     end = np.uint64(count) + AROUND
     ahead[end] = ahead[end + ONE] = FAR
-    return _least(ahead, end, least)
+    return _least(ahead, AROUND, end, least)
 
 
 @numba.njit(inline="always")
-def _least(path, end, least):  # type: ignore[no-untyped-def]
-    """The smallest number of a path; ``least`` is room for one in each lane."""
-    lowest, whole = FAR, (end - AROUND) // LANES
+def _least(numbers, begin, end, least):  # type: ignore[no-untyped-def]
+    """The smallest number from ``begin`` to ``end``; ``least`` is room for one in each lane."""
+    lowest, whole = FAR, (end - begin) // LANES
     for lane in range(LANES):
         least[lane] = FAR
     for k in range(whole):
         for lane in range(LANES):
-            least[lane] = min(least[lane], path[k * LANES + lane + AROUND])
-    for k in range(whole * LANES + AROUND, end):
-        lowest = min(lowest, path[k])
+            least[lane] = min(least[lane], numbers[begin + k * LANES + lane])
+    for k in range(begin + whole * LANES, end):
+        lowest = min(lowest, numbers[k])
     for lane in range(LANES):
         lowest = min(lowest, least[lane])
     return lowest
@@ -191,19 +191,21 @@ def _choose(total, lowest, begin, is_all):  # type: ignore[no-untyped-def]
     height, width = lowest.shape
     disparity, margin = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
     for row in numba.prange(height):
+        least = np.empty(LANES, np.float32)
         for col in range(width):
             at = row * width + col
             score = total[begin[at] : begin[at + 1]]
-            best = int(np.argmin(score))
+            nothing, count, best = np.uint64(0), np.uint64(len(score)), 0
+            lowest_score = _least(score, nothing, count, least)
+            while score[best] > lowest_score:
+                best += 1
             disparity[row, col] = lowest[row, col] + best
             is_inside = 0 < best < len(score) - 1
             if is_inside:
                 left, right = score[best - 1] - score[best], score[best + 1] - score[best]
                 disparity[row, col] += np.float32(0.5) * (left - right) / (max(left, right) + np.float32(1e-9))
             if is_inside or is_all:
-                rival = FAR
-                for k in range(len(score)):
-                    if abs(k - best) > 1:
-                        rival = min(rival, score[k])
+                before, after = np.uint64(max(best - 1, 0)), np.uint64(min(best + 2, len(score)))
+                rival = min(_least(score, nothing, before, least), _least(score, after, count, least))
                 margin[row, col] = rival - score[best]
     return disparity, margin
