@@ -45,6 +45,7 @@ def test_a_step_of_less_than_a_quarter_of_a_pixel_is_not_rendered(made: list[flo
     shown = frames([0.5, 0.501, 0.6])
     assert made == [0.5, 0.6]
     assert [frame.waypoint.t for frame in shown] == [0.5, 0.501, 0.6]
+    assert [frame.is_shown_again for frame in shown] == [False, True, False]
 
 
 def test_small_steps_add_up(made: list[float]) -> None:

@@ -130,7 +130,7 @@ if TYPE_CHECKING:
     "nothing.",
 )  # fmt: skip
 @json_option("the summary")
-@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
+@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage and what was modelled.")
 @quiet_option
 @click.pass_context
 def interpolate(
@@ -216,6 +216,8 @@ def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: boo
         if verbose:
             for stage, seconds in summary.seconds.items():
                 click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
+            for line in summary.made.lines():
+                click.echo(line, err=True)
         height, width = summary.plan.size
         frames, total = len(summary.plan.path), summary.seconds["total"]
         click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
