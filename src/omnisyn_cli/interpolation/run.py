@@ -3,7 +3,6 @@
 Frames, their confidence and the depth of panoramas appear when everything has gone well.
 """
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -162,8 +161,8 @@ def run_interpolation(
 
 def _infinitely_far(depth: DepthEstimate) -> float:
     """Share of the sphere that has no parallax: however the camera moves, it only turns."""
-    rho = depth.inverse_depth
-    return float(solid_angles(*rho.shape)[rho == 0.0].sum() / (4.0 * math.pi))
+    area = solid_angles(*depth.inverse_depth.shape)
+    return float(area[depth.inverse_depth == 0.0].sum() / area.sum())
 
 
 class _PairKeeper:
