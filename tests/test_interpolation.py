@@ -183,7 +183,7 @@ def test_frames_are_kept_besides_the_video_on_request(tmp_path: Path) -> None:
     np.testing.assert_array_equal(samples_of(tmp_path / "frames" / "000002.png"), samples_of(images[1]))
     described = summary.describe()
     assert {"decode", "depth", "mesh", "render", "fuse", "encode", "total"} <= set(described["stages"])
-    assert described["encoder"] == "h264 crf 18 preset ultrafast"
+    assert described["encoder"] == "h264 crf 17 preset ultrafast"
 
 
 def test_damage_found_late_leaves_nothing_at_all(tmp_path: Path) -> None:

@@ -52,6 +52,8 @@ def test_quiet_prints_nothing_and_verbose_prints_seconds_on_stderr(
     verbose = run_cli(capsys, *folder_arguments(tmp_path, pair, "-v", "--overwrite"))
     assert verbose.out.count("\n") == 1
     assert re.search(r"render: +\d+\.\d\d s", verbose.err)
+    assert "2 photographs, 1 rendered, 0 shown again" in verbose.err
+    assert re.search(r"triangles drawn: \d\.\d\d of \d\.\d\d million\ninfinitely far: 0%", verbose.err)
 
 
 def test_json_on_stdout_has_the_plan_and_the_stages(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
@@ -62,6 +64,9 @@ def test_json_on_stdout_has_the_plan_and_the_stages(tmp_path: Path, pair: list[P
     assert all(seconds >= 0 for seconds in summary["stages"].values())
     assert (summary["frames"], summary["size"], summary["path_metres"]) == (3, "32x16", 1.0)
     assert summary["inputs"] == [str(image) for image in pair]
+    assert summary["frames_made"] == {"photographs": 2, "rendered": 1, "shown_again": 0}
+    assert summary["infinitely_far"] == [{"first": 0, "share": 0.0}]
+    assert all(entry["drawn"] <= entry["of"] for entry in summary["triangles"])
 
 
 def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
@@ -71,7 +76,7 @@ def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path: Path, pair: list
     assert (result.code, result.err) == (0, "")
     for line in (
         "frames: 3",
-        "encoder: h264 crf 18 preset ultrafast",
+        "encoder: h264 crf 17 preset ultrafast",
         "path metres: 1.0",
         "size: 32x16",
         "depth: file",

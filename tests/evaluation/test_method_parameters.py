@@ -103,7 +103,7 @@ def test_one_view_is_not_fused() -> None:
 )
 def test_what_is_no_parameter_is_refused(parameter: str) -> None:
     with pytest.raises(
-        InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, rows=1024 or model=none"
+        InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, rows=1024 or"
     ):
         find_method(f"oracle-depth:{parameter}")
 

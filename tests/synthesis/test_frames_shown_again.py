@@ -1,16 +1,20 @@
 """Work that is not done because nobody would see it: frames shown again, and flat surfaces simplified."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from interpolation_samples import job_of
 from omnisyn_cli.fusion.photometry import ExposureMatcher
+from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
 from omnisyn_cli.synthesis import between
 from omnisyn_cli.synthesis.frames import Frame, synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, Rendering
-from synthesis_samples import hall_view, posed
+from synthesis_samples import hall_view, posed, write_hall
 
 SIZE = (64, 128)
 
@@ -41,6 +45,7 @@ def test_a_step_of_less_than_a_quarter_of_a_pixel_is_not_rendered(made: list[flo
     shown = frames([0.5, 0.501, 0.6])
     assert made == [0.5, 0.6]
     assert [frame.waypoint.t for frame in shown] == [0.5, 0.501, 0.6]
+    assert [frame.is_shown_again for frame in shown] == [False, True, False]
 
 
 def test_small_steps_add_up(made: list[float]) -> None:
@@ -63,3 +68,14 @@ def test_triangles_are_counted_and_the_switch_draws_them_all() -> None:
         method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1, adaptive=adaptive))
         counts[adaptive] = method.prepare(0, views).segment.triangles
     assert counts[False][0] == counts[False][1] == counts[True][1] > counts[True][0]
+
+
+def test_fewer_triangles_are_looked_for_where_frames_pay_for_it(tmp_path: Path) -> None:
+    """Unless the user says otherwise, and never where every triangle is drawn anyway."""
+    images = write_hall(tmp_path, [posed([0.0, 0.0, z]) for z in (0.5, 0.0, -0.5)])
+    usual = {frames: plan_interpolation(job_of(tmp_path, images, frames=frames)) for frames in (64, 65)}
+    assert [plan.recipe.adaptive for plan in usual.values()] == [False, True]
+    for adaptive in (True, False):
+        asked = plan_interpolation(job_of(tmp_path, images, frames=64, adaptive=adaptive))
+        assert asked.recipe.adaptive == with_preset(asked, "fast").recipe.adaptive == adaptive
+    assert not plan_interpolation(job_of(tmp_path, images, frames=90, device="cuda")).recipe.adaptive

@@ -61,9 +61,10 @@ def test_what_is_asked_for_beside_the_preset_comes_first(tmp_path: Path, images:
 def test_the_other_presets_are_drawn_exactly_and_cut_relatively(tmp_path: Path, images: list[Path]) -> None:
     plan = plan_interpolation(job_of(tmp_path, images, preset="paper"))
     for name in SCALE:
-        other = plan_interpolation(job_of(tmp_path, images, preset=name))
+        other = plan_interpolation(job_of(tmp_path, images, preset=name, adaptive=True))
         assert other.recipe == PRESETS[name].recipe
         assert (other.recipe.renderer, other.recipe.cut) == ("mesh", USUAL.cut)
+        plan = replace(plan, job=replace(plan.job, adaptive=True))
         assert with_preset(plan, name).describe() == other.describe()
         assert with_preset(plan, name).recipe == other.recipe
 

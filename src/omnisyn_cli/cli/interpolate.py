@@ -65,8 +65,9 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @cut_options
 @click.option(
-    "--adaptive/--no-adaptive", default=False, show_default=True,
-    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.",
+    "--adaptive/--no-adaptive", default=None,
+    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.  [default: "
+    "where more than 32 frames lie between two panoramas]",
 )  # fmt: skip
 @click.option(
     "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
@@ -90,7 +91,7 @@ if TYPE_CHECKING:
 @click.option(
     "--crf", type=float,
     help="Constant quality of the encoder, lower is better; for h264 0 is lossless, which few players play.  "
-    "[default: 18 for h264]",
+    "[default: 17 for h264]",
 )  # fmt: skip
 @click.option("--encoder-preset", help="Speed of the encoder, such as veryfast or slow.  [default: the codec's own]")
 @masks_option
@@ -129,7 +130,7 @@ if TYPE_CHECKING:
     "nothing.",
 )  # fmt: skip
 @json_option("the summary")
-@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage.")
+@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage and what was modelled.")
 @quiet_option
 @click.pass_context
 def interpolate(
@@ -215,6 +216,8 @@ def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: boo
         if verbose:
             for stage, seconds in summary.seconds.items():
                 click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
+            for line in summary.made.lines():
+                click.echo(line, err=True)
         height, width = summary.plan.size
         frames, total = len(summary.plan.path), summary.seconds["total"]
         click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")

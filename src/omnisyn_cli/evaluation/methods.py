@@ -7,9 +7,10 @@ Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
 estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
-does), ``edges=none`` (no edges are sampled), ``views=1`` (only the first panorama is shown) or ``neighbours=2`` (pairs
-that share a panorama are a tour, in which its depth comes from both its neighbours); those whose depth a network
-refines take ``rows`` (that it is looked for at) and ``model=none`` (all else as it is, without that network):
+does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``views=1`` (only the first
+panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
+neighbours); those whose depth a network refines take ``rows`` (that it is looked for at) and ``model=none`` (all else
+as it is, without that network):
 ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
 ``omnisyn-accurate:model=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
@@ -19,6 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -213,7 +215,7 @@ BASES: Mapping[str, ComparedMethod] = {
         ("flow", "both panoramas moved along optical flow (DIS), averaged by time", Recipe(method="flow")),
         ("synsin", "SynSin from the nearer panorama", Recipe(method="synsin")),
         ("synsin-2view", "SynSin from both panoramas", Recipe(method="synsin-2view")),
-        ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"))),
+        ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"), adaptive=True)),
         *((f"omnisyn-{name}", f"the preset {name}", preset.recipe) for name, preset in SCALE.items()),
         (
             "omnisyn-paper", "the preset paper: the method of the paper with narrower networks",
@@ -242,7 +244,8 @@ FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
 
 NO_MODEL = "model=none"
 
-NO_EDGES = "edges=none"
+LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
+"""What parameters leave out of a recipe."""
 
 LEAST_ROWS = 32
 
@@ -293,8 +296,8 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
             return replace(method, recipe=replace(recipe, fusion=FUSED_BY[parameter]), shows_first_only=False)
         if recipe.depth.kind == "refined" and (source := _changed_source(recipe.depth, parameter)) is not None:
             return replace(method, recipe=replace(recipe, depth=source))
-        if parameter == NO_EDGES:
-            return replace(method, recipe=replace(recipe, edges=False))
+        if parameter in LEFT_OUT:
+            return replace(method, recipe=replace(recipe, **LEFT_OUT[parameter]))
         if parameter == ONE_VIEW:
             return replace(method, shows_first_only=True)
         if parameter == IN_TOUR and recipe.depth.kind != "file":
@@ -306,9 +309,9 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join(FUSED_BY)}, {NO_EDGES}, rows=1024 or "
-        f"{NO_MODEL} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) after the "
-        f"colon, got {parameter!r} in {name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join((*FUSED_BY, *LEFT_OUT))}, rows=1024 "
+        f"or {NO_MODEL} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) after "
+        f"the colon, got {parameter!r} in {name!r}"
     )
 
 

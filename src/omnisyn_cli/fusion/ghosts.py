@@ -120,7 +120,7 @@ class GhostRemover:
         differs = self._differing(one, other, count)
         if not is_any(differs):
             return None
-        preference = self._preference(one, other, count, rule)
+        preference = self._preference(one, other, rule, differs)
         return Suppression(suppressed_cells(differs, preference), self.cell)
 
     @property
@@ -179,15 +179,22 @@ class GhostRemover:
         rest = greatest_near(xp.astype(~differs, xp.int32), 1)
         return greatest_near(1 - rest, 2) > 0
 
-    def _preference(self, first: Shown, second: Shown, count: Array, rule: BlendRule) -> Float32[Array, "rows cols"]:
-        """log(weight of the first / weight of the second) in the blend, by cell; 0 where only one sees anything."""
-        xp = array_namespace(count)
-        directions = xp.asarray(self._directions, device=device(count))
+    def _preference(
+        self, first: Shown, second: Shown, rule: BlendRule, wanted: Bool[Array, "rows cols"]
+    ) -> Float32[Array, "rows cols"]:
+        """log(weight of the first / weight of the second) in the blend of the wanted cells, which are few; else 0."""
+        xp, cells = array_namespace(wanted), array_namespace(wanted).nonzero(wanted)
+        directions = xp.asarray(self._directions, device=device(wanted))[cells]
         inside = replace(rule, t=min(max(rule.t, LEAST_T), 1.0 - LEAST_T))
-        a, b = view_weights(first, second, directions, inside)
-        is_known = (a > 0.0) & (b > 0.0)
-        one = xp.ones_like(count)
-        return xp.log(xp.where(is_known, a, one)) - xp.log(xp.where(is_known, b, one))
+        a, b = view_weights(_of_cells(first, cells), _of_cells(second, cells), directions, inside)
+        is_known, one = (a > 0.0) & (b > 0.0), xp.ones_like(a)
+        preference = xp.zeros_like(first.weight)
+        preference[cells] = xp.log(xp.where(is_known, a, one)) - xp.log(xp.where(is_known, b, one))
+        return preference
+
+
+def _of_cells(shown: Shown, cells: tuple[Array, ...]) -> Shown:
+    return Shown(shown.colour[cells], shown.weight[cells], shown.inverse_depth[cells], shown.offset)
 
 
 def is_any(mask: Bool[Array, "rows cols"]) -> bool:

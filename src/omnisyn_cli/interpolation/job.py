@@ -73,7 +73,7 @@ class InterpolationJob:
         allow_outside: accept depth and masks that the pose file names outside of its folder.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
-        adaptive: draw flat surfaces with fewer triangles.
+        adaptive: draw flat surfaces with fewer triangles; None does where there are frames enough to save time by it.
         view: page to walk through besides the video, made of the same depth; None makes none.
     """
 
@@ -111,7 +111,7 @@ class InterpolationJob:
     allow_outside: bool = False
     baseline: Positive | None = None
     refine: bool = False
-    adaptive: bool = False
+    adaptive: bool | None = None
     view: Path | None = None
 
 

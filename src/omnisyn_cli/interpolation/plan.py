@@ -14,7 +14,7 @@ from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
-from omnisyn_cli.interpolation.recipes import notes_about_gpu, recipe_of
+from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, recipe_of
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.depth_files import depth_size
 from omnisyn_cli.io.encoders import CODECS
@@ -114,14 +114,15 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
         InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
     """
     tour = plan_tour(job)
-    entries, sources, recipe = tour.entries, tour.source_sizes, tour.recipe
+    entries, sources, frames = tour.entries, tour.source_sizes, frame_count(job)
     largest = max(sources)[0]
     even = largest + largest % 2
     size = job.size or (even, 2 * even)
     checks.check_outputs(job, size)
     checks.check_inputs_survive(job, entries)
     poses = [entry.pose for entry in entries]
-    path = tuple(plan_path(poses, frame_count(job), ease=job.ease, heading=job.heading))
+    recipe = for_frames(tour.recipe, job, frames)
+    path = tuple(plan_path(poses, frames, ease=job.ease, heading=job.heading))
     return InterpolationPlan(
         job, entries, sources, recipe, (*tour.notes, *_notes_about_video(job, entries), *notes_about_gpu(recipe)),
         size, path, path_length(poses),
@@ -162,7 +163,7 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
         InputError: the preset's network is not installed.
     """
     job = replace(plan.job, preset=preset)
-    recipe = _installed_recipe(job, plan.entries)
+    recipe = for_frames(_installed_recipe(job, plan.entries), job, len(plan.path))
     surfaces = _surface_sizes(recipe, plan.source_sizes, plan.entries)
     former = notes_about_gpu(plan.recipe)
     return replace(

@@ -6,16 +6,18 @@ Frames, their confidence and the depth of panoramas appear when everything has g
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
+from statistics import fmean
 
 import numpy as np
 from jaxtyping import Shaped
 
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, targets
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import InterpolationPlan
-from omnisyn_cli.interpolation.summary import Summary, refuse_doubtful
+from omnisyn_cli.interpolation.summary import Made, Summary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import pair_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
 from omnisyn_cli.interpolation.walk.page import write_page
@@ -140,6 +142,7 @@ def run_interpolation(
             ring = FrameRing(plan.size, frames_in_queue(plan.size)) if rounds_early else None
             frames = synthesize(loader, plan.path, method, ring, keeper)
             for done, frame in enumerate(frames, start=1):
+                keeper.count(frame)
                 samples = {kind: samples_of(frame, kind, loader, threads) for kind in kinds}
                 with clock("encode"):
                     for sink, kind in zip(sinks, kinds, strict=True):
@@ -153,7 +156,13 @@ def run_interpolation(
                 for sink in sinks:
                     sink.finish()
     keeper.write_walk()
-    return Summary(plan, {**clock.seconds, "total": now() - begin}, keeper.pairs, keeper.triangles)
+    return Summary(plan, {**clock.seconds, "total": now() - begin}, keeper.pairs, keeper.made)
+
+
+def _infinitely_far(depth: DepthEstimate) -> float:
+    """Share of the sphere that has no parallax: however the camera moves, it only turns."""
+    area = solid_angles(*depth.inverse_depth.shape)
+    return float(area[depth.inverse_depth == 0.0].sum() / area.sum())
 
 
 class _PairKeeper:
@@ -163,7 +172,7 @@ class _PairKeeper:
         self._plan, self._loader, self._keep_depth, self._clock = plan, loader, keep_depth, clock
         self._packer = None if plan.job.view is None else WalkPacker(plan, WalkOptions())
         self.pairs: dict[int, PairConfidence] = {}
-        self.triangles: dict[int, tuple[int, int]] = {}
+        self.made = Made()
 
     def __call__(self, index: int, pair: Pair) -> None:
         """Look at a pair before its frames are made; give up on a doubtful one if that is asked for."""
@@ -171,10 +180,16 @@ class _PairKeeper:
             return
         self.pairs[index] = confidence = pair.segment.check.confidence
         if pair.segment.triangles is not None:
-            self.triangles[index] = pair.segment.triangles
+            self.made.triangles[index] = pair.segment.triangles
+        self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.segment.check)
         self._loader.forget_numbers(index)
+
+    def count(self, frame: Frame) -> None:
+        """Look at a frame."""
+        is_photograph = frame.waypoint.t in (0.0, 1.0)
+        self.made.frames["photographs" if is_photograph else "shown_again" if frame.is_shown_again else "rendered"] += 1
 
     def add_pairs_without_frames(self, method: SurfaceMethod) -> None:
         """Keep the depth of neighbours that no frame lay between, if depth is kept."""

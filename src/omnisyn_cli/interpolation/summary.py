@@ -1,6 +1,7 @@
 """What was done: how long it took, and how far it can be relied on."""
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
@@ -14,6 +15,37 @@ __all__ = ["Summary"]
 
 
 @dataclass(frozen=True)
+class Made:
+    """What was modelled, and what was not because nobody would see it.
+
+    Attributes:
+        frames: how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``.
+        triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the index of its
+            first panorama; pairs without meshes are left out.
+        infinitely_far: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
+    """
+
+    frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
+    triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
+    infinitely_far: dict[int, float] = field(default_factory=dict)
+
+    def describe(self) -> dict[str, Any]:
+        """As plain values."""
+        triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
+        far = [{"first": index, "share": round(share, 4)} for index, share in self.infinitely_far.items()]
+        return {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
+
+    def lines(self) -> Iterator[str]:
+        """For people."""
+        yield ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in self.frames.items())
+        drawn, every = (sum(counts[k] for counts in self.triangles.values()) for k in (0, 1))
+        if every:
+            yield f"triangles drawn: {drawn / 1e6:.2f} of {every / 1e6:.2f} million"
+        if self.infinitely_far:
+            yield f"infinitely far: {fmean(self.infinitely_far.values()):.0%} of the sphere"
+
+
+@dataclass(frozen=True)
 class Summary:
     """What was done.
 
@@ -23,19 +55,18 @@ class Summary:
             time that they waited for it.
         pairs: how far the frames between two panoramas can be relied on, by the index of the first; pairs without a
             frame of their own are left out.
-        triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the same index.
+        made: what was modelled.
     """
 
     plan: InterpolationPlan
     seconds: dict[str, float]
     pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
-    triangles: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    made: Made = field(default_factory=Made)
 
     def describe(self) -> dict[str, Any]:
         """The summary as plain values, for people and for JSON."""
         stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
-        triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
-        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence(), "triangles": triangles}
+        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence(), **self.made.describe()}
 
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""

@@ -53,7 +53,7 @@ class VideoCodec:
 
 
 CODECS: Mapping[str, VideoCodec] = {
-    "h264": VideoCodec(("libx264",), 18, pixel_formats={"uint8": PLANAR}),
+    "h264": VideoCodec(("libx264",), 17, preset="veryfast", pixel_formats={"uint8": PLANAR}),
     "h265": VideoCodec(("libx265",), 20, tag="hvc1"),
     "av1": VideoCodec(
         ("libsvtav1", "libaom-av1"), 28, 63, "8", tuple(str(speed) for speed in range(13, -1, -1)), (".mp4",)

@@ -54,7 +54,7 @@ class Encoding(TypedDict, total=False):
         fps: frames per second.
         codec: ``h264`` (default), ``h265``, ``av1`` or ``prores``; for a folder ``png`` (default), ``jpg``, ``exr``
             or ``tif``.
-        crf: constant quality, lower is better (defaults: H.264 18, H.265 20, AV1 28; ProRes has none). 0 makes H.264
+        crf: constant quality, lower is better (defaults: H.264 17, H.265 20, AV1 28; ProRes has none). 0 makes H.264
             lossless, which few players play.
         preset: x264's and x265's names, AV1's 0 to 13, ProRes' ``proxy``, ``lt``, ``standard``, ``hq``.
         threads: for the encoder; 0 (default) takes all.

@@ -20,7 +20,7 @@ edge-on) and across the seam a quad is drawn in float64.
 import numpy as np
 
 from omnisyn_cli.render.box_kernels import FREE, INVERSE_DEPTH, X, Y, Z
-from omnisyn_cli.render.quads import BLOCK, DIAGONAL, REMOVED
+from omnisyn_cli.render.quads import DIAGONAL, REMOVED
 from omnisyn_cli.render.simd import (
     LANES,
     double,
@@ -157,10 +157,13 @@ def _square(a):
 
 
 @kernel()
-def plan_quads(block, corners, codes, gaps):
-    """Edges and planes of the quads of a block; where there are ``gaps``, edges are moved outwards by them besides."""
+def plan_quads(block, corners, codes, gaps, begin, end):
+    """Edges and planes of the quads ``begin`` to ``end`` of a block, whole vectors of them.
+
+    Where there are ``gaps``, edges are moved outwards by them besides.
+    """
     zero, one, none, (at0, at1, at2, at3) = splat(0.0), splat(1.0), splat(np.float32(0.0)), corners
-    for k in range(0, BLOCK, LANES):
+    for k in range(begin // LANES * LANES, end, LANES):
         q0, q1 = _vectors_of(block, at0 + k), _vectors_of(block, at1 + k)
         q2, q3 = _vectors_of(block, at2 + k), _vectors_of(block, at3 + k)
         rising = has_bits(codes, k, np.uint8(DIAGONAL))

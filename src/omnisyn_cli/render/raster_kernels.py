@@ -71,5 +71,5 @@ def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
             find_boxes(block, corners, gaps, target.rows[0], target.height, target.width)
             if is_whole:
                 _keep_box(block, boxes, k)
-            plan_quads(block, corners, codes, gaps)
+            plan_quads(block, corners, codes, gaps, 0, BLOCK)
             draw_quads(block, corners, codes, gaps, 2 * BLOCK * k, target, face, begin, end)

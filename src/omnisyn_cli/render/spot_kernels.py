@@ -50,7 +50,7 @@ def rasterize_spots(quads, boxes, pose, target, spots, out):
         find_boxes(block, corners, gaps, target.rows[0], target.height, target.width)
         count = _find(block, corners, codes, gaps, target, spots, found)
         if count > 0:
-            plan_quads(block, corners, codes, gaps)
+            plan_quads(block, corners, codes, gaps, found[0, 0], found[count - 1, 0] + 1)
             _draw(block, corners, codes, gaps, found, count, target, spots, out)
 
 

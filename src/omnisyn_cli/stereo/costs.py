@@ -79,17 +79,29 @@ def _sweep(first, second, usable, lowest, begin, colour_share, truncation):  # t
     bits_a, bits_b = _census(grey_a), _census(grey_b)
     colour = np.float32(colour_share)
     scale = np.float32(1.0 / (3.0 * truncation))
-    cost = np.empty(begin[-1], np.float32)
+    cost, ahead, bits_ahead = np.empty(begin[-1], np.float32), _columns(second), np.ascontiguousarray(bits_b.T)
+    is_usable = np.ascontiguousarray(usable.T)
     for row in numba.prange(height):
         for col in range(width):
             at, r = begin[row * width + col], row + lowest[row, col]
-            for k in range(begin[row * width + col + 1] - at):
-                value = OUTSIDE
-                if r + k < height and usable[r + k, col]:
-                    difference = _difference(first, second, row, r + k, col) * scale
-                    value = _mixed(bits_a[row, col] ^ bits_b[r + k, col], difference, colour)
-                cost[at + k] = value
+            own, bits = cost[at : begin[row * width + col + 1]], bits_a[row, col]
+            red, green, blue = first[row, col, 0], first[row, col, 1], first[row, col, 2]
+            count = np.uint64(max(min(len(own), height - r), 0))
+            reds, greens, blues = ahead[0, col, r:], ahead[1, col, r:], ahead[2, col, r:]
+            these, usables = bits_ahead[col, r:], is_usable[col, r:]
+            for k in range(count):
+                difference = abs(red - reds[k]) + abs(green - greens[k]) + abs(blue - blues[k])
+                value = _mixed(bits ^ these[k], difference * scale, colour)
+                own[k] = value if usables[k] else OUTSIDE
+            for k in range(count, np.uint64(len(own))):
+                own[k] = OUTSIDE
     return cost
+
+
+@numba.njit(inline="always")
+def _columns(image):  # type: ignore[no-untyped-def]
+    """The channels of an image, column after column: what a match is looked for in lies side by side."""
+    return np.ascontiguousarray(image.transpose(2, 1, 0))
 
 
 @parallel_kernel()

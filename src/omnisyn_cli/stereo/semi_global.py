@@ -25,6 +25,12 @@ RUN_UP = 64
 
 FAR = np.float32(1e9)
 
+SIDE_BY_SIDE = 32
+"""Paths that walk together: what they read of a row lies side by side."""
+
+AROUND, ONE, LANES = np.uint64(2), np.uint64(1), np.uint64(8)
+"""Numbers around a path, beyond every band; the next one; and those that are worked on together."""
+
 
 @dataclass(frozen=True)
 class Bands:
@@ -91,79 +97,93 @@ def _aggregate(cost, lowest, begin, luminance, step, jump, contrast):  # type: i
         longest = max(longest, begin[pixel + 1] - begin[pixel])
     for way in range(6):
         lean, down = way // 2 - 1, way % 2 == 0
-        for origin in numba.prange(width):
-            behind, ahead = np.zeros(longest, np.float32), np.empty(longest, np.float32)
-            start = 0 if down else height - 1
-            at, low, grey, cheapest = (
-                start * width + origin,
-                lowest[start, origin],
-                luminance[start, origin],
-                np.float32(0),
-            )
-            count = begin[at + 1] - begin[at]
+        for group in numba.prange((width + SIDE_BY_SIDE - 1) // SIDE_BY_SIDE):
+            paths, least = _no_paths(2 * SIDE_BY_SIDE, longest), np.empty(LANES, np.float32)
+            cheapest = np.zeros(SIDE_BY_SIDE, np.float32)
             for k in range(height):
-                row, col = k if down else height - 1 - k, (origin + lean * k) % width
-                at, here = row * width + col, luminance[row, col]
-                own, leap = cost[begin[at] : begin[at + 1]], cheapest + large / (1 + abs(here - grey) * scale)
-                cheapest = _walk(own, behind[:count], ahead, lowest[row, col] - low, leap, cheapest, small)
-                low, grey, count = lowest[row, col], here, len(own)
-                for level in range(count):
-                    total[begin[at] + level] += ahead[level]
-                ahead, behind = behind, ahead
+                row, before = (k, max(k - 1, 0)) if down else (height - 1 - k, height - 1 - max(k - 1, 0))
+                for i in range(min(SIDE_BY_SIDE, width - group * SIDE_BY_SIDE)):
+                    origin = group * SIDE_BY_SIDE + i
+                    col, col_before = (origin + lean * k) % width, (origin + lean * max(k - 1, 0)) % width
+                    at, last = row * width + col, before * width + col_before
+                    contrast_here = abs(luminance[row, col] - luminance[before, col_before])
+                    leap = cheapest[i] + large / (1 + contrast_here * scale)
+                    behind, ahead = paths[2 * i + (k + 1) % 2], paths[2 * i + k % 2]
+                    own, shift = cost[begin[at] : begin[at + 1]], lowest[row, col] - lowest[before, col_before]
+                    reach = begin[last + 1] - begin[last]
+                    cheapest[i] = _walk(own, behind, reach, ahead, shift, leap, cheapest[i], small, least)
+                    _add(ahead, total[begin[at] : begin[at + 1]])
     for row in numba.prange(height):
+        paths, least = _no_paths(2, longest), np.empty(LANES, np.float32)
         for side in range(2):
-            behind, ahead = np.zeros(longest, np.float32), np.empty(longest, np.float32)
-            start = -RUN_UP % width if side == 0 else (width - 1 + RUN_UP) % width
-            at, low, grey, cheapest = row * width + start, lowest[row, start], luminance[row, start], np.float32(0)
-            count = begin[at + 1] - begin[at]
+            cheap, before = np.float32(0), (-RUN_UP if side == 0 else width - 1 + RUN_UP) % width
+            paths[:, AROUND:-AROUND] = 0
             for k in range(-RUN_UP, width):
                 col = (k if side == 0 else width - 1 - k) % width
-                at, here = row * width + col, luminance[row, col]
-                own, leap = cost[begin[at] : begin[at + 1]], cheapest + large / (1 + abs(here - grey) * scale)
-                cheapest = _walk(own, behind[:count], ahead, lowest[row, col] - low, leap, cheapest, small)
-                low, grey, count = lowest[row, col], here, len(own)
+                at, last = row * width + col, row * width + before
+                leap = cheap + large / (1 + abs(luminance[row, col] - luminance[row, before]) * scale)
+                behind, ahead = paths[(k + 1) % 2], paths[k % 2]
+                own, shift = cost[begin[at] : begin[at + 1]], lowest[row, col] - lowest[row, before]
+                reach = begin[last + 1] - begin[last]
+                cheap = _walk(own, behind, reach, ahead, shift, leap, cheap, small, least)
+                before = col
                 if k >= 0:
-                    for level in range(count):
-                        total[begin[at] + level] += ahead[level]
-                ahead, behind = behind, ahead
+                    _add(ahead, total[begin[at] : begin[at + 1]])
     return total
 
 
 @numba.njit(inline="always")
-def _walk(cost, behind, ahead, shift, leap, cheapest, small):  # type: ignore[no-untyped-def]
-    """One step of a path into a band that begins ``shift`` disparities after the one that it leaves."""
+def _no_paths(count, longest):  # type: ignore[no-untyped-def]
+    """Memory for costs of paths that begin: nothing so far, and beyond both ends of the longest band nothing at all."""
+    paths = np.full((count, longest + 2 * AROUND), FAR, np.float32)
+    paths[:, AROUND:-AROUND] = 0
+    return paths
+
+
+@numba.njit(inline="always")
+def _walk(cost, behind, reach, ahead, shift, leap, cheapest, small, least):  # type: ignore[no-untyped-def]
+    """One step of a path into a band that begins ``shift`` disparities after the one that it leaves; its least cost.
+
+    ``behind``, of ``reach`` numbers, and ``ahead`` have :data:`AROUND` more at both ends. All loops are of vectors:
+    indices without a sign need no look at whether they count from the end, and minima are kept lane by lane.
+    """
     count = len(cost)
-    inner = min(max(0, 1 - shift), count)
-    outer = max(inner, min(count, len(behind) - 1 - shift))
-    lowest = FAR
-    for level in range(inner):
-        value = cost[level] + _cheapest_way(behind, level + shift, leap, small) - cheapest
-        ahead[level] = value
-        lowest = min(lowest, value)
-    for level in range(inner, outer):  # all neighbours exist: a loop of vectors
-        at = level + shift
-        best = min(min(behind[at], leap), min(behind[at - 1], behind[at + 1]) + small)
-        value = cost[level] + best - cheapest
-        ahead[level] = value
-        lowest = min(lowest, value)
-    for level in range(outer, count):
-        value = cost[level] + _cheapest_way(behind, level + shift, leap, small) - cheapest
-        ahead[level] = value
-        lowest = min(lowest, value)
+    first = min(max(0, -1 - shift), count)
+    last = max(first, min(count, reach + 1 - shift))
+    for k in range(np.uint64(first)):
+        ahead[k + AROUND] = cost[k] + (leap - cheapest)
+    for k in range(np.uint64(last), np.uint64(count)):
+        ahead[k + AROUND] = cost[k] + (leap - cheapest)
+    begin, source = np.uint64(first), np.uint64(first + shift + 1)
+    for k in range(np.uint64(last - first)):  # the disparity itself is between its neighbours
+        at = source + k
+        best = min(min(behind[at + ONE], leap), min(behind[at], behind[at + AROUND]) + small)
+        ahead[begin + k + AROUND] = cost[begin + k] + best - cheapest
+    end = np.uint64(count) + AROUND
+    ahead[end] = ahead[end + ONE] = FAR
+    return _least(ahead, AROUND, end, least)
+
+
+@numba.njit(inline="always")
+def _least(numbers, begin, end, least):  # type: ignore[no-untyped-def]
+    """The smallest number from ``begin`` to ``end``; ``least`` is room for one in each lane."""
+    lowest, whole = FAR, (end - begin) // LANES
+    for lane in range(LANES):
+        least[lane] = FAR
+    for k in range(whole):
+        for lane in range(LANES):
+            least[lane] = min(least[lane], numbers[begin + k * LANES + lane])
+    for k in range(begin + whole * LANES, end):
+        lowest = min(lowest, numbers[k])
+    for lane in range(LANES):
+        lowest = min(lowest, least[lane])
     return lowest
 
 
 @numba.njit(inline="always")
-def _cheapest_way(behind, at, leap, small):  # type: ignore[no-untyped-def]
-    """To the disparity at a place that need not be in the band behind."""
-    count, best = len(behind), leap
-    if 0 <= at < count:
-        best = min(best, behind[at])
-    if 0 <= at - 1 < count:
-        best = min(best, behind[at - 1] + small)
-    if 0 <= at + 1 < count:
-        best = min(best, behind[at + 1] + small)
-    return best
+def _add(path, sums):  # type: ignore[no-untyped-def]
+    for k in range(np.uint64(len(sums))):
+        sums[k] += path[k + AROUND]
 
 
 @parallel_kernel()
@@ -171,19 +191,21 @@ def _choose(total, lowest, begin, is_all):  # type: ignore[no-untyped-def]
     height, width = lowest.shape
     disparity, margin = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
     for row in numba.prange(height):
+        least = np.empty(LANES, np.float32)
         for col in range(width):
             at = row * width + col
             score = total[begin[at] : begin[at + 1]]
-            best = int(np.argmin(score))
+            nothing, count, best = np.uint64(0), np.uint64(len(score)), 0
+            lowest_score = _least(score, nothing, count, least)
+            while score[best] > lowest_score:
+                best += 1
             disparity[row, col] = lowest[row, col] + best
             is_inside = 0 < best < len(score) - 1
             if is_inside:
                 left, right = score[best - 1] - score[best], score[best + 1] - score[best]
                 disparity[row, col] += np.float32(0.5) * (left - right) / (max(left, right) + np.float32(1e-9))
             if is_inside or is_all:
-                rival = FAR
-                for k in range(len(score)):
-                    if abs(k - best) > 1:
-                        rival = min(rival, score[k])
+                before, after = np.uint64(max(best - 1, 0)), np.uint64(min(best + 2, len(score)))
+                rival = min(_least(score, nothing, before, least), _least(score, after, count, least))
                 margin[row, col] = rival - score[best]
     return disparity, margin

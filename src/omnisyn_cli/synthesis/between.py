@@ -38,12 +38,14 @@ class Frame:
         waypoint: where it was taken.
         panorama: index of the panorama that is shown unchanged, if it is shown unchanged and unturned, else None.
         confidence: ``(height, width)`` in [0, 1], if asked for; 1 everywhere in a photograph.
+        is_shown_again: whether it is the frame before, in which nothing would be seen aside of where it was.
     """
 
     image: Float32[np.ndarray, "height width 3"] | UInt8[np.ndarray, "height width 3"]
     waypoint: Waypoint
     panorama: int | None
     confidence: Float32[np.ndarray, "height width"] | None = None
+    is_shown_again: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Fused:
         if samples is not None and image.dtype == np.uint8:
             image = samples()
             image[:] = self.frame.image
-        return replace(self.frame, image=image, waypoint=waypoint)
+        return replace(self.frame, image=image, waypoint=waypoint, is_shown_again=True)
 
 
 def fused(

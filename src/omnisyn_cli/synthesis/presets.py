@@ -25,7 +25,7 @@ class Preset:
 
 
 def _refined(rows: int, fusion: str = "geometric", *, edges: bool = True) -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced"), fusion=fusion, edges=edges)
+    return Recipe(DepthSource("refined", rows, "completion-balanced"), adaptive=True, fusion=fusion, edges=edges)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:

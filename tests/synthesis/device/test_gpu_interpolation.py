@@ -52,7 +52,7 @@ def test_files_agree_with_those_of_the_processor(
         job = job_of(tmp_path, images, frames=9, device=device, output=tmp_path / device, **changes)
         summary = run_interpolation(plan_interpolation(job))
         written[device] = [read_panorama(path) for path in sorted((tmp_path / device).iterdir())]
-        assert len(summary.triangles) == 2
+        assert len(summary.made.triangles) == 2
     assert len(opened) == 1
     for found, expected in zip(written["cuda"], written["cpu"], strict=True):
         assert share_within_a_level(found.image, expected.image) >= 0.99
