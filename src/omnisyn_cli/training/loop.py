@@ -227,6 +227,7 @@ def train(
     started, losses = time.monotonic(), list[float]()
     pool = _checked_pools(trainer, config)
     on_start(trainer)
+    make_folder(folder, "a network that is trained")
     while not trainer.is_finished() and (steps is None or trainer.step < steps):
         losses.append(trainer.advance(pool))
         out_of_time = time.monotonic() - started > 60.0 * minutes
