@@ -9,10 +9,13 @@ from jaxtyping import Float, Float32, Shaped
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 
-__all__ = ["BORDER", "Lookup"]
+__all__ = ["MOST_COLUMNS", "Lookup"]
 
 BORDER = 3
 """Pixels from over the seam and the poles that interpolation may reach for."""
+
+MOST_COLUMNS = 32766 - 2 * BORDER
+"""Of an image: OpenCV looks up no more."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class Lookup:
     """Places in an equirectangular image, across the seam and over the poles.
 
     Attributes:
-        row, col: fractional indices of the image with its border; OpenCV takes no more than 32767 of either.
+        row, col: fractional indices of the image with its border.
     """
 
     row: Float32[np.ndarray, "height width"]

@@ -8,7 +8,7 @@ for small tilts, each with a heading of its own; two of the pairs are matched, b
 * ``baseline_k`` metres.
 
 The colours are varied before matching, and some poses are a little wrong, as in life. The truth is that of the centres
-of pixels: where it was the nearest of all surfaces in a pixel, silhouettes grew, and frames lost what depth had gained.
+of pixels: the nearest of all surfaces in a pixel would teach silhouettes to grow.
 """
 
 from dataclasses import dataclass, replace

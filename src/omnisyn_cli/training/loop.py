@@ -300,6 +300,6 @@ def _log_row(trainer: Trainer, losses: list[float], seconds: float) -> tuple[dic
     trainer.scores = {key: round(value, 5) for key, value in scores.items() if math.isfinite(value)}
     row = {"step": trainer.step, "seconds": round(seconds, 1), "rate": trainer.rate()}
     finite = [loss for loss in losses if math.isfinite(loss)]  # the others taught nothing
-    return row | ({"loss": float(np.mean(finite))} if finite else {}) | trainer.scores, task.show(
-        network, trainer.config
-    )
+    if finite:
+        row["loss"] = float(np.mean(finite))
+    return row | trainer.scores, task.show(network, trainer.config)
