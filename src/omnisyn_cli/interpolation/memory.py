@@ -23,7 +23,7 @@ FINDING = 80e6
 PAINTING, PAINTED_ROWS = 230, 1024
 """Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
 
-CORRECTING = 90e6
+CORRECTING = 50e6
 """Bytes that a network which corrects the blend takes, which looks at one size, whatever that of the frames."""
 
 BYTES_PER_VERTEX = {"mesh": 57, "points": 24, "two-pass": 660}
