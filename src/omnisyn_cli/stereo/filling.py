@@ -248,26 +248,22 @@ def upsample(
 @parallel_kernel(fastmath=True)
 def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
     height, width, _ = guide.shape
-    row_scale = (low.shape[0] - 2 * ring) / height
-    col_scale = (low.shape[1] - 2 * ring) / width
-    out = np.empty((height, width), np.float32)
     side = 2 * ring - 1
+    rows, near_rows = _places_around(height, low.shape[0], ring)
+    cols, near_cols = _places_around(width, low.shape[1], ring)
+    out = np.empty((height, width), np.float32)
     for row in numba.prange(height):
         value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
-        near_row, near_col = np.empty(side, np.float32), np.empty(side, np.float32)
-        y = np.float32((row + 0.5) * row_scale - 0.5 + ring)
-        r0 = int(np.floor(y + 0.5)) - ring + 1
-        for k in range(side):
-            near_row[k] = np.exp(-SPREAD * (r0 + k - y) * (r0 + k - y))
+        r0, near_row = rows[row], near_rows[row]
         for col in range(width):
-            x = np.float32((col + 0.5) * col_scale - 0.5 + ring)
-            c0 = int(np.floor(x + 0.5)) - ring + 1
-            for k in range(side):
-                near_col[k] = np.exp(-SPREAD * (c0 + k - x) * (c0 + k - x))
-            for k in range(side * side):
-                weight[k] = near_row[k // side] * near_col[k % side]
-                value[k] = low[r0 + k // side, c0 + k % side]
-            if value.max() > np.float32(1.1) * value.min():
+            c0, near_col = cols[col], near_cols[col]
+            least, greatest = np.float32(np.inf), np.float32(-np.inf)
+            for i in range(side):
+                for j in range(side):
+                    found = low[r0 + i, c0 + j]
+                    weight[side * i + j], value[side * i + j] = near_row[i] * near_col[j], found
+                    least, greatest = min(least, found), max(greatest, found)
+            if greatest > np.float32(1.1) * least:
                 for k in range(side * side):
                     colour = np.float32(0.0)
                     for i in range(3):
@@ -275,6 +271,20 @@ def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
                     weight[k] *= np.exp(np.float32(-12.0) * colour)
             out[row, col] = _mean_near(value, weight, _weighted_median(value, weight))
     return out
+
+
+@numba.njit(inline="always")
+def _places_around(count, of, ring):  # type: ignore[no-untyped-def]
+    """For each of ``count`` pixels the first of the low ones around it, ``of`` with their border, and their weights."""
+    first, near = np.empty(count, np.int64), np.empty((count, 2 * ring - 1), np.float32)
+    scale = (of - 2 * ring) / count
+    for place in range(count):
+        x = np.float32((place + 0.5) * scale - 0.5 + ring)
+        first[place] = int(np.floor(x + 0.5)) - ring + 1
+        for k in range(2 * ring - 1):
+            beside = first[place] + k - x
+            near[place, k] = np.exp(-SPREAD * beside * beside)
+    return first, near
 
 
 @numba.njit(inline="always")
