@@ -38,10 +38,14 @@ def wrap_pixel(row: Array, col: Array, height: int, width: int) -> tuple[Array, 
     Rows may lie up to one image height outside.
     """
     xp = array_namespace(row, col)
+    inside, is_beyond = _inside(xp, row, height)
+    return inside, xp.where(is_beyond, col + width // 2, col) % width
+
+
+def _inside(xp: Any, row: Array, height: int) -> tuple[Array, Array]:
+    """Rows brought into the image, and where they lay beyond a pole."""
     above, below = row < 0, row >= height
-    inside = xp.where(above, -1 - row, xp.where(below, 2 * height - 1 - row, row))
-    shifted = xp.where(above | below, col + width // 2, col)
-    return inside, shifted % width
+    return xp.where(above, -1 - row, xp.where(below, 2 * height - 1 - row, row)), above | below
 
 
 def add_border(image: Shaped[np.ndarray, "height width *channels"], border: int) -> Shaped[np.ndarray, "rows cols ..."]:
@@ -143,15 +147,20 @@ def turned_image(
 
 def _convolve(image: Array, row: Array, col: Array, *, reach: tuple[int, int], kernel: Any) -> Array:
     xp = array_namespace(image, row)
+    (height, width), channels = image.shape[:2], image.shape[2:]
     base_row, base_col = xp.floor(row), xp.floor(col)
-    offsets = range(reach[0], reach[1] + 1)
+    first_row, first_col = _integers(xp, base_row), _integers(xp, base_col)
+    texels, offsets = xp.reshape(image, (height * width, *channels)), range(reach[0], reach[1] + 1)
+    across = [((first_col + j) % width, kernel(xp, col - base_col - j)) for j in offsets]
     total: Array = 0.0
     for i in offsets:
-        row_weight = kernel(xp, row - base_row - i)
-        for j in offsets:
-            weight = row_weight * kernel(xp, col - base_col - j)
-            texel = _fetch(image, _integers(xp, base_row) + i, _integers(xp, base_col) + j)
-            total = total + texel * weight.reshape(weight.shape + (1,) * (image.ndim - 2))
+        weight, (inside, is_beyond) = kernel(xp, row - base_row - i), _inside(xp, first_row + i, height)
+        for column, share in across:
+            there = xp.where(is_beyond, (column + width // 2) % width, column) if xp.any(is_beyond) else column
+            texel = xp.reshape(
+                xp.take(texels, xp.reshape(inside * width + there, (-1,)), axis=0), (*row.shape, *channels)
+            )
+            total = total + texel * xp.reshape(weight * share, weight.shape + (1,) * len(channels))
     return total
 
 

@@ -142,39 +142,38 @@ def _pass_across(
     out = np.empty_like(channels)
     for group in numba.prange(-(-height // SIDE_BY_SIDE)):
         top, rows = group * SIDE_BY_SIDE, min(SIDE_BY_SIDE, height - group * SIDE_BY_SIDE)
-        lines = np.zeros((width, count, SIDE_BY_SIDE), np.float32)
-        share, state = np.zeros((width, SIDE_BY_SIDE), np.float32), np.empty((count, SIDE_BY_SIDE), np.float32)
-        left = np.empty(SIDE_BY_SIDE, np.float32)
+        lines, share = np.zeros((width, count, SIDE_BY_SIDE), np.float32), np.zeros((width, SIDE_BY_SIDE), np.float32)
         for lane in range(rows):
             for col in range(width):
                 share[col, lane] = keep[top + lane, col]
                 for i in range(count):
                     lines[col, i, lane] = channels[top + lane, col, i]
-        for side in range(2):
-            state[:], left[:] = np.float32(0.0), np.float32(1.0)
-            for k in range(2 * width):
-                col = k % width if side == 0 else width - 1 - k % width
-                own = share[col] if side == 0 else share[(col + 1) % width]
-                if k == width:
-                    for lane in range(SIDE_BY_SIDE):
-                        left[lane] = np.float32(1.0) / max(np.float32(1.0) - left[lane], np.float32(1e-6))
-                    for i in range(count):
-                        for lane in range(SIDE_BY_SIDE):
-                            state[i, lane] *= left[lane]
-                if k < width:
-                    for lane in range(SIDE_BY_SIDE):
-                        left[lane] *= own[lane]
-                line = lines[col]
-                for i in range(count):
-                    for lane in range(SIDE_BY_SIDE):
-                        state[i, lane] = line[i, lane] + own[lane] * (state[i, lane] - line[i, lane])
-                if k >= width:
-                    line[:] = state
+        _walk_around(lines, share, 0)
+        _walk_around(lines, share, 1)
         for lane in range(rows):
             for col in range(width):
                 for i in range(count):
                     out[top + lane, col, i] = lines[col, i, lane]
     return out
+
+
+@numba.njit(inline="always")
+def _walk_around(lines, share, side):  # type: ignore[no-untyped-def]
+    """Two rounds along rows that lie side by side, ``(columns, channels, rows)``: the second one writes."""
+    width, count, lanes = lines.shape
+    state, left = np.zeros((count, lanes), np.float32), np.ones(lanes, np.float32)
+    for k in range(2 * width):
+        col = k % width if side == 0 else width - 1 - k % width
+        own = share[col] if side == 0 else share[(col + 1) % width]
+        if k == width:
+            state /= np.maximum(np.float32(1.0) - left, np.float32(1e-6))
+        left *= own
+        line = lines[col]
+        for i in range(count):
+            for lane in range(lanes):
+                state[i, lane] = line[i, lane] + own[lane] * (state[i, lane] - line[i, lane])
+        if k >= width:
+            line[:] = state
 
 
 @parallel_kernel()
