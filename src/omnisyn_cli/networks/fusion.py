@@ -31,6 +31,9 @@ GREATEST_SHIFT = 8.0
 LOG_RATIO_PLANE, GREATEST_LOG = 13, 8.0
 """Of the input: the log-ratio of the geometric weights, and what it was divided by."""
 
+COLOURS = 3
+"""Of a rendering: a network that paints sees those of the first, then those of the second."""
+
 PACE = 8.0
 """Answers are this many times what the last convolution says, so that they leave zero soon."""
 
@@ -107,12 +110,27 @@ class PaintingNetwork(Network):
         self.config = config
         *widths, middle = config.widths
         downwards = itertools.pairwise([config.planes, *widths])
-        self.down = nn.ModuleList(Block(a, b, has_row=False) for a, b in downwards)
+        down = [Block(a, b, has_row=False) for a, b in downwards]
         self.middle = Block(widths[-1], middle, has_row=False)
         inputs, outputs = [middle, *(2 * width for width in widths[-2::-1])], [*widths[-2::-1], widths[0]]
-        self.up = nn.ModuleList(Block(a, b, has_row=False) for a, b in zip(inputs, outputs, strict=True))
-        self.answer = WrappedConv(widths[0], 3)
+        up = [Block(a, b, has_row=False) for a, b in zip(inputs, outputs, strict=True)]
+        self.down, self.up = nn.ModuleList(down), nn.ModuleList(up)
+        self.answer = WrappedConv(widths[0], COLOURS)
         initialise(self, gain=1.0)
+        self._begin_with_mean(down[0], up[-1])
+
+    @torch.no_grad()
+    def _begin_with_mean(self, first: Block, last: Block) -> None:
+        """Three channels of a fresh network carry the mean of both renderings; the rest is learned around it.
+
+        With random weights everywhere the narrow network painted in grey for thousands of steps.
+        """
+        first.pass_on(COLOURS, 0)
+        for channel in range(COLOURS):
+            first.first.weight[channel, [channel, COLOURS + channel], 1, 1] = 0.5
+        last.pass_on(COLOURS, self.config.widths[0])
+        self.answer.weight.zero_()
+        self.answer.weight[range(COLOURS), range(COLOURS), 1, 1] = 1.0
 
     @property
     def ports(self) -> Ports:
