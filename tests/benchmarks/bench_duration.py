@@ -36,7 +36,7 @@ SETTINGS = (
     "--size 4096x2048 --frames 12 --preset fast",
     "--size 4096x2048 --frames 10",
     "--size 1024x512 --frames 24 --fusion network",
-    "--size 1024x512 --frames 24 --renderer points",
+    "--size 2048x1024 --frames 16 --preset accurate",
     "--size 1024x512 --frames 30 --threads 1",
     "--size 3072x1536 --frames 12",
 )
