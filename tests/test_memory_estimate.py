@@ -13,6 +13,7 @@ from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.cli import main
 from omnisyn_cli.interpolation.export import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.memory import CORRECTING
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.walk import WalkJob, plan_walk
 from omnisyn_cli.io import read_header, write_image
@@ -130,7 +131,7 @@ def test_the_network_that_corrects_the_blend_takes_the_same_at_every_size(tmp_pa
             plan_interpolation(job_of(tmp_path, images, size=size, fusion=name)).memory
             for name in ("geometric", "network")
         )
-        assert corrected - plain == pytest.approx(90e6, abs=1)
+        assert corrected - plain == pytest.approx(CORRECTING, abs=1)
 
 
 def test_a_data_window_of_depth_takes_the_memory_of_the_whole_sphere(tmp_path: Path) -> None:
@@ -156,5 +157,5 @@ def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Pa
     few, many = (bytes_of(rows) - bytes_of(rows, renderer="points") for rows in (896, 898))
     assert few - many == pytest.approx(2 * 16, abs=0.1)
     corrected = bytes_of(1024, fusion="network") - bytes_of(1024)
-    assert corrected == pytest.approx(2 * 16 + 90e6 / (2 * 1024**2), abs=1e-3)
+    assert corrected == pytest.approx(2 * 16 + CORRECTING / (2 * 1024**2), abs=1e-3)
     assert bytes_of(1024, save_confidence=tmp_path / "confidence") - bytes_of(1024) == pytest.approx(12, abs=1e-3)
