@@ -4,11 +4,25 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.stereo.costs import OUTSIDE, sweep_cost
-from omnisyn_cli.stereo.semi_global import RUN_UP, Bands, aggregate, choose
+from omnisyn_cli.stereo.semi_global import (
+    APART,
+    MOST_COST,
+    MOST_JUMP,
+    PARTS,
+    RUN_UP,
+    Bands,
+    aggregate,
+    choose,
+    counted,
+    lead,
+)
 
 HEIGHT, WIDTH, LEVELS = 24, 40, 30
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
+
+EIGHT_PATHS = 8 * 6 / PARTS
+"""What sums may err by: costs and penalties are rounded, and on every path some of them come together."""
 
 
 @pytest.fixture
@@ -85,8 +99,8 @@ def test_sums_are_those_of_plain_loops_over_eight_directions(random):
             if k >= run_up:
                 for level, value in found.items():
                     expected[row, col, level] += value
-    total = aggregate(cost[is_tried].astype(np.float32), bands, grey, *penalties)
-    np.testing.assert_allclose(total, expected[is_tried], rtol=1e-4, atol=1e-3)
+    total = aggregate(counted(cost[is_tried]), bands, grey, *penalties) / PARTS
+    np.testing.assert_allclose(total, expected[is_tried], atol=EIGHT_PATHS)
 
 
 def test_costs_of_bands_are_those_of_the_whole_volume(random, bands):
@@ -95,53 +109,74 @@ def test_costs_of_bands_are_those_of_the_whole_volume(random, bands):
     volume = sweep_cost(first, second, usable, everything((HEIGHT, WIDTH), LEVELS), 0.4, 0.1)
     cost = sweep_cost(first, second, usable, bands, 0.4, 0.1)
     np.testing.assert_array_equal(cost, volume.reshape(HEIGHT, WIDTH, LEVELS)[inside(bands)])
-    assert (cost == OUTSIDE).any()
+    assert (cost == counted(OUTSIDE)).any()
 
 
 def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
-    cost = RNG.random((*SMALL, 7)).astype(np.float32).ravel()
+    cost = counted(RNG.random((*SMALL, 7)).ravel())
     total = aggregate(cost, everything(SMALL, 7), np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
-    np.testing.assert_allclose(total, 8.0 * cost, atol=1e-4)
+    np.testing.assert_array_equal(total, 8 * cost)
 
 
-def test_with_endless_penalties_one_level_wins_everywhere_it_can_reach() -> None:
-    cost, volume = RNG.random((*SMALL, 5)).astype(np.float32), everything(SMALL, 5)
-    cost[..., 3] -= 0.5
-    total = aggregate(cost.ravel(), volume, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1)
+def test_with_the_largest_penalties_one_level_wins_everywhere_it_can_reach() -> None:
+    cost, volume = 0.1 * RNG.random((*SMALL, 5)), everything(SMALL, 5)
+    cost[..., [0, 1, 2, 4]] += 0.05
+    total = aggregate(counted(cost).ravel(), volume, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1)
     assert np.all(np.rint(choose(total, volume, is_all=True)[0]) == 3)
 
 
+def test_the_largest_costs_and_penalties_do_not_overflow() -> None:
+    cost, volume = np.full((*SMALL, 6), MOST_COST), everything(SMALL, 6)
+    cost[:, :, 2] = 0.0
+    total = aggregate(counted(2.0 * cost).ravel(), volume, np.zeros(SMALL, np.float32), MOST_JUMP, MOST_JUMP, 0.1)
+    sums = total.reshape(cost.shape) / PARTS
+    assert (sums[..., 2] == 0.0).all()
+    np.testing.assert_array_equal(np.delete(sums[1:-1, 1:-1], 2, axis=-1), 8.0 * (MOST_COST + MOST_JUMP))
+
+
 def test_aggregation_has_no_seam() -> None:
-    cost, grey = RNG.random((*SMALL, 5)).astype(np.float32), RNG.random(SMALL).astype(np.float32)
+    cost, grey = counted(RNG.random((*SMALL, 5))), RNG.random(SMALL).astype(np.float32)
     before = aggregate(cost.ravel(), everything(SMALL, 5), grey, 0.05, 0.3, 0.1).reshape(cost.shape)
     turned = np.roll(cost, 31, axis=1).ravel()
     after = aggregate(turned, everything(SMALL, 5), np.roll(grey, 31, axis=1), 0.05, 0.3, 0.1)
-    np.testing.assert_allclose(np.roll(before, 31, axis=1).ravel(), after, atol=1e-3)
+    np.testing.assert_array_equal(np.roll(before, 31, axis=1).ravel(), after)
 
 
 def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
     tip = RNG.uniform(1.0, 5.0, SMALL)
-    total = np.abs(np.arange(7) - tip[..., None]).astype(np.float32)
+    total = counted(np.abs(np.arange(7) - tip[..., None]) / 2.0)
     level, margin = choose(total.ravel(), everything(SMALL, 7), is_all=True)
-    np.testing.assert_allclose(level, tip, atol=1e-4)
+    np.testing.assert_allclose(level, tip, atol=2.0 / PARTS)
     assert margin.min() > 0
 
 
 def test_a_minimum_between_disparities_is_found_where_it_is(random):
     where = random.uniform(6.0, 12.0, (HEIGHT, WIDTH)).astype(np.float32)
     bands = Bands.between(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
-    total = np.abs(np.arange(3, 16) - where[..., None]).astype(np.float32)
+    total = counted(np.abs(np.arange(3, 16) - where[..., None]) / 4.0)
     disparity, margin = choose(total.ravel(), bands, is_all=False)
-    np.testing.assert_allclose(disparity, where, atol=1e-4)
+    np.testing.assert_allclose(disparity, where, atol=4.0 / PARTS)
     nearest = np.rint(where)
-    np.testing.assert_allclose(margin, 2.0 - 2.0 * np.abs(where - nearest), atol=1e-4)
+    np.testing.assert_allclose(margin, 0.5 - 0.5 * np.abs(where - nearest), atol=2.0 / PARTS)
 
 
 @pytest.mark.parametrize("falling", [True, False])
 @pytest.mark.parametrize("is_all", [True, False])
 def test_only_where_nothing_lies_beyond_is_the_end_of_a_band_sure(falling, is_all):
     bands = Bands.between(np.full((2, 4), 5, np.int32), 8)
-    total = np.tile(np.arange(4.0, dtype=np.float32)[:: -1 if falling else 1], 8)
+    total = np.tile(PARTS * np.arange(4, dtype=np.uint16)[:: -1 if falling else 1], 8)
     disparity, margin = choose(total, bands, is_all=is_all)
     assert (disparity == (8 if falling else 5)).all()
     assert (margin == (2.0 if is_all else 0.0)).all()
+
+
+def test_a_match_leads_by_its_own_cost_over_what_lies_apart(random):
+    bands = Bands.between(np.full((2, 8), 4, np.int32), 23)
+    cost = 0.5 + 0.3 * random.random((2, 8, 20))
+    chosen = random.integers(4, 24, (2, 8))
+    away = np.abs(np.arange(4, 24) - chosen[..., None])
+    cost[away <= 1] = 0.2
+    cost[(away == 2) | (away == APART)] = 0.0  # what is close is no rival
+    expected = np.where(away > APART, cost, np.inf).min(-1) - 0.2
+    found = lead(counted(cost).ravel(), bands, chosen.astype(np.float32))
+    np.testing.assert_allclose(found, expected, atol=2.0 / PARTS)

@@ -5,10 +5,10 @@ Source: Zabih and Woodfill, Non-parametric local transforms for computing visual
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt64
+from jaxtyping import Bool, Float, UInt16, UInt64
 
 from omnisyn_cli.runtime.jit import compiled_kernel, one_at_a_time, parallel_kernel
-from omnisyn_cli.stereo.semi_global import Bands
+from omnisyn_cli.stereo.semi_global import MOST_COST, PARTS, Bands
 
 HALF_WINDOW = 3
 NOISE = np.float32(0.004)
@@ -20,7 +20,7 @@ CONTRADICTION = np.float32(1.0 / 24.0)
 OUTSIDE = np.float32(0.6)
 """Cost of what leads out of the image or into a mask: worse than a match, better than a contradiction."""
 
-FORBIDDEN = np.float32(4.0)
+FORBIDDEN = np.float32(MOST_COST)
 """Cost of what cannot be."""
 
 
@@ -57,8 +57,8 @@ def sweep_cost(
     bands: Bands,
     colour_share: float,
     truncation: float,
-) -> Float32[np.ndarray, " numbers"]:
-    """Cost in [0, 1] of every disparity of the bands.
+) -> UInt16[np.ndarray, " numbers"]:
+    """Cost in [0, 1] of every disparity of the bands, in parts (:data:`omnisyn_cli.stereo.semi_global.PARTS`).
 
     Args:
         first: RGB.
@@ -79,7 +79,7 @@ def _sweep(first, second, usable, lowest, begin, colour_share, truncation):  # t
     bits_a, bits_b = _census(grey_a), _census(grey_b)
     colour = np.float32(colour_share)
     scale = np.float32(1.0 / (3.0 * truncation))
-    cost, ahead, bits_ahead = np.empty(begin[-1], np.float32), _columns(second), np.ascontiguousarray(bits_b.T)
+    cost, ahead, bits_ahead = np.empty(begin[-1], np.uint16), _columns(second), np.ascontiguousarray(bits_b.T)
     is_usable = np.ascontiguousarray(usable.T)
     for row in numba.prange(height):
         for col in range(width):
@@ -92,10 +92,15 @@ def _sweep(first, second, usable, lowest, begin, colour_share, truncation):  # t
             for k in range(count):
                 difference = abs(red - reds[k]) + abs(green - greens[k]) + abs(blue - blues[k])
                 value = _mixed(bits ^ these[k], difference * scale, colour)
-                own[k] = value if usables[k] else OUTSIDE
+                own[k] = _in_parts(value if usables[k] else OUTSIDE)
             for k in range(count, np.uint64(len(own))):
-                own[k] = OUTSIDE
+                own[k] = _in_parts(OUTSIDE)
     return cost
+
+
+@numba.njit(inline="always")
+def _in_parts(value):  # type: ignore[no-untyped-def]
+    return np.uint16(np.int32(value * np.float32(PARTS) + np.float32(0.5)))
 
 
 @numba.njit(inline="always")

@@ -96,9 +96,15 @@ def _match(pair: RectifiedPair, options: MatchingOptions) -> tuple[Matches, Matc
     """Both directions; ``seen`` is what they agree on."""
     pairs = (pair, pair.reversed())
     grids = [Meridians.of(p) for p in pairs]
-    one, other = (match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True))  # costs take much memory
+    found = [match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True)]  # costs take much memory
+    (one, _), (other, _) = found
     free = agreeing((one, other), options.agreement, options.near_agreement)
-    surfaces = both(*(partial(assign_surfaces, p, g, f, options) for p, g, f in zip(pairs, grids, free, strict=True)))
+    surfaces = both(
+        *(
+            partial(assign_surfaces, p, g, f, is_distinct, options)
+            for p, g, f, (_, is_distinct) in zip(pairs, grids, free, found, strict=True)
+        )
+    )
     return agreeing(surfaces, options.agreement, options.near_agreement)
 
 

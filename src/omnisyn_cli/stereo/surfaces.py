@@ -9,7 +9,7 @@ Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-ba
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -19,13 +19,10 @@ from jaxtyping import Bool, Float
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_to_angles
 from omnisyn_cli.geometry.sweep import inverse_depth_from_parallax, parallax_from_inverse_depth
-from omnisyn_cli.stereo.costs import FORBIDDEN, census, sweep_cost, warp_cost
+from omnisyn_cli.stereo.costs import census, sweep_cost, warp_cost
 from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair
-from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
-
-NO_ORDER = 1e6
-"""Step penalty between labels that have no order."""
+from omnisyn_cli.stereo.semi_global import ENDLESS, Bands, aggregate, choose, counted, lead
 
 NEAREST = 20.0
 """Largest inverse depth in 1/baselines: nothing closer than a twentieth of a baseline is believed."""
@@ -47,6 +44,8 @@ class MatchingOptions:
         step, jump: penalties of semi-global matching.
         contrast: grey difference across which a jump costs half.
         margin: how much dearer the best rival of a disparity must be for the disparity to count as seen.
+        lead: how much dearer, by its own cost, every other disparity must be for a match to propose planes: tiles of a
+            ceiling that repeat agree about a plane that is not there.
         planes: most planes per panorama.
         plane_share: least share of the matched solid angle for a plane.
         label_jump, label_contrast: as ``jump`` and ``contrast``, between surfaces.
@@ -66,6 +65,7 @@ class MatchingOptions:
     jump: float = 3.0
     contrast: float = 0.05
     margin: float = 0.2
+    lead: float = 0.05
     planes: int = 24
     plane_share: float = 0.008
     label_jump: float = 3.0
@@ -132,35 +132,50 @@ class Matches:
     seen: Bool[np.ndarray, "height width"]
 
 
-def match_freely(pair: RectifiedPair, grid: Meridians, options: MatchingOptions) -> Matches:
-    """Semi-global matching over all disparities, without planes."""
+def match_freely(
+    pair: RectifiedPair, grid: Meridians, options: MatchingOptions
+) -> tuple[Matches, Bool[np.ndarray, "height width"]]:
+    """Semi-global matching over all disparities, without planes; and where nothing else matches nearly as well."""
     lowest = _lowest(grid, options)
-    levels = max(2, math.ceil(options.widest_parallax / math.pi * grid.height))
-    bands = Bands.between(np.zeros(pair.size, np.int32), levels - 1)
+    bands = _possible(lowest, options)
     cost = sweep_cost(pair.first, pair.second, pair.second_usable, bands, options.colour_share, options.truncation)
-    cost.reshape(*pair.size, levels)[np.arange(levels) < lowest[..., None]] = FORBIDDEN
     total = aggregate(cost, bands, pair.first.mean(-1), options.step, options.jump, options.contrast)
     disparity, margin = choose(total, bands, is_all=True)
     at_bound = (lowest > 0) & (disparity <= lowest + 1.5)
-    return Matches(disparity, (margin > options.margin) & ~at_bound & pair.first_usable)
+    matches = Matches(disparity, (margin > options.margin) & ~at_bound & pair.first_usable)
+    return matches, lead(cost, bands, disparity) > options.lead
 
 
-def assign_surfaces(pair: RectifiedPair, grid: Meridians, free: Matches, options: MatchingOptions) -> Matches:
+def _possible(lowest: np.ndarray, options: MatchingOptions) -> Bands:
+    """From the least disparity of every pixel to the widest parallax, none of which leads beyond the other epipole."""
+    height = lowest.shape[0]
+    widest = max(1, math.ceil(options.widest_parallax / math.pi * height) - 1)
+    highest = np.minimum(widest, np.arange(height - 1, -1, -1))[:, None]
+    begin = np.clip(np.ceil(lowest), 0, highest).astype(np.int32)
+    return Bands.between(begin, np.broadcast_to(highest, lowest.shape).astype(np.int32))
+
+
+def assign_surfaces(
+    pair: RectifiedPair,
+    grid: Meridians,
+    free: Matches,
+    is_distinct: Bool[np.ndarray, "height width"],
+    options: MatchingOptions,
+) -> Matches:
     """The surface that explains each pixel best, given free matches that both directions share.
 
-    A plane counts as seen also where it has no texture; a free match does not.
+    A plane counts as seen also where it has no texture; a free match does not. Planes are those of distinct matches.
     """
-    planes, support = _planes(grid, free, options)
+    planes, support = _planes(grid, replace(free, seen=free.seen & is_distinct), options)
     surfaces = _surfaces(grid, free, planes, options)
     cost = _surface_costs(pair, surfaces, options)
     cost += options.under_floor * (surfaces < _under_floor(grid, planes)[..., None])
     cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
     cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
     labels = Bands.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
-    total = aggregate(
-        cost.ravel(), labels, pair.first.mean(-1), NO_ORDER, options.label_jump, options.label_contrast
-    ).reshape(cost.shape)
-    total[surfaces < 0] = np.inf
+    jump, contrast = options.label_jump, options.label_contrast
+    total = aggregate(counted(cost).ravel(), labels, pair.first.mean(-1), jump, jump, contrast).reshape(cost.shape)
+    total[surfaces < 0] = ENDLESS
     label = total.argmin(axis=-1)
     disparity = np.take_along_axis(surfaces, label[..., None], axis=-1)[..., 0]
     return Matches(disparity, pair.first_usable & ((label > 0) | free.seen))
