@@ -1,8 +1,12 @@
 """What moved is shown by one view alone, wholly; what stayed is blended as if nobody looked for ghosts."""
 
+from collections.abc import Callable
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
@@ -177,14 +181,15 @@ def test_what_only_one_view_shows_keeps_its_weight() -> None:
     assert (first.colour[where & ~alone & ~border(where, 8), 3] < 0.01).all()
 
 
-def test_regions_are_those_of_opencv_joined_across_the_seam() -> None:
+@pytest.mark.parametrize("as_array", [np.asarray, torch.from_numpy])
+def test_regions_are_those_of_opencv_joined_across_the_seam(as_array: Callable[[np.ndarray], Any]) -> None:
     """Islands, rings and winding walls; two regions that touch the seam beside each other are one."""
     rng = np.random.default_rng(0)
     for share in (0.05, 0.3, 0.45, 0.6):
         differs = rng.random((40, 70)) < share
         differs[3:30:2], differs[4:30:4, 69], differs[6:30:4, 1], differs[:, 35] = True, False, False, False
         differs[3:30:2, 34:37] = True
-        found = regions(differs)
+        found = np.asarray(regions(as_array(differs)))
         _, twice = cv2.connectedComponents(np.tile(differs, 2).astype(np.uint8), connectivity=8)
         assert ((found > 0) == differs).all()
         for i, j in rng.integers(0, (40, 70), (60, 2)):

@@ -24,6 +24,7 @@ from omnisyn_cli.fusion.cells import greatest_near, mean_near, side_of_cells, st
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows, suppress_spots
 from omnisyn_cli.fusion.rule import BlendRule, Shown, view_weights
 from omnisyn_cli.geometry.pose import STILL
+from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import at_crossings
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
@@ -137,11 +138,11 @@ class GhostRemover:
         else:
             sums = self._gathered(a, a_rho, b, b_rho)
         xp, count = array_namespace(sums), sums[..., 0]
-        mean = sums / xp.clip(count, min=1.0)[..., None]
+        share = 1.0 / xp.clip(count, min=1.0)
         offsets = (xp.asarray(view.target_from_source.position, dtype=sums.dtype, device=device(sums))
                    for view in (first, second))  # fmt: skip
         shown = [
-            Shown(mean[..., k : k + 3], mean[..., k + 3], mean[..., rho], offset)
+            Shown(sums[..., k : k + 3] * share[..., None], sums[..., k + 3] * share, sums[..., rho] * share, offset)
             for k, rho, offset in zip((1, 5), (9, 10), offsets, strict=True)
         ]
         return shown[0], shown[1], count
@@ -275,9 +276,11 @@ def suppressed_cells(
 def regions(differs: Bool[Array, "rows cols"]) -> Integer[Array, "rows cols"]:
     """A number > 0 for every region of neighbouring cells, diagonal ones and those across the seam included; else 0.
 
-    The greatest number spreads over neighbours, and from every cell on to the cells that name it: regions that wind
-    take hardly longer than others.
+    On a device the greatest number spreads over neighbours, and from every cell on to the cells that name it: regions
+    that wind take hardly longer than others.
     """
+    if is_numpy_array(differs):
+        return connected_regions(differs, is_diagonal=True)
     xp = array_namespace(differs)
     inside = xp.astype(differs, xp.int64)
     count = inside.shape[0] * inside.shape[1]

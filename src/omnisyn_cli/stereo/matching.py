@@ -9,11 +9,11 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
 from omnisyn_cli.runtime.thread_limit import both, limited_threads
@@ -218,26 +218,15 @@ def find_sky(
 
 
 def _touching_zenith(mask: np.ndarray, rise: np.ndarray) -> np.ndarray:
-    labels = _components(mask)
+    labels = connected_regions(mask, is_diagonal=False)
     inside = np.unique(labels[(rise > 0.9) & mask])
     return np.asarray(np.isin(labels, inside[inside > 0]))
 
 
 def _spots(mask: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
     """Small components of a mask."""
-    labels = _components(mask)
+    labels = connected_regions(mask, is_diagonal=False)
     size = np.bincount(labels.ravel(), solid_angle.ravel())
     small = size < SPOT * solid_angle.sum()
     small[0] = False
     return np.asarray(small[labels])
-
-
-def _components(mask: np.ndarray) -> np.ndarray:
-    """Connected components across the seam; 0 is outside."""
-    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
-    parent = np.arange(labels.max() + 1)
-    for left, right in zip(labels[:, 0], labels[:, -1], strict=True):
-        if left and right:
-            low, high = sorted((parent[left], parent[right]))
-            parent[parent == high] = low
-    return np.asarray(parent[labels])
