@@ -36,7 +36,7 @@ class Lookup:
         return Lookup(np.asarray(row + BORDER, np.float32), np.asarray(col + BORDER, np.float32))
 
     def nearest(self, image: Shaped[np.ndarray, "rows cols *channels"]) -> Shaped[np.ndarray, "height width ..."]:
-        """The pixels that lie nearest."""
+        """The pixels that lie nearest; numbers, or a mask."""
         return self._read(image, cv2.INTER_NEAREST)
 
     def bilinear(self, image: Shaped[np.ndarray, "rows cols *channels"]) -> Shaped[np.ndarray, "height width ..."]:
@@ -48,4 +48,6 @@ class Lookup:
         return self._read(image, cv2.INTER_CUBIC)
 
     def _read(self, image: np.ndarray, interpolation: int) -> np.ndarray:
+        if image.dtype == np.bool_:
+            return self._read(image.view(np.uint8), interpolation).view(np.bool_)
         return np.asarray(cv2.remap(add_border(image, BORDER), self.col, self.row, interpolation))

@@ -24,7 +24,7 @@ import numpy as np
 from array_api_compat import array_namespace, device
 from jaxtyping import Bool, Float, Integer, UInt8
 
-from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_direction
+from omnisyn_cli.geometry.sphere import UP, direction_tables, pixel_directions
 from omnisyn_cli.render.quads import (
     BLOCK,
     BOTTOM,
@@ -115,8 +115,12 @@ class Mesh:
 
     def directions_of(self, vertices: Integer[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit vectors in the frame of the panorama; vertices are counted row after row."""
-        directions: np.ndarray = pixel_to_direction(*np.divmod(vertices, self.size[1]), self.size)
-        return directions
+        (row, col), (sin_p, cos_p, sin_a, cos_a) = np.divmod(vertices, self.size[1]), self._tables
+        return np.stack([sin_p[row] * sin_a[col], cos_p[row], -sin_p[row] * cos_a[col]], axis=-1)
+
+    @cached_property
+    def _tables(self) -> tuple[np.ndarray, ...]:
+        return direction_tables(*self.size)
 
     def piece_inverse_depths(self, vertices: Float[Array, "height width"]) -> Float[Array, "pieces 4"]:
         """Of the points of pieces, from those of the vertices: of numpy, or of torch with gradients.

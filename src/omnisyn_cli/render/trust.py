@@ -6,8 +6,13 @@ them, so they count for little: least in the cut quads of the edge itself, littl
 but not far, has a narrow rim that counts for a quarter: a wall keeps no outline of the tree before it.
 """
 
+from functools import partial
+
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.sampling import filter_across_seam
 
 AT_CUTS = 0.25
 """In a quad with a cut edge, where the colours of two surfaces are mixed."""
@@ -53,31 +58,25 @@ def trust_of_quarters(
         is_cut: whether any edge of the quad is cut.
         confidence: in [0, 1], of the inverse depths; by default 1. The least one of its corners counts for a quad.
     """
-    whole, pieces = np.full(is_cut.shape, 1.0, np.float32), np.full((*is_cut.shape, 4), AT_CUTS, np.float32)
+    whole, pieces = np.full(is_cut.shape, 1.0, np.float32), np.full((4, *is_cut.shape), AT_CUTS, np.float32)
     for times, reach, in_whole, in_pieces in (
         (BEHIND, 1, BESIDE_CUTS, BEHIND_CUTS), (FAR_BEHIND, REACH, IN_RIMS, FAR_BEHIND_CUTS)
     ):  # fmt: skip
         corners = _corners(inverse_depth * np.float32(times) < _greatest_within(reach, inverse_depth))
-        whole[corners.any(axis=-1)], pieces[corners] = in_whole, in_pieces
-    trust = np.where(is_cut[..., None], pieces, whole[..., None])
+        whole[corners.any(axis=0)], pieces[corners] = in_whole, in_pieces
+    trust = np.where(is_cut, pieces, whole)
     if confidence is not None:
-        least = _corners(confidence).min(axis=-1, keepdims=True).astype(np.float32)
-        trust = np.maximum(trust * least, np.float32(LEAST))
-    return trust
+        trust = np.maximum(trust * _corners(confidence).min(axis=0).astype(np.float32), np.float32(LEAST))
+    return np.ascontiguousarray(np.moveaxis(trust, 0, -1))
 
 
 def _corners(image: np.ndarray) -> np.ndarray:
-    """Values at the corners of quads, ``(height - 1, width, 4)``: top left, top right, bottom left, bottom right."""
+    """Values at the corners of quads, ``(4, height - 1, width)``: top left, top right, bottom left, bottom right."""
     right = np.roll(image, -1, axis=1)
-    return np.stack([image[:-1], right[:-1], image[1:], right[1:]], axis=-1)
+    return np.stack([image[:-1], right[:-1], image[1:], right[1:]])
 
 
 def _greatest_within(reach: int, image: np.ndarray) -> np.ndarray:
     """Maximum over the square of so many pixels around each; columns wrap, rows end."""
-    padded = np.pad(image, ((reach, reach), (0, 0)), mode="edge")
-    across = padded.copy()
-    for step in range(1, reach + 1):
-        for turned in (step, -step):
-            np.maximum(across, np.roll(padded, turned, axis=1), out=across)
-    height = len(image)
-    return np.asarray(np.max([across[begin : begin + height] for begin in range(2 * reach + 1)], axis=0))
+    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    return filter_across_seam(partial(cv2.dilate, kernel=square), image, reach)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 
@@ -62,8 +62,11 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
     the other camera; sine of the elevation; root of the matched map where both directions agreed.
     """
     directions = pixel_directions(*evidence.filled.shape)
-    moved = sweep_directions(directions, evidence.filled.astype(np.float64), evidence.second_from_first)
-    moved_matched = sweep_directions(directions, evidence.matched.astype(np.float64), evidence.second_from_first)
+    moved, moved_matched = (
+        sweep_directions(directions, each.astype(np.float64), evidence.second_from_first)
+        for each in (evidence.filled, evidence.matched)
+    )
+    filled_at, matched_at = (Lookup.along(each, other.filled.shape) for each in (moved, moved_matched))
     expected = evidence.filled / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
     towards = evidence.second_from_first.inverse().position
     matched = _root(evidence.matched)
@@ -74,10 +77,10 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
         evidence.agreed,
         evidence.sky,
         evidence.usable,
-        *np.moveaxis(sample_bilinear(other.image, moved), -1, 0),
-        *np.moveaxis(sample_bilinear(other.image, moved_matched), -1, 0),
-        _root(expected) - _root(sample_nearest(other.filled, moved)),
-        sample_nearest(other.sure.astype(np.float32), moved),
+        *np.moveaxis(filled_at.bilinear(other.image), -1, 0),
+        *np.moveaxis(matched_at.bilinear(other.image), -1, 0),
+        _root(expected) - _root(filled_at.nearest(other.filled)),
+        filled_at.nearest(other.sure),
         directions @ (towards / np.linalg.norm(towards)),
         directions @ evidence.up,
         matched * evidence.agreed,

@@ -129,11 +129,12 @@ def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) ->
 def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inverse depth in 1/baselines, where both directions agree about it, and the sky, in the frame of the camera."""
     size, pose, grid = pair.size, view.pose, Meridians.of(pair)
-    inverse_depth = pair.to_camera(grid.inverse_depth(matches.disparity), pose, size)
-    agreed = pair.to_camera(matches.seen & is_measurable(grid, matches.disparity), pose, size)
+    at = pair.from_camera(pose, size)
+    inverse_depth = at.nearest(grid.inverse_depth(matches.disparity))
+    agreed = at.nearest(matches.seen & is_measurable(grid, matches.disparity))
     agreed = remove_speckles(inverse_depth, agreed & usable_pixels(view, size), SPECKLE, 0.1)
     rise = pixel_directions(*size) @ pose.rotation[1]
-    sky = find_sky(inverse_depth, agreed & pair.to_camera(_is_sideways(grid), pose, size), rise, solid_angles(*size))
+    sky = find_sky(inverse_depth, agreed & at.nearest(_is_sideways(grid)), rise, solid_angles(*size))
     return inverse_depth, agreed, sky
 
 

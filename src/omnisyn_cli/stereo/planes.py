@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnisyn_cli.runtime.jit import parallel_kernel
+from omnisyn_cli.runtime.jit import kernel, parallel_kernel
 
 BLOCKS = (12, 32, 64)
 """Side lengths of the square windows, in pixels, that propose one plane each."""
@@ -99,13 +99,29 @@ def _windows(d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.nd
 
 
 def _solve(d: np.ndarray, rho: np.ndarray, w: np.ndarray, group: np.ndarray, size: int) -> np.ndarray:
-    matrix, vector = np.empty((size, 3, 3)), np.empty((size, 3))
-    for i in range(3):
-        vector[:, i] = np.bincount(group, w * d[:, i] * rho, size)
-        for j in range(3):
-            matrix[:, i, j] = np.bincount(group, w * d[:, i] * d[:, j], size)
+    matrix, vector = _sums(d, rho, w, group, size)
     ridge = 1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-12
     return np.asarray(np.linalg.solve(matrix + ridge[:, None, None] * np.eye(3), vector[..., None])[..., 0])
+
+
+@kernel()
+def _sums(
+    d: Float[np.ndarray, "points 3"],
+    rho: Float[np.ndarray, " points"],
+    w: Float[np.ndarray, " points"],
+    group: Int[np.ndarray, " points"],
+    size: int,
+) -> tuple[Float[np.ndarray, "groups 3 3"], Float[np.ndarray, "groups 3"]]:
+    """Of each group, matrix and right side of the weighted least-squares fit of ``normal · direction = rho``."""
+    matrix, vector = np.zeros((size, 3, 3)), np.zeros((size, 3))
+    for k in range(len(d)):
+        at = group[k]
+        for i in range(3):
+            weighted = w[k] * d[k, i]
+            vector[at, i] += weighted * rho[k]
+            for j in range(3):
+                matrix[at, i, j] += weighted * d[k, j]
+    return matrix, vector
 
 
 def _level(d: np.ndarray, rho: np.ndarray, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:

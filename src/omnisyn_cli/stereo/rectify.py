@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest, turned_directions
+from omnisyn_cli.geometry.sampling import turned_directions
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
 from omnisyn_cli.runtime.thread_limit import both
@@ -62,10 +63,9 @@ class RectifiedPair:
             baseline=self.baseline,
         )
 
-    def to_camera(self, values: np.ndarray, pose: Pose, size: tuple[int, int]) -> np.ndarray:
-        """An image of the first panorama in this frame, as the camera held it (nearest pixel: edges stay edges)."""
-        directions = turned_directions(size, self.world_from_frame, pose.rotation)
-        return np.asarray(sample_nearest(values.astype(np.float32), directions)).astype(values.dtype)
+    def from_camera(self, pose: Pose, size: tuple[int, int]) -> Lookup:
+        """Where images of the first panorama in this frame show what its camera, held as it was, has in each pixel."""
+        return Lookup.along(turned_directions(size, self.world_from_frame, pose.rotation), self.size)
 
 
 def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
@@ -92,7 +92,7 @@ def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _turn(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:
-    return np.asarray(sample_bilinear(image, turned_directions(size, pose.rotation, frame.rotation)), np.float32)
+    return Lookup.along(turned_directions(size, pose.rotation, frame.rotation), image.shape).bilinear(image)
 
 
 def usable_pixels(view: View, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:

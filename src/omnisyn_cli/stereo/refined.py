@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest, turned_directions
+from omnisyn_cli.geometry.sampling import filter_across_seam, turned_directions
 from omnisyn_cli.geometry.sweep import free_space_agreement
 from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.stereo.costs import sweep_cost
@@ -83,7 +84,7 @@ def _enlarged(view: View, answer: Answer, size: tuple[int, int]) -> Answer:
 def _in_pair(inverse_depth: np.ndarray, view: View, pair: RectifiedPair) -> np.ndarray:
     """A map of a camera in the frame of the pair that it is the first of."""
     directions = turned_directions(pair.size, view.pose.rotation, pair.world_from_frame)
-    return np.asarray(sample_nearest(inverse_depth, directions))
+    return Lookup.along(directions, inverse_depth.shape).nearest(inverse_depth)
 
 
 def _match(pair: RectifiedPair, grid: Meridians, known: np.ndarray, options: MatchingOptions) -> Matches:
@@ -119,8 +120,9 @@ def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, ma
     Single pixels are noise more often than things: every pixel then takes the median of those around it.
     """
     size = pair.size
-    exact = pair.to_camera(grid.inverse_depth(matches.disparity), view.pose, size).astype(np.float32)
-    is_sure = pair.to_camera(matches.seen & is_measurable(grid, matches.disparity), view.pose, size)
+    at = pair.from_camera(view.pose, size)
+    exact = at.nearest(grid.inverse_depth(matches.disparity).astype(np.float32))
+    is_sure = at.nearest(matches.seen & is_measurable(grid, matches.disparity))
     is_sure = remove_speckles(exact, is_sure & usable_pixels(view, size), SPECKLE, 0.1)
     least, greatest = _range_around(base[0])
     is_known = (exact >= (1.0 - SAME) * least) & (exact <= (1.0 + SAME) * greatest)

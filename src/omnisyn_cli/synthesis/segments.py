@@ -17,6 +17,7 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
+from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.synthesis.tours import TourDepths, is_moving
@@ -131,22 +132,26 @@ def prepare_segment(
             pair = device.pair(surfaces[0], surfaces[1], check.curve)
         triangles = (pair.triangles, pair.triangles)
         return Segment(index, poses, depths, pair.surfaces, check, triangles=triangles, on_device=pair)
-    with clock("mesh"):
-        renderers = [
-            make_renderer(
-                options.renderer, usable_image(view, options), view.mask,
-                depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
-                _path_to(view, other) if options.adaptive and is_moving(first, second) else None,
-            )
-            for view, other, depth in zip(views, views[::-1], depths, strict=True)
-        ]  # fmt: skip
+    with clock("mesh"), limited_threads(options.threads):
+        renderers = both(
+            lambda: _renderer(first, second, depths[0], options), lambda: _renderer(second, first, depths[1], options)
+        )
     cross_fade = None
     if options.cross_fade and check.confidence.score < LEAST_SCORE:
         images = [usable_image(view, options) for view in views]
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return Segment(index, poses, depths, (renderers[0], renderers[1]), check, cross_fade, counts)
+    return Segment(index, poses, depths, renderers, check, cross_fade, counts)
+
+
+def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
+    """Of the first of two neighbouring views."""
+    return make_renderer(
+        options.renderer, usable_image(view, options), view.mask,
+        depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
+        _path_to(view, other) if options.adaptive and is_moving(view, other) else None,
+    )  # fmt: skip
 
 
 def _path_to(view: View, other: View) -> Float[np.ndarray, " 3"]:
