@@ -6,6 +6,7 @@ after that, how well depth and poses hold (:mod:`omnisyn_cli.fusion.confidence`)
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
+from omnisyn_cli.runtime.thread_limit import both, limited_threads
 from omnisyn_cli.types import DepthEstimate, Rendering, View
 
 __all__ = ["CHECK_SIZE", "SAME_PLACE", "CrossCheck", "in_one_exposure", "middle_of", "resized"]
@@ -86,9 +88,15 @@ def _seen_across(
 ) -> tuple[list[tuple[Rendering, Rendering]], tuple[View, View], list[Renderer]]:
     """Each photograph beside the other one's surface as it is seen from there; both views, small; their renderers."""
     size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
-    small = (_reduced(views[0], depths[0], size), _reduced(views[1], depths[1], size))
-    renderers = [_renderer(view, cut, threads) for view in small]
-    return [_crossed(small[k], renderers[1 - k], small[1 - k]) for k in (0, 1)], small, renderers
+
+    def prepared(view: View, depth: DepthEstimate) -> tuple[View, Renderer]:
+        small = _reduced(view, depth, size)
+        return small, _renderer(small, cut, threads)
+
+    with limited_threads(threads):
+        (one, first), (other, second) = both(*(partial(prepared, *each) for each in zip(views, depths, strict=True)))
+        across = both(lambda: _crossed(one, second, other), lambda: _crossed(other, first, one))
+    return list(across), (one, other), [first, second]
 
 
 def _reduced(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
