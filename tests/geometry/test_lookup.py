@@ -38,6 +38,13 @@ def test_the_nearest_pixel_is_that_of_the_plain_form() -> None:
     assert is_same.mean() > 0.9
 
 
+def test_a_mask_stays_one() -> None:
+    mask, looked = smooth(1).reshape(SIZE) > 0.5, Lookup.along(directions(), SIZE)
+    found = looked.nearest(mask)
+    assert found.dtype == np.bool_
+    np.testing.assert_array_equal(found, looked.nearest(mask.astype(np.float32)) > 0)
+
+
 def test_at_its_own_pixels_an_image_is_itself() -> None:
     image, looked = smooth(3), Lookup.along(7.0 * pixel_directions(*SIZE), SIZE)
     for read in (looked.nearest, looked.bilinear, looked.bicubic):

@@ -17,8 +17,8 @@ PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
 BYTES_PER_PIXEL_OF_NETWORK = {"refined": 820, "network": 3200}
 """What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
 
-FINDING = 80e6
-"""Bytes that are given back when depth has been found."""
+FINDING = 110e6
+"""Bytes that are given back when depth has been found and both surfaces have been made."""
 
 PAINTING, PAINTED_ROWS = 230, 1024
 """Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
@@ -46,7 +46,7 @@ CONFIDENCE = 12
 """Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
 
 BYTES_PER_SHARPENED_PIXEL = 400
-"""Of an estimate while it is sharpened: the costs of some thirty disparities twice, and maps of both panoramas."""
+"""Of an estimate while it is sharpened, costs and maps of both panoramas, and while both are made into surfaces."""
 
 MIP_LEVELS = 4 / 3
 """Pixels of a texture with its mip levels, in those of the picture."""
