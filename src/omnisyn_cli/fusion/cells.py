@@ -1,14 +1,13 @@
 """The cells of a picture that ghosts are looked for in, and filters over squares of cells.
 
-Filters take torch tensors, and numpy arrays, which OpenCV filters faster than numpy would. Columns wrap at the seam,
-rows end at the poles.
+Filters take torch tensors, and numpy arrays, which OpenCV filters faster than numpy would; it is loaded where it is
+used, since a plan needs this module and no more. Columns wrap at the seam, rows end at the poles.
 """
 
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 from array_api_compat import array_namespace, is_numpy_array
 from jaxtyping import Num
@@ -43,6 +42,8 @@ def greatest_near(values: Num[Array, "rows cols *channels"], reach: int) -> Num[
     Whole numbers are below 2^53.
     """
     if is_numpy_array(values):
+        import cv2
+
         known = values.astype(np.float64) if values.dtype.kind == "i" else values  # OpenCV has no such integers here
         square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         return filter_across_seam(partial(cv2.dilate, kernel=square), known, reach).astype(values.dtype, copy=False)
@@ -60,6 +61,8 @@ def mean_near(
         is_mirrored: beyond a pole the last rows come again, the nearest first; otherwise the last one repeats.
     """
     if is_numpy_array(values):
+        import cv2
+
         beyond, side = cv2.BORDER_REFLECT if is_mirrored else cv2.BORDER_REPLICATE, 2 * reach + 1
         return filter_across_seam(
             partial(cv2.boxFilter, ddepth=-1, ksize=(side, side), borderType=beyond), values, reach
