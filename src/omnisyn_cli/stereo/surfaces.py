@@ -24,6 +24,10 @@ from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair
 from omnisyn_cli.stereo.semi_global import ENDLESS, Bands, aggregate, choose, counted, lead
 
+BEYOND = 4
+"""Rows beyond the other epipole, where nothing can be, that are tried all the same: what has no match takes these, and
+not the least wrong one. (With none a shadow on a road without texture fell to pieces.)"""
+
 NEAREST = 20.0
 """Largest inverse depth in 1/baselines: nothing closer than a twentieth of a baseline is believed."""
 
@@ -147,10 +151,10 @@ def match_freely(
 
 
 def _possible(lowest: np.ndarray, options: MatchingOptions) -> Bands:
-    """From the least disparity of every pixel to the widest parallax, none of which leads beyond the other epipole."""
+    """From the least disparity of every pixel to the widest parallax, hardly any of which lead beyond the epipole."""
     height = lowest.shape[0]
     widest = max(1, math.ceil(options.widest_parallax / math.pi * height) - 1)
-    highest = np.minimum(widest, np.arange(height - 1, -1, -1))[:, None]
+    highest = np.minimum(widest, np.arange(height - 1 + BEYOND, BEYOND - 1, -1))[:, None]
     begin = np.clip(np.ceil(lowest), 0, highest).astype(np.int32)
     return Bands.between(begin, np.broadcast_to(highest, lowest.shape).astype(np.int32))
 
