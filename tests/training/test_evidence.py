@@ -20,9 +20,9 @@ SIZE = (32, 64)
 
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory):
-    """Two small scenes."""
+    """Four small scenes."""
     folder = tmp_path_factory.mktemp("evidence")
-    paths = [make_evidence(folder, seed, TiltedConfig(size=SIZE)) for seed in (2, 3)]
+    paths = [make_evidence(folder, seed, TiltedConfig(size=SIZE)) for seed in range(4)]
     return [path for path in paths if path is not None]
 
 
