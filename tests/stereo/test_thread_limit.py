@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import cv2
-import numba
 import numpy as np
 import pytest
 from stereo_samples import OPENINGS, room
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.runtime.thread_limit import both, limited_threads
+from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.runtime.threads import allowed_threads, both, run_bands
 from omnisyn_cli.stereo import matching
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 
@@ -19,7 +19,7 @@ SMALL = MatchingOptions(size=(96, 192))
 
 
 def counts() -> tuple[int, int]:
-    return numba.get_num_threads(), cv2.getNumThreads()
+    return allowed_threads(), cv2.getNumThreads()
 
 
 def test_the_limit_holds_inside_and_is_gone_after_a_failure() -> None:
@@ -42,6 +42,15 @@ def test_a_limit_above_what_there_is_changes_nothing(threads: int | None) -> Non
         assert counts() == before
 
 
+def test_limits_lie_within_each_other_and_loops_keep_to_them() -> None:
+    """A band per thread would be handed to a pool; on one thread there is a single plain call."""
+    calls: list[tuple[int, int]] = []
+    with limited_threads(1), limited_threads(2):
+        assert counts() == (1, 1)
+        run_bands(lambda begin, end: calls.append((begin, end)), 100)
+    assert calls == [(0, 100)]
+
+
 def test_there_is_at_least_one_thread() -> None:
     with pytest.raises(ValueError, match="got 0"), limited_threads(0):
         pass
@@ -62,8 +71,8 @@ def test_an_estimate_keeps_to_its_threads_and_does_not_depend_on_them(monkeypatc
 @pytest.mark.parametrize("threads", [1, None])
 def test_both_are_done_under_the_limit_and_failures_are_told(threads: int | None) -> None:
     with limited_threads(threads):
-        inside = numba.get_num_threads()
-        assert both(numba.get_num_threads, numba.get_num_threads) == (inside, inside)
+        inside = allowed_threads()
+        assert both(allowed_threads, allowed_threads) == (inside, inside)
         with pytest.raises(ZeroDivisionError):
             both(lambda: 1, lambda: 1 // 0)
         with pytest.raises(ZeroDivisionError):

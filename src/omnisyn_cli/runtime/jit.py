@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import partial
 from typing import Any
 
 from numba import njit
@@ -26,8 +26,6 @@ __all__ = [
     "inlined_contracting",
     "is_on_disk",
     "kernel",
-    "one_at_a_time",
-    "parallel_kernel",
     "reporting_to",
     "when_compiling",
     "while_compiling",
@@ -183,40 +181,14 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
 kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy")
 """Strict floating point: a·b − c·d is the exact negative of c·d − a·b."""
 
-inlined: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", forceinline=True)
-"""The same, always inlined, so that loops around it can be vectorised."""
+inlined: Decorator = partial(kernel, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""The same, always inlined, so that loops around it can be vectorised; only kernels can call it."""
 
 inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
 """Inlined; a·b + c may be one instruction."""
 
 fast_kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", fastmath=True)
 """Reassociation allowed: for colours and boxes, never for tests of visibility."""
-
-_PARALLEL = threading.Lock()
-
-
-def parallel_kernel(**options: Any) -> Decorator:
-    """Decorates a kernel whose ``prange`` loops numba spreads over threads, to be called from Python.
-
-    Args:
-        options: of :func:`numba.njit`.
-    """
-    compile_it = compiled_kernel(nogil=True, parallel=True, **options)
-    return lambda function: one_at_a_time(compile_it(function))
-
-
-def one_at_a_time(compiled: Callable[..., Any]) -> Callable[..., Any]:
-    """A compiled kernel with ``prange`` loops, for which calls from several threads wait for each other.
-
-    Where neither OpenMP nor TBB is installed, numba's own threads must not be asked by two at a time.
-    """
-
-    @wraps(compiled)
-    def call(*arguments: Any) -> Any:
-        with _PARALLEL:
-            return compiled(*arguments)
-
-    return call
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]

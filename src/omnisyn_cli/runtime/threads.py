@@ -4,12 +4,19 @@ The kernels release the GIL and write only their own rows, so the result does no
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
 from functools import lru_cache
 from itertools import pairwise
+from typing import TypeVar
 
-__all__ = ["available_threads", "run_bands"]
+__all__ = ["allowed_threads", "at_most", "available_threads", "both", "run_bands"]
+
+T = TypeVar("T")
+
+_limit: ContextVar[int | None] = ContextVar("most threads", default=None)
 
 BANDS_PER_THREAD = 4
 """More bands than threads, because some rows are more work than others."""
@@ -20,6 +27,39 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def allowed_threads() -> int:
+    """How many :func:`run_bands` uses if its caller does not say: a core each, or what :func:`at_most` allows."""
+    return min(available_threads(), _limit.get() or available_threads())
+
+
+@contextmanager
+def at_most(threads: int) -> Iterator[None]:
+    """Inside, in the calling thread and what :func:`both` starts from it, loops use no more threads than that.
+
+    Raises:
+        ValueError: fewer than one thread.
+    """
+    if threads < 1:
+        raise ValueError(f"expected at least 1 thread, got {threads}")
+    former = _limit.set(min(threads, _limit.get() or threads))
+    try:
+        yield
+    finally:
+        _limit.reset(former)
+
+
+def both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
+    """What two functions return, called at the same time where loops may use more than one thread.
+
+    For work that is mostly numpy's, which uses one.
+    """
+    if allowed_threads() == 1:
+        return first(), second()
+    with ThreadPoolExecutor(1, "omnisyn-both") as pool:
+        later = pool.submit(copy_context().run, second)
+        return first(), later.result()
+
+
 def bands(rows: int, count: int) -> list[tuple[int, int]]:
     """``count`` (or fewer) contiguous ranges that cover ``range(rows)``."""
     edges = [rows * k // count for k in range(count + 1)]
@@ -28,7 +68,7 @@ def bands(rows: int, count: int) -> list[tuple[int, int]]:
 
 def run_bands(kernel: Callable[[int, int], None], rows: int, threads: int | None = None) -> None:
     """Call ``kernel(row_begin, row_end)`` for bands that cover ``rows``; on one thread that is a single plain call."""
-    threads = threads or available_threads()
+    threads = threads or allowed_threads()
     if threads == 1:
         kernel(0, rows)
         return

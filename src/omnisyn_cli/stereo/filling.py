@@ -11,13 +11,13 @@ import math
 from functools import partial
 
 import cv2
-import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int64
 
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
-from omnisyn_cli.runtime.jit import parallel_kernel
+from omnisyn_cli.runtime.jit import fast_kernel, inlined, kernel
+from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 __all__ = ["fill"]
@@ -117,7 +117,7 @@ def _planes(
 
 
 def _smooth(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], reach: float) -> np.ndarray:
-    """Edge-aware mean of every channel over about ``reach`` radians."""
+    """Edge-aware mean of every channel over about ``reach`` radians, in place."""
     height, width = channels.shape[:2]
     sine = direction_tables(height, width)[0]
     way_across = sine[:, None] * (2.0 * math.pi / width) / reach + EDGE * edges[0]
@@ -125,39 +125,36 @@ def _smooth(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray], reach: f
     for k in range(ROUNDS):
         share = math.sqrt(3.0) * 2.0 ** (ROUNDS - k - 1) / math.sqrt(4.0**ROUNDS - 1.0)
         decay = -math.sqrt(2.0) / share
-        channels = _pass_across(channels, np.exp(decay * way_across).astype(np.float32))
-        channels = _pass_down(channels, np.exp(decay * way_down).astype(np.float32))
+        across, down = (np.exp(decay * way).astype(np.float32) for way in (way_across, way_down))
+        run_bands(partial(_pass_across, channels, across), -(-height // SIDE_BY_SIDE))
+        run_bands(partial(_pass_down, channels, down), width)
     return channels
 
 
-@parallel_kernel()
-def _pass_across(
-    channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
-) -> Float[np.ndarray, "height width channels"]:
-    """Recursive mean along rows, both ways; ``keep[r, c]`` couples columns c − 1 and c.
+@kernel()
+def _pass_across(channels, keep, begin, end):  # type: ignore[no-untyped-def]
+    """Recursive mean along some groups of rows, both ways; ``keep[r, c]`` couples columns c − 1 and c.
 
     A first round from zero tells the state that comes back to itself: the row is a circle without a beginning.
     """
     height, width, count = channels.shape
-    out = np.empty_like(channels)
-    for group in numba.prange(-(-height // SIDE_BY_SIDE)):
+    lines, share = np.zeros((width, count, SIDE_BY_SIDE), np.float32), np.zeros((width, SIDE_BY_SIDE), np.float32)
+    for group in range(begin, end):
         top, rows = group * SIDE_BY_SIDE, min(SIDE_BY_SIDE, height - group * SIDE_BY_SIDE)
-        lines, share = np.zeros((width, count, SIDE_BY_SIDE), np.float32), np.zeros((width, SIDE_BY_SIDE), np.float32)
         for lane in range(rows):
             for col in range(width):
                 share[col, lane] = keep[top + lane, col]
                 for i in range(count):
                     lines[col, i, lane] = channels[top + lane, col, i]
-        _walk_around(lines, share, 0)
-        _walk_around(lines, share, 1)
+        for side in range(2):
+            _walk_around(lines, share, side)
         for lane in range(rows):
             for col in range(width):
                 for i in range(count):
-                    out[top + lane, col, i] = lines[col, i, lane]
-    return out
+                    channels[top + lane, col, i] = lines[col, i, lane]
 
 
-@numba.njit(inline="always")
+@inlined()
 def _walk_around(lines, share, side):  # type: ignore[no-untyped-def]
     """Two rounds along rows that lie side by side, ``(columns, channels, rows)``: the second one writes."""
     width, count, lanes = lines.shape
@@ -165,34 +162,34 @@ def _walk_around(lines, share, side):  # type: ignore[no-untyped-def]
     for k in range(2 * width):
         col = k % width if side == 0 else width - 1 - k % width
         own = share[col] if side == 0 else share[(col + 1) % width]
-        if k == width:
-            state /= np.maximum(np.float32(1.0) - left, np.float32(1e-6))
-        left *= own
         line = lines[col]
         for i in range(count):
             for lane in range(lanes):
-                state[i, lane] = line[i, lane] + own[lane] * (state[i, lane] - line[i, lane])
-        if k >= width:
-            line[:] = state
+                came = state[i, lane]
+                if k == width:
+                    came /= max(np.float32(1.0) - left[lane], np.float32(1e-6))
+                state[i, lane] = line[i, lane] + own[lane] * (came - line[i, lane])
+                if k >= width:
+                    line[i, lane] = state[i, lane]
+        for lane in range(lanes):
+            left[lane] *= own[lane]
 
 
-@parallel_kernel()
-def _pass_down(
-    channels: Float[np.ndarray, "height width channels"], keep: Float[np.ndarray, "height width"]
-) -> Float[np.ndarray, "height width channels"]:
-    """Recursive mean along columns, both ways; ``keep[r, c]`` couples rows r − 1 and r."""
-    height, width, count = channels.shape
-    out = channels.copy()
-    for col in numba.prange(width):
-        for row in range(1, height):
-            a = keep[row, col]
-            for i in range(count):
-                out[row, col, i] += a * (out[row - 1, col, i] - out[row, col, i])
-        for row in range(height - 2, -1, -1):
-            a = keep[row + 1, col]
-            for i in range(count):
-                out[row, col, i] += a * (out[row + 1, col, i] - out[row, col, i])
-    return out
+@kernel()
+def _pass_down(channels, keep, begin, end):  # type: ignore[no-untyped-def]
+    """Recursive mean along some columns, both ways; ``keep[r, c]`` couples rows r − 1 and r."""
+    height, _, count = channels.shape
+    for row in range(1, height):
+        _draw_to(channels[row], channels[row - 1], keep[row], begin, end, count)
+    for row in range(height - 2, -1, -1):
+        _draw_to(channels[row], channels[row + 1], keep[row + 1], begin, end, count)
+
+
+@inlined()
+def _draw_to(line, before, keep, begin, end, count):  # type: ignore[no-untyped-def]
+    for col in range(begin, end):
+        for i in range(count):
+            line[col, i] += keep[col] * (before[col, i] - line[col, i])
 
 
 def remove_speckles(
@@ -234,27 +231,31 @@ def upsample(
     Source: Kopf et al., Joint bilateral upsampling, 2007, with a median for the mean.
     """
     ring = 3
-    return np.asarray(
-        _upsample(
-            add_border(inverse_depth, ring).astype(np.float32),
-            add_border(low_guide, ring).astype(np.float32),
-            guide.astype(np.float32),
-            ring,
-        )
-    )
-
-
-@parallel_kernel(fastmath=True)
-def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
-    height, width, _ = guide.shape
-    side = 2 * ring - 1
-    rows, near_rows = _places_around(height, low.shape[0], ring)
-    cols, near_cols = _places_around(width, low.shape[1], ring)
+    (height, width), (low_height, low_width) = guide.shape[:2], inverse_depth.shape
     out = np.empty((height, width), np.float32)
-    for row in numba.prange(height):
-        value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+    bordered = [add_border(each, ring).astype(np.float32) for each in (inverse_depth, low_guide)]
+    rows, cols = _places_around(height, low_height, ring), _places_around(width, low_width, ring)
+    run_bands(partial(_upsample, *bordered, guide.astype(np.float32), *rows, *cols, out), height)
+    return out
+
+
+def _places_around(
+    count: int, of: int, ring: int
+) -> tuple[Int64[np.ndarray, " count"], Float32[np.ndarray, "count low"]]:
+    """For each of ``count`` pixels the first of the ``of`` low ones around it, counted from the ring; their weights."""
+    x = ((np.arange(count) + 0.5) * (of / count) - 0.5 + ring).astype(np.float32)
+    first = np.floor(x + np.float32(0.5)).astype(np.int64) - ring + 1
+    beside = first[:, None] + np.arange(2 * ring - 1) - x[:, None]
+    return first, np.exp(-SPREAD * beside * beside).astype(np.float32)
+
+
+@fast_kernel()
+def _upsample(low, low_guide, guide, rows, near_rows, cols, near_cols, out, begin, end):  # type: ignore[no-untyped-def]
+    side = near_rows.shape[1]
+    value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+    for row in range(begin, end):
         r0, near_row = rows[row], near_rows[row]
-        for col in range(width):
+        for col in range(out.shape[1]):
             c0, near_col = cols[col], near_cols[col]
             least, greatest = np.float32(np.inf), np.float32(-np.inf)
             for i in range(side):
@@ -268,31 +269,17 @@ def _upsample(low, low_guide, guide, ring):  # type: ignore[no-untyped-def]
                     for i in range(3):
                         colour += abs(low_guide[r0 + k // side, c0 + k % side, i] - guide[row, col, i])
                     weight[k] *= np.exp(np.float32(-12.0) * colour)
-            out[row, col] = _mean_near(value, weight, _weighted_median(value, weight))
-    return out
+            out[row, col] = _mean_near(value, weight, _weighted_median(value, weight, least, greatest))
 
 
-@numba.njit(inline="always")
-def _places_around(count, of, ring):  # type: ignore[no-untyped-def]
-    """For each of ``count`` pixels the first of the low ones around it, ``of`` with their border, and their weights."""
-    first, near = np.empty(count, np.int64), np.empty((count, 2 * ring - 1), np.float32)
-    scale = (of - 2 * ring) / count
-    for place in range(count):
-        x = np.float32((place + 0.5) * scale - 0.5 + ring)
-        first[place] = int(np.floor(x + 0.5)) - ring + 1
-        for k in range(2 * ring - 1):
-            beside = first[place] + k - x
-            near[place, k] = np.exp(-SPREAD * beside * beside)
-    return first, near
-
-
-@numba.njit(inline="always")
-def _weighted_median(value, weight):  # type: ignore[no-untyped-def]
-    """Any value will do when all are alike; otherwise half of the weight lies on either side."""
-    low, high = value.min(), value.max()
+@inlined()
+def _weighted_median(value, weight, low, high):  # type: ignore[no-untyped-def]
+    """Between the least and the greatest; any will do when all are alike, else half of the weight is on either side."""
     if high <= np.float32(1.1) * low:
         return high
-    half = np.float32(0.5) * weight.sum()
+    half = np.float32(0.0)
+    for k in range(value.shape[0]):
+        half += np.float32(0.5) * weight[k]
     for _ in range(12):
         middle = np.float32(0.5) * (low + high)
         below = np.float32(0.0)
@@ -306,7 +293,7 @@ def _weighted_median(value, weight):  # type: ignore[no-untyped-def]
     return high
 
 
-@numba.njit(inline="always")
+@inlined()
 def _mean_near(value, weight, median):  # type: ignore[no-untyped-def]
     total, mean = np.float32(0.0), np.float32(0.0)
     nearest, gap = value[0], np.float32(np.inf)

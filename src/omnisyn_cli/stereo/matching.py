@@ -16,7 +16,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
-from omnisyn_cli.runtime.thread_limit import both, limited_threads
+from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.evidence import Evidence
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
@@ -45,7 +46,7 @@ class MatchingDepthEstimator:
 
     Attributes:
         options: what may be believed.
-        threads: at most this many; None = as many as numba and OpenCV are set to. The result does not depend on it.
+        threads: at most this many; None = a core each. The result does not depend on it.
     """
 
     options: MatchingOptions = field(default_factory=MatchingOptions)

@@ -4,11 +4,13 @@ Seen from a panorama a plane is a *linear* function of the direction, ``inverse_
 one is a 3×3 system.
 """
 
-import numba
-import numpy as np
-from jaxtyping import Float, Int
+from functools import partial
 
-from omnisyn_cli.runtime.jit import kernel, parallel_kernel
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from omnisyn_cli.runtime.jit import fast_kernel, kernel
+from omnisyn_cli.runtime.threads import run_bands
 
 BLOCKS = (12, 32, 64)
 """Side lengths of the square windows, in pixels, that propose one plane each."""
@@ -68,21 +70,25 @@ def find_planes(
     return np.array(planes).reshape(-1, 3)
 
 
-@parallel_kernel(fastmath=True)
 def _inliers(
     proposals: Float[np.ndarray, "proposals 3"],
     d: Float[np.ndarray, "points 3"],
     rho: Float[np.ndarray, " points"],
     tol: Float[np.ndarray, " points"],
-) -> Float[np.ndarray, "points proposals"]:
+) -> Float32[np.ndarray, "points proposals"]:
     """1 where the proposal explains the point; float32, which sums fast."""
     out = np.empty((len(d), len(proposals)), np.float32)
-    for i in numba.prange(len(d)):
+    run_bands(partial(_explain, proposals, d, rho, tol, out), len(d))
+    return out
+
+
+@fast_kernel()
+def _explain(proposals, d, rho, tol, out, begin, end):  # type: ignore[no-untyped-def]
+    for i in range(begin, end):
         x, y, z, r, t = d[i, 0], d[i, 1], d[i, 2], rho[i], tol[i]
         for k in range(len(proposals)):
             predicted = proposals[k, 0] * x + proposals[k, 1] * y + proposals[k, 2] * z
             out[i, k] = np.float32(1.0) if abs(predicted - r) < t else np.float32(0.0)
-    return out
 
 
 def _windows(d: np.ndarray, rho: np.ndarray, tol: np.ndarray, pixel: tuple[np.ndarray, ...], block: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, turned_directions
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
-from omnisyn_cli.runtime.thread_limit import both
+from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.types import View
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])

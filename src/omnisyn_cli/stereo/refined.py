@@ -17,7 +17,8 @@ from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam, turned_directions
 from omnisyn_cli.geometry.sweep import free_space_agreement
-from omnisyn_cli.runtime.thread_limit import both, limited_threads
+from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.costs import sweep_cost
 from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
 from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample

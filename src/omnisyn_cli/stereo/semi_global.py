@@ -14,12 +14,13 @@ SURE: photogrammetric surface reconstruction from imagery, 2012 (tSGM).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
-import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64, UInt16
 
-from omnisyn_cli.runtime.jit import parallel_kernel
+from omnisyn_cli.runtime.jit import fast_kernel, inlined
+from omnisyn_cli.runtime.threads import run_bands
 
 RUN_UP = 64
 """Columns that a horizontal path walks before the seam, so that the seam is no border."""
@@ -88,8 +89,16 @@ def aggregate(
         jump: penalty for any other change, at most :data:`MOST_JUMP`.
         contrast: grey difference at which a jump costs half.
     """
-    penalties = (float(round(PARTS * min(penalty, jump, MOST_JUMP))) for penalty in (step, jump))
-    return np.asarray(_aggregate(cost, bands.lowest, bands.begin, luminance, *penalties, contrast))
+    height, width = luminance.shape
+    small, large = (round(PARTS * min(penalty, jump, MOST_JUMP)) for penalty in (step, jump))
+    penalties = np.uint16(small), np.float32(large), np.float32(1.0 / contrast)
+    total, longest = np.zeros(len(cost), np.uint16), int(np.diff(bands.begin).max())
+    room = (cost, bands.lowest, bands.begin, luminance, *penalties, longest, total)
+    for lean in (-1, 0, 1):
+        for is_down in (True, False):
+            run_bands(partial(_aggregate_along, *room, lean, is_down), -(-width // SIDE_BY_SIDE))
+    run_bands(partial(_aggregate_across, *room), height)
+    return total
 
 
 def choose(
@@ -102,8 +111,9 @@ def choose(
         bands: what the numbers belong to.
         is_all: whether nothing exists beyond the bands; else the margin is 0 where the cheapest one is at an end.
     """
-    disparity, margin = _choose(total, bands.lowest, bands.begin, is_all)
-    return np.asarray(disparity), np.asarray(margin)
+    disparity, margin = np.empty(bands.lowest.shape, np.float32), np.zeros(bands.lowest.shape, np.float32)
+    run_bands(partial(_choose, total, bands.lowest, bands.begin, is_all, disparity, margin), len(disparity))
+    return disparity, margin
 
 
 def lead(
@@ -118,65 +128,71 @@ def lead(
         bands: what the numbers belong to.
         disparity: one of each pixel's.
     """
-    return np.asarray(_lead(cost, bands.lowest, bands.begin, disparity))
+    out = np.empty(disparity.shape, np.float32)
+    run_bands(partial(_lead, cost, bands.lowest, bands.begin, disparity, out), len(out))
+    return out
 
 
-@parallel_kernel(fastmath=True)
-def _aggregate(cost, lowest, begin, luminance, step, jump, contrast):  # type: ignore[no-untyped-def]
+@fast_kernel()
+def _aggregate_along(  # type: ignore[no-untyped-def]
+    cost, lowest, starts, luminance, small, large, scale, longest, total, lean, is_down, begin, end
+):
+    """Of paths along meridians, or ``lean`` columns aside with every row, those of some groups side by side."""
     height, width = lowest.shape
-    total = np.zeros(len(cost), np.uint16)
-    small, large, scale = np.uint16(step), np.float32(jump), np.float32(1.0 / contrast)
-    longest = 0
-    for pixel in range(height * width):
-        longest = max(longest, begin[pixel + 1] - begin[pixel])
-    for way in range(6):
-        lean, down = way // 2 - 1, way % 2 == 0
-        for group in numba.prange((width + SIDE_BY_SIDE - 1) // SIDE_BY_SIDE):
-            paths, cheapest = _no_paths(2 * SIDE_BY_SIDE, longest), np.zeros(SIDE_BY_SIDE, np.uint16)
-            for k in range(height):
-                row, before = (k, max(k - 1, 0)) if down else (height - 1 - k, height - 1 - max(k - 1, 0))
-                for i in range(min(SIDE_BY_SIDE, width - group * SIDE_BY_SIDE)):
-                    origin = group * SIDE_BY_SIDE + i
-                    col, col_before = (origin + lean * k) % width, (origin + lean * max(k - 1, 0)) % width
-                    at, last = row * width + col, before * width + col_before
-                    leap = _leap(luminance[row, col] - luminance[before, col_before], large, scale)
-                    behind, ahead = paths[2 * i + (k + 1) % 2], paths[2 * i + k % 2]
-                    own, sums = cost[begin[at] : begin[at + 1]], total[begin[at] : begin[at + 1]]
-                    shift, reach = lowest[row, col] - lowest[before, col_before], begin[last + 1] - begin[last]
-                    cheapest[i] = _walk(own, behind, reach, ahead, shift, leap, cheapest[i], small, sums)
-    for row in numba.prange(height):
-        paths, nowhere = _no_paths(2, longest), np.zeros(longest, np.uint16)
+    paths, cheapest = np.empty((2 * SIDE_BY_SIDE, longest + 2 * AROUND), np.uint16), np.empty(SIDE_BY_SIDE, np.uint16)
+    for group in range(begin, end):
+        _begin_paths(paths)
+        cheapest[:] = 0
+        for k in range(height):
+            row, before = (k, max(k - 1, 0)) if is_down else (height - 1 - k, height - 1 - max(k - 1, 0))
+            for i in range(min(SIDE_BY_SIDE, width - group * SIDE_BY_SIDE)):
+                origin = group * SIDE_BY_SIDE + i
+                col, col_before = (origin + lean * k) % width, (origin + lean * max(k - 1, 0)) % width
+                at, last = row * width + col, before * width + col_before
+                leap = _leap(luminance[row, col] - luminance[before, col_before], large, scale)
+                behind, ahead = paths[2 * i + (k + 1) % 2], paths[2 * i + k % 2]
+                own, sums = cost[starts[at] : starts[at + 1]], total[starts[at] : starts[at + 1]]
+                shift, reach = lowest[row, col] - lowest[before, col_before], starts[last + 1] - starts[last]
+                cheapest[i] = _walk(own, behind, reach, ahead, shift, leap, cheapest[i], small, sums)
+
+
+@fast_kernel()
+def _aggregate_across(  # type: ignore[no-untyped-def]
+    cost, lowest, starts, luminance, small, large, scale, longest, total, begin, end
+):
+    """Of paths along some rows, both ways."""
+    width = lowest.shape[1]
+    paths, nowhere = np.empty((2, longest + 2 * AROUND), np.uint16), np.zeros(longest, np.uint16)
+    for row in range(begin, end):
         for side in range(2):
             cheap, before = np.uint16(0), (-RUN_UP if side == 0 else width - 1 + RUN_UP) % width
-            paths[:, AROUND:-AROUND] = 0
+            _begin_paths(paths)
             for k in range(-RUN_UP, width):
                 col = (k if side == 0 else width - 1 - k) % width
                 at, last = row * width + col, row * width + before
                 leap = _leap(luminance[row, col] - luminance[row, before], large, scale)
                 behind, ahead = paths[(k + 1) % 2], paths[k % 2]
-                own = cost[begin[at] : begin[at + 1]]
-                sums = total[begin[at] : begin[at + 1]] if k >= 0 else nowhere[: len(own)]
-                shift, reach = lowest[row, col] - lowest[row, before], begin[last + 1] - begin[last]
+                own = cost[starts[at] : starts[at + 1]]
+                sums = total[starts[at] : starts[at + 1]] if k >= 0 else nowhere[: len(own)]
+                shift, reach = lowest[row, col] - lowest[row, before], starts[last + 1] - starts[last]
                 cheap = _walk(own, behind, reach, ahead, shift, leap, cheap, small, sums)
                 before = col
-    return total
 
 
-@numba.njit(inline="always")
-def _no_paths(count, longest):  # type: ignore[no-untyped-def]
-    """Memory for costs of paths that begin: nothing so far, and beyond both ends of the longest band nothing at all."""
-    paths = np.full((count, longest + 2 * AROUND), FAR, np.uint16)
+@inlined()
+def _begin_paths(paths):  # type: ignore[no-untyped-def]
+    """They have cost nothing so far; beyond both ends of the longest band there are none."""
+    paths[:] = FAR
     paths[:, AROUND:-AROUND] = 0
-    return paths
 
 
-@numba.njit(inline="always")
+@inlined()
 def _leap(difference, large, scale):  # type: ignore[no-untyped-def]
     """What a jump costs between pixels of which one is so much brighter."""
     return np.uint16(large / (np.float32(1.0) + abs(difference) * scale) + np.float32(0.5))
 
 
-@numba.njit(inline="always")
+@inlined()
 def _walk(cost, behind, reach, ahead, shift, leap, cheapest, small, sums):  # type: ignore[no-untyped-def]
     """One step of a path into a band that begins ``shift`` disparities after the one that it leaves; its least cost.
 
@@ -204,20 +220,19 @@ def _walk(cost, behind, reach, ahead, shift, leap, cheapest, small, sums):  # ty
     return lowest
 
 
-@numba.njit(inline="always")
+@inlined()
 def _less(one, other):  # type: ignore[no-untyped-def]
     """The lesser one; numba's ``min`` widens it."""
     return one if one < other else other
 
 
-@parallel_kernel(fastmath=True)
-def _choose(total, lowest, begin, is_all):  # type: ignore[no-untyped-def]
-    height, width = lowest.shape
-    disparity, margin = np.empty((height, width), np.float32), np.zeros((height, width), np.float32)
-    for row in numba.prange(height):
+@fast_kernel()
+def _choose(total, lowest, starts, is_all, disparity, margin, begin, end):  # type: ignore[no-untyped-def]
+    width = lowest.shape[1]
+    for row in range(begin, end):
         for col in range(width):
             at = row * width + col
-            score = total[begin[at] : begin[at + 1]]
+            score = total[starts[at] : starts[at + 1]]
             nothing, count, best = np.uint64(0), np.uint64(len(score)), 0
             lowest_score = _least(score, nothing, count)
             while score[best] > lowest_score:
@@ -231,26 +246,23 @@ def _choose(total, lowest, begin, is_all):  # type: ignore[no-untyped-def]
                 before, after = np.uint64(max(best - 1, 0)), np.uint64(min(best + 2, len(score)))
                 rival = _less(_least(score, nothing, before), _least(score, after, count))
                 margin[row, col] = np.float32(rival - lowest_score) * np.float32(1.0 / PARTS)
-    return disparity, margin
 
 
-@parallel_kernel(fastmath=True)
-def _lead(cost, lowest, begin, disparity):  # type: ignore[no-untyped-def]
-    height, width = lowest.shape
-    out = np.empty((height, width), np.float32)
-    for row in numba.prange(height):
+@fast_kernel()
+def _lead(cost, lowest, starts, disparity, out, begin, end):  # type: ignore[no-untyped-def]
+    width = lowest.shape[1]
+    for row in range(begin, end):
         for col in range(width):
             at = row * width + col
-            own, nothing, count = cost[begin[at] : begin[at + 1]], np.uint64(0), begin[at + 1] - begin[at]
+            own, nothing, count = cost[starts[at] : starts[at + 1]], np.uint64(0), starts[at + 1] - starts[at]
             best = min(max(int(np.rint(disparity[row, col])) - lowest[row, col], 0), count - 1)
             below, above = np.uint64(max(best - APART, 0)), np.uint64(min(best + APART + 1, count))
             cheapest = _least(own, np.uint64(max(best - 1, 0)), np.uint64(min(best + 2, count)))
             rival = _less(_least(own, nothing, below), _least(own, above, np.uint64(count)))
             out[row, col] = (np.float32(rival) - np.float32(cheapest)) * np.float32(1.0 / PARTS)
-    return out
 
 
-@numba.njit(inline="always")
+@inlined()
 def _least(numbers, begin, end):  # type: ignore[no-untyped-def]
     """The smallest number from ``begin`` to ``end``; :data:`ENDLESS` if there is none."""
     lowest = ENDLESS

@@ -18,7 +18,8 @@ from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
-from omnisyn_cli.runtime.thread_limit import both, limited_threads
+from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.types import DepthEstimate, Rendering, View
 
 __all__ = ["CHECK_SIZE", "SAME_PLACE", "CrossCheck", "in_one_exposure", "middle_of", "resized"]

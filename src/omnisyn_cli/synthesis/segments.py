@@ -17,7 +17,8 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
-from omnisyn_cli.runtime.thread_limit import both, limited_threads
+from omnisyn_cli.runtime.thread_limit import limited_threads
+from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.synthesis.tours import TourDepths, is_moving

@@ -21,6 +21,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
+from omnisyn_cli.runtime.threads import at_most
 from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
 from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_pool
@@ -52,7 +53,7 @@ class Trainer:
         if self.task.adversarial is not None:
             self.discriminator = Discriminator(PatchDiscriminator().to(precision.device), config.weight_decay)
         self.scores: dict[str, float] = {}
-        self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
+        self.ahead = ThreadPoolExecutor(1, "draw", initializer=at_most(1).__enter__)  # the other threads learn
         self.drawn: tuple[int, Future[Any]] | None = None
         self.step = 0
         self.cooldown_start: int | None = None
