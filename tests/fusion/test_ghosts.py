@@ -108,6 +108,19 @@ def test_a_nearer_surface_that_is_hardly_trusted_wins_no_region(weight: float, w
     np.testing.assert_allclose(found[inner], (with_ball(background, where), background)[winner][inner], atol=0.03)
 
 
+@pytest.mark.parametrize(("stripes", "winner"), [(4, 1), (64, 0)], ids=["half of it", "hardly"])
+def test_a_torn_thing_does_not_show_the_other_view_through_its_holes(stripes: int, winner: int) -> None:
+    """The first view counts more at this place of the way, but not if the second fills half of the rows of its ball."""
+    where, background = ball(200), wall()
+    torn = rendering(with_ball(background, where), z=-1e-3)
+    holes = where & (np.arange(SIZE[0]) % stripes < 2)[:, None]
+    torn.colour[holes], torn.inverse_depth[holes] = 0.0, -1.0
+    found = fuse(torn, rendering(background, z=1e-3), 0.35)
+    inner = where & ~holes & ~border(where, 8)
+    share = share_of(found, with_ball(background, where), background)[inner]
+    assert np.median(share) == pytest.approx(1.0 - winner, abs=0.03)
+
+
 def test_outside_of_what_moved_nothing_changes() -> None:
     where, background = ball(200), wall()
     picture = with_ball(background, where)

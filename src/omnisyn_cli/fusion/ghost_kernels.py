@@ -8,7 +8,7 @@ from omnisyn_cli.types import UNSEEN
 
 @fast_kernel()
 def gather_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
-    """Sums over the pixels of each cell that both views see, for rows of cells ``begin`` to ``end``.
+    """Sums over the pixels of each cell, for rows of cells ``begin`` to ``end``.
 
     Args:
         first: ``(height, width, 4)`` RGB and weight.
@@ -16,7 +16,8 @@ def gather_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
         second: as ``first``.
         second_rho: as ``first_rho``.
         cell: pixels along the side of a cell.
-        sums: ``(rows, cols, 11)``: count; RGB and weight of the first, of the second; inverse depth of both.
+        sums: ``(rows, cols, 13)``: how many both views see; of these, RGB and weight of the first, of the second;
+            inverse depth of both; how many only the first sees, and only the second.
         begin: first row of cells.
         end: the row after the last.
     """
@@ -27,7 +28,11 @@ def gather_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
                 sums[i, j, k] = np.float32(0.0)
             for row in range(i * cell, min((i + 1) * cell, height)):
                 for col in range(j * cell, min((j + 1) * cell, width)):
-                    if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+                    if not first[row, col, 3] > UNSEEN:
+                        sums[i, j, 12] += np.float32(second[row, col, 3] > UNSEEN)
+                    elif not second[row, col, 3] > UNSEEN:
+                        sums[i, j, 11] += np.float32(1.0)
+                    else:
                         sums[i, j, 0] += np.float32(1.0)
                         for k in range(4):
                             sums[i, j, 1 + k] += first[row, col, k]

@@ -3,8 +3,9 @@
 Two renderings of a place that stayed the same differ by a pixel or so of displacement, which vanishes in the mean over
 a few pixels. A person who is there in only one of them does not. So means over cells of about 1.4° are compared, after
 taking away what differs over a wide neighbourhood (light, vignetting). Islands of cells that differ, but for thin ones,
-which are edges of wrong depth, are regions. In each region the view that counts more there, taken as a whole, wins: a
-thing is there or it is not, but never half transparent, and it changes once along the way.
+which are edges of wrong depth, are regions. In each region the view that counts more there, taken as a whole, wins;
+one that has holes counts for less. So a thing is there or it is not, but never half transparent, and it changes once
+along the way.
 
 Colours may be numpy arrays or torch tensors on any device. Only what is done for every pixel has two forms: arrays
 here, and kernels for the processor.
@@ -44,6 +45,12 @@ LEAST_T = 1e-9
 
 SPREADINGS = 4
 """Steps of spreading after which it is asked whether anything has changed."""
+
+WHOLENESS = 4.0
+"""Logarithm of weights that a view gains over one that sees nothing of a cell: the other would show through the holes.
+
+Measured on generated walks and pairs with estimated depth: 0.04 dB, of which one home has 0.5; at 50 nothing is left.
+"""
 
 PREFERENCE_STEPS = 2.0**20
 """Parts of 1 in which preferences are added: sums of whole numbers do not depend on their order."""
@@ -117,22 +124,22 @@ class GhostRemover:
         """
         if self._reach < NEARBY:
             return None
-        one, other, count = self._cells(first, second)
+        one, other, count, more = self._cells(first, second)
         differs = self._differing(one, other, count)
         if not is_any(differs):
             return None
-        preference = self._preference(one, other, rule, differs)
+        preference = self._preference(one, other, rule, differs) + WHOLENESS * more
         return Suppression(suppressed_cells(differs, preference), self.cell)
 
     @property
     def _reach(self) -> int:
         return min(self.options.neighbourhood, *(count // 2 - 1 for count in self._grid))
 
-    def _cells(self, first: Rendering, second: Rendering) -> tuple[Shown, Shown, Array]:
-        """Means over what both views see of each cell, and how many pixels of it these are."""
+    def _cells(self, first: Rendering, second: Rendering) -> tuple[Shown, Shown, Array, Array]:
+        """Means over what both views see of each cell; how many pixels these are; what share more the first sees."""
         (a, a_rho), (b, b_rho) = (self._looked_at(view) for view in (first, second))
         if is_numpy_array(a):
-            sums = np.empty((*self._grid, 11), np.float32)
+            sums = np.empty((*self._grid, 13), np.float32)
             gather = partial(gather_cells, a, a_rho, b, b_rho, self._along, sums)
             run_bands(gather, self._grid[0], self.threads)
         else:
@@ -145,7 +152,8 @@ class GhostRemover:
             Shown(sums[..., k : k + 3] * share[..., None], sums[..., k + 3] * share, sums[..., rho] * share, offset)
             for k, rho, offset in zip((1, 5), (9, 10), offsets, strict=True)
         ]
-        return shown[0], shown[1], count
+        only_first, only_second = sums[..., 11], sums[..., 12]
+        return *shown, count, (only_first - only_second) / xp.clip(count + only_first + only_second, min=1.0)
 
     def _looked_at(self, view: Rendering) -> tuple[Array, Array]:
         """Colours and inverse depth of the pixels that are looked at."""
@@ -160,11 +168,14 @@ class GhostRemover:
     def _gathered(self, first: Array, first_rho: Array, second: Array, second_rho: Array) -> Array:
         """:func:`omnisyn_cli.fusion.ghost_kernels.gather_cells` by arrays."""
         xp, (rows, cols) = array_namespace(first), (count * self._along for count in self._grid)
-        both = ((first[..., 3] > float(UNSEEN)) & (second[..., 3] > float(UNSEEN)))[..., None]
+        is_first, is_second = (colour[..., 3:] > float(UNSEEN) for colour in (first, second))
         near = xp.clip(xp.stack([first_rho, second_rho], axis=-1), min=0.0)
         values = xp.concat([xp.ones_like(near[..., :1]), first, second, near], axis=-1)
+        values = xp.where(is_first & is_second, values, xp.zeros_like(values))
+        alone = (xp.astype(one & ~other, values.dtype) for one, other in ((is_first, is_second), (is_second, is_first)))
+        values = xp.concat([values, *alone], axis=-1)
         whole = xp.zeros((rows, cols, values.shape[-1]), dtype=values.dtype, device=device(values))
-        whole[: values.shape[0], : values.shape[1]] = xp.where(both, values, xp.zeros_like(values))
+        whole[: values.shape[0], : values.shape[1]] = values
         return xp.sum(whole.reshape(self._grid[0], self._along, self._grid[1], self._along, -1), axis=(1, 3))
 
     def _differing(self, first: Shown, second: Shown, count: Array) -> Bool[Array, "rows cols"]:
