@@ -8,6 +8,7 @@ from training_samples import TINY, make_pool
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.runtime.threads import allowed_threads
 from omnisyn_cli.training.checkpoint import NEEDED, compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
 
@@ -44,6 +45,16 @@ def test_the_log_holds_one_object_per_validation(tmp_path, config):
     assert [row["step"] for row in logged] == [4, 8]
     assert len(rows) == 2
     assert 0 <= logged[0]["delta_25"] <= 1
+
+
+def test_a_batch_is_drawn_on_one_thread_while_the_others_learn(config):
+    trainer, seen = Trainer(TINY, config), []
+    trainer.task = replace(trainer.task, draw=lambda *_: seen.append(allowed_threads()))
+    before = allowed_threads()
+    trainer._batch([])
+    trainer.ahead.shutdown()
+    assert seen == [1, 1]
+    assert allowed_threads() == before
 
 
 def test_time_ends_a_run_after_a_whole_step(tmp_path, config):

@@ -53,7 +53,7 @@ class Trainer:
         if self.task.adversarial is not None:
             self.discriminator = Discriminator(PatchDiscriminator().to(precision.device), config.weight_decay)
         self.scores: dict[str, float] = {}
-        self.ahead = ThreadPoolExecutor(1, "draw", initializer=at_most(1).__enter__)  # the other threads learn
+        self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
         self.drawn: tuple[int, Future[Any]] | None = None
         self.step = 0
         self.cooldown_start: int | None = None
@@ -149,8 +149,13 @@ class Trainer:
         return batch
 
     def _begin_batch(self, step: int, pool: list[Path]) -> tuple[int, Future[Any]]:
+        return step, self.ahead.submit(self._draw, step, pool)
+
+    def _draw(self, step: int, pool: list[Path]) -> Any:
+        """On one thread: the others learn meanwhile."""
         rng = np.random.default_rng([self.config.seed, step])
-        return step, self.ahead.submit(self.task.draw, pool, rng, self.config, self.network, Augmentation())
+        with at_most(1):
+            return self.task.draw(pool, rng, self.config, self.network, Augmentation())
 
     @torch.no_grad()
     def _follow(self) -> None:
