@@ -10,6 +10,7 @@ from stereo_samples import OPENINGS, SIZE, landscape, room
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.stereo import matching
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions, agreeing
 from omnisyn_cli.stereo.surfaces import Matches
 from omnisyn_cli.types import DepthEstimate, View
@@ -156,7 +157,7 @@ def test_rendered_warehouse_with_true_depth() -> None:
 
 
 @pytest.mark.parametrize(("rows", "apart", "is_confirmed"), [
-    (4.0, 0.9, True), (4.0, 1.1, False), (40.0, 1.4, True), (40.0, -1.4, True), (40.0, 1.6, False), (40.0, -1.6, False),
+    (4.0, 0.9, True), (4.0, 1.1, False), (40.0, 1.9, True), (40.0, -1.9, True), (40.0, 2.1, False), (40.0, -2.1, False),
 ])  # fmt: skip
 def test_both_directions_may_differ_by_more_about_near_things(rows: float, apart: float, is_confirmed: bool) -> None:
     """Far things move by a few rows, near ones by many; the other direction has found some rows more or less."""
@@ -166,3 +167,16 @@ def test_both_directions_may_differ_by_more_about_near_things(rows: float, apart
     seen = agreeing((there, back), options.agreement, options.near_agreement)[0].seen
     assert seen[: 64 - int(rows)].all() == is_confirmed
     assert not seen[64 - int(rows) :].any()
+
+
+def test_a_slope_is_read_between_the_rows_of_the_other_direction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other picture foreshortens it: its disparity changes by 1.5 a row, and is found 0.8 too large."""
+    rows = np.arange(64, dtype=np.float64)
+    disparity = np.interp(rows, [10.0, 30.0], [12.0, 0.0])
+    seen_back = rows - np.interp(rows, rows + disparity, rows) + 0.8
+    everywhere = np.ones((64, 4), np.bool_)
+    there, back = (np.repeat(d[:, None], 4, axis=1).astype(np.float32) for d in (disparity, seen_back))
+    found = Matches(there, everywhere), Matches(exchanged_in_epipole_frame(back), everywhere)
+    assert agreeing(found, 1.0)[0].seen.all()
+    monkeypatch.setattr(matching, "STEEP", -1.0)
+    assert 0.2 < agreeing(found, 1.0)[0].seen[10:30].mean() < 0.9

@@ -12,7 +12,7 @@ from omnisyn_cli.stereo.matching import find_sky
 from omnisyn_cli.stereo.planes import find_planes
 from omnisyn_cli.stereo.rectify import rectify, resize_area
 from omnisyn_cli.stereo.semi_global import PARTS, Bands
-from omnisyn_cli.stereo.surfaces import Meridians, _nearness
+from omnisyn_cli.stereo.surfaces import Meridians, _beyond_level, _nearness
 
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
@@ -186,3 +186,20 @@ def test_resizing_averages_over_the_area_of_a_new_pixel(size: tuple[int, int]) -
     factor = 48 // size[0]
     blocks = fine.reshape(size[0], factor, size[1], factor).mean(axis=(1, 3))
     np.testing.assert_allclose(resize_area(image, size), blocks, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", OPENINGS)
+def test_nothing_is_beyond_the_floor_nor_unless_the_sky_is_open_the_ceiling(name: str) -> None:
+    """Of level planes the first, which is the best supported one, is taken; walls bound nothing."""
+    grid = Meridians.of(rectify(room(Pose.identity())[0], room(OPENINGS[name])[0], SMALL))
+    wall = np.cross(grid.up, [0.3, 0.5, 0.8])
+    planes = np.array([wall, 2.0 * grid.up, 0.5 * grid.up, -1.5 * grid.up])
+    for is_open in (False, True):
+        bound = _beyond_level(grid, planes, is_open=is_open)
+        for normal in (-1.5 * grid.up, 2.0 * grid.up):
+            inverse_depth = grid.directions @ normal
+            is_bounded = not (is_open and normal @ grid.up > 0)
+            steep = (grid.disparity(inverse_depth) > 4.0) & (np.sin(grid.polar_angle) > 0.5)
+            farther, same = (grid.disparity(share * inverse_depth) < bound for share in (0.5, 1.0))
+            assert (farther[steep] == is_bounded).all()
+            assert not same[inverse_depth > 0].any()

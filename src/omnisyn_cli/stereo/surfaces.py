@@ -55,7 +55,7 @@ class MatchingOptions:
         label_jump, label_contrast: as ``jump`` and ``contrast``, between surfaces.
         seen_bias, unseen_bias: what semi-global matching costs more than a plane where it is sure and where not.
         remote_bias: what a plane costs more far from every point that it was found by.
-        under_floor: what a surface costs more where it lies beneath the floor.
+        outside: what a surface costs more where it lies beneath the floor or above a ceiling.
         agreement, near_agreement: rows by which both directions may differ about far and about near things.
     """
 
@@ -77,9 +77,9 @@ class MatchingOptions:
     seen_bias: float = 0.15
     unseen_bias: float = 0.5
     remote_bias: float = 0.2
-    under_floor: float = 0.3
+    outside: float = 0.3
     agreement: float = 1.0
-    near_agreement: float = 1.5
+    near_agreement: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -171,9 +171,10 @@ def assign_surfaces(
     A plane counts as seen also where it has no texture; a free match does not. Planes are those of distinct matches.
     """
     planes, support = _planes(grid, replace(free, seen=free.seen & is_distinct), options)
-    surfaces = _surfaces(grid, free, planes, options)
+    is_open = _sees_infinity(grid, free)
+    surfaces = _surfaces(grid, free, planes, options, is_open=is_open)
     cost = _surface_costs(pair, surfaces, options)
-    cost += options.under_floor * (surfaces < _under_floor(grid, planes)[..., None])
+    cost += options.outside * (surfaces < _beyond_level(grid, planes, is_open=is_open)[..., None])
     cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
     cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
     labels = Bands.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
@@ -185,14 +186,16 @@ def assign_surfaces(
     return Matches(disparity, pair.first_usable & ((label > 0) | free.seen))
 
 
-def _surfaces(grid: Meridians, free: Matches, planes: np.ndarray, options: MatchingOptions) -> np.ndarray:
-    """Disparities ``(height, width, candidates)``: the free matches, the planes, and infinity if anything is there."""
+def _surfaces(
+    grid: Meridians, free: Matches, planes: np.ndarray, options: MatchingOptions, *, is_open: bool
+) -> np.ndarray:
+    """Disparities ``(height, width, candidates)``: the free matches, the planes, and infinity if the sky is open."""
     lowest = _lowest(grid, options)
     candidates = [free.disparity]
     for normal in planes:
         disparity = grid.disparity(grid.directions @ normal)
         candidates.append(np.where(disparity < lowest, np.float32(-1.0), disparity))
-    if _sees_infinity(grid, free):
+    if is_open:
         candidates.append(np.where(grid.rise > 0, 0.0, -1.0).astype(np.float32))
     return np.stack(candidates, axis=-1)
 
@@ -248,10 +251,16 @@ def _sees_infinity(grid: Meridians, free: Matches) -> bool:
     return bool((free.seen & above & (free.disparity < 1.0)).sum() > 0.02 * above.sum())
 
 
-def _under_floor(grid: Meridians, planes: np.ndarray) -> np.ndarray:
-    """Disparity below which a pixel is clearly farther than the best supported level plane underneath."""
-    for normal in planes:
-        steepness = -(normal @ grid.up) / max(float(np.linalg.norm(normal)), 1e-12)
-        if steepness > 0.97 and np.linalg.norm(normal) > 0.03:
-            return grid.disparity(0.85 * (grid.directions @ normal)) - 1.0
-    return np.full(grid.directions.shape[:2], -1.0, np.float32)
+def _beyond_level(grid: Meridians, planes: np.ndarray, *, is_open: bool) -> np.ndarray:
+    """Disparity below which a pixel is clearly farther than the floor or, unless the sky is open, the ceiling.
+
+    They are the best supported level planes underneath and overhead.
+    """
+    bound = np.full(grid.directions.shape[:2], -1.0, np.float32)
+    for side in (-1.0,) if is_open else (-1.0, 1.0):
+        for normal in planes:
+            distance = max(float(np.linalg.norm(normal)), 1e-12)
+            if side * (normal @ grid.up) > 0.97 * distance and distance > 0.03:
+                bound = np.maximum(bound, grid.disparity(0.85 * (grid.directions @ normal)) - 1.0)
+                break
+    return bound
