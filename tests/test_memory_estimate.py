@@ -147,7 +147,7 @@ def test_a_data_window_of_depth_takes_the_memory_of_the_whole_sphere(tmp_path: P
 
 
 def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Path) -> None:
-    """Both renderings' colours: in frames of small cells, and where a network corrects the blend."""
+    """Both renderings' colours, in frames of small cells; a network that corrects the blend needs no more of them."""
     images = write_hall(tmp_path, CHAIN[:2])
 
     def bytes_of(rows: int, **changes: object) -> float:
@@ -157,5 +157,5 @@ def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Pa
     few, many = (bytes_of(rows) - bytes_of(rows, renderer="points") for rows in (896, 898))
     assert few - many == pytest.approx(2 * 16, abs=0.1)
     corrected = bytes_of(1024, fusion="network") - bytes_of(1024)
-    assert corrected == pytest.approx(2 * 16 + CORRECTING / (2 * 1024**2), abs=1e-3)
+    assert corrected == pytest.approx(CORRECTING / (2 * 1024**2), abs=1e-3)
     assert bytes_of(1024, save_confidence=tmp_path / "confidence") - bytes_of(1024) == pytest.approx(12, abs=1e-3)

@@ -103,14 +103,17 @@ class GhostRemover:
 
     Attributes:
         looks_everywhere: whether every pixel is looked at, and not only some of each cell.
+        looked_size: how many rows and columns are looked at.
+        along: pixels that are looked at along the side of a cell.
     """
 
     def __init__(self, size: tuple[int, int], options: GhostOptions | None = None, threads: int | None = None) -> None:
         self.size, self.threads, self.options = size, threads, options or GhostOptions()
         self.cell, step = side_of_cells(size), step_in_cells(size)
         self.looks_everywhere = step == 1
-        self._along = -(-self.cell // step)
+        self.along = -(-self.cell // step)
         self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell % step == 0) for count in size)
+        self.looked_size = len(self._rows), len(self._cols)
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._directions = pixel_directions(*self._grid).astype(np.float32)
 
@@ -122,6 +125,22 @@ class GhostRemover:
             second: of the second view.
             rule: how they are blended.
         """
+        return self.among(self.looked_at(first), self.looked_at(second), rule)
+
+    def looked_at(self, view: Rendering) -> Rendering:
+        """The pixels of a rendering that are looked at, as a smaller one; the very same one where these are all."""
+        if self.looks_everywhere and view.held is not None:
+            return view
+        xp, rho = array_namespace(view.inverse_depth), view.inverse_depth
+        if is_numpy_array(rho):
+            near = at_crossings(rho, self._rows, self._cols)
+        else:
+            rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
+            near = xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
+        return Rendering.of(near, view.colour_at(self._rows, self._cols), view.target_from_source)
+
+    def among(self, first: Rendering, second: Rendering, rule: BlendRule) -> Suppression | None:
+        """The same, given the pixels of both that are looked at (:meth:`looked_at`)."""
         if self._reach < NEARBY:
             return None
         one, other, count, more = self._cells(first, second)
@@ -137,10 +156,10 @@ class GhostRemover:
 
     def _cells(self, first: Rendering, second: Rendering) -> tuple[Shown, Shown, Array, Array]:
         """Means over what both views see of each cell; how many pixels these are; what share more the first sees."""
-        (a, a_rho), (b, b_rho) = (self._looked_at(view) for view in (first, second))
+        (a, a_rho), (b, b_rho) = ((view.colour, view.inverse_depth) for view in (first, second))
         if is_numpy_array(a):
             sums = np.empty((*self._grid, 13), np.float32)
-            gather = partial(gather_cells, a, a_rho, b, b_rho, self._along, sums)
+            gather = partial(gather_cells, a, a_rho, b, b_rho, self.along, sums)
             run_bands(gather, self._grid[0], self.threads)
         else:
             sums = self._gathered(a, a_rho, b, b_rho)
@@ -155,19 +174,9 @@ class GhostRemover:
         only_first, only_second = sums[..., 11], sums[..., 12]
         return *shown, count, (only_first - only_second) / xp.clip(count + only_first + only_second, min=1.0)
 
-    def _looked_at(self, view: Rendering) -> tuple[Array, Array]:
-        """Colours and inverse depth of the pixels that are looked at."""
-        if self.looks_everywhere and view.held is not None:
-            return view.held, view.inverse_depth
-        xp, rho = array_namespace(view.inverse_depth), view.inverse_depth
-        if is_numpy_array(rho):
-            return view.colour_at(self._rows, self._cols), at_crossings(rho, self._rows, self._cols)
-        rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
-        return view.colour_at(self._rows, self._cols), xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
-
     def _gathered(self, first: Array, first_rho: Array, second: Array, second_rho: Array) -> Array:
         """:func:`omnisyn_cli.fusion.ghost_kernels.gather_cells` by arrays."""
-        xp, (rows, cols) = array_namespace(first), (count * self._along for count in self._grid)
+        xp, (rows, cols) = array_namespace(first), (count * self.along for count in self._grid)
         is_first, is_second = (colour[..., 3:] > float(UNSEEN) for colour in (first, second))
         near = xp.clip(xp.stack([first_rho, second_rho], axis=-1), min=0.0)
         values = xp.concat([xp.ones_like(near[..., :1]), first, second, near], axis=-1)
@@ -176,7 +185,7 @@ class GhostRemover:
         values = xp.concat([values, *alone], axis=-1)
         whole = xp.zeros((rows, cols, values.shape[-1]), dtype=values.dtype, device=device(values))
         whole[: values.shape[0], : values.shape[1]] = values
-        return xp.sum(whole.reshape(self._grid[0], self._along, self._grid[1], self._along, -1), axis=(1, 3))
+        return xp.sum(whole.reshape(self._grid[0], self.along, self._grid[1], self.along, -1), axis=(1, 3))
 
     def _differing(self, first: Shown, second: Shown, count: Array) -> Bool[Array, "rows cols"]:
         """Cells of different things: not thin, and grown by what an opening took from their edges."""

@@ -30,6 +30,9 @@ PLAIN, DIFFERENT = np.float32(0.01), np.float32(0.06)
 """Root mean square of the difference of two colours up to which it does not matter which of them is shown, and from
 which on all of a correction counts."""
 
+LEAST_SHIFT = np.float32(0.05)
+"""Of the log-ratio of weights, of which a share that is less than 1 % follows: it is left away, which saves work."""
+
 ALIKE = np.float32(0.5)
 """Difference of the log-ratios of weights at which a coarse pixel counts half for a fine one."""
 
@@ -351,17 +354,32 @@ def _correct_run(first, second, rule, tables, correction, row, height, columns, 
 
     The run is of ``columns`` in a ``row`` of a picture of ``height`` and ``width``; other arguments as there.
     """
-    rows, cols = correction.shift.shape
+    shift = correction.shift
+    rows, cols = shift.shape
     zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
     sine, y = tables.sin_p[0], tables.cos_p[0]
     i, down = neighbours(row, height, rows)
     upper, lower = max(i, 0), min(i + 1, rows - 1)
+    since = until = 0
+    greatest = zero
     for col in range(len(first.inverse_depth)):
+        if not since <= columns[col] < until:
+            j, right = neighbours(columns[col], width, cols)
+            since, until = columns[col], math.ceil((j + 1.5) * width / cols - 0.5)
+            before, beyond = j % cols, (j + 1) % cols
+            greatest = max(
+                abs(shift[upper, before]),
+                abs(shift[upper, beyond]),
+                abs(shift[lower, before]),
+                abs(shift[lower, beyond]),
+            )
+        if greatest < LEAST_SHIFT:
+            continue
         weight_a, weight_b = first.colour[4 * col + 3], second.colour[4 * col + 3]
         if not (weight_a > UNSEEN and weight_b > UNSEEN):
             continue
         counts = _relevance(first.colour, second.colour, col)
-        if counts == zero:
+        if counts * greatest < LEAST_SHIFT:
             continue
         a, b = view_weights(
             weight_a, max(first.inverse_depth[col], zero), first.offset,
@@ -380,7 +398,7 @@ def _correct_run(first, second, rule, tables, correction, row, height, columns, 
             unlike = (correction.log_ratio[r, c] - ratio) / ALIKE
             share *= correction.both[r, c] / (one + unlike * unlike)
             total += share
-            value += share * correction.shift[r, c]
+            value += share * shift[r, c]
         if total < FAINT or value == zero:
             continue
         factor = np.float32(math.exp(half * counts * value / total))

@@ -6,10 +6,15 @@ from omnisyn_cli.fusion.kernels import FAINT, neighbours, stored
 from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.types import UNSEEN
 
+LOOKED_AT = 4
+"""Rows and columns of a block that are enough for its mean."""
+
 
 @fast_kernel()
 def reduce_band(colour, rho, coarse, coarse_rho, top, height):
     """Some rows of a rendering at a smaller size: means over blocks of what is seen, by its weight.
+
+    Of large blocks every so many-th row and column is looked at, at least :data:`LOOKED_AT` of each.
 
     Args:
         colour: ``(rows, width, 4)`` RGB and weight; the rows are those of whole blocks.
@@ -27,9 +32,12 @@ def reduce_band(colour, rho, coarse, coarse_rho, top, height):
         above, below = i * height // rows - top, (i + 1) * height // rows - top
         for j in range(cols):
             left, right = j * width // cols, (j + 1) * width // cols
+            down, across = max(1, (below - above) // LOOKED_AT), max(1, (right - left) // LOOKED_AT)
             red = green = blue = near = total = zero
-            for row in range(above, below):
-                for col in range(left, right):
+            count = 0
+            for row in range(above, below, down):
+                for col in range(left, right, across):
+                    count += 1
                     weight = colour[row, col, 3]
                     if weight > UNSEEN:
                         red += weight * colour[row, col, 0]
@@ -37,7 +45,7 @@ def reduce_band(colour, rho, coarse, coarse_rho, top, height):
                         blue += weight * colour[row, col, 2]
                         near += weight * max(rho[row, col], zero)
                         total += weight
-            weight = total / np.float32((below - above) * (right - left))
+            weight = total / np.float32(count)
             if weight > UNSEEN:
                 coarse[i, j, 0] = min(one, max(zero, red / total))
                 coarse[i, j, 1] = min(one, max(zero, green / total))

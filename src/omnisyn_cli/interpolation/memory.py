@@ -185,11 +185,7 @@ def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int
     corrected = CORRECTING if recipe.fusion == "network" else 0
     collected = SPLATTING if recipe.renderer == "points" else 0
     seen = 4 if recipe.renderer == "mesh" else 8  # the others know which point or face it is, too
-    is_held = (
-        recipe.renderer != "mesh"
-        or recipe.fusion == "network"
-        or (recipe.fusion == "geometric" and step_in_cells(size) == 1)
-    )
+    is_held = recipe.renderer != "mesh" or (recipe.fusion != "painting" and step_in_cells(size) == 1)
     is_judged = recipe.fallback == "crossfade" or recipe.confidence
     marked = 1 if recipe.edges and recipe.renderer == "mesh" and recipe.fusion != "painting" else 0
     frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING
