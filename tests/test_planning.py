@@ -36,8 +36,7 @@ def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("asked", "fusion"),
     [
-        ({"preset": "fast", "depth": "refined"}, "geometric"),
-        ({"preset": "balanced", "depth": "refined"}, "network"),
+        ({"preset": "balanced", "depth": "refined"}, "geometric"),
         ({"preset": "accurate", "depth": "refined"}, "network"),
         ({"preset": "accurate"}, "geometric"),  # depth comes from files
         ({"preset": "accurate", "fusion": "network"}, "network"),

@@ -28,7 +28,7 @@ from omnisyn_cli.evaluation.pareto import Figures, Setting, gain
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.synthesis.presets import PRESETS, SCALE
-from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
+from omnisyn_cli.synthesis.recipe import Recipe
 from synthesis_samples import write_hall
 
 FRAME = {"render": 0.1, "fuse": 0.04, "encode": 0.06}
@@ -43,14 +43,11 @@ def figures_of(recipe: Recipe, rows: int = 64, **changes: object) -> Figures:
     return replace(Figures(setting, recipe=recipe, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
 
 
-TABLE = (
-    *(
-        figures_of(
-            SCALE[name].recipe, seconds={**SECONDS, "depth": depth, "fuse": fuse}, scores={"a": score, "b": score + 1}
-        )
-        for (name, score), depth, fuse in zip(SCORES.items(), (2.0, 10.0, 10.0), (0.04, 0.04, 3.04), strict=True)
-    ),
-    figures_of(Recipe(DepthSource("matching"), adaptive=True), seconds={**SECONDS, "fuse": 0.02}),
+TABLE = tuple(
+    figures_of(
+        SCALE[name].recipe, seconds={**SECONDS, "depth": depth, "fuse": fuse}, scores={"a": score, "b": score + 1}
+    )
+    for (name, score), depth, fuse in zip(SCORES.items(), (2.0, 10.0, 10.0), (0.04, 0.04, 3.04), strict=True)
 )
 
 
@@ -101,7 +98,7 @@ def test_stages_have_the_figures_of_what_they_depend_on(plan: InterpolationPlan)
     """Depth that of its rows, frames those of their renderer and of their fusion; whatever else there is."""
     base = plan.recipe
     points = figures_of(replace(base, renderer="points"), seconds={**SECONDS, "render": 1.0})
-    both = replace(plan, recipe=replace(base, renderer="points", fusion_rows=128))
+    both = replace(plan, recipe=replace(base, renderer="points", fusion="network"))
     usual, asked = work(plan, (*TABLE, points)), work(both, (*TABLE, points))
     assert asked.frames - usual.frames == pytest.approx(10 * (0.9 + 3.0))
     assert asked.pairs == usual.pairs

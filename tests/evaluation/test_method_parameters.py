@@ -67,9 +67,9 @@ def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
 def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
     digest = models.read_manifest()[FUSION_MODELS["network"]].sha256
     assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
-    assert digest in find_method("omnisyn-fast:cut=0.1:fusion=network").ingredients()
-    assert digest in find_method("omnisyn-balanced").ingredients()
-    for name in ("matching", "omnisyn-fast", "omnisyn-balanced:fusion=geometric", "omnisyn-balanced:views=1"):
+    assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
+    assert digest in find_method("omnisyn-accurate").ingredients()
+    for name in ("matching", "omnisyn-balanced", "oracle-depth:views=1"):
         assert digest not in find_method(name).ingredients()
 
 

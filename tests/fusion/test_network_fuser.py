@@ -293,7 +293,7 @@ def test_the_network_is_not_asked_where_it_has_no_say():
 
 @pytest.mark.parametrize(
     ("size", "expected"),
-    [((2048, 4096), (128, 256)), ((128, 256), (128, 256)), ((120, 240), (96, 192)), ((31, 62), None)],
+    [((2048, 4096), (64, 128)), ((64, 128), (64, 128)), ((60, 120), (32, 64)), ((31, 62), None)],
 )
 def test_the_size_that_the_network_works_at(size, expected):
     assert working_size(size) == expected

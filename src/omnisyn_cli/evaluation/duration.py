@@ -238,7 +238,7 @@ ASPECTS: dict[str, Callable[[Recipe], object]] = {
     "depth.kind": lambda recipe: recipe.depth.kind,
     "depth.model": lambda recipe: recipe.depth.model,
     "renderer": lambda recipe: recipe.renderer,
-    "fusion": lambda recipe: (recipe.fusion, recipe.fusion_rows if recipe.fusion == "network" else None),
+    "fusion": lambda recipe: recipe.fusion,
     "edges": lambda recipe: recipe.edges,
 }
 """What a stage may depend on."""

@@ -229,10 +229,7 @@ BASES: Mapping[str, ComparedMethod] = {
             "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
             replace(_DEFAULT, renderer="two-pass"),
         ),
-        (
-            "first-view-only", "the default preset's depth, only the first panorama is shown",
-            replace(_DEFAULT, fusion="geometric"),
-        ),
+        ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
         (
             "monocular", "depth from each panorama alone, mesh, geometric fusion",
             Recipe(DepthSource("monocular", model=SYNSIN_MODELS[0])),
@@ -255,7 +252,7 @@ LEAST_ROWS = 32
 ONE_VIEW = "views=1"
 
 VARIANTS = (
-    f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
+    f"omnisyn-{DEFAULT_PRESET}:fusion=network",
     "matching:metres=2",
     "matching:cut=0.02",
     "matching:cut=0.1",
@@ -302,7 +299,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         if parameter in LEFT_OUT:
             return replace(method, recipe=replace(recipe, **LEFT_OUT[parameter]))
         if parameter == ONE_VIEW:
-            return replace(method, recipe=replace(recipe, fusion="geometric"), shows_first_only=True)
+            return replace(method, shows_first_only=True)
         if parameter == IN_TOUR and recipe.depth.kind != "file":
             return replace(method, is_in_tour=True)
         if key == "depth":

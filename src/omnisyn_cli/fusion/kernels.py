@@ -348,6 +348,14 @@ def _relevance(first, second, col):
     return x * x * (np.float32(3.0) - np.float32(2.0) * x)
 
 
+@inlined()
+def _greatest_around(values, upper, lower, col):
+    """Of two by two numbers, those of columns ``col`` and ``col + 1``, which wrap."""
+    before, beyond = col % values.shape[1], (col + 1) % values.shape[1]
+    greatest = max(abs(values[upper, before]), abs(values[lower, before]))
+    return max(greatest, abs(values[upper, beyond]), abs(values[lower, beyond]))
+
+
 @fast_kernel()
 def _correct_run(first, second, rule, tables, correction, row, height, columns, width, mixed):
     """Correct what :func:`_blend_run` found where it matters which of the views is shown.
@@ -364,15 +372,9 @@ def _correct_run(first, second, rule, tables, correction, row, height, columns, 
     greatest = zero
     for col in range(len(first.inverse_depth)):
         if not since <= columns[col] < until:
-            j, right = neighbours(columns[col], width, cols)
+            j, _ = neighbours(columns[col], width, cols)
             since, until = columns[col], math.ceil((j + 1.5) * width / cols - 0.5)
-            before, beyond = j % cols, (j + 1) % cols
-            greatest = max(
-                abs(shift[upper, before]),
-                abs(shift[upper, beyond]),
-                abs(shift[lower, before]),
-                abs(shift[lower, beyond]),
-            )
+            greatest = _greatest_around(shift, upper, lower, j)
         if greatest < LEAST_SHIFT:
             continue
         weight_a, weight_b = first.colour[4 * col + 3], second.colour[4 * col + 3]
@@ -399,7 +401,7 @@ def _correct_run(first, second, rule, tables, correction, row, height, columns, 
             share *= correction.both[r, c] / (one + unlike * unlike)
             total += share
             value += share * shift[r, c]
-        if total < FAINT or value == zero:
+        if total < FAINT:
             continue
         factor = np.float32(math.exp(half * counts * value / total))
         share_a = a * factor / (a * factor + b / factor)

@@ -42,8 +42,7 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
         cut=usual.cut if is_cut_as_usual else job.cut,
         cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
         adaptive=usual.adaptive if job.adaptive is None else job.adaptive,
-        fusion=_usual_fusion(job, usual) if job.fusion == "auto" else job.fusion,
-        fusion_rows=usual.fusion_rows,
+        fusion=usual.fusion if job.fusion == "auto" else job.fusion,
         edges=usual.edges, fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
     )  # fmt: skip
     return replace(recipe, is_on_gpu=job.device == "cuda" and not _against_gpu(recipe))
@@ -55,11 +54,6 @@ def for_frames(recipe: Recipe, job: InterpolationJob, frames: int) -> Recipe:
         return recipe
     is_worth_it = frames > FRAMES_THAT_PAY * (len(job.images) - 1) and not recipe.is_on_gpu
     return replace(recipe, adaptive=recipe.adaptive and is_worth_it)
-
-
-def _usual_fusion(job: InterpolationJob, usual: Recipe) -> str:
-    """The preset's; on a GPU, which knows rules only, these rather than frames that are made on the processor."""
-    return "geometric" if job.device == "cuda" and usual.fusion == "network" else usual.fusion
 
 
 def _depth_kind(job: InterpolationJob, entries: Sequence[PosedPanorama], usual: Recipe) -> str:

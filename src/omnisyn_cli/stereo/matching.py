@@ -16,8 +16,9 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.runtime.thread_limit import limited_threads
-from omnisyn_cli.runtime.threads import both
+from omnisyn_cli.runtime.threads import both, run_bands
 from omnisyn_cli.stereo.evidence import Evidence
 from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
@@ -166,14 +167,25 @@ def _confirmed(disparity: np.ndarray, other: np.ndarray, far: float, near: float
     That is between two of its rows. What is near is foreshortened in one of the pictures, where its disparity changes a
     lot from row to row: it is read between them, unless they differ by so much that an edge lies between them.
     """
-    height = disparity.shape[0]
-    target = np.arange(height)[:, None] + disparity
-    above = np.clip(np.floor(target), 0, height - 2).astype(np.int64)
-    share = np.clip(target - above, 0.0, 1.0)
-    upper, lower = (np.take_along_axis(other, row, axis=0) for row in (above, above + 1))
-    nearest, between = np.where(share < 0.5, upper, lower), upper + share * (lower - upper)
-    found = np.where(np.abs(lower - upper) <= STEEP, between, nearest)
-    return np.asarray((np.abs(found - disparity) <= np.clip(NEAR * disparity, far, near)) & (target <= height - 1))
+    out = np.empty(disparity.shape, np.bool_)
+    run_bands(partial(_confirm, disparity, other, far, near, NEAR, STEEP, out), len(out))
+    return out
+
+
+@fast_kernel()
+def _confirm(disparity, other, far, near, slack, steep, out, begin, end):  # type: ignore[no-untyped-def]
+    height, width = disparity.shape
+    for row in range(begin, end):
+        for col in range(width):
+            value = disparity[row, col]
+            target = row + value
+            above = min(max(math.floor(target), 0), height - 2)
+            share = min(max(target - above, 0.0), 1.0)
+            upper, lower = other[above, col], other[above + 1, col]
+            found = upper if share < 0.5 else lower
+            if abs(lower - upper) <= steep:
+                found = upper + share * (lower - upper)
+            out[row, col] = target <= height - 1 and abs(found - value) <= min(max(slack * value, far), near)
 
 
 def is_measurable(grid: Meridians, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:

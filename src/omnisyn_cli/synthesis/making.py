@@ -67,9 +67,7 @@ def make_method(
 
         return (FlowFades if recipe.method == "flow" else CrossFades)(options, clock)
     device = _open_gpu(size) if recipe.is_on_gpu else None
-    fuser = fuser or make_fuser(
-        recipe.fusion, size, device=recipe.device, threads=threads, edges=recipe.edges, rows=recipe.fusion_rows
-    )
+    fuser = fuser or make_fuser(recipe.fusion, size, device=recipe.device, threads=threads, edges=recipe.edges)
     estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
     return SurfaceMethod(estimator, options, fuser, clock, device)
 
@@ -114,7 +112,7 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
 
 def make_fuser(
     name: str, size: tuple[int, int], *, model: str | None = None, device: str = "auto", threads: int | None = None,
-    edges: bool = True, rows: int = Recipe.fusion_rows,
+    edges: bool = True,
 ) -> Fuser:  # fmt: skip
     """A fuser for frames of a size.
 
@@ -126,7 +124,6 @@ def make_fuser(
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
         edges: whether pixels at edges are means of samples; never where a network paints.
-        rows: that the fusion ``network`` looks at, at most.
 
     Raises:
         ValueError: an unknown name.
@@ -147,7 +144,7 @@ def make_fuser(
         return PaintingFuser(size, SessionPainter(session), threads=threads)
     from omnisyn_cli.fusion.network import NetworkFuser
 
-    return NetworkFuser(size, SessionFusion(session), threads=threads, rows=rows, edges=edges)
+    return NetworkFuser(size, SessionFusion(session), threads=threads, edges=edges)
 
 
 def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:

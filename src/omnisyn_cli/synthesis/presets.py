@@ -1,7 +1,7 @@
 """How much time accuracy is worth: recipes with a name, from fast to accurate; and the paper's own method."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
@@ -24,11 +24,8 @@ class Preset:
     recipe: Recipe
 
 
-def _refined(rows: int) -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced"), adaptive=True, fusion="network")
-
-
-_FAST = replace(_refined(384), fusion="geometric", edges=False)
+def _refined(rows: int, fusion: str = "geometric", *, edges: bool = True) -> Recipe:
+    return Recipe(DepthSource("refined", rows, "completion-balanced"), adaptive=True, fusion=fusion, edges=edges)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -36,9 +33,9 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 
 
 SCALE: Mapping[str, Preset] = _by_name(
-    Preset("fast", "matching at ¾ of the size, refined by a network; fused by rules", _FAST),
-    Preset("balanced", "matching, refined by a network, sharpened at twice the size; a network fuses", _refined(1024)),
-    Preset("accurate", "the same, fused by a closer look", replace(_refined(1024), fusion_rows=128)),
+    Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
+    Preset("balanced", "matching, refined by a network, sharpened at twice the size", _refined(1024)),
+    Preset("accurate", "the same, and a network fuses", _refined(1024, "network")),
 )
 """By name, from the fastest to the most accurate."""
 

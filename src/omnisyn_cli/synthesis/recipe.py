@@ -92,7 +92,6 @@ class Recipe:
         cut_metres: step of depth at which they are cut (the paper's rule), likewise.
         adaptive: whether flat surfaces are drawn with fewer triangles.
         fusion: one of :data:`FUSIONS`.
-        fusion_rows: of the small pictures that the fusion ``network`` looks at.
         edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.edges`; meshes that rules fuse
             have some.
         fallback: one of :data:`FALLBACKS`.
@@ -108,7 +107,6 @@ class Recipe:
     cut_metres: float | None = None
     adaptive: bool = False
     fusion: str = "geometric"
-    fusion_rows: int = 64
     edges: bool = True
     fallback: str = "none"
     confidence: bool = False

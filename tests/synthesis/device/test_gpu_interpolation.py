@@ -1,7 +1,6 @@
 """``--device cuda`` from the command to the files, made here with the processor as the device."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,25 +101,13 @@ def test_the_plan_says_what_the_gpu_does_not_do(tmp_path: Path, changes: dict[st
 
 def test_notes_follow_the_preset(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
-    plan = plan_interpolation(job_of(tmp_path, images, device="cuda", preset="paper"))
+    plan = plan_interpolation(job_of(tmp_path, images, device="cuda", preset="accurate"))
     assert not plan.recipe.is_on_gpu
     assert len(plan.notes) == 1
     faster = with_preset(plan, "fast")
     assert faster.recipe.is_on_gpu
     assert faster.notes == ()
-    assert with_preset(faster, "paper").notes == plan.notes
-
-
-@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
-def test_on_a_gpu_rules_fuse_unless_the_network_is_asked_for(tmp_path: Path, preset: str) -> None:
-    images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
-    job = job_of(tmp_path, images, device="cuda", preset=preset)
-    recipe = plan_interpolation(job).recipe
-    assert recipe.is_on_gpu
-    assert recipe.fusion == "geometric"
-    asked = plan_interpolation(replace(job, fusion="network")).recipe
-    assert not asked.is_on_gpu
-    assert asked.fusion == "network"
+    assert with_preset(faster, "accurate").notes == plan.notes
 
 
 def test_other_methods_have_nothing_to_do_with_it(tmp_path: Path) -> None:
