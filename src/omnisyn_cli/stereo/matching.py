@@ -34,9 +34,9 @@ NEAR = 0.08
 """Share of a disparity by which both directions may differ, between what they may for far and for near things."""
 
 STEEP = 2.0
-"""Rows of disparity by which two rows one above the other differ where they show one surface.
+"""Disparities of two neighbouring rows that differ by more than this belong to two surfaces.
 
-With more of them noise confirms itself: the shadow of a lamp on a road without texture falls to pieces.
+If more were allowed, noise would confirm itself: the shadow of a lamp on a road without texture fell to pieces.
 """
 
 SPECKLE = 20

@@ -259,8 +259,8 @@ def _beyond_level(grid: Meridians, planes: np.ndarray, *, is_open: bool) -> np.n
     bound = np.full(grid.directions.shape[:2], -1.0, np.float32)
     for side in (-1.0,) if is_open else (-1.0, 1.0):
         for normal in planes:
-            distance = max(float(np.linalg.norm(normal)), 1e-12)
-            if side * (normal @ grid.up) > 0.97 * distance and distance > 0.03:
+            nearness = float(np.linalg.norm(normal))
+            if side * (normal @ grid.up) > 0.97 * nearness and nearness > 0.03:
                 bound = np.maximum(bound, grid.disparity(0.85 * (grid.directions @ normal)) - 1.0)
                 break
     return bound
