@@ -10,6 +10,7 @@ import torch
 
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
+from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -119,6 +120,21 @@ def test_a_torn_thing_does_not_show_the_other_view_through_its_holes(stripes: in
     inner = where & ~holes & ~border(where, 8)
     share = share_of(found, with_ball(background, where), background)[inner]
     assert np.median(share) == pytest.approx(1.0 - winner, abs=0.03)
+
+
+def test_a_network_has_no_say_in_what_moved() -> None:
+    """Nor at the border of it, where the view that is not shown keeps some of its weight."""
+    where, elsewhere, background = ball(200), ball(400), wall()
+    near = rendering(with_ball(background, where), np.where(where, 0.6, 0.3), z=-1e-3)
+    brighter = background + np.float32(0.1) * elsewhere[..., None]  # too little to have moved
+    far = rendering(brighter, np.where(elsewhere, 0.2, 0.3), z=1e-3)
+
+    def insist(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.full(planes.shape[1:], -6.0, np.float32), np.zeros((3, *planes.shape[1:]), np.float32)
+
+    change = np.abs(NetworkFuser(SIZE, insist, threads=1)(near, far, 0.5) - fuse(near, far, 0.5)).max(axis=-1)
+    assert change[where].max() < 1e-5
+    assert change[elsewhere].max() > 0.05
 
 
 def test_outside_of_what_moved_nothing_changes() -> None:

@@ -2,7 +2,8 @@
 
 The network looks at both renderings at a size of its own and says, for each pixel, by how much the geometric weights
 are to be shifted from one view to the other, and what is to be added to the colour that a hole was filled with. What is
-seen keeps the sharpness of the photographs at any size of the frames; where both views agree nothing changes; towards
+seen keeps the sharpness of the photographs at any size of the frames; where both views agree nothing changes, nor where
+something moved, which one of them shows as a whole (:mod:`omnisyn_cli.fusion.ghosts`); towards
 the ends of the way the corrections fade, so that both ends are the photographs themselves.
 
 Source: OmniSyn, section 3.5, with weights in the place of colours.
@@ -16,7 +17,7 @@ from jaxtyping import Float32
 
 from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
-from omnisyn_cli.fusion.ghosts import is_in_place
+from omnisyn_cli.fusion.ghosts import Suppression, is_in_place
 from omnisyn_cli.fusion.kernels import Correction, storing_in
 from omnisyn_cli.fusion.network_kernels import colour_holes
 from omnisyn_cli.fusion.planes import FusionPlanes, PlaneMaker
@@ -38,6 +39,15 @@ MULTIPLE = 32
 
 LEAST_STRENGTH = 1e-6
 """So close to an end the correction could change no colour, and weights may be too small for their ratio to be one."""
+
+
+def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
+    """0 where one of the views is not shown, as a whole (:mod:`omnisyn_cli.fusion.ghosts`), else 1, at a size."""
+    decided = np.abs(suppression.suppressed)
+    for axis in (0, 1):
+        first = np.arange(size[axis]) * decided.shape[axis] // size[axis]
+        decided = np.maximum.reduceat(decided, first, axis=axis)
+    return np.asarray(1.0 - decided, np.float32)
 
 
 class FusionCorrection(Protocol):
@@ -111,14 +121,19 @@ class NetworkFuser(GeometricFuser):
         if seen.is_settled:
             self.paint(judged, rule, out)
         else:
-            self._correct(judged, rule, seen, out)
+            self._correct(judged, rule, seen, suppression, out)
         return out
 
-    def _correct(self, views: Views, rule: BlendRule, seen: FusionPlanes, out: Picture) -> None:
+    def _correct(
+        self, views: Views, rule: BlendRule, seen: FusionPlanes, suppression: Suppression | None, out: Picture
+    ) -> None:
         """The picture as the network wants it."""
         shift, colours = self._correction(seen.planes)
         strength, storing = np.float32(rule.strictness), storing_in(out)
-        self.paint(views, rule, out, Correction(strength * seen.doubt * shift, seen.log_ratio, seen.both))
+        shift *= strength * seen.doubt
+        if suppression is not None:
+            shift *= undecided(suppression, shift.shape)
+        self.paint(views, rule, out, Correction(shift, seen.log_ratio, seen.both))
 
         def add(begin: int, end: int) -> None:
             colour_holes(self.is_seen, colours, seen.holes, strength, storing, out, begin, end)
