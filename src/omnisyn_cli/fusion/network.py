@@ -3,8 +3,8 @@
 The network looks at both renderings at a size of its own and says, for each pixel, by how much the geometric weights
 are to be shifted from one view to the other, and what is to be added to the colour that a hole was filled with. What is
 seen keeps the sharpness of the photographs at any size of the frames; where both views agree nothing changes, nor where
-something moved, which one of them shows as a whole (:mod:`omnisyn_cli.fusion.ghosts`); towards
-the ends of the way the corrections fade, so that both ends are the photographs themselves.
+something moved, which one of them shows as a whole (:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the
+corrections fade, so that both ends are the photographs themselves.
 
 Source: OmniSyn, section 3.5, with weights in the place of colours.
 """
