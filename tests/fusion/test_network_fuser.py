@@ -9,6 +9,7 @@ from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.fusion.kernels import LEAST_SHIFT
 from omnisyn_cli.fusion.network import NetworkFuser, working_size
 from omnisyn_cli.fusion.network_kernels import reduce_band
 from omnisyn_cli.fusion.planes import PLANES, PlaneMaker, doubt_of
@@ -206,6 +207,33 @@ def test_means_over_blocks_count_what_is_seen_by_its_worth():
             np.testing.assert_allclose(coarse[i, j, :3], expected, rtol=1e-5)
             expected_rho = (np.maximum(view.inverse_depth[block], 0) * weight).sum() / weight.sum()
             np.testing.assert_allclose(rho[i, j], expected_rho, rtol=1e-5)
+
+
+def test_of_large_blocks_every_second_row_and_column_is_enough_for_a_mean():
+    view = rendering(4, (64, 128), holes=0.4)
+    coarse, rho = np.empty((8, 16, 4), np.float32), np.empty((8, 16), np.float32)
+    reduce_band(view.colour, view.inverse_depth, coarse, rho, 0, 64)
+    some, some_rho = np.empty_like(coarse), np.empty_like(rho)
+    reduce_band(view.colour[::2, ::2].copy(), view.inverse_depth[::2, ::2].copy(), some, some_rho, 0, 32)
+    np.testing.assert_array_equal(coarse, some)
+    np.testing.assert_array_equal(rho, some_rho)
+
+
+@pytest.mark.parametrize("size", [(64, 128), (72, 144), (80, 160)])
+def test_a_strong_word_counts_where_weak_ones_are_passed_over(size):
+    """Only some places of the network are asked for; around them the picture is that of a network that speaks up."""
+    views, spot = pair(size, holes=0.0), np.zeros((ROWS, 2 * ROWS), np.float32)
+    spot[10:14, 20:40] = 2.0
+    passed_over, every = (fuse(views, 0.5, Answers(shift=spot + rest)) for rest in (0.0, 1.1 * float(LEAST_SHIFT)))
+    change = np.abs(passed_over - geometric(views, 0.5)).max(axis=-1)
+    inside = np.zeros(size, bool)
+    inside[10 * size[0] // ROWS : 14 * size[0] // ROWS, 20 * size[1] // (2 * ROWS) : 40 * size[1] // (2 * ROWS)] = True
+    margin = 2 * size[0] // ROWS
+    around = np.roll(np.roll(inside, margin, 0), margin, 1) | np.roll(np.roll(inside, -margin, 0), -margin, 1) | inside
+    around |= np.roll(np.roll(inside, margin, 0), -margin, 1) | np.roll(np.roll(inside, -margin, 0), margin, 1)
+    assert change[inside].max() > 0.1
+    assert change[~around].max() == 0.0
+    assert np.abs(every - passed_over).max() < 0.03, "nothing is passed over in one of them"
 
 
 def test_the_planes_are_what_they_are_said_to_be():
