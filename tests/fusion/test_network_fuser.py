@@ -232,7 +232,7 @@ def test_a_strong_word_counts_where_weak_ones_are_passed_over(size):
     around = np.roll(np.roll(inside, margin, 0), margin, 1) | np.roll(np.roll(inside, -margin, 0), -margin, 1) | inside
     around |= np.roll(np.roll(inside, margin, 0), -margin, 1) | np.roll(np.roll(inside, -margin, 0), margin, 1)
     assert change[inside].max() > 0.1
-    assert change[~around].max() == 0.0
+    assert change[~around].max() < 1e-6
     assert np.abs(every - passed_over).max() < 0.03, "nothing is passed over in one of them"
 
 
