@@ -42,7 +42,7 @@ LEAST_STRENGTH = 1e-6
 
 
 def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
-    """0 where one of the views is not shown, as a whole (:mod:`omnisyn_cli.fusion.ghosts`), else 1, at a size."""
+    """How far it is open which view is shown: 0 where one of them is suppressed, 1 where neither is, at a size."""
     decided = np.abs(suppression.suppressed)
     for axis in (0, 1):
         first = np.arange(size[axis]) * decided.shape[axis] // size[axis]
@@ -130,9 +130,9 @@ class NetworkFuser(GeometricFuser):
         """The picture as the network wants it."""
         shift, colours = self._correction(seen.planes)
         strength, storing = np.float32(rule.strictness), storing_in(out)
-        shift *= strength * seen.doubt
+        shift = strength * seen.doubt * shift
         if suppression is not None:
-            shift *= undecided(suppression, shift.shape)
+            shift = undecided(suppression, shift.shape) * shift
         self.paint(views, rule, out, Correction(shift, seen.log_ratio, seen.both))
 
         def add(begin: int, end: int) -> None:
