@@ -8,8 +8,10 @@ import pytest
 from stereo_samples import OPENINGS, SIZE, landscape, room
 
 from omnisyn_cli.errors import ImageError
+from omnisyn_cli.evaluation.depth_table import make_pair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.stereo import matching
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions, agreeing
 from omnisyn_cli.stereo.surfaces import Matches
@@ -78,6 +80,13 @@ def test_the_sky_is_exactly_zero_and_the_ground_is_flat(estimator: MatchingDepth
     horizon = SIZE[0] // 2
     assert np.mean(estimate[: horizon - 8] == 0) > 0.97
     assert share_within(estimate[horizon + 20 :], truth[horizon + 20 :], 1.1) > 0.95
+
+
+def test_a_plain_ceiling_is_no_sky_because_a_window_shows_some() -> None:
+    first, second = make_pair(generate_scene("room", 20_000_020), 20_000_020, (512, 1024), threads=1)
+    for evidence in MatchingDepthEstimator(threads=1).evidence(first, second):
+        assert not evidence.sky.any()
+        assert (evidence.filled[:64] > 0.1).mean() > 0.95, "the ceiling is two metres overhead"
 
 
 def test_a_bright_blank_ceiling_is_no_sky(estimator: MatchingDepthEstimator) -> None:

@@ -54,7 +54,8 @@ class MatchingOptions:
         plane_share: least share of the matched solid angle for a plane.
         label_jump, label_contrast: as ``jump`` and ``contrast``, between surfaces.
         seen_bias, unseen_bias: what semi-global matching costs more than a plane where it is sure and where not.
-        remote_bias: what a plane costs more far from every point that it was found by.
+        remote_bias: what a plane costs more far from every point that it was found by, and infinity far from texture
+            that stands still: a ceiling is none because a window shows the sky.
         outside: what a surface costs more where it lies beneath the floor or above a ceiling.
         agreement, near_agreement: rows by which both directions may differ about far and about near things.
     """
@@ -177,6 +178,8 @@ def assign_surfaces(
     cost += options.outside * (surfaces < _beyond_level(grid, planes, is_open=is_open)[..., None])
     cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
     cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
+    if is_open:
+        cost[..., -1] += options.remote_bias * (1.0 - _nearness(_standing_still(grid, free)))
     labels = Bands.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
     jump, contrast = options.label_jump, options.label_contrast
     total = aggregate(counted(cost).ravel(), labels, pair.first.mean(-1), jump, jump, contrast).reshape(cost.shape)
@@ -247,8 +250,17 @@ def _nearness(mask: np.ndarray) -> np.ndarray:
 
 def _sees_infinity(grid: Meridians, free: Matches) -> bool:
     """Whether texture above the horizon, away from the epipoles, stands still."""
-    above = (grid.rise > 0) & (np.sin(grid.polar_angle) > 0.35)
-    return bool((free.seen & above & (free.disparity < 1.0)).sum() > 0.02 * above.sum())
+    return bool(_standing_still(grid, free).sum() > 0.02 * _away_above(grid).sum())
+
+
+def _standing_still(grid: Meridians, free: Matches) -> Bool[np.ndarray, "height width"]:
+    """Texture above the horizon that has no parallax."""
+    return np.asarray(free.seen & _away_above(grid) & (free.disparity < 1.0))
+
+
+def _away_above(grid: Meridians) -> Bool[np.ndarray, "height width"]:
+    """Above the horizon, away from the epipoles."""
+    return np.asarray((grid.rise > 0) & (np.sin(grid.polar_angle) > 0.35))
 
 
 def _beyond_level(grid: Meridians, planes: np.ndarray, *, is_open: bool) -> np.ndarray:
