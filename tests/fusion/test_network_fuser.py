@@ -226,11 +226,8 @@ def test_a_strong_word_counts_where_weak_ones_are_passed_over(size):
     spot[10:14, 20:40] = 2.0
     passed_over, every = (fuse(views, 0.5, Answers(shift=spot + rest)) for rest in (0.0, 1.1 * float(LEAST_SHIFT)))
     change = np.abs(passed_over - geometric(views, 0.5)).max(axis=-1)
-    inside = np.zeros(size, bool)
-    inside[10 * size[0] // ROWS : 14 * size[0] // ROWS, 20 * size[1] // (2 * ROWS) : 40 * size[1] // (2 * ROWS)] = True
-    margin = 2 * size[0] // ROWS
-    around = np.roll(np.roll(inside, margin, 0), margin, 1) | np.roll(np.roll(inside, -margin, 0), -margin, 1) | inside
-    around |= np.roll(np.roll(inside, margin, 0), -margin, 1) | np.roll(np.roll(inside, -margin, 0), margin, 1)
+    row, col = (np.indices(size).T * np.array([ROWS / size[0], 2 * ROWS / size[1]])).T
+    inside, around = ((np.abs(row - 12) < 2 + margin) & (np.abs(col - 30) < 10 + margin) for margin in (0, 2))
     assert change[inside].max() > 0.1
     assert change[~around].max() < 1e-6
     assert np.abs(every - passed_over).max() < 0.03, "nothing is passed over in one of them"

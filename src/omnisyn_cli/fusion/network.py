@@ -22,6 +22,7 @@ from omnisyn_cli.fusion.kernels import Correction, storing_in
 from omnisyn_cli.fusion.network_kernels import colour_holes
 from omnisyn_cli.fusion.planes import FusionPlanes, PlaneMaker
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.geometry.sampling import greatest_of_parts
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
@@ -43,11 +44,7 @@ LEAST_STRENGTH = 1e-6
 
 def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
     """How far it is open which view is shown: 0 where one of them is suppressed, 1 where neither is, at a size."""
-    decided = np.abs(suppression.suppressed)
-    for axis in (0, 1):
-        first = np.arange(size[axis]) * decided.shape[axis] // size[axis]
-        decided = np.maximum.reduceat(decided, first, axis=axis)
-    return np.asarray(1.0 - decided, np.float32)
+    return np.asarray(1.0 - greatest_of_parts(np.abs(suppression.suppressed), size), np.float32)
 
 
 class FusionCorrection(Protocol):

@@ -18,6 +18,7 @@ __all__ = [
     "add_columns",
     "at_crossings",
     "filter_across_seam",
+    "greatest_of_parts",
     "sample_bicubic",
     "sample_bilinear",
     "sample_bilinear_at",
@@ -179,3 +180,10 @@ def _cubic_weight(xp: Any, distance: Array) -> Array:
     near = ((a + 2.0) * x - (a + 3.0)) * x * x + 1.0
     far = ((a * x - 5.0 * a) * x + 8.0 * a) * x - 4.0 * a
     return xp.where(x < 1.0, near, far)
+
+
+def greatest_of_parts(values: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """The greatest value, True among booleans, in each of ``size = (rows, cols)`` parts of an image."""
+    for axis in (0, 1):
+        values = np.maximum.reduceat(values, np.arange(size[axis]) * values.shape[axis] // size[axis], axis=axis)
+    return values

@@ -24,6 +24,7 @@ import numpy as np
 from array_api_compat import array_namespace, device
 from jaxtyping import Bool, Float, Integer, UInt8
 
+from omnisyn_cli.geometry.sampling import greatest_of_parts
 from omnisyn_cli.geometry.sphere import UP, direction_tables, pixel_directions
 from omnisyn_cli.render.quads import (
     BLOCK,
@@ -319,9 +320,7 @@ def mask_of_vertices(
     """A photograph's mask at the size of a mesh: True where any pixel of a vertex may be used (alpha does the rest)."""
     if mask is None:
         return None
-    for axis in (0, 1):
-        mask = np.logical_or.reduceat(mask, np.arange(size[axis]) * mask.shape[axis] // size[axis], axis=axis)
-    return mask
+    return greatest_of_parts(mask, size)
 
 
 def _any_corner(mask: np.ndarray) -> np.ndarray:

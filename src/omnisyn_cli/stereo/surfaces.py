@@ -172,14 +172,14 @@ def assign_surfaces(
     A plane counts as seen also where it has no texture; a free match does not. Planes are those of distinct matches.
     """
     planes, support = _planes(grid, replace(free, seen=free.seen & is_distinct), options)
-    is_open = _sees_infinity(grid, free)
+    still, is_open = _standing_still(grid, free)
+    if is_open:
+        support = np.concatenate([support, _nearness(still)[..., None]], axis=-1)
     surfaces = _surfaces(grid, free, planes, options, is_open=is_open)
     cost = _surface_costs(pair, surfaces, options)
     cost += options.outside * (surfaces < _beyond_level(grid, planes, is_open=is_open)[..., None])
     cost[..., 0] += np.where(free.seen, options.seen_bias, options.unseen_bias)
-    cost[..., 1 : len(planes) + 1] += options.remote_bias * (1.0 - support)
-    if is_open:
-        cost[..., -1] += options.remote_bias * (1.0 - _nearness(_standing_still(grid, free)))
+    cost[..., 1:] += options.remote_bias * (1.0 - support)
     labels = Bands.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
     jump, contrast = options.label_jump, options.label_contrast
     total = aggregate(counted(cost).ravel(), labels, pair.first.mean(-1), jump, jump, contrast).reshape(cost.shape)
@@ -248,19 +248,11 @@ def _nearness(mask: np.ndarray) -> np.ndarray:
     return np.asarray(np.minimum(density / 0.05, 1.0))
 
 
-def _sees_infinity(grid: Meridians, free: Matches) -> bool:
-    """Whether texture above the horizon, away from the epipoles, stands still."""
-    return bool(_standing_still(grid, free).sum() > 0.02 * _away_above(grid).sum())
-
-
-def _standing_still(grid: Meridians, free: Matches) -> Bool[np.ndarray, "height width"]:
-    """Texture above the horizon that has no parallax."""
-    return np.asarray(free.seen & _away_above(grid) & (free.disparity < 1.0))
-
-
-def _away_above(grid: Meridians) -> Bool[np.ndarray, "height width"]:
-    """Above the horizon, away from the epipoles."""
-    return np.asarray((grid.rise > 0) & (np.sin(grid.polar_angle) > 0.35))
+def _standing_still(grid: Meridians, free: Matches) -> tuple[Bool[np.ndarray, "height width"], bool]:
+    """Where texture above the horizon, away from the epipoles, stands still; and whether that is enough for a sky."""
+    above = (grid.rise > 0) & (np.sin(grid.polar_angle) > 0.35)
+    still = free.seen & above & (free.disparity < 1.0)
+    return still, bool(still.sum() > 0.02 * above.sum())
 
 
 def _beyond_level(grid: Meridians, planes: np.ndarray, *, is_open: bool) -> np.ndarray:
