@@ -86,6 +86,31 @@ def test_what_is_sure_is_nearly_right_and_the_rest_is_not():
     assert 0.0 < np.mean(wrong) < 0.1
 
 
+def disc_before_a_wall(size=(64, 128)):
+    """Inverse depth: a disc of 8 pixels at 1 before a wall at a tenth, across the seam; how far silhouettes are."""
+    row, col = np.mgrid[: size[0], : size[1]]
+    away = np.hypot(row - size[0] // 2, (col + size[1] // 2) % size[1] - size[1] // 2) - 8.0
+    return np.where(away < 0, 1.0, 0.1).astype(np.float32), np.abs(away)
+
+
+def test_silhouettes_are_blunted_as_windows_do_it_and_nothing_else_is():
+    """Pixels beside a silhouette get the value of its other side, and some of them pass for sure, others for open."""
+    truth, away = disc_before_a_wall()
+    nothing = np.zeros(truth.shape, np.bool_)
+    grown, lost, sure_there = 0, 0, []
+    for seed in range(20):
+        agreed, matched = completion._blunted(truth, nothing, truth, np.random.default_rng(seed))
+        changed = np.abs(matched - truth) > 0.3
+        assert away[changed].max(initial=0.0) < 8.0
+        np.testing.assert_array_equal(matched[~changed & (away > 8.0)], truth[~changed & (away > 8.0)])
+        assert not agreed[away > 8.0].any()
+        grown, lost = grown + (changed & (truth < 0.5)).sum(), lost + (changed & (truth > 0.5)).sum()
+        np.testing.assert_allclose(matched[changed & (truth < 0.5)], 1.0, rtol=0.2)
+        sure_there.append(agreed[changed].mean() if changed.any() else 0.5)
+    assert grown > lost
+    assert 0.2 < np.mean(sure_there) < 0.9
+
+
 def test_points_are_seen_by_the_other_camera_unless_something_stands_before_them():
     """A wall all around, first in full view of the other camera, then behind a screen that hides half of it."""
     size = (64, 128)
@@ -135,6 +160,23 @@ def test_the_loss_is_least_at_the_truth_and_has_finite_gradients():
     unknown[..., :10] = torch.nan
     prediction = CompletionPrediction(right, torch.zeros_like(batch.root), torch.zeros_like(batch.root))
     assert torch.isfinite(completion_loss(prediction, unknown, known))
+
+
+def test_what_is_sure_counts_more_beside_silhouettes_and_at_the_seam():
+    """Where matching is sure of everything, the same error costs more beside a silhouette, but for what edges cost."""
+    truth, away = disc_before_a_wall()
+    root = torch.from_numpy(np.sqrt(truth))[None, None]
+    known = torch.ones_like(root)
+
+    def loss_with(wrong):
+        roots = torch.where(torch.from_numpy(wrong), root + 0.05, root).repeat(1, 2, 1, 1)
+        sure_of = torch.full_like(root, 30.0)
+        return float(completion_loss(CompletionPrediction(roots, sure_of, torch.zeros_like(root)), root, known))
+
+    right = loss_with(np.zeros(truth.shape, np.bool_))
+    ring, wide = (away < 2.0), (away > 6.0) & (away < 8.0) & (truth < 0.5)
+    beside, elsewhere = ((loss_with(each) - right) / each.sum() for each in (ring, wide))
+    assert beside > 1.5 * elsewhere
 
 
 def test_scores_are_perfect_at_the_truth_and_tell_the_filled_map_apart():

@@ -38,6 +38,9 @@ SEEN_WITHIN = 1.08
 UNKNOWN = np.float32(1e-6)
 """Inverse depth in 1/baselines where the truth is not known."""
 
+APART = 0.03
+"""Difference of roots between two sides of a silhouette."""
+
 ZENITH = np.array([0.0, 1.0, 0.0])
 """Of the epipole frame: where the later cameras on the line are."""
 
@@ -150,7 +153,7 @@ def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Gene
     usable = _usable(up, size, rng)
     agreed = _agreed(view, other, rng) & usable & view.is_known
     matched = _matched(view.inverse_depth, agreed, rng)
-    agreed, matched = _mistaken(agreed, matched, rng)
+    agreed, matched = _mistaken(*_blunted(view.inverse_depth, agreed, matched, rng), rng)
     sky = (view.inverse_depth == 0) & (usable | (rng.random() < 0.5))
     sky &= _blobs(size, 8, rng) > rng.choice([0.0, 0.0, 0.4])
     agreed &= ~sky & (view.inverse_depth > 0) & view.is_known
@@ -215,6 +218,24 @@ def _matched(
     luck = _blobs(size, 16, rng)
     guess = np.where(luck < 0.35, exact, np.where(luck < 0.65, behind, anything))
     return np.asarray(np.square(np.clip(np.where(agreed, exact, guess), 0.0, GREATEST_ROOT)), np.float32)
+
+
+def _blunted(
+    truth: Float32[np.ndarray, "height width"],
+    agreed: Bool[np.ndarray, "height width"],
+    matched: Float32[np.ndarray, "height width"],
+    rng: np.random.Generator,
+) -> tuple[Bool[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
+    """What windows make of silhouettes: near things grow by some pixels, thin ones are lost, and much of it is sure."""
+    root, size = _root(truth), truth.shape
+    grown = cv2.dilate(root, np.ones((int(rng.integers(2, 9)),) * 2, np.uint8))
+    opened = cv2.morphologyEx(root, cv2.MORPH_OPEN, np.ones((int(rng.integers(1, 6)),) * 2, np.uint8))
+    for wrong, most in ((grown, 1.0), (opened, 0.8)):
+        is_wrong = (np.abs(wrong - root) > APART) & (_blobs(size, 16, rng) < rng.uniform(0.3, most))
+        noisy = wrong * (1.0 + 0.01 * rng.standard_normal(size, dtype=np.float32))
+        matched = np.where(is_wrong, np.square(np.clip(noisy, 0.0, GREATEST_ROOT)), matched)
+        agreed = np.where(is_wrong, _blobs(size, 32, rng) < rng.uniform(0.3, 1.0), agreed)
+    return agreed, matched.astype(np.float32)
 
 
 def _mistaken(

@@ -38,7 +38,10 @@ SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
 
 COMPLETED_WEIGHT = 3.0
-"""How much more the answer counts where matching is not sure."""
+"""How much more the answer counts where matching is not sure, and beside silhouettes, where it may be sure and wrong."""
+
+BESIDE = 5
+"""Pixels across: what lies so close around a jump is beside a silhouette."""
 
 MODE_SCALE = 0.03
 """Error of a root that makes a mode e times less likely."""
@@ -121,11 +124,11 @@ def completion_loss(
     Args:
         prediction: of the completion network.
         target: true roots; NaN where they are not known.
-        sure: 1 where matching is sure, else 0; there everything but the gradients counts less.
+        sure: 1 where matching is sure, else 0; there, away from silhouettes, everything but the gradients counts less.
     """
     known, target = _known(target)
     area = polar_weights(target) * known
-    weight = area * (1.0 + COMPLETED_WEIGHT * (1.0 - sure))
+    weight = area * (1.0 + COMPLETED_WEIGHT * torch.maximum(1.0 - sure, _beside_silhouettes(target)))
     shares = torch.cat([functional.logsigmoid(prediction.logit), functional.logsigmoid(-prediction.logit)], dim=1)
     errors = _beyond_zero(prediction.roots, target)
     surprise = -torch.logsumexp(shares - errors / MODE_SCALE, dim=1, keepdim=True)
@@ -135,6 +138,12 @@ def completion_loss(
     told = (expected + answer + MODE_WEIGHT * surprise) * weight
     shape = GRADIENT_WEIGHT * _gradient_error(root, target, known) + EDGE_WEIGHT * _edge_error(root, target, known)
     return told.mean() + shape + CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
+
+
+def _beside_silhouettes(target: Tensor) -> Tensor:
+    """1 where the target jumps within a few pixels, else 0; the seam, where few pixels lie, is a border."""
+    greatest, least = (functional.max_pool2d(sign * target, BESIDE, 1, BESIDE // 2) for sign in (1.0, -1.0))
+    return (greatest + least > JUMP).to(target.dtype)
 
 
 def _beyond_zero(root: Tensor, target: Tensor) -> Tensor:
