@@ -16,7 +16,7 @@ from omnisyn_cli.networks.completion import (
     CompletionConfig,
     CompletionPrediction,
 )
-from omnisyn_cli.training import completion
+from omnisyn_cli.training import completion, losses
 from omnisyn_cli.training.completion import completion_pair, draw_completion
 from omnisyn_cli.training.data import Augmentation, list_pool
 from omnisyn_cli.training.loop import TrainConfig, Trainer
@@ -162,7 +162,7 @@ def test_the_loss_is_least_at_the_truth_and_has_finite_gradients():
     assert torch.isfinite(completion_loss(prediction, unknown, known))
 
 
-def test_what_is_sure_counts_more_beside_silhouettes_and_at_the_seam():
+def test_what_is_sure_counts_more_beside_silhouettes():
     """Where matching is sure of everything, the same error costs more beside a silhouette, but for what edges cost."""
     truth, away = disc_before_a_wall()
     root = torch.from_numpy(np.sqrt(truth))[None, None]
@@ -177,6 +177,8 @@ def test_what_is_sure_counts_more_beside_silhouettes_and_at_the_seam():
     ring, wide = (away < 2.0), (away > 6.0) & (away < 8.0) & (truth < 0.5)
     beside, elsewhere = ((loss_with(each) - right) / each.sum() for each in (ring, wide))
     assert beside > 1.5 * elsewhere
+    rolled, there = (losses._beside_silhouettes(x) for x in (root.roll(50, -1), root))
+    assert torch.equal(rolled, there.roll(50, -1))
 
 
 def test_scores_are_perfect_at_the_truth_and_tell_the_filled_map_apart():

@@ -38,7 +38,7 @@ SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
 
 COMPLETED_WEIGHT = 3.0
-"""How much more the answer counts where matching is not sure, and beside silhouettes, where it may be sure and wrong."""
+"""How much more the answer counts where matching is not sure, and beside silhouettes, where it is often wrong."""
 
 BESIDE = 5
 """Pixels across: what lies so close around a jump is beside a silhouette."""
@@ -141,8 +141,10 @@ def completion_loss(
 
 
 def _beside_silhouettes(target: Tensor) -> Tensor:
-    """1 where the target jumps within a few pixels, else 0; the seam, where few pixels lie, is a border."""
-    greatest, least = (functional.max_pool2d(sign * target, BESIDE, 1, BESIDE // 2) for sign in (1.0, -1.0))
+    """1 where the target jumps within a few pixels, over the seam, else 0."""
+    reach = BESIDE // 2
+    wide = functional.pad(target, (reach, reach, 0, 0), mode="circular")
+    greatest, least = (functional.max_pool2d(sign * wide, BESIDE, 1, (reach, 0)) for sign in (1.0, -1.0))
     return (greatest + least > JUMP).to(target.dtype)
 
 
