@@ -156,7 +156,7 @@ def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Gene
     agreed, matched = _mistaken(*_blunted(view.inverse_depth, agreed, matched, rng), rng)
     sky = (view.inverse_depth == 0) & (usable | (rng.random() < 0.5))
     sky &= _blobs(size, 8, rng) > rng.choice([0.0, 0.0, 0.4])
-    agreed &= ~sky & (view.inverse_depth > 0) & view.is_known
+    agreed &= usable & ~sky & (view.inverse_depth > 0) & view.is_known
     weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
     filled = np.where(sky, 0.0, fill(matched.astype(np.float64), weight, view.image, usable))
     motion = Pose(np.eye(3), -view.towards)
