@@ -9,6 +9,7 @@ last, as fine-tuning.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,7 @@ from jaxtyping import Bool, Float, Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import add_border
+from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes
@@ -228,8 +229,9 @@ def _blunted(
 ) -> tuple[Bool[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
     """What windows make of silhouettes: near things grow by some pixels, thin ones are lost, and much of it is sure."""
     root, size = _root(truth), truth.shape
-    grown = cv2.dilate(root, np.ones((int(rng.integers(2, 9)),) * 2, np.uint8))
-    opened = cv2.morphologyEx(root, cv2.MORPH_OPEN, np.ones((int(rng.integers(1, 6)),) * 2, np.uint8))
+    wide, thin = (np.ones((int(rng.integers(*sides)),) * 2, np.uint8) for sides in ((2, 9), (1, 6)))
+    grown = filter_across_seam(partial(cv2.dilate, kernel=wide), root, len(wide))
+    opened = filter_across_seam(partial(cv2.morphologyEx, op=cv2.MORPH_OPEN, kernel=thin), root, 2 * len(thin))
     for wrong, most in ((grown, 1.0), (opened, 0.8)):
         is_wrong = (np.abs(wrong - root) > APART) & (_blobs(size, 16, rng) < rng.uniform(0.3, most))
         noisy = wrong * (1.0 + 0.01 * rng.standard_normal(size, dtype=np.float32))
