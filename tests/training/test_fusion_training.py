@@ -11,13 +11,11 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, build_fusion
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.data import load_samples
+from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
 from omnisyn_cli.training.fusion_losses import corrected, fused_by, fusion_loss, fusion_scores
 from omnisyn_cli.training.fusion_pool import (
-    WINDOWS,
     FusionPoolConfig,
     FusionSample,
-    _beginning,
     draw_fusion,
     exchanged,
     make_fusion_scene,
@@ -130,9 +128,9 @@ def test_windows_lie_where_the_views_contradict_each_other():
     relevance = np.zeros(SIZE, np.float32)
     relevance[10:20, 2] = 1.0
     rng = np.random.default_rng(0)
-    begins = np.array([_beginning(relevance, rng) for _ in range(200)])
+    begins = np.array([window_columns(relevance, rng)[0] for _ in range(200)])
     assert ((2 - begins) % SIZE[1] < SIZE[1] // WINDOWS).mean() > 0.95
-    assert len(np.unique([_beginning(np.zeros(SIZE, np.float32), rng) for _ in range(200)])) > 50
+    assert len(np.unique([window_columns(np.zeros(SIZE, np.float32), rng)[0] for _ in range(200)])) > 50
 
 
 def test_the_loss_is_least_for_the_truth_and_counts_by_solid_angle():

@@ -181,7 +181,7 @@ class Interpolator:
     def _memory(self, plan: InterpolationPlan, made_of: Mapping[str, Any]) -> DepthMemory:
         """The estimator that jobs with the same wishes for depth share; a network is loaded once, until it changes."""
         source, device = plan.recipe.depth, plan.recipe.device
-        key = (source, device, None if source.model is None else digest_of_network(source.model, made_of))
+        key = (source, device, *(digest_of_network(network, made_of) for network in source.networks))
         return self._estimators.get(
             key, lambda: DepthMemory(make_estimator(source, device=device, threads=plan.job.threads))
         )

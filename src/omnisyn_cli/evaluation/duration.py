@@ -211,7 +211,7 @@ def _threads(plan: InterpolationPlan) -> int:
 def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
     """What a job is in computing, None where the table does not say."""
     recipe = plan.recipe
-    finders = _usual(table) if recipe.depth.kind == "file" else _like(table, recipe, "depth.kind", "depth.model")
+    finders = _usual(table) if recipe.depth.kind == "file" else _like(table, recipe, "depth.kind", "depth.networks")
     renderers, fusers = _like(table, recipe, "renderer"), _like(table, recipe, "fusion", "edges")
     if recipe.method != OMNISYN or recipe.is_on_gpu or not (finders and renderers and fusers):
         return None
@@ -236,7 +236,7 @@ def _usual(table: Sequence[Figures]) -> list[Figures]:
 
 ASPECTS: dict[str, Callable[[Recipe], object]] = {
     "depth.kind": lambda recipe: recipe.depth.kind,
-    "depth.model": lambda recipe: recipe.depth.model,
+    "depth.networks": lambda recipe: recipe.depth.networks,
     "renderer": lambda recipe: recipe.renderer,
     "fusion": lambda recipe: recipe.fusion,
     "edges": lambda recipe: recipe.edges,

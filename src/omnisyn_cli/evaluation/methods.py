@@ -9,10 +9,10 @@ estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pa
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
 does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``views=1`` (only the first
 panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
-neighbours); those whose depth a network refines take ``rows`` (that it is looked for at) and ``model=none`` (all else
-as it is, without that network):
-``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
-``omnisyn-accurate:model=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
+neighbours); those whose depth networks refine take ``rows`` (that it is looked for at), ``model=none`` (all else as it
+is, without the network that completes it) and ``silhouettes=none`` (likewise, without the one that decides where near
+things end): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
+``omnisyn-accurate:model=none:silhouettes=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
 
 import time
@@ -242,7 +242,8 @@ BASES: Mapping[str, ComparedMethod] = {
 FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
 """Fusions by the parameter that asks for them."""
 
-NO_MODEL = "model=none"
+NETWORKS_LEFT_OUT: Mapping[str, str] = {f"{part}=none": part for part in ("model", "silhouettes")}
+"""Networks of refined depth by the parameter that leaves them out."""
 
 LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
 """What parameters leave out of a recipe."""
@@ -310,17 +311,20 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     raise InputError(
         f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join((*FUSED_BY, *LEFT_OUT))}, rows=1024 "
-        f"or {NO_MODEL} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) after "
-        f"the colon, got {parameter!r} in {name!r}"
+        f"or {' or '.join(NETWORKS_LEFT_OUT)} (where networks refine matching), {ONE_VIEW} or {IN_TOUR} (where depth "
+        f"is looked for) after the colon, got {parameter!r} in {name!r}"
     )
 
 
 def _changed_source(source: DepthSource, parameter: str) -> DepthSource | None:
-    """Refined depth of other rows or without its network; None where the parameter says neither."""
+    """Refined depth of other rows or without one of its networks; None where the parameter says neither."""
     key, _, value = parameter.partition("=")
     if key == "rows" and int(value) >= LEAST_ROWS:
         return replace(source, rows=int(value))
-    return replace(source, model=None) if parameter == NO_MODEL else None
+    if parameter not in NETWORKS_LEFT_OUT:
+        return None
+    without: Mapping[str, Any] = {NETWORKS_LEFT_OUT[parameter]: None}
+    return replace(source, **without)
 
 
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}

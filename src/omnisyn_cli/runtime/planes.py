@@ -11,14 +11,14 @@ from omnisyn_cli.runtime.session import run_depth_network, run_network
 __all__ = ["SessionFusion", "SessionPainter", "SessionRefinement"]
 
 MULTIPLE = 32
-"""The completion network halves its input five times: heights and widths are multiples of this."""
+"""The completion network halves its input five times, the other one four: heights and widths are multiples of this."""
 
 
 class SessionRefinement:
-    """Evidence in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.refined.Refinement`.
+    """Planes in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.evidence.PlanesNetwork`.
 
     Args:
-        session: of a completion model, from :func:`omnisyn_cli.runtime.session.open_session`.
+        session: of a completion or silhouette model, from :func:`omnisyn_cli.runtime.session.open_session`.
 
     Raises:
         InputError: the model is of another kind.
@@ -27,7 +27,9 @@ class SessionRefinement:
     def __init__(self, session: Any) -> None:
         names = [entry.name for entry in session.get_inputs()]
         if names != ["planes"]:
-            raise InputError(f"expected a completion model with the input 'planes', got inputs {names}; name another")
+            raise InputError(
+                f"expected a completion or silhouette model with the input 'planes', got inputs {names}; name another"
+            )
         self._session = session
 
     def __call__(

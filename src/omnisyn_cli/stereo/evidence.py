@@ -5,6 +5,7 @@ even steps of which are nearly even steps of parallax.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -14,13 +15,24 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 
-__all__ = ["GREATEST_ROOT", "Evidence", "evidence_planes"]
+__all__ = ["GREATEST_ROOT", "Answer", "Evidence", "PlanesNetwork", "evidence_planes", "root_of"]
+
+Answer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
+"""Inverse depth in 1/baselines, and confidence."""
 
 GREATEST_ROOT = 2.0
 """Roots are clipped here: a quarter of a baseline away."""
 
 PLANES = 19
 """Channels of :func:`evidence_planes`."""
+
+
+class PlanesNetwork(Protocol):
+    """A trained network that is shown planes of a panorama of a pair, however it is run."""
+
+    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Answer:
+        """Inverse depth × baseline, and the probability that it is within 10 %."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -69,17 +81,17 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
     filled_at, matched_at = (Lookup.along(each, other.filled.shape) for each in (moved, moved_matched))
     expected = evidence.filled / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
     towards = evidence.second_from_first.inverse().position
-    matched = _root(evidence.matched)
+    matched = root_of(evidence.matched)
     planes = [
         *np.moveaxis(evidence.image, -1, 0),
-        _root(evidence.filled),
+        root_of(evidence.filled),
         matched,
         evidence.agreed,
         evidence.sky,
         evidence.usable,
         *np.moveaxis(filled_at.bilinear(other.image), -1, 0),
         *np.moveaxis(matched_at.bilinear(other.image), -1, 0),
-        _root(expected) - _root(filled_at.nearest(other.filled)),
+        root_of(expected) - root_of(filled_at.nearest(other.filled)),
         filled_at.nearest(other.sure),
         directions @ (towards / np.linalg.norm(towards)),
         directions @ evidence.up,
@@ -88,5 +100,6 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
     return np.stack(planes).astype(np.float32)
 
 
-def _root(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+def root_of(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """What networks see of inverse depth in 1/baselines."""
     return np.asarray(np.sqrt(np.clip(inverse_depth, 0.0, GREATEST_ROOT**2)))

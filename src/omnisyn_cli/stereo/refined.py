@@ -7,7 +7,6 @@ larger size costs little more than a smaller one, and what repeats elsewhere can
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,19 +19,17 @@ from omnisyn_cli.geometry.sweep import free_space_agreement
 from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.costs import sweep_cost
-from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
+from omnisyn_cli.stereo.evidence import Answer, Evidence, PlanesNetwork, evidence_planes
 from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample
 from omnisyn_cli.stereo.matching import SPECKLE, MatchingDepthEstimator, agreeing, is_measurable
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.semi_global import Bands, aggregate, choose
+from omnisyn_cli.stereo.silhouettes import with_silhouettes
 from omnisyn_cli.stereo.sizes import doubled_sizes
 from omnisyn_cli.stereo.surfaces import Matches, MatchingOptions, Meridians
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["RefinedDepthEstimator"]
-
-Answer = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
-"""Inverse depth in 1/baselines, and confidence."""
 
 NEIGHBOURHOOD = 12
 """Pixels: edges of the smaller map are no farther from those of the things than this."""
@@ -132,14 +129,6 @@ def _measured(view: View, base: Answer, pair: RectifiedPair, grid: Meridians, ma
     return inverse_depth, np.where(taken, np.maximum(base[1], SURE), base[1])
 
 
-class Refinement(Protocol):
-    """A trained completion network, however it is run."""
-
-    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Answer:
-        """Inverse depth × baseline, and the probability that it is within 10 %; ``planes`` as in ``evidence``."""
-        ...
-
-
 @dataclass(frozen=True)
 class RefinedDepthEstimator:
     """Inverse depth of both panoramas; a :class:`~omnisyn_cli.types.DepthEstimator`.
@@ -157,11 +146,13 @@ class RefinedDepthEstimator:
         matching: finds the evidence.
         refinement: the network; None leaves it out, to see what it is worth: what matching filled is taken as it is.
         rows: that depth is looked for at, see :func:`omnisyn_cli.stereo.sizes.estimate_sizes`.
+        silhouettes: decides where near things end (:mod:`omnisyn_cli.stereo.silhouettes`); None leaves that out.
     """
 
     matching: MatchingDepthEstimator
-    refinement: Refinement | None
+    refinement: PlanesNetwork | None
     rows: int
+    silhouettes: PlanesNetwork | None = None
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -178,10 +169,11 @@ class RefinedDepthEstimator:
             answers = sharpened(first, second, answers, size, self.matching.options_for(first, second))
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
         (one, trust), (other, back_trust) = answers
-        return both(
+        estimates = both(
             lambda: _estimate(first, second, (one, trust), other, baseline, there.sure),
             lambda: _estimate(second, first, (other, back_trust), one, baseline, back.sure),
         )
+        return estimates if self.silhouettes is None else with_silhouettes(first, second, estimates, self.silhouettes)
 
     def _answers(self, there: Evidence, back: Evidence) -> tuple[Answer, Answer]:
         if self.refinement is None:

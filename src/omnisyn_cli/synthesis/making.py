@@ -106,8 +106,11 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
     from omnisyn_cli.runtime.planes import SessionRefinement
     from omnisyn_cli.stereo.refined import RefinedDepthEstimator
 
-    refinement = None if source.model is None else SessionRefinement(_session(source.model, device, threads))
-    return RefinedDepthEstimator(matching, refinement, source.rows)
+    refinement, silhouettes = (
+        None if model is None else SessionRefinement(_session(model, device, threads))
+        for model in (source.model, source.silhouettes)
+    )
+    return RefinedDepthEstimator(matching, refinement, source.rows, silhouettes)
 
 
 def make_fuser(

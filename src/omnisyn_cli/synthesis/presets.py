@@ -9,6 +9,10 @@ from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 __all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
 
 
+SILHOUETTES = "silhouettes-balanced"
+"""Name in the manifest of the network that decides where near things end."""
+
+
 @dataclass(frozen=True)
 class Preset:
     """A recipe for estimated depth.
@@ -24,8 +28,9 @@ class Preset:
     recipe: Recipe
 
 
-def _refined(rows: int, fusion: str = "geometric", *, edges: bool = True) -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced"), adaptive=True, fusion=fusion, edges=edges)
+def _refined(rows: int, silhouettes: str | None = None, fusion: str = "geometric", *, edges: bool = True) -> Recipe:
+    source = DepthSource("refined", rows, "completion-balanced", silhouettes)
+    return Recipe(source, adaptive=True, fusion=fusion, edges=edges)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -35,7 +40,7 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 SCALE: Mapping[str, Preset] = _by_name(
     Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
     Preset("balanced", "matching, refined by a network, sharpened at twice the size", _refined(1024)),
-    Preset("accurate", "the same, and a network fuses", _refined(1024, "network")),
+    Preset("accurate", "the same, a network looks at edges, and one fuses", _refined(1024, SILHOUETTES, "network")),
 )
 """By name, from the fastest to the most accurate."""
 

@@ -72,11 +72,18 @@ class DepthSource:
             more than it is good at, see :mod:`omnisyn_cli.stereo.sizes`; a network alone answers in a size of its own.
         model: for :data:`NETWORKED_DEPTH`: a name in the manifest, or the path of an ONNX file; for ``refined`` None
             leaves the network out, to compare with.
+        silhouettes: likewise, of the network that decides in refined estimates where near things end.
     """
 
     kind: str = "file"
     rows: int = 512
     model: str | None = None
+    silhouettes: str | None = None
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Those that have a part in it, in the order in which they do."""
+        return tuple(network for network in (self.model, self.silhouettes) if network is not None)
 
 
 @dataclass(frozen=True)
@@ -115,7 +122,7 @@ class Recipe:
 
     def of_known_depth(self) -> Recipe:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
-        return replace(self, depth=replace(self.depth, kind="file", model=None), fusion="geometric")
+        return replace(self, depth=replace(self.depth, kind="file", model=None, silhouettes=None), fusion="geometric")
 
     @property
     def networks(self) -> tuple[str, ...]:
@@ -123,4 +130,4 @@ class Recipe:
         if self.method in SYNSIN_SOURCES:
             return SYNSIN_MODELS
         fusing = FUSION_MODELS.get(self.fusion)
-        return tuple(network for network in (self.depth.model, fusing) if network is not None)
+        return (*self.depth.networks, *(() if fusing is None else (fusing,)))

@@ -23,7 +23,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes
+from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes, root_of
 from omnisyn_cli.stereo.filling import fill
 from omnisyn_cli.stereo.matching import HINT
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, is_made_by, load_scene, vary_colours
@@ -113,7 +113,7 @@ def completion_pair(
     up = turn.T @ scene.up
     there, back = (_evidence(*order, up, rng) for order in ((views[0], views[1]), (views[1], views[0])))
     planes = [evidence_planes(there, back), evidence_planes(back, there)]
-    roots = [np.where(view.is_known, _root(view.inverse_depth), np.float32(np.nan))[None] for view in views]
+    roots = [np.where(view.is_known, root_of(view.inverse_depth), np.float32(np.nan))[None] for view in views]
     if rng.random() < 0.5:  # in a mirror: all planes are even in it
         planes, roots = ([x[..., ::-1] for x in each] for each in (planes, roots))
     return EvidenceBatch(
@@ -144,10 +144,6 @@ def _turned(
     return _Turned(colours, scaled, sign * turn.T @ ZENITH, is_known)
 
 
-def _root(inverse_depth: np.ndarray) -> Float32[np.ndarray, "height width"]:
-    return np.asarray(np.sqrt(np.clip(inverse_depth, 0.0, GREATEST_ROOT**2)), np.float32)
-
-
 def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Generator) -> Evidence:
     """What matching might know of a view: some of the truth, and some that is wrong."""
     size = view.inverse_depth.shape
@@ -166,7 +162,7 @@ def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Gene
 
 def _agreed(view: _Turned, other: _Turned, rng: np.random.Generator) -> Bool[np.ndarray, "height width"]:
     """Where matching would be sure: seen by both, with texture, off the epipoles, not too near, and lucky."""
-    size, root = view.inverse_depth.shape, _root(view.inverse_depth)
+    size, root = view.inverse_depth.shape, root_of(view.inverse_depth)
     directions = pixel_directions(*size)
     found = _is_seen(view, other, directions)
     found &= np.abs(directions @ view.towards) < np.cos(np.radians(rng.uniform(3.0, 14.0)))
@@ -212,7 +208,7 @@ def _matched(
     truth: Float32[np.ndarray, "height width"], agreed: Bool[np.ndarray, "height width"], rng: np.random.Generator
 ) -> Float32[np.ndarray, "height width"]:
     """The best match of every pixel: nearly right where matching is sure, elsewhere right, too far or anything."""
-    size, root = truth.shape, _root(truth)
+    size, root = truth.shape, root_of(truth)
     exact = root * (1.0 + rng.uniform(0.002, 0.015) * rng.standard_normal(size, dtype=np.float32))
     behind = cv2.erode(root, np.ones((9, 9), np.uint8)) * (1.0 + 0.3 * (_blobs(size, 16, rng) - 0.5))
     anything = _blobs(size, 16, rng) * rng.uniform(0.3, 1.5)
@@ -228,7 +224,7 @@ def _blunted(
     rng: np.random.Generator,
 ) -> tuple[Bool[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
     """What windows make of silhouettes: near things grow by some pixels, thin ones are lost, and much of it is sure."""
-    root, size = _root(truth), truth.shape
+    root, size = root_of(truth), truth.shape
     wide, thin = (np.ones((int(rng.integers(*sides)),) * 2, np.uint8) for sides in ((2, 9), (1, 6)))
     grown = filter_across_seam(partial(cv2.dilate, kernel=wide), root, len(wide))
     opened = filter_across_seam(partial(cv2.morphologyEx, op=cv2.MORPH_OPEN, kernel=thin), root, 2 * len(thin))

@@ -27,10 +27,16 @@ from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.sampling import add_border
+from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.outputs import write_errors
 
-TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0"}
+TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0", "silhouette-pool": "edges_0"}
 """By the command that makes pools of a kind, an array that only these have."""
+
+WINDOWS = 4
+"""Some networks look at this fraction of the columns of a sample in a step: most pixels teach nothing."""
+
+LEAST_RELEVANCE = 1e-3
 
 ONE_SURFACE = 0.1
 """Relative difference of inverse depth between neighbouring pixels that still belong together."""
@@ -167,6 +173,16 @@ def stacked(samples: Sequence[Any]) -> list[Tensor]:
     """Each field of all samples, as tensors."""
     columns = zip(*(vars(sample).values() for sample in samples), strict=True)
     return [torch.from_numpy(np.stack(column)) for column in columns]
+
+
+def window_columns(relevance: Shaped[np.ndarray, "height width"], rng: np.random.Generator) -> np.ndarray:
+    """A quarter of the columns side by side, across the seam or not, where there is much of what matters."""
+    height, width = relevance.shape
+    columns = direction_tables(height, width)[0] @ relevance + LEAST_RELEVANCE
+    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
+    inside = sums[width // WINDOWS :][:width] - sums[:width]
+    begin = int(rng.choice(width, p=inside / inside.sum()))
+    return np.asarray((begin + np.arange(width // WINDOWS)) % width)
 
 
 def load_scene(path: Path) -> PoolScene:

@@ -23,7 +23,6 @@ from torch import Tensor
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
-from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.synthesis.frames import synthesize
@@ -33,7 +32,7 @@ from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.training.data import load_samples, save_samples, stacked
+from omnisyn_cli.training.data import load_samples, save_samples, stacked, window_columns
 from omnisyn_cli.training.pool import TiltedConfig, as_told, held_askew, scene_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -41,11 +40,6 @@ __all__ = ["FusionPoolConfig", "make_fusion_scene"]
 
 OVERSIZE = 2
 """Photographs and renderings are this many times as high as the planes."""
-
-WINDOWS = 4
-"""A step looks at this fraction of the columns of a sample: most pixels teach nothing."""
-
-LEAST_RELEVANCE = 1e-3
 
 PAIRS_OF_VIEWS = (
     (plane.FIRST, plane.SECOND, 3),
@@ -185,8 +179,8 @@ def stored_fusion(path: Path, which: int) -> FusionBatch:
 
 def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
     """All that is done to colours is linear, so that blends of varied colours are varied blends."""
-    begin = _beginning(sample.planes[plane.RELEVANCE], rng)
-    planes, truth = (_window(x, begin) for x in (sample.planes, sample.truth))
+    columns = window_columns(sample.planes[plane.RELEVANCE], rng)
+    planes, truth = (x[..., columns] for x in (sample.planes, sample.truth))
     tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
     for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
@@ -197,20 +191,6 @@ def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
     if rng.random() < 0.5:
         planes, truth = planes[..., ::-1], truth[..., ::-1]
     return FusionSample(np.ascontiguousarray(planes), np.ascontiguousarray(truth))
-
-
-def _beginning(relevance: Float32[np.ndarray, "height width"], rng: np.random.Generator) -> int:
-    """First column of a window, drawn in proportion to how much of what matters is in it."""
-    height, width = relevance.shape
-    columns = direction_tables(height, width)[0] @ relevance + LEAST_RELEVANCE
-    sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
-    inside = sums[width // WINDOWS :][:width] - sums[:width]
-    return int(rng.choice(width, p=inside / inside.sum()))
-
-
-def _window(values: np.ndarray, begin: int) -> np.ndarray:
-    width = values.shape[-1]
-    return values[..., (begin + np.arange(width // WINDOWS)) % width]
 
 
 def exchanged(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes height width"]:

@@ -18,6 +18,7 @@ from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
+from omnisyn_cli.networks.silhouettes import ROOT_PLANE, SilhouettePrediction
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
@@ -47,6 +48,12 @@ MODE_SCALE = 0.03
 """Error of a root that makes a mode e times less likely."""
 
 MODE_WEIGHT = 0.02
+
+AWAY_WEIGHT, DOUBT_WEIGHT = 0.15, 0.1
+"""Of what lies away from silhouettes, and of the confidence, for the silhouette network."""
+
+HALF_WAY = 81.0
+"""Pixels of 512 rows by which a point at the distance of the baseline, abeam, moves on half of the way."""
 
 JUMP = 0.1
 """Difference of neighbouring true roots that is called an edge."""
@@ -138,6 +145,68 @@ def completion_loss(
     told = (expected + answer + MODE_WEIGHT * surprise) * weight
     shape = GRADIENT_WEIGHT * _gradient_error(root, target, known) + EDGE_WEIGHT * _edge_error(root, target, known)
     return told.mean() + shape + CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
+
+
+def silhouette_loss(prediction: SilhouettePrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
+    """Expected displacement of the three choices, large ones alike, and log-loss of the confidence; a scalar.
+
+    What is misplaced by a few pixels is simply wrong: nothing is gained by a mean of two surfaces.
+
+    Args:
+        prediction: of the silhouette network.
+        target: true roots; NaN where they are not known.
+    """
+    known, target = _known(target)
+    area = polar_weights(target) * known
+    weight = area * (AWAY_WEIGHT + _beside_silhouettes(target))
+    expected = (prediction.logits.softmax(dim=1) * _misplaced(prediction.roots, target)).sum(dim=1, keepdim=True)
+    doubt = (_doubt(prediction, target) * area).sum() / area.sum()
+    return (expected * weight).sum() / weight.sum() + DOUBT_WEIGHT * doubt
+
+
+def _misplaced(root: Tensor, target: Tensor) -> Tensor:
+    """From 0 to 1: ½ where a point is a pixel away from its place half way between the panoramas."""
+    pixels = HALF_WAY * (root.square() - target.square()).abs()
+    return pixels / (1.0 + pixels)
+
+
+@torch.no_grad()
+def silhouette_scores(
+    prediction: SilhouettePrediction,
+    planes: Float[Tensor, "batch planes height width"],
+    target: Float[Tensor, "batch 1 height width"],
+) -> dict[str, float]:
+    """What is gained beside silhouettes and elsewhere; means weigh pixels by solid angle.
+
+    Args:
+        prediction: of the network.
+        planes: its input.
+        target: true roots; NaN where they are not known.
+
+    Returns:
+        Beside silhouettes ``misplaced``, see :func:`_misplaced`, and ``within_5``, the share of pixels whose depth is
+        within a factor of 1.05; the same ``_before``, of the map that was shown; ``misplaced_away`` and
+        ``misplaced_away_before`` elsewhere; ``moved``, the share of the sphere whose depth was changed;
+        ``confidence_error``, the mean of |confidence − (within a factor of 1.1)|, over all.
+    """
+    known, target = _known(target)
+    area, beside = polar_weights(target) * known, _beside_silhouettes(target)
+    own, found = planes[:, ROOT_PLANE : ROOT_PLANE + 1], prediction.root()
+
+    def mean(values: Tensor, weights: Tensor) -> float:
+        return float((values * weights).sum() / weights.sum())
+
+    scores = {}
+    for root, when in ((found, ""), (own, "_before")):
+        misplaced = _misplaced(root, target)
+        scores[f"misplaced{when}"] = mean(misplaced, area * beside)
+        scores[f"within_5{when}"] = mean(_is_right(root.square(), target.square(), 1.05), area * beside)
+        scores[f"misplaced_away{when}"] = mean(misplaced, area * (1.0 - beside))
+    right = _is_right(prediction.inverse_depth(), target.square())
+    return scores | {
+        "moved": mean((found != own).to(area.dtype), area),
+        "confidence_error": mean((prediction.confidence() - right).abs(), area),
+    }
 
 
 def _beside_silhouettes(target: Tensor) -> Tensor:

@@ -21,19 +21,29 @@ from omnisyn_cli.networks.depth_config import VARIANTS, DepthConfig
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
+from omnisyn_cli.networks.silhouettes import (
+    ROOT_PLANE,
+    SILHOUETTE_VARIANTS,
+    SilhouetteConfig,
+    SilhouetteNetwork,
+    SilhouettePrediction,
+)
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import Batch, EvidenceBatch
 from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
 from omnisyn_cli.training.pictures import as_array, depth_pictures
+from omnisyn_cli.training.silhouette_pool import draw_silhouettes, stored_silhouettes
 from omnisyn_cli.training.synsin import draw_views
 from omnisyn_cli.training.task import Task
 from omnisyn_cli.training.triples import draw_pairs, draw_triples
 
 __all__ = ["TASKS", "kinds_for", "task_of"]
 
-NetworkConfig = DepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
+NetworkConfig = (
+    DepthConfig | PaperConfig | CompletionConfig | SilhouetteConfig | FusionConfig | joint.JointConfig | SynSinConfig
+)
 
 
 def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
@@ -53,6 +63,14 @@ def _completion_pictures(answer: CompletionPrediction, batch: EvidenceBatch) -> 
     shown, given = (depth_pictures(image, as_array(root), truth) for root in (found, planes[FILLED_PLANE]))
     is_sure = as_array(where_sure(batch.planes)[0]) > 0
     return shown | {"filled": given["prediction"], "known": np.where(is_sure, given["truth"], np.float32(0.0))}
+
+
+def _silhouette_pictures(answer: SilhouettePrediction, batch: EvidenceBatch) -> dict[str, np.ndarray]:
+    """With the map as it was."""
+    planes, truth = batch.planes[0], as_array(batch.root[0, 0])
+    image, found = as_array(planes[:3]), as_array(answer.root()[0, 0])
+    shown, given = (depth_pictures(image, root, truth) for root in (found, as_array(planes[ROOT_PLANE])))
+    return shown | {"before": given["prediction"]}
 
 
 _STEREO = Task(
@@ -87,6 +105,17 @@ TASKS: Mapping[str, Task] = {
         scores=_completion_scores,
         pictures=_completion_pictures,
         pools=("pool", "evidence"),
+    ),
+    "silhouettes": Task(
+        SilhouetteConfig,
+        SILHOUETTE_VARIANTS,
+        SilhouetteNetwork,
+        draw=lambda pool, rng, stage, *_: draw_silhouettes(pool, rng, stage.batch),
+        loss=lambda answer, batch: losses.silhouette_loss(answer, batch.root),
+        scores=lambda answer, batch: losses.silhouette_scores(answer, batch.planes, batch.root),
+        pictures=_silhouette_pictures,
+        held_out=lambda path, turn, _: stored_silhouettes(path, turn),
+        pools=("silhouette-pool",),
     ),
     "fusion": Task(
         FusionConfig,

@@ -1,0 +1,142 @@
+"""Training data for the silhouette network: finished estimates of procedural scenes, with the truth beside them.
+
+A pool is a folder of ``NNNNNNNN.npz`` files, one per scene, which is photographed from two places on a line. For either
+panorama ``k``:
+
+* ``planes_k`` ``(planes, height, width)`` float16, see :func:`omnisyn_cli.stereo.silhouettes.silhouette_planes`,
+* ``edges_k`` ``(height, width)`` float16, true square root of inverse depth × baseline at the centres of pixels,
+* ``metres_k``, the baseline.
+
+Some photographs have half as many rows as the estimate: there edges are softer. Colours are varied before matching, and
+some poses are a little wrong, as in life.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.scenes import render_panorama
+from omnisyn_cli.stereo.evidence import root_of
+from omnisyn_cli.stereo.silhouettes import COLOURED, DIFFERENCES, EAST_PLANE, silhouette_planes
+from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.training.data import (
+    Augmentation,
+    EvidenceBatch,
+    load_samples,
+    save_samples,
+    stacked,
+    vary_colours,
+    window_columns,
+)
+from omnisyn_cli.training.pool import STOPS, TiltedConfig, as_told, held_askew, scene_path
+from omnisyn_cli.types import DepthEstimator, View
+
+__all__ = ["SilhouettePoolConfig", "make_silhouettes"]
+
+WAYS = ((0, STOPS - 1), (0, STOPS - 1), (0, STOPS // 2), (2, STOPS - 1))
+"""Stops of the path that a scene draws a pair of."""
+
+STEP = 0.04
+"""Difference of neighbouring roots at a silhouette."""
+
+
+@dataclass(frozen=True)
+class SilhouettePoolConfig(TiltedConfig):
+    """How scenes are rendered and estimated.
+
+    Attributes:
+        size: of the estimates.
+        halved: share of scenes whose photographs have half as many rows.
+    """
+
+    size: tuple[int, int] = (512, 1024)
+    halved: float = 0.35
+
+
+@dataclass(frozen=True)
+class SilhouetteSample:
+    """One panorama of a pair: input planes, true roots, metres."""
+
+    planes: Float32[np.ndarray, "planes height width"]
+    edges: Float32[np.ndarray, "height width"]
+    metres: float
+
+
+def make_silhouettes(folder: Path, seed: int, config: SilhouettePoolConfig) -> Path | None:
+    """Render and estimate the scene of a seed into a pool; None if the scene has no room for a path."""
+    found = config.scene(seed, STOPS)
+    if found is None:
+        return None
+    scene, path = found
+    rng = np.random.default_rng([91, seed])
+    tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
+    divisor = 2 if rng.random() < config.halved else 1
+    photographed = (config.size[0] // divisor, config.size[1] // divisor)
+    colours, truths, poses = [], [], []
+    for stop in WAYS[int(rng.integers(len(WAYS)))]:
+        pose = Pose(held_askew(rng, tilt), path[stop].position)
+        colours.append(render_panorama(scene, pose, photographed, supersample=2, threads=1)[0])
+        truths.append(1.0 / render_panorama(scene, pose, config.size, supersample=1, threads=1)[1])
+        poses.append(as_told(pose, error, rng))
+    varied = vary_colours(np.stack(colours).astype(np.float32), rng, Augmentation())
+    views = (View(varied[0], poses[0]), View(varied[1], poses[1]))
+    estimates = _estimator(2 * config.size[0])(*views)
+    baseline = float(np.linalg.norm(poses[1].position - poses[0].position))
+    samples = [
+        SilhouetteSample(silhouette_planes(shown, estimated), root_of(truth * baseline).astype(np.float32), baseline)
+        for shown, estimated, truth in zip(
+            (views, views[::-1]), (estimates, estimates[::-1]), truths, strict=True
+        )
+    ]  # fmt: skip
+    file = scene_path(folder, seed)
+    save_samples(file, samples)
+    return file
+
+
+@lru_cache(maxsize=1)
+def _estimator(rows: int) -> DepthEstimator:
+    """The default preset's, without what is taught here."""
+    usual = PRESETS[DEFAULT_PRESET].recipe.depth
+    return make_estimator(replace(usual, rows=rows, silhouettes=None), device="cpu", threads=1)
+
+
+def draw_silhouettes(pool: list[Path], rng: np.random.Generator, batch: int) -> EvidenceBatch:
+    """Windows of random panoramas, of all rows and a quarter of the columns, preferably where depth jumps.
+
+    They are mirrored and lit otherwise at random, and channels of colour change places.
+    """
+    drawn = []
+    for _ in range(batch):
+        path, which = pool[rng.integers(len(pool))], int(rng.integers(2))
+        drawn.append(_varied(load_samples(path, SilhouetteSample, which)[0], rng))
+    return _batch(drawn)
+
+
+def stored_silhouettes(path: Path, which: int) -> EvidenceBatch:
+    """A panorama of a scene as it is."""
+    return _batch(load_samples(path, SilhouetteSample, which))
+
+
+def _batch(samples: list[SilhouetteSample]) -> EvidenceBatch:
+    planes, edges, metres = stacked(samples)
+    return EvidenceBatch(planes, edges.unsqueeze(1), metres)
+
+
+def _varied(sample: SilhouetteSample, rng: np.random.Generator) -> SilhouetteSample:
+    jumps = np.abs(sample.edges - np.roll(sample.edges, 1, axis=1)) > STEP
+    columns = window_columns(jumps, rng)
+    planes, edges = sample.planes[..., columns], sample.edges[..., columns]
+    gain = np.float32(rng.uniform(0.8, 1.2))
+    order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
+    for first in COLOURED:
+        planes[first : first + 3] = gain * planes[first : first + 3][order]
+    planes[DIFFERENCES] *= gain
+    if rng.random() < 0.5:
+        planes, edges = planes[..., ::-1].copy(), edges[..., ::-1].copy()
+        planes[EAST_PLANE] *= -1.0
+    return SilhouetteSample(planes, edges, sample.metres)
