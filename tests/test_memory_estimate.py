@@ -50,6 +50,7 @@ def peak_of(command: list[str]) -> int:
     [
         (2, (256, 512), {"preset": "balanced"}),
         (2, (1024, 2048), {"preset": "balanced"}),
+        (2, (256, 512), {"preset": "accurate"}),
         (2, (256, 512), {"preset": "fast"}),
         (4, (256, 512), {"preset": "fast"}),
         (2, (256, 512), {"depth": "matching", "renderer": "points"}),

@@ -17,6 +17,9 @@ PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
 BYTES_PER_PIXEL_OF_NETWORK = {"refined": 820, "network": 3200}
 """What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
 
+BYTES_PER_PIXEL_OF_SILHOUETTES = 900
+"""What the network that looks at edges takes and keeps for each pixel of the estimate."""
+
 FINDING = 110e6
 """Bytes that are given back when depth has been found and both surfaces have been made."""
 
@@ -119,8 +122,12 @@ def estimated_surface_memory(
 
 
 def _bytes_of_program(recipe: Recipe, depths: Sequence[tuple[int, int]]) -> float:
-    kind = recipe.depth.kind
-    return PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * depths[0][0] * depths[0][1]
+    kind, (height, width) = recipe.depth.kind, depths[0]
+    edges = BYTES_PER_PIXEL_OF_SILHOUETTES if recipe.depth.silhouettes else 0
+    largest = max(rows * columns for rows, columns in depths)
+    return (
+        PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * height * width + edges * largest
+    )
 
 
 def _bytes_of_finding(recipe: Recipe, vertices: int, depths: Sequence[tuple[int, int]]) -> float:

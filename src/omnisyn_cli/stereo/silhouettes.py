@@ -15,7 +15,6 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, PlanesNetwork, root_of
 from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.types import DepthEstimate, View
@@ -60,12 +59,11 @@ def with_silhouettes(
         network: decides.
     """
     one, other = estimates
-    planes = both(
-        lambda: silhouette_planes((first, second), (one, other)),
-        lambda: silhouette_planes((second, first), (other, one)),
-    )
     baseline = _baseline(first, second)
-    return _decided(first, one, *network(planes[0]), baseline), _decided(second, other, *network(planes[1]), baseline)
+    return (  # one after the other: planes and network take much memory
+        _decided(first, one, *network(silhouette_planes((first, second), (one, other))), baseline),
+        _decided(second, other, *network(silhouette_planes((second, first), (other, one))), baseline),
+    )
 
 
 def silhouette_planes(
@@ -93,9 +91,9 @@ def silhouette_planes(
         expected = inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
         place = Lookup.along(moved, size)
         colours = place.bilinear(other_image)
-        seen += list(np.moveaxis(colours, -1, 0))
-        differences.append(np.abs(colours - image).mean(axis=-1))
-        gaps.append(root_of(expected) - place.nearest(their_root))
+        seen += list(np.moveaxis(colours, -1, 0).astype(np.float32))
+        differences.append(np.abs(colours - image).mean(axis=-1).astype(np.float32))
+        gaps.append((root_of(expected) - place.nearest(their_root)).astype(np.float32))
         places.append(place)
     towards = motion.inverse().position
     planes = [
