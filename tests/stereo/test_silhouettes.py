@@ -141,3 +141,16 @@ def test_elevation_and_the_way_to_the_other_camera_are_told(pair):
     np.testing.assert_allclose(planes[7], directions @ towards, atol=1e-6)
     np.testing.assert_allclose(planes[10], directions[..., 1], atol=1e-6)
     np.testing.assert_allclose(np.square(planes[7:10]).sum(axis=0), 1.0, atol=1e-5)
+    north = -np.gradient(directions, axis=0) / (np.pi / SIZE[0])
+    np.testing.assert_allclose(planes[9][1:-1], (north @ towards)[1:-1], atol=1e-3)
+    east = np.gradient(directions, axis=1) / (2.0 * np.pi / SIZE[1])
+    sine = np.sin(np.pi * (np.arange(SIZE[0]) + 0.5) / SIZE[0])[:, None]
+    np.testing.assert_allclose((planes[8] * sine)[:, 1:-1], (east @ towards)[:, 1:-1], atol=1e-3)
+
+
+def test_where_the_other_map_is_farther_its_gap_is_positive(pair):
+    views, (own, theirs) = pair
+    for factor, sign in ((0.25, 1.0), (4.0, -1.0)):
+        moved = DepthEstimate(factor * theirs.inverse_depth, theirs.confidence)
+        gap = silhouette_planes(views, (own, moved))[23]
+        assert (sign * gap > 0.0).mean() > 0.9
