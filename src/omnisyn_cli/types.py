@@ -27,6 +27,7 @@ __all__ = [
     "Samples",
     "Spots",
     "View",
+    "Witness",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
@@ -127,6 +128,27 @@ Samples = tuple[Float32[np.ndarray, "2 samples"], Float32[np.ndarray, "2 samples
 
 
 @dataclass(frozen=True)
+class Witness:
+    """What a view says about points that are supposed in front of a target, whatever its own depth says.
+
+    Points are given as 1/metre from the target, in the directions of its pixels; negative where there is none.
+
+    Attributes:
+        colour_rows: called with points of some rows of a target of the frames' size, the first row, and memory
+            ``(rows, width, 4)`` that it writes: what the photograph shows in their direction, RGB and alpha; 0 where
+            there is no point. From any number of threads.
+        colour: such colours for a target of any size, given its points; shrunk as a picture of that size would be.
+        nearer: called with points of a target of any size, and an inverse depth that counts as next to nothing: by
+            how much the view's own surface is nearer, as a share of the greater inverse depth (seen from the view);
+            from −1, where it is far behind the point, to 1.
+    """
+
+    colour_rows: Callable[[Float32[np.ndarray, "rows width"], int, Float32[np.ndarray, "rows width 4"]], None]
+    colour: Callable[[Float32[np.ndarray, "height width"]], Float32[np.ndarray, "height width 4"]]
+    nearer: Callable[[Float32[np.ndarray, "height width"], float], Float32[np.ndarray, "height width"]]
+
+
+@dataclass(frozen=True)
 class Rendering:
     """One view's surface as a target sees it; its colours are made when and where they are asked for.
 
@@ -142,6 +164,7 @@ class Rendering:
         held: all colours ``(height, width, 4)``, where they are there already.
         samples: inverse depth and colours of the samples of spots, in memory of their own; None where pixels have
             none but their centre. Called as ``colour_rows`` is.
+        witness: says what else the view shows; None where nobody can ask it.
     """
 
     inverse_depth: Float32[Array, "height width"]
@@ -150,6 +173,7 @@ class Rendering:
     target_from_source: Pose
     held: Float32[Array, "height width 4"] | None = None
     samples: Callable[[Spots], Samples] | None = None
+    witness: Witness | None = None
 
     @staticmethod
     def of(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Rendering:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fusion_samples import asked
 
 from omnisyn_cli.fusion.bands import ROWS, BandRunner, Views
 from omnisyn_cli.fusion.cells import step_in_cells
@@ -30,11 +31,11 @@ def rendering(seed: int, size: tuple[int, int], offset: float) -> Rendering:
     if seed == 1:
         colour[2 * height // 5 : 3 * height // 5, width // 7 : width // 4, :3] = RED
         colour[2 * height // 5 : 3 * height // 5, : width // 20, :3] = RED
-    return Rendering.of(rho, colour, Pose(np.eye(3), np.array([0.0, 0.0, offset])))
+    return asked(Rendering.of(rho, colour, Pose(np.eye(3), np.array([0.0, 0.0, offset]))))
 
 
 def on_demand(view: Rendering) -> Rendering:
-    return Rendering(view.inverse_depth, view.colour_rows, view.colour_at, view.target_from_source)
+    return asked(Rendering(view.inverse_depth, view.colour_rows, view.colour_at, view.target_from_source))
 
 
 def pair(size: tuple[int, int]) -> tuple[Rendering, Rendering]:
@@ -42,7 +43,7 @@ def pair(size: tuple[int, int]) -> tuple[Rendering, Rendering]:
 
 
 def correct(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return planes[13] + 1.0, 0.1 + 0.0 * planes[:3]
+    return planes[13] + 1.0, 0.1 + 0.0 * planes[:4]
 
 
 FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: NetworkFuser(size, correct, None, threads)}
@@ -59,7 +60,7 @@ def test_samples_are_the_numbers_rounded(size: tuple[int, int], fusion: str, t: 
     made, confidence = np.empty((*size, 3), np.uint8), [np.full(size, np.nan, np.float32) for _ in range(2)]
     assert FUSERS[fusion](size, threads=1)(*map(on_demand, views), t, made, confidence[0]) is made
     expected = np.clip(numbers, 0, 1) * 255
-    assert np.abs(made - expected).max() <= (0.501 if fusion == "geometric" else 1.01)  # holes are rounded twice
+    assert np.abs(made - expected).max() <= (0.501 if fusion == "geometric" else 1.01)  # candidates are rounded twice
     fuser(*views, t, None, confidence[1])
     np.testing.assert_array_equal(*confidence)
     for view, colour in zip(views, before, strict=True):

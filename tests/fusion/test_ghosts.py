@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from fusion_samples import asked
 
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
@@ -130,9 +131,10 @@ def test_a_network_has_no_say_in_what_moved() -> None:
     far = rendering(brighter, np.where(elsewhere, 0.2, 0.3), z=1e-3)
 
     def insist(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.full(planes.shape[1:], -6.0, np.float32), np.zeros((3, *planes.shape[1:]), np.float32)
+        return np.full(planes.shape[1:], -6.0, np.float32), np.full((4, *planes.shape[1:]), 0.2, np.float32)
 
-    change = np.abs(NetworkFuser(SIZE, insist, threads=1)(near, far, 0.5) - fuse(near, far, 0.5)).max(axis=-1)
+    fused = NetworkFuser(SIZE, insist, threads=1)(asked(near), asked(far), 0.5)
+    change = np.abs(fused - fuse(near, far, 0.5)).max(axis=-1)
     assert change[where].max() < 1e-5
     assert change[elsewhere].max() > 0.05
 

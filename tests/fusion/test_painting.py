@@ -8,7 +8,8 @@ from test_network_fuser import copy, geometric, pair
 from omnisyn_cli.fusion import painting
 from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.painting import MULTIPLE, PaintingFuser
-from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.fusion.plane_maker import reduced
+from omnisyn_cli.fusion.planes import PLANES, fusion_planes
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -39,7 +40,9 @@ def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     monkeypatch.setattr(painting, "MOST_ROWS", most)
     views, painter = pair(size), Painter()
     paint(views, painter)
-    recorded = PlaneMaker((64, 128), BandRunner(size, 1))(Views(*views), BlendRule.at(0.5, BlendOptions())).planes
+    first, second = reduced(Views(*views), (64, 128), BandRunner(size, 1))
+    rule = BlendRule.at(0.5, BlendOptions())
+    recorded = fusion_planes(first, second, rule, 1.0, lambda image, weight: image).planes
     assert len(recorded) == PLANES
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
     np.testing.assert_array_equal(painter.shown[0], expected)

@@ -12,7 +12,7 @@ from omnisyn_cli.networks.completion import (
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.silhouettes import SilhouetteConfig, SilhouetteNetwork
 
-FUSION = FusionConfig("tiny", planes=20, widths=(8, 12, 16), fine=6)
+FUSION = FusionConfig("tiny", planes=52, widths=(8, 12, 16), fine=6)
 PAINTING = FusionConfig("tiny paper", planes=8, widths=(8, 12, 16, 24), paints=True)
 COMPLETION = CompletionConfig("tiny", planes=19, widths=(8, 12, 16), fine=6, heads=2, looks=1)
 SILHOUETTES = SilhouetteConfig("tiny", planes=27, widths=(8, 12, 16), fine=6)

@@ -1,15 +1,22 @@
+import math
+
 import pytest
 import torch
 from plane_samples import FUSION, PAINTING, answers, awake, random_planes
 from torch.nn import functional
 
+from omnisyn_cli.fusion.second_look import LEAST_SHARE
 from omnisyn_cli.networks.fusion import (
     FUSION_VARIANTS,
     GREATEST_SHIFT,
+    RELEVANCE_PLANE,
+    SEEN_PLANES,
+    SUPPOSED_PLANES,
     FusionConfig,
     FusionNetwork,
     PaintingNetwork,
     build_fusion,
+    is_open,
 )
 from omnisyn_cli.networks.paper_layers import enlarged
 
@@ -27,7 +34,7 @@ def test_ours_is_small():
     assert 0.3e6 < parameters(build_fusion(FUSION_VARIANTS["residual"])) < 1.0e6
 
 
-@pytest.mark.parametrize(("variant", "channels"), [("paper", (3,)), ("residual", (1, 3))])
+@pytest.mark.parametrize(("variant", "channels"), [("paper", (3,)), ("residual", (1, 4))])
 def test_answers_have_the_size_of_the_pictures(variant, channels):
     config = FUSION_VARIANTS[variant]
     network = build_fusion(config)
@@ -37,9 +44,22 @@ def test_answers_have_the_size_of_the_pictures(variant, channels):
     assert [answer.shape for answer in answers(network, given).values()] == [(1, n, side, 2 * side) for n in channels]
 
 
-def test_a_fresh_network_corrects_nothing():
+def test_a_fresh_network_corrects_nothing_that_is_looked_up():
     torch.manual_seed(0)
-    assert all((answer == 0).all() for answer in answers(FusionNetwork(FUSION), random_planes(20)).values())
+    shift, shares = answers(FusionNetwork(FUSION), random_planes(52)).values()
+    assert (shift == 0).all()
+    assert shares.max() < LEAST_SHARE
+
+
+def test_candidates_count_where_it_is_open_what_is_shown():
+    """By hand: one surface around; two of nearly one depth; two, that matter by half; seen by one view; a hole."""
+    given = torch.zeros(1, 52, 1, 5)
+    given[0, SEEN_PLANES] = torch.tensor([[[1.0, 1.0, 1.0, 0.0, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
+    given[0, SUPPOSED_PLANES] = torch.tensor([[[1.0, 0.97, 0.5, 0.5, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
+    given[0, RELEVANCE_PLANE] = torch.tensor([1.0, 1.0, 0.5, 0.0, 1.0])
+    apart = (1 - 0.97**2) / 0.06
+    wanted = torch.tensor([0.0, 1 - math.exp(-(apart**2)), 0.5, 1.0, 1.0])
+    torch.testing.assert_close(is_open(given).flatten(), wanted, atol=1e-6, rtol=0)
 
 
 def test_bilinear_enlargement_continues_around_the_seam():
@@ -52,24 +72,26 @@ def test_bilinear_enlargement_continues_around_the_seam():
 def test_a_shift_is_bounded():
     network = awake(FUSION)
     torch.nn.init.constant_(network.answer.bias, 1000.0)
-    assert answers(network, random_planes(20))["shift"].abs().max() <= GREATEST_SHIFT
+    assert answers(network, random_planes(52))["shift"].abs().max() <= GREATEST_SHIFT
 
 
 def test_weights_can_be_made_less_decided_and_one_view_be_preferred():
     """With constant answers: log-ratio · exp(stretch) + preference, in closed form."""
-    network, given = FusionNetwork(FUSION), random_planes(20) - 0.5
+    network, given = FusionNetwork(FUSION), random_planes(52) - 0.5
     torch.nn.init.zeros_(network.answer.weight)
     with torch.no_grad():
-        network.answer.bias.copy_(torch.tensor([-0.05, 0.03, 0.1, 0.2, 0.3]))
-    shift, colour = answers(network, given).values()
+        network.answer.bias.copy_(torch.tensor([-0.05, 0.03, 0.1, 0.2, 0.3, 0.4]))
+    shift, shares = answers(network, given).values()
     log_ratio = 8.0 * given[:, 13:14]
     wanted = log_ratio * torch.exp(torch.tensor(-0.4)) + 0.24 - log_ratio
     torch.testing.assert_close(shift, 8.0 * torch.tanh(wanted / 8.0))
-    torch.testing.assert_close(colour, torch.tensor([0.1, 0.2, 0.3]).view(1, 3, 1, 1).expand(1, 3, 32, 64))
+    weights = torch.exp(8.0 * torch.tensor([0.1, 0.2, 0.3, 0.4]) - 4.0)
+    expected = (weights / (1.0 + weights.sum())).view(1, 4, 1, 1).expand(1, 4, 32, 64)
+    torch.testing.assert_close(shares, is_open(given) * expected)
 
 
 def test_single_precision_is_enough():
-    given, single = random_planes(20), awake(FUSION)
+    given, single = random_planes(52), awake(FUSION)
     double = FusionNetwork(FUSION).double()
     double.load_state_dict(single.state_dict())
     for one, exact in zip(

@@ -10,7 +10,7 @@ from omnisyn_cli.runtime.planes import SessionFusion, SessionPainter
 class Session:
     """Answers with what it is given; says what it takes and gives as ONNX Runtime does."""
 
-    def __init__(self, answers, inputs=("planes",), outputs=("shift", "colour")):
+    def __init__(self, answers, inputs=("planes",), outputs=("shift", "shares")):
         self.answers, self.inputs, self.outputs = answers, inputs, outputs
 
     def get_inputs(self):
@@ -20,18 +20,18 @@ class Session:
         return [SimpleNamespace(name=name) for name in self.outputs]
 
     def run(self, _, inputs):
-        assert inputs["planes"].shape in ((1, 20, 32, 64), (1, 8, 32, 64))
+        assert inputs["planes"].shape in ((1, 52, 32, 64), (1, 8, 32, 64))
         return self.answers
 
 
-PLANES = np.zeros((20, 32, 64), np.float32)
+PLANES = np.zeros((52, 32, 64), np.float32)
 
 
 def test_answers_lose_their_batch():
-    shift, colour = np.arange(2048.0).reshape(1, 1, 32, 64), np.ones((1, 3, 32, 64))
-    found = SessionFusion(Session([shift, colour]))(PLANES)
+    shift, shares = np.arange(2048.0).reshape(1, 1, 32, 64), np.ones((1, 4, 32, 64))
+    found = SessionFusion(Session([shift, shares]))(PLANES)
     np.testing.assert_array_equal(found[0], shift[0, 0])
-    np.testing.assert_array_equal(found[1], colour[0])
+    np.testing.assert_array_equal(found[1], shares[0])
 
 
 @pytest.mark.parametrize("names", [{"inputs": ("first", "second")}, {"outputs": ("colour",)}])
@@ -44,7 +44,7 @@ def test_other_models_are_refused(names):
     ("answers", "complaint"),
     [
         ([np.zeros((1, 1, 32, 64)), np.zeros((1, 1, 32, 64))], "outputs of"),
-        ([np.full((1, 1, 32, 64), np.nan), np.zeros((1, 3, 32, 64))], "finite"),
+        ([np.full((1, 1, 32, 64), np.nan), np.zeros((1, 4, 32, 64))], "finite"),
     ],
 )
 def test_broken_answers_are_refused(answers, complaint):

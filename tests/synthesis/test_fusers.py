@@ -13,6 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.fusion.planes import PLANES
+from omnisyn_cli.fusion.second_look import LOOKS
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
@@ -35,7 +36,7 @@ POSES = (posed((0.0, 0.0, 0.8)), posed((0.2, 0.1, -0.8), heading=0.3))
 def models(tmp_path_factory):
     """Two networks in ONNX files: one that is fresh, and one that answers at random."""
     torch.manual_seed(0)
-    network = FusionNetwork(FusionConfig("tiny", planes=PLANES, widths=(8, 12), fine=6)).eval()
+    network = FusionNetwork(FusionConfig("tiny", planes=PLANES + LOOKS, widths=(8, 12), fine=6)).eval()
     folder = tmp_path_factory.mktemp("models")
     export_network(network, folder / "fresh.onnx")
     torch.nn.init.normal_(network.answer.weight, std=0.5)

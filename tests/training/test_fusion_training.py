@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -5,11 +7,16 @@ import torch
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.network import NetworkFuser
-from omnisyn_cli.fusion.planes import PLANES, PlaneMaker
+from omnisyn_cli.fusion.plane_maker import PlaneMaker
+from omnisyn_cli.fusion.planes import PLANES
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.second_look import FINER, LOOKS, SUPPOSED
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, build_fusion
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
+from omnisyn_cli.render.witness import AskedPanorama
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
 from omnisyn_cli.training.fusion_losses import corrected, fused_by, fusion_loss, fusion_scores
@@ -25,7 +32,7 @@ from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.types import Rendering
 
-TINY = FusionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
+TINY = FusionConfig("tiny", planes=PLANES + LOOKS, widths=(8, 12, 16), fine=6)
 TINY_PAPER = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
 SIZE = (32, 64)
 
@@ -40,45 +47,61 @@ def pool(tmp_path_factory):
 
 
 def rendering(seed, offset):
+    """Blocks of what a panorama shows, wrong about most of it, that are the network's pixels."""
     rng = np.random.default_rng(seed)
     colour, rho = rng.random((*SIZE, 4), np.float32), rng.random(SIZE, np.float32) * 0.5
     hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((4, 4), bool))
     colour[hole], rho[hole] = 0.0, -1.0
-    return Rendering.of(rho, colour, Pose(np.eye(3), np.array(offset, float)))
+    colour, rho = (x.repeat(FINER, 0).repeat(FINER, 1) for x in (colour, rho))
+    pose, texture = Pose(np.eye(3), np.array(offset, float)), make_texture(rng.random((16, 32, 3), np.float32))
+    panorama = AskedPanorama(lambda: texture, rng.random((16, 32)), Shader(rho.shape, 1))
+    return replace(Rendering.of(rho, colour, pose), witness=panorama.seen_from(pose))
 
 
 def test_the_network_learns_on_the_picture_that_the_program_makes():
-    """The program's fusion with random answers is the picture that the loss is computed of, holes included."""
+    """The program's fusion with random answers is the picture that the loss is computed of.
+
+    But for candidates, which are read at the size of the frame.
+    """
     rng = np.random.default_rng(0)
-    shift, colour = (rng.normal(0.0, 1.0, (n, *SIZE)).astype(np.float32) for n in (1, 3))
-    shown = []
+    shift, shares = rng.normal(0.0, 1.0, (1, *SIZE)).astype(np.float32), np.zeros((4, *SIZE), np.float32)
+    views, shown = (rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))), []
 
     def network(planes):
         shown.append(planes)
-        return shift[0], 0.1 * colour
+        return shift[0], shares
 
-    fuser = NetworkFuser(SIZE, network, threads=1, rows=SIZE[0])
-    picture = fuser(rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5)), 0.4)
-    batch = torch.from_numpy(shown[0])[None]
-    corrections = FusionCorrections(torch.from_numpy(shift)[None], torch.from_numpy(0.1 * colour)[None])
-    expected = corrected(batch, corrections)[0].permute(1, 2, 0).numpy()
-    hole = shown[0][plane.SEEN : plane.SEEN + 2].sum(axis=0) == 0
-    np.testing.assert_allclose(picture[~hole], np.maximum(expected, 0)[~hole], atol=2e-3)
-    # holes are filled from what is around them, which the program corrects first
-    assert np.abs(picture - np.maximum(expected, 0))[hole].max() < 0.3
-    assert hole.any()
+    fuser = NetworkFuser(views[0].inverse_depth.shape, network, threads=1, rows=SIZE[0])
+    for share, most in ((0.0, 0.01), (0.2, 0.03)):
+        shares[:] = np.float32(share)
+        picture = fuser(*views, 0.4).reshape(SIZE[0], FINER, SIZE[1], FINER, 3).mean(axis=(1, 3))
+        batch = torch.from_numpy(shown[-1])[None]
+        corrections = FusionCorrections(*(torch.from_numpy(x)[None] for x in (shift, shares)))
+        expected = corrected(batch, corrections)[0].permute(1, 2, 0).numpy()
+        hole = shown[-1][plane.SEEN : plane.SEEN + 2].sum(axis=0) == 0
+        difference = np.abs(picture - np.maximum(expected, 0))
+        assert np.median(difference[~hole]) < 0.1 * most, share
+        assert np.quantile(difference[~hole], 0.99) < most, share
+        # holes are filled from what is around them, which the program corrects first
+        assert difference[hole].max() < 0.3
+        assert hole.any()
 
 
 def test_the_network_knows_where_the_weights_are():
     """Networks and fusion do not know each other, so the place of the plane is written down twice."""
     assert (networks.LOG_RATIO_PLANE, networks.GREATEST_LOG) == (plane.LOG_RATIO, plane.GREATEST_LOG)
+    assert slice(plane.SEEN, plane.SEEN + 2) == networks.SEEN_PLANES
+    assert networks.RELEVANCE_PLANE == plane.RELEVANCE
+    assert slice(SUPPOSED, SUPPOSED + 2) == networks.SUPPOSED_PLANES
+    assert networks.FUSION_VARIANTS["residual"].planes == PLANES + LOOKS
 
 
 def test_exchanging_the_views_exchanges_the_planes():
     first, second = rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))
-    make, options = PlaneMaker(SIZE, BandRunner(SIZE, 1)), BlendOptions()
-    there = make(Views(first, second), BlendRule.at(0.3, options)).planes
-    back = make(Views(second, first), BlendRule.at(0.7, options)).planes
+    make, options = PlaneMaker(SIZE, BandRunner(first.inverse_depth.shape, 1)), BlendOptions()
+    witnesses = first.witness, second.witness
+    there = make(Views(first, second), BlendRule.at(0.3, options), witnesses)[0].planes
+    back = make(Views(second, first), BlendRule.at(0.7, options), witnesses[::-1])[0].planes
     np.testing.assert_allclose(exchanged(there), back, atol=1e-4)
     np.testing.assert_array_equal(exchanged(exchanged(there)), there)
 
@@ -89,7 +112,7 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
         samples = load_samples(path, FusionSample)
         assert len(samples) == 2
         for sample in samples:
-            assert sample.planes.shape == (PLANES, *SIZE)
+            assert sample.planes.shape == (PLANES + LOOKS, *SIZE)
             assert sample.truth.shape == (3, *SIZE)
             assert 0.1 <= (sample.planes[plane.TIME].mean() + 1) / 2 <= 0.9
             assert np.isfinite(sample.planes).all()
@@ -147,7 +170,7 @@ def test_the_loss_is_least_for_the_truth_and_counts_by_solid_angle():
 def test_scores_are_those_of_the_metrics():
     from omnisyn_cli.evaluation.metrics import ws_psnr
 
-    planes = torch.rand((1, PLANES, *SIZE), generator=torch.Generator().manual_seed(0))
+    planes = torch.rand((1, PLANES + LOOKS, *SIZE), generator=torch.Generator().manual_seed(0))
     planes[:, plane.SEEN : plane.SEEN + 2] = (planes[:, plane.SEEN : plane.SEEN + 2] > 0.5).float()
     truth = torch.rand((1, 3, *SIZE), generator=torch.Generator().manual_seed(1))
     picture = 0.9 * truth + 0.05
@@ -161,12 +184,12 @@ def test_scores_are_those_of_the_metrics():
     assert scores["hole_gain"] == pytest.approx(error[1] - error[0], rel=1e-4)
 
 
-def test_a_fresh_network_scores_as_the_geometric_fusion(pool):
+def test_a_fresh_network_scores_nearly_as_the_geometric_fusion(pool):
     stored = stored_fusion(pool[0], 0)
     torch.manual_seed(0)
     with torch.no_grad():
         scores = fusion_scores(fused_by(build_fusion(TINY), stored.planes), stored.planes, stored.truth)
-    assert scores["gain"] == 0.0
+    assert abs(scores["gain"]) < 0.3
 
 
 @pytest.mark.parametrize("config", [TINY, TINY_PAPER], ids=lambda config: config.name)

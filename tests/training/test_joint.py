@@ -12,7 +12,9 @@ from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.bands import BandRunner, Views
-from omnisyn_cli.fusion.planes import PLANES, PlaneMaker, fusion_planes
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.plane_maker import reduced
+from omnisyn_cli.fusion.planes import fusion_planes
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.depth_config import VARIANTS
@@ -39,10 +41,9 @@ from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.triples import draw_triples, exchanged_panoramas
 from omnisyn_cli.types import Rendering
 
-FUSION = FusionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6)
-PAINTING = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
+PAINTING = FusionConfig("tiny", planes=8, widths=(8, 12, 16), paints=True)
 PAPER = PaperConfig("tiny-paper", (64, 128), widths=(4, 6, 8, 8, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
-JOINT = JointConfig(TINY, FUSION)
+JOINT = JointConfig(TINY, PAINTING)
 SIZE = (64, 128)
 
 
@@ -75,7 +76,13 @@ def test_planes_are_those_of_the_program(t):
     """Of tensors as of arrays, weights, doubt, filled holes and all."""
     first, second = random_view(1, (0.0, 0.0, t)), random_view(2, (0.0, 0.0, t - 1.0))
     rule = BlendRule.at(t, BlendOptions())
-    expected = PlaneMaker(SIZE, BandRunner(SIZE, 1))(Views(first, second), rule).planes
+    own, other = reduced(Views(first, second), SIZE, BandRunner(SIZE, 1))
+
+    def fill(image, weight):
+        HoleFiller(SIZE, 1)(image, weight)
+        return image
+
+    expected = fusion_planes(own, other, rule, 1.0, fill).planes
     found = fusion_planes(as_seen(first), as_seen(second), rule, 1.0, filled).planes.numpy()
     for name in (
         "FIRST",
@@ -121,7 +128,7 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
     for surface in rho.detach().numpy():
         assert not (build_mesh(surface[0]).quads & CUT_EDGES).any()
     torch.manual_seed(0)
-    network = build_fusion(FUSION).double()
+    network = build_fusion(PAINTING).double()
     torch.nn.init.normal_(network.answer.weight, std=0.02)
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
 
@@ -161,10 +168,9 @@ def test_the_picture_alone_teaches_depth(tmp_path):
 
 
 @pytest.mark.parametrize("depth", [TINY, PAPER], ids=["ours", "paper"])
-@pytest.mark.parametrize("fusion", [FUSION, PAINTING], ids=["residual", "paints"])
-def test_both_networks_are_taught_by_both_losses(tmp_path, depth, fusion):
+def test_both_networks_are_taught_by_both_losses(tmp_path, depth):
     """The error of the picture alone reaches the weights of the depth network, whatever the pair of networks."""
-    network = JointNetwork(JointConfig(depth, fusion))
+    network = JointNetwork(JointConfig(depth, PAINTING))
     drawn = draw_triples(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE, network.depth.frame)
     answer = joint_answer(network, drawn)
     (answer.picture - drawn.middle).abs().mean().backward()
@@ -178,7 +184,7 @@ def test_both_panoramas_are_estimated_in_one_frame():
     """Exchanging the cameras exchanges the answers."""
     torch.manual_seed(0)
     for depth in (TINY, PAPER):
-        network = JointNetwork(JointConfig(depth, FUSION)).eval()
+        network = JointNetwork(JointConfig(depth, PAINTING)).eval()
         first, second = torch.rand(2, 1, 3, *SIZE)
         frame = network.depth.frame
         with torch.no_grad():
@@ -227,7 +233,7 @@ def run(*arguments):
 
 def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, config):
     monkeypatch.setitem(VARIANTS, "tiny", TINY)
-    monkeypatch.setitem(FUSION_VARIANTS, "tiny", FUSION)
+    monkeypatch.setitem(FUSION_VARIANTS, "tiny", PAINTING)
     depth = train(TINY, config, tmp_path / "depth", steps=1)
     save_checkpoint(tmp_path / "small.pt", compact(depth.state()))
     pools = ("--pool", config.pool, "--validation-pool", config.validation_pool, "--height", 64, "--rate", 0.0)
@@ -256,6 +262,9 @@ def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
     result = run("joint", tmp_path / "run", *pools, "--depth", "slow")
     assert result.exit_code == 2
     assert "expected a checkpoint or one of fast" in result.output
+    result = run("joint", tmp_path / "run", *pools, "--fusion", "residual")
+    assert result.exit_code == 2
+    assert "expected a network that paints" in result.output
     result = run("joint", tmp_path / "run", *pools, "--height", 100)
     assert result.exit_code == 2
     assert "multiple of 64 for the joint network" in result.output

@@ -91,7 +91,7 @@ def test_roots_are_in_single_precision_even_under_autocast():
     ("network", "channels"),
     [
         (CompletionNetwork(CompletionConfig("small", 19, (8, 12), 8, heads=2, looks=1)), 19),
-        (build_fusion(FusionConfig("small", 14, (8, 12), 8)), 14),
+        (build_fusion(FusionConfig("small", 52, (8, 12), 8)), 52),
         (build_fusion(FusionConfig("small", 8, (8, 12, 16), paints=True)), 8),
         (MonocularNetwork(SYNSIN), 3),
         (FeatureEncoder(SYNSIN), 3),

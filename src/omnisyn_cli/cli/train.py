@@ -105,7 +105,9 @@ def fusion(**options: Any) -> None:
 @click.option(
     "--depth", default="fast", show_default=True, help="Of a fresh run: a variant, or a checkpoint to begin with."
 )
-@click.option("--fusion", default="residual", show_default=True, help="The same for the fusion network.")
+@click.option(
+    "--fusion", default="paper-narrow", show_default=True, help="The same for the fusion network, which has to paint."
+)
 @_height_option(256, 64)
 def joint(depth: str, fusion: str, **options: Any) -> None:
     """Train depth and fusion together in FOLDER, through the rendering between them; a run that is there goes on.
@@ -117,6 +119,10 @@ def joint(depth: str, fusion: str, **options: Any) -> None:
 
     depth_config, depth_weights = _beginning(depth, "depth")
     fusion_config, fusion_weights = _beginning(fusion, "fusion")
+    if not fusion_config.paints:
+        raise click.BadParameter(
+            f"expected a network that paints, as paper or paper-narrow, got {fusion!r}", param_hint="--fusion"
+        )
     _train(JointConfig(depth_config, fusion_config), "joint", weights={**depth_weights, **fusion_weights}, **options)
 
 

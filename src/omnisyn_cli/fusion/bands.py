@@ -105,8 +105,14 @@ class BandRunner:
             self._held = np.empty((2, *self.size, 4), np.float32)
         for view, colour in zip((first, second), self._held, strict=True):
             run_bands(lambda begin, end: view.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
-        one, other = (replace(Rendering.of(v.inverse_depth, c, v.target_from_source), samples=v.samples)
-                      for v, c in zip((first, second), self._held, strict=True))  # fmt: skip
+        one, other = (
+            replace(
+                Rendering.of(view.inverse_depth, colour, view.target_from_source),
+                samples=view.samples,
+                witness=view.witness,
+            )
+            for view, colour in zip((first, second), self._held, strict=True)
+        )
         return one, other
 
     def _room(self, rows: int) -> Float32[np.ndarray, "views rows width 4"]:

@@ -1,9 +1,10 @@
 """Fusion with a network: the geometric fusion, corrected where the views contradict each other, and better holes.
 
 The network looks at both renderings at a size of its own and says, for each pixel, by how much the geometric weights
-are to be shifted from one view to the other, and what is to be added to the colour that a hole was filled with. What is
-seen keeps the sharpness of the photographs at any size of the frames; where both views agree nothing changes, nor where
-something moved, which one of them shows as a whole (:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the
+are to be shifted from one view to the other, and which shares of the pixel are to be what the photographs show at other
+distances (:mod:`omnisyn_cli.fusion.second_look`). So everything keeps the sharpness of the photographs at any size of
+the frames. Nothing changes where something moved, which one of them shows as a whole
+(:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the
 corrections fade, so that both ends are the photographs themselves.
 
 Source: OmniSyn, section 3.5, with weights in the place of colours.
@@ -16,23 +17,24 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion.cells import greatest_near
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import Suppression, is_in_place
-from omnisyn_cli.fusion.kernels import Correction, storing_in
-from omnisyn_cli.fusion.network_kernels import colour_holes
-from omnisyn_cli.fusion.planes import FusionPlanes, PlaneMaker
+from omnisyn_cli.fusion.kernels import Correction
+from omnisyn_cli.fusion.plane_maker import PlaneMaker
+from omnisyn_cli.fusion.planes import FusionPlanes
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.second_look import FINER, SecondLook
 from omnisyn_cli.geometry.sampling import greatest_of_parts
-from omnisyn_cli.runtime.threads import run_bands
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Rendering, Witness
 
 __all__ = ["NetworkFuser"]
 
-WORKING_ROWS = 64
-"""Rows that the network looks at, half as many as it was trained with.
+WORKING_ROWS = 128
+"""Rows that the network looks at, as many as it was trained with.
 
-With 128 a frame of 1024×512 takes 0.02 s more of one core and the mean between the twelve pairs of ``omnisyn bench`` is
-0.003 ± 0.006 dB more.
+With 64 a frame of 1024×512 takes 0.05 s less of one core, and the mean between the twelve pairs of ``omnisyn bench`` is
+0.09 dB less.
 """
 
 MULTIPLE = 32
@@ -43,8 +45,8 @@ LEAST_STRENGTH = 1e-6
 
 
 def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
-    """How far it is open which view is shown: 0 where one of them is suppressed, 1 where neither is, at a size."""
-    return np.asarray(1.0 - greatest_of_parts(np.abs(suppression.suppressed), size), np.float32)
+    """How far it is open which view is shown: 0 where one of them is suppressed and around there, 1 elsewhere."""
+    return np.asarray(1.0 - greatest_near(greatest_of_parts(np.abs(suppression.suppressed), size), 1), np.float32)
 
 
 class FusionCorrection(Protocol):
@@ -52,20 +54,26 @@ class FusionCorrection(Protocol):
 
     def __call__(
         self, planes: Float32[np.ndarray, "planes height width"]
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "3 height width"]]:
-        """What to add to the log-ratio of the weights, and to the colours of holes; ``planes`` as in ``planes``."""
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "4 height width"]]:
+        """What to add to the log-ratio of the weights, and the shares of the candidates of a second look.
+
+        Planes are those of :mod:`omnisyn_cli.fusion.planes`, then those of :mod:`omnisyn_cli.fusion.second_look`.
+        """
         ...
 
 
-def working_size(size: tuple[int, int], rows: int = WORKING_ROWS, multiple: int = MULTIPLE) -> tuple[int, int] | None:
+def working_size(
+    size: tuple[int, int], rows: int = WORKING_ROWS, multiple: int = MULTIPLE, finer: int = FINER
+) -> tuple[int, int] | None:
     """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
 
     Args:
         size: of the frames.
         rows: that it looks at, at most.
         multiple: that heights and widths have to be one of.
+        finer: how many times that height frames have at least.
     """
-    height = min(rows, size[0], size[1] // 2) // multiple * multiple
+    height = min(rows, size[0] // finer, size[1] // (2 * finer)) // multiple * multiple
     return (height, 2 * height) if height else None
 
 
@@ -73,7 +81,7 @@ class NetworkFuser(GeometricFuser):
     """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
     Args:
-        size: height and width of the frames; where they are lower than :data:`MULTIPLE` the fusion is geometric.
+        size: height and width of the frames; where they are lower than twice :data:`MULTIPLE` the fusion is geometric.
         correction: the network.
         options: of the geometric fusion.
         threads: at most this many; None is one per core.
@@ -114,25 +122,28 @@ class NetworkFuser(GeometricFuser):
         suppression, out = self._ghosts.among(one, other, rule), self._memory(out)
         judged = self._judged(first, second, confidence).then(suppression)
         among = None if suppression is None else replace(suppression, cell=self._ghosts.along)
-        seen = self._planes(Views(one, other).then(among), rule)
+        seen, look = self._planes(Views(one, other).then(among), rule, _witnesses(first, second))
         if seen.is_settled:
             self.paint(judged, rule, out)
         else:
-            self._correct(judged, rule, seen, suppression, out)
+            self._correct(judged, rule, seen, look, suppression, out)
         return out
 
     def _correct(
-        self, views: Views, rule: BlendRule, seen: FusionPlanes, suppression: Suppression | None, out: Picture
-    ) -> None:
+        self, views: Views, rule: BlendRule, seen: FusionPlanes, look: SecondLook, suppression: Suppression | None,
+        out: Picture,
+    ) -> None:  # fmt: skip
         """The picture as the network wants it."""
-        shift, colours = self._correction(seen.planes)
-        strength, storing = np.float32(rule.strictness), storing_in(out)
-        shift = strength * seen.doubt * shift
+        shift, shares = self._correction(seen.planes)
+        strength = np.full(shift.shape, rule.strictness, np.float32)
         if suppression is not None:
-            shift = undecided(suppression, shift.shape) * shift
-        self.paint(views, rule, out, Correction(shift, seen.log_ratio, seen.both))
+            strength *= undecided(suppression, shift.shape)
+        self.paint(views, rule, out, Correction(strength * seen.doubt * shift, seen.log_ratio, seen.both))
+        look.mix_in(strength * shares, out, self.threads)
 
-        def add(begin: int, end: int) -> None:
-            colour_holes(self.is_seen, colours, seen.holes, strength, storing, out, begin, end)
 
-        run_bands(add, self.size[0], self.threads)
+def _witnesses(first: Rendering, second: Rendering) -> tuple[Witness, Witness]:
+    """Those of both."""
+    if first.witness is None or second.witness is None:
+        raise ValueError("expected renderings that can be asked, got others; fuse them by rules")
+    return first.witness, second.witness

@@ -1,8 +1,7 @@
-"""The loops before and after a fusion network, in numba; what it says about weights is in the loop that blends."""
+"""The loop before a fusion network, in numba; what it says about weights is in the loop that blends."""
 
 import numpy as np
 
-from omnisyn_cli.fusion.kernels import FAINT, neighbours, stored
 from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.types import UNSEEN
 
@@ -56,45 +55,3 @@ def reduce_band(colour, rho, coarse, coarse_rho, top, height):
                 for k in range(4):
                     coarse[i, j, k] = zero
                 coarse_rho[i, j] = -one
-
-
-@fast_kernel()
-def colour_holes(seen, colours, holes, strength, storing, image, begin, end):
-    """Add to what holes were filled with, for rows ``begin`` to ``end``.
-
-    Args:
-        seen: ``(height, width)``; 0 in holes.
-        colours: ``(3, rows, cols)`` to be added.
-        holes: ``(rows, cols)`` 1 where neither view sees anything, else 0; holes finer than that stay as they are.
-        strength: how much of the colours is added, from 0 to 1.
-        storing: of samples in the image.
-        image: ``(height, width, 3)``, changed in place, never below 0.
-        begin: first row.
-        end: the row after the last.
-    """
-    height, width = seen.shape
-    rows, cols = holes.shape
-    zero, one = np.float32(0.0), np.float32(1.0)
-    for row in range(begin, end):
-        i, down = neighbours(row, height, rows)
-        upper, lower = max(i, 0), min(i + 1, rows - 1)
-        for col in range(width):
-            if seen[row, col] > 0:
-                continue
-            j, right = neighbours(col, width, cols)
-            left, beyond = j % cols, (j + 1) % cols
-            total = red = green = blue = zero
-            for corner in range(4):
-                r, c = upper if corner < 2 else lower, left if corner % 2 == 0 else beyond
-                share = (one - down if corner < 2 else down) * (one - right if corner % 2 == 0 else right)
-                share *= holes[r, c]
-                total += share
-                red += share * colours[0, r, c]
-                green += share * colours[1, r, c]
-                blue += share * colours[2, r, c]
-            if total < FAINT:
-                continue
-            scale = strength / total
-            image[row, col, 0] = stored(image[row, col, 0] / storing.scale + scale * red, storing)
-            image[row, col, 1] = stored(image[row, col, 1] / storing.scale + scale * green, storing)
-            image[row, col, 2] = stored(image[row, col, 2] / storing.scale + scale * blue, storing)

@@ -17,7 +17,7 @@ from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import is_in_place
 from omnisyn_cli.fusion.kernels import quantize_rows
 from omnisyn_cli.fusion.network import working_size
-from omnisyn_cli.fusion.planes import reduced
+from omnisyn_cli.fusion.plane_maker import reduced
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.runtime.threads import run_bands
@@ -52,7 +52,7 @@ class PaintingFuser(GeometricFuser):
     def __init__(self, size: tuple[int, int], painter: Painter, threads: int | None = None) -> None:
         super().__init__(size, threads=threads)
         self._painter = painter
-        small = self._small = working_size(size, MOST_ROWS, MULTIPLE)
+        small = self._small = working_size(size, MOST_ROWS, MULTIPLE, finer=1)
         self._enlarged = None if small is None or small == size else Lookup.along(pixel_directions(*size), small)
 
     def __call__(

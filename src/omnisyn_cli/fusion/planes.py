@@ -1,4 +1,4 @@
-"""What the fusion network sees: two renderings at its own size, and what the geometric fusion makes of them.
+"""What fusion networks see: two renderings at their own size, and what the geometric fusion makes of them.
 
 Planes, in this order (``PLANES`` of them, float32):
 
@@ -22,15 +22,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 from array_api_compat import array_namespace, device
 from jaxtyping import Float, Float32
 
-from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.cells import greatest_near, mean_near
-from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.kernels import DIFFERENT, LEAST_RATIO, PLAIN
-from omnisyn_cli.fusion.network_kernels import reduce_band
 from omnisyn_cli.fusion.rule import BlendRule, Shown, blended, difference_of_depth, view_weights
 from omnisyn_cli.geometry.sphere import pixel_directions
 
@@ -48,9 +44,6 @@ LINEAR = 1e-4
 
 REACH, SOFTNESS = 4, 2
 """Pixels to every side within which a disagreement is near, and over which doubt about the weights fades."""
-
-COARSE_ROWS = 4
-"""That are reduced together."""
 
 Fill = Callable[[Array, Array], Array]
 """Answers a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
@@ -76,53 +69,8 @@ class FusionPlanes:
 
     @property
     def is_settled(self) -> bool:
-        """Whether there is nothing to decide: no hole, and nothing that differs between the views."""
-        return not bool(self.planes[RELEVANCE].any())
-
-
-class PlaneMaker:
-    """Makes planes of one size from renderings of any larger one. Not shared between threads.
-
-    Args:
-        size: height and width of the planes.
-        bands: of the renderings.
-    """
-
-    def __init__(self, size: tuple[int, int], bands: BandRunner) -> None:
-        self.size, self._bands = size, bands
-        self._filler = HoleFiller(size, bands.threads)
-
-    def __call__(self, views: Views, rule: BlendRule) -> FusionPlanes:
-        """Planes of two renderings, at least as high as the planes.
-
-        Args:
-            views: both, and what is done to their colours.
-            rule: at its place of the way.
-        """
-        first, second = reduced(views, self.size, self._bands)
-        return fusion_planes(first, second, rule, float(np.linalg.norm(first.offset - second.offset)), self._filled)
-
-    def _filled(self, image: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        self._filler(image, weight)
-        return image
-
-
-def reduced(views: Views, size: tuple[int, int], bands: BandRunner) -> tuple[Shown, Shown]:
-    """Two renderings at a smaller size: means over blocks of what is seen, by its weight; colours are within [0, 1]."""
-    (height, _), (rows, _) = bands.size, size
-    colours, rhos = np.empty((2, *size, 4), np.float32), np.empty((2, *size), np.float32)
-    renderings = (views.first, views.second)
-
-    def reduce(top: int, bottom: int, *shown: np.ndarray) -> None:
-        for view, colour, coarse, rho in zip(renderings, shown, colours, rhos, strict=True):
-            reduce_band(colour, view.inverse_depth[top:bottom], coarse, rho, top, height)
-
-    bands(views, reduce, [*(i * height // rows for i in range(0, rows, COARSE_ROWS)), height])
-    first, second = (
-        Shown(colour[..., :3], colour[..., 3], rho, view.target_from_source.position.astype(np.float32))
-        for view, colour, rho in zip(renderings, colours, rhos, strict=True)
-    )
-    return first, second
+        """Whether there is nothing to decide: both views see everything, and nothing differs between them."""
+        return bool(self.both.all()) and not bool(self.planes[RELEVANCE].any())
 
 
 def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float, fill: Fill) -> FusionPlanes:
@@ -149,7 +97,7 @@ def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float,
         *xp.moveaxis(fill(*blended(first, second, weights)), -1, 0),
         first.weight,
         second.weight,
-        *(_root(view.near * baseline) for view in (first, second)),
+        *(root_of_inverse_depth(view.near * baseline) for view in (first, second)),
         xp.clip(log_ratio / GREATEST_LOG, min=-1.0, max=1.0),
         xp.clip(gap / GREATEST_GAP, min=-1.0, max=1.0),
         *(xp.astype(view.is_seen, like.dtype) for view in (first, second)),
@@ -177,7 +125,7 @@ def _relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "heig
     return x * x * (3.0 - 2.0 * x)
 
 
-def _root(near: Float[Array, "height width"]) -> Float[Array, "height width"]:
+def root_of_inverse_depth(near: Float[Array, "*maps height width"]) -> Float[Array, "*maps height width"]:
     """Square root of inverse depth × baseline, at most what the planes hold."""
     xp = array_namespace(near)
     above = xp.sqrt(xp.clip(near, min=LINEAR, max=GREATEST_ROOT**2))

@@ -1,11 +1,12 @@
 """Two renderings become one picture: the paper's UNet, and a smaller network that corrects the geometric fusion.
 
 ``paper`` paints: renderings and visibility masks in, colours out, at one resolution. ``residual`` sees more (inverse
-depth, the position on the way, what the geometric fusion makes of it, see :mod:`omnisyn_cli.fusion.planes`) and answers
-less: a shift of the blend weights and an addition to the colours of holes. The shift is made of how much more or less
-decided the weights are to be than the geometric ones, and of a preference for one of the views. All of it is 0 in a
-fresh network, which therefore is the geometric fusion; and because photographs are chosen from, not painted, the frames
-are as sharp as they are, at any size.
+depth, the position on the way, what the geometric fusion makes of it, see :mod:`omnisyn_cli.fusion.planes`; and what
+the photographs show at other distances, see :mod:`omnisyn_cli.fusion.second_look`) and answers less: a shift of the
+blend weights, and the shares of a pixel that are to be what the photographs show there. The shift is made of how much
+more or less decided the weights are to be than the geometric ones, and of a preference for one of the views. A fresh
+network shifts nothing and has small shares: it nearly is the geometric fusion; and because photographs are chosen from,
+not painted, the frames are as sharp as they are, at any size.
 
 Source: OmniSyn, section 3.5.
 """
@@ -30,6 +31,22 @@ GREATEST_SHIFT = 8.0
 
 LOG_RATIO_PLANE, GREATEST_LOG = 13, 8.0
 """Of the input: the log-ratio of the geometric weights, and what it was divided by."""
+
+SEEN_PLANES, RELEVANCE_PLANE, SUPPOSED_PLANES = slice(15, 17), 17, slice(44, 46)
+"""Of the input: 1 where the first, and where the second, shows anything; whether it matters which one is shown; the
+roots of the supposed surfaces."""
+
+APART = 0.06
+"""Relative difference of inverse depth at which two supposed surfaces are different ones."""
+
+LEAST_NEAR = 1e-3
+"""Inverse depth × baseline that is next to nothing."""
+
+MOST_DECIDED = 4.0
+"""Logarithm of the greatest factor that the log-ratio of weights is stretched by: beyond it numbers overflow."""
+
+SELDOM = 4.0
+"""A fresh network gives each candidate e to minus this of what it leaves as it is."""
 
 COLOURS = 3
 """Of a rendering: a network that paints sees those of the first, then those of the second."""
@@ -58,7 +75,7 @@ class FusionConfig(CorrectingConfig):
 
 
 FUSION_VARIANTS = {
-    "residual": FusionConfig("residual", planes=20, widths=(20, 32, 48, 64, 96), fine=8),
+    "residual": FusionConfig("residual", planes=52, widths=(20, 32, 48, 64, 96), fine=8),
     "paper": FusionConfig("paper", planes=8, widths=(16, 32, 64, 128, 256, 512, 1024), paints=True),
     "paper-narrow": FusionConfig("paper-narrow", planes=8, widths=(4, 8, 16, 32, 64, 128, 256), paints=True),
 }
@@ -71,35 +88,50 @@ class FusionCorrections:
 
     Attributes:
         shift: ``(batch, 1, height, width)`` added to log(weight of the first / weight of the second).
-        colour: ``(batch, 3, height, width)`` added to the colours of holes.
+        shares: ``(batch, 4, height, width)`` of the candidates of a second look; what they leave of 1 stays.
     """
 
     shift: Tensor
-    colour: Tensor
+    shares: Tensor
 
     def outputs(self) -> tuple[Tensor, ...]:
         """What leaves the program."""
-        return self.shift, self.colour
+        return self.shift, self.shares
 
 
 class FusionNetwork(CorrectingUNet):
     """Planes in, corrections out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: FusionConfig) -> None:
-        super().__init__(config, answers=5)
+        super().__init__(config, answers=6)
         nn.init.zeros_(self.answer.weight)
 
     @property
     def ports(self) -> Ports:
         """Planes of any size."""
-        return Ports({"planes": self.config.planes}, ("shift", "colour"))
+        return Ports({"planes": self.config.planes}, ("shift", "shares"))
 
     def forward(self, planes: Float[Tensor, "batch planes height width"]) -> FusionCorrections:
         """Correct; see :meth:`answers`."""
-        stretch, shift, colour = torch.split(self.answers(planes), [1, 1, 3], dim=1)
+        stretch, shift, wanted = torch.split(self.answers(planes), [1, 1, 4], dim=1)
         log_ratio = GREATEST_LOG * planes[:, LOG_RATIO_PLANE : LOG_RATIO_PLANE + 1]
-        shift = log_ratio * (torch.exp(PACE * stretch) - 1.0) + PACE * shift
-        return FusionCorrections(GREATEST_SHIFT * torch.tanh(shift / GREATEST_SHIFT), colour)
+        shift = log_ratio * (torch.exp((PACE * stretch).clamp(max=MOST_DECIDED)) - 1.0) + PACE * shift
+        logits = torch.cat([torch.zeros_like(shift), PACE * wanted - SELDOM], dim=1)
+        shares = is_open(planes) * logits.softmax(dim=1)[:, 1:]
+        return FusionCorrections(GREATEST_SHIFT * torch.tanh(shift / GREATEST_SHIFT), shares)
+
+
+def is_open(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 1 height width"]:
+    """From 0 to 1: how far it is open what a pixel shows.
+
+    All of it in holes; where one view alone sees anything, or it matters which of both is shown, as far as different
+    surfaces are around.
+    """
+    farthest, nearest = at_least_single(planes[:, SUPPOSED_PLANES]).square().chunk(2, dim=1)
+    apart = (nearest - farthest) / (APART * nearest.clamp(min=LEAST_NEAR))
+    first, second = at_least_single(planes[:, SEEN_PLANES]).chunk(2, dim=1)
+    matters = torch.maximum(planes[:, RELEVANCE_PLANE : RELEVANCE_PLANE + 1], 1.0 - first * second)
+    return torch.maximum((1.0 - torch.exp(-apart.square())) * matters, (1.0 - first) * (1.0 - second))
 
 
 class PaintingNetwork(Network):

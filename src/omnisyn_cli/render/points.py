@@ -7,6 +7,8 @@ texture. Points never stretch: where the camera comes closer, they come apart an
 """
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -17,7 +19,10 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions, pixe
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.point_kernels import choose_points, find_nearest, project_points
 from omnisyn_cli.render.rasterize import Fragments, rasterize
+from omnisyn_cli.render.shade import Shader
+from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.trust import LEAST
+from omnisyn_cli.render.witness import AskedPanorama
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
@@ -83,13 +88,15 @@ class PointRenderer:
         self._image = np.concatenate([image, trust[..., None]], axis=-1).astype(np.float32)
         self._inverse_depth = rasterize(build_mesh(inverse_depth, cut), Pose.identity(), full, threads).inverse_depth
         self._mask, self._size, self._threads = mask, size, threads
+        self._asked = AskedPanorama(partial(make_texture, image, mask), inverse_depth, Shader(size, threads))
 
     def __call__(self, target_from_source: Pose) -> Rendering:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
         fragments, colour = render_points(
             self._image, self._inverse_depth, target_from_source, self._size, mask=self._mask, threads=self._threads
         )
-        return Rendering.of(fragments.inverse_depth, colour, target_from_source)
+        witness = self._asked.seen_from(target_from_source)
+        return replace(Rendering.of(fragments.inverse_depth, colour, target_from_source), witness=witness)
 
 
 def projected_points(

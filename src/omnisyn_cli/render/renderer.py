@@ -19,6 +19,7 @@ from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass import TwoPassRenderer
+from omnisyn_cli.render.witness import AskedPanorama
 from omnisyn_cli.types import Rendering, Samples, Spots
 
 __all__ = ["MeshRenderer", "Renderer", "make_renderer"]
@@ -61,6 +62,7 @@ class MeshRenderer:
         every = mesh.face_count()
         self._quads, drawn = (mesh.blocks, every) if way is None else simplify(mesh, way, size[0], threads=threads)
         self.triangles, self._rasterizer = (drawn, every), Rasterizer(size, threads)
+        self._asked = AskedPanorama(lambda: self._texture, inverse_depth, self._shader)
 
     def __call__(self, target_from_source: Pose) -> Rendering:
         """See :class:`Renderer`; colours are made as they are asked for."""
@@ -68,7 +70,7 @@ class MeshRenderer:
         what = (seen, self._trust, self._texture, target_from_source)
         return Rendering(
             seen, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source,
-            samples=partial(self._samples, target_from_source),
+            samples=partial(self._samples, target_from_source), witness=self._asked.seen_from(target_from_source),
         )  # fmt: skip
 
     def _samples(self, target_from_source: Pose, spots: Spots) -> Samples:

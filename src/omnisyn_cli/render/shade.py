@@ -104,6 +104,24 @@ class Shader:
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
         self._kernel(trust, texture, target_from_source)(inverse_depth[begin:end], tables, out, 0, end - begin)
 
+    def supposed_rows(
+        self, inverse_depth: Float32[np.ndarray, "rows width"], texture: Texture, target_from_source: Pose, top: int,
+        out: Float32[np.ndarray, "rows width 4"],
+    ) -> None:  # fmt: skip
+        """Colour and alpha where surfaces are supposed in rows from ``top`` on, in the caller's thread.
+
+        Args:
+            inverse_depth: of those rows.
+            texture: the photograph.
+            target_from_source: the transform.
+            top: row of the target that the first of them is.
+            out: written.
+        """
+        sin_p, cos_p, sin_a, cos_a = self._tables
+        rows = slice(top, top + len(out))
+        tables = (sin_p[rows], cos_p[rows], sin_a, cos_a)
+        self._kernel(WHOLE_TRUST, texture, target_from_source)(inverse_depth, tables, out, 0, len(out))
+
     def crossings(
         self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose,
         rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"],
@@ -168,11 +186,9 @@ class Shader:
         self, texture: Texture, target_from_source: Pose, begin: int, end: int
     ) -> Float32[np.ndarray, "rows width 4"]:
         """Rows ``begin`` to ``end`` of :meth:`infinitely_far`, in memory of their own, in the caller's thread."""
-        sin_p, cos_p, sin_a, cos_a = self._tables
         sky = np.zeros((end - begin, self.size[1]), np.float32)
         out = np.empty((*sky.shape, CHANNELS), np.float32)
-        tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
-        self._kernel(WHOLE_TRUST, texture, target_from_source)(sky, tables, out, 0, end - begin)
+        self.supposed_rows(sky, texture, target_from_source, begin, out)
         return out
 
 

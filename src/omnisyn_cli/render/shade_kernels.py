@@ -105,6 +105,9 @@ def _room_for_runs(layout, cubic):
 @inlined(fastmath=True)
 def _shade_run(rho, source, sp, cp, sin_a, cos_a, view, room, flat, first):
     """Up to :data:`RUN` pixels of a row, written to ``flat`` from ``first`` on."""
+    if not _is_any(rho):
+        flat[first : first + 4 * len(rho)] = np.float32(0.0)
+        return
     trust, trust_layout, texels, layout, weights = source
     places, kinds, trusted, fractions, index, shares, has_level, starts, strides, factors = room
     scales = _scales(weights[1], np.float32(layout[0, 6]))
@@ -130,6 +133,12 @@ def _shade_run(rho, source, sp, cp, sin_a, cos_a, view, room, flat, first):
                 trusted[left:right], some,
             )  # fmt: skip
         left = right
+
+
+@inlined()
+def _is_any(rho):
+    """Whether any pixel of a run sees something."""
+    return rho.max() >= np.float32(0.0)
 
 
 @inlined()
@@ -159,14 +168,14 @@ def _scales(cubic, unit):
 def _find_places(rho, sp, cp, sin_a, cos_a, view, layout, places, kinds):
     """Where the source sees what the pixels of a row show, and how it is read."""
     rotation, t, ratio = view
-    _find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places)
+    find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places)
     _find_texels(places, layout, len(rho))
     squared, highest = ratio * ratio, np.float32(layout.shape[0] - 1) - ALMOST
     _find_kinds(rho, places, squared, highest, kinds)
 
 
 @fast_kernel()
-def _find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places):
+def find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places):
     """``Rᵀ(r − ρ·t)`` of the pixels of a row, and its square."""
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]

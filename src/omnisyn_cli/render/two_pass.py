@@ -10,6 +10,8 @@ circles, are drawn straight, and inverse depth is not linear between them. Aroun
 everywhere: a triangle that holds a pole is drawn wrongly or not at all, and the source's own polar caps are missing.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -21,6 +23,7 @@ from omnisyn_cli.render.rasterize import NOTHING, Fragments
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles
+from omnisyn_cli.render.witness import AskedPanorama
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
@@ -80,9 +83,11 @@ class TwoPassRenderer:
         self._texture = make_texture(image, mask)
         self._trust = make_trust(mesh, self._texture)
         self._shader = Shader(size, threads)
+        self._asked = AskedPanorama(lambda: self._texture, inverse_depth, self._shader)
 
     def __call__(self, target_from_source: Pose) -> Rendering:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
         seen = rasterize_two_pass(self._triangles, target_from_source, self._shader.size, self._shader.threads)
         colour = self._shader(seen.inverse_depth, self._trust, self._texture, target_from_source)
-        return Rendering.of(seen.inverse_depth, colour, target_from_source)
+        witness = self._asked.seen_from(target_from_source)
+        return replace(Rendering.of(seen.inverse_depth, colour, target_from_source), witness=witness)

@@ -55,15 +55,15 @@ class SessionFusion:
     """
 
     def __init__(self, session: Any) -> None:
-        self._session = _checked(session, ["shift", "colour"])
+        self._session = _checked(session, ["shift", "shares"])
 
     def __call__(
         self, planes: Float32[np.ndarray, "planes height width"]
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "3 height width"]]:
-        """The shift of the log-ratio of the weights, and what to add to holes; InputError if the model is broken."""
+    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "4 height width"]]:
+        """The shift of the log-ratio of the weights, and shares of candidates; InputError if the model is broken."""
         size = planes.shape[1:]
-        shift, colour = run_network(self._session, {"planes": planes[None]}, ((1, 1, *size), (1, 3, *size)))
-        return shift[0, 0], colour[0]
+        shift, shares = run_network(self._session, {"planes": planes[None]}, ((1, 1, *size), (1, 4, *size)))
+        return shift[0, 0], shares[0]
 
 
 class SessionPainter:

@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion.second_look import CANDIDATES, SUPPOSED
 from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 
@@ -34,15 +35,17 @@ def fused_by(
 def corrected(
     planes: Float[Tensor, "batch planes height width"], corrections: FusionCorrections
 ) -> Float[Tensor, "batch 3 height width"]:
-    """The geometric fusion with shifted weights and other colours in holes, as the program corrects it."""
+    """The geometric fusion with shifted weights and shares of other candidates, as the program corrects it."""
     first, second = planes[:, plane.FIRST : plane.FIRST + 3], planes[:, plane.SECOND : plane.SECOND + 3]
-    seen = planes[:, plane.SEEN : plane.SEEN + 2]
-    both, hole = seen.prod(dim=1, keepdim=True), (1.0 - seen).prod(dim=1, keepdim=True)
+    both = planes[:, plane.SEEN : plane.SEEN + 2].prod(dim=1, keepdim=True)
     relevance = planes[:, plane.RELEVANCE : plane.RELEVANCE + 1]
     log_ratio = plane.GREATEST_LOG * planes[:, plane.LOG_RATIO : plane.LOG_RATIO + 1]
     more = torch.sigmoid(log_ratio + relevance * corrections.shift) - torch.sigmoid(log_ratio)
-    fused = planes[:, plane.FUSED : plane.FUSED + 3]
-    return fused + both * more * (first - second) + hole * corrections.colour
+    fused = planes[:, plane.FUSED : plane.FUSED + 3] + both * more * (first - second)
+    picture = fused
+    for k, candidate in enumerate(torch.split(planes[:, CANDIDATES:SUPPOSED], 3, dim=1)):
+        picture = picture + corrections.shares[:, k : k + 1] * (candidate - fused)
+    return picture
 
 
 def fusion_loss(picture: Float[Tensor, "batch 3 height width"], truth: Tensor) -> Tensor:

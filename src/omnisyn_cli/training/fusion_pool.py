@@ -4,10 +4,11 @@ A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a strai
 photographed, their depth is estimated or, for a few, known, both surfaces are rendered from places in between. For each
 place ``k``:
 
-* ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes`,
+* ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes` and
+  :mod:`omnisyn_cli.fusion.second_look`,
 * ``truth_k`` ``(3, height, width)`` float16, the scene as it is seen from there, in [0, 1].
 
-Renderings are made at twice that size and reduced as in the program, and some poses are a little wrong, as in life.
+Renderings are made at four times that size and reduced as in the program; some poses are a little wrong, as in life.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion import second_look as look
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.render.mesh import Cut
@@ -38,7 +40,7 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = ["FusionPoolConfig", "make_fusion_scene"]
 
-OVERSIZE = 2
+OVERSIZE = 4
 """Photographs and renderings are this many times as high as the planes."""
 
 PAIRS_OF_VIEWS = (
@@ -46,8 +48,23 @@ PAIRS_OF_VIEWS = (
     (plane.WEIGHT, plane.WEIGHT + 1, 1),
     (plane.ROOT, plane.ROOT + 1, 1),
     (plane.SEEN, plane.SEEN + 1, 1),
+    (look.CONFRONTED, look.CONFRONTED + 6, 6),
+    *((begin, begin + 3, 3) for begin in (look.CANDIDATES, look.CANDIDATES + 6)),
+    *((begin, begin + 1, 1) for begin in (look.CONTRADICTED, look.CONTRADICTED + 2)),
 )
 """Of the first view, of the second, and how many: what changes places when the views do."""
+
+COLOURED = (
+    plane.FIRST, plane.SECOND, plane.FUSED, look.CONFRONTED, look.CONFRONTED + 6,
+    *range(look.CANDIDATES, look.SUPPOSED, 3),
+)  # fmt: skip
+"""First of three planes that are a picture."""
+
+DIFFERENCES = (look.CONFRONTED + 3, look.CONFRONTED + 9, look.UNLIKE, look.UNLIKE + 1)
+"""Planes that are differences of colours."""
+
+ONE_SURFACE, MINOR = 0.05, 0.3
+"""Difference of roots from which on two supposed surfaces are worth a look, and how much beside a contradiction."""
 
 SIGNED = (plane.LOG_RATIO, plane.GAP, plane.TIME)
 """What changes its sign then."""
@@ -72,6 +89,7 @@ class FusionPoolConfig(TiltedConfig):
     matched: float = 0.1
     known: float = 0.1
     rows: int = 1024
+    size: tuple[int, int] = (128, 256)
 
 
 @dataclass(frozen=True)
@@ -98,7 +116,7 @@ class _Recorder:
 
     def __call__(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.planes.append(planes)
-        return np.zeros_like(planes[0]), np.zeros_like(planes[:3])
+        return np.zeros_like(planes[0]), np.zeros_like(planes[:4])
 
 
 def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
@@ -163,12 +181,15 @@ def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> Fusio
     """Windows of random places of random scenes, varied at random in ways that change nothing about the geometry.
 
     They are mirrored, lit and tinted otherwise, and the views change places. A window has all rows and a quarter of the
-    columns; it lies, across the seam or not, preferably where the views contradict each other.
+    columns; it lies, across the seam or not, preferably where the views contradict each other. All are of one size,
+    that of the first that is drawn: a pool may hold scenes of several.
     """
-    drawn = []
-    for _ in range(batch):
+    drawn: list[FusionSample] = []
+    while len(drawn) < batch:
         path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
-        drawn.append(_varied(load_samples(path, FusionSample, which)[0], rng))
+        sample = load_samples(path, FusionSample, which)[0]
+        if not drawn or sample.truth.shape[-2] == drawn[0].truth.shape[-2]:
+            drawn.append(_varied(sample, rng))
     return FusionBatch(*stacked(drawn))
 
 
@@ -179,12 +200,14 @@ def stored_fusion(path: Path, which: int) -> FusionBatch:
 
 def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
     """All that is done to colours is linear, so that blends of varied colours are varied blends."""
-    columns = window_columns(sample.planes[plane.RELEVANCE], rng)
+    farthest, nearest = sample.planes[look.SUPPOSED : look.SUPPOSED + 2]
+    columns = window_columns(sample.planes[plane.RELEVANCE] + MINOR * (nearest - farthest > ONE_SURFACE), rng)
     planes, truth = (x[..., columns] for x in (sample.planes, sample.truth))
     tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
-    for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
+    for begin in COLOURED:
         planes[begin : begin + 3] = (planes[begin : begin + 3] * tint)[order]
+    planes[list(DIFFERENCES)] *= tint.mean()
     truth = (truth * tint)[order]
     if rng.random() < 0.5:
         planes = exchanged(planes)

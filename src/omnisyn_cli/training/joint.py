@@ -51,7 +51,7 @@ ALONG = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class JointConfig:
-    """Which networks; a depth network of either kind, and any fusion network."""
+    """Which networks; a depth network of either kind, and a fusion network that paints: the others ask photographs."""
 
     depth: DepthConfig | PaperConfig
     fusion: FusionConfig

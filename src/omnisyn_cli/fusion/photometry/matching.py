@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.fusion.photometry.curve import ExposureCurve, linear_from_stored
 from omnisyn_cli.fusion.photometry.kernels import expose_rows
-from omnisyn_cli.types import Rendering, Samples, Spots
+from omnisyn_cli.types import Rendering, Samples, Spots, Witness
 
 __all__ = ["CLIPPING", "MOST_LOSS"]
 
@@ -67,8 +67,11 @@ class ExposureMatcher:
             change(colour)
             return colour
 
-        exposed = replace(view, colour_rows=colour_rows, colour_at=colour_at, held=None)
-        return exposed if view.samples is None else replace(exposed, samples=partial(_samples, view.samples, change))
+        return replace(
+            view, colour_rows=colour_rows, colour_at=colour_at, held=None,
+            samples=None if view.samples is None else partial(_samples, view.samples, change),
+            witness=None if view.witness is None else _exposed_witness(view.witness, change),
+        )  # fmt: skip
 
 
 def _samples(of_view: Callable[[Spots], Samples], change: Callable[[Array], None], spots: Spots) -> Samples:
@@ -76,6 +79,21 @@ def _samples(of_view: Callable[[Spots], Samples], change: Callable[[Array], None
     inverse_depth, colour = of_view(spots)
     change(colour)
     return inverse_depth, colour
+
+
+def _exposed_witness(witness: Witness, change: Callable[[Array], None]) -> Witness:
+    """One whose colours are exposed."""
+
+    def colour_rows(inverse_depth: np.ndarray, top: int, out: np.ndarray) -> None:
+        witness.colour_rows(inverse_depth, top, out)
+        change(out)
+
+    def colour(inverse_depth: np.ndarray) -> np.ndarray:
+        colours = witness.colour(inverse_depth)
+        change(colours)
+        return colours
+
+    return replace(witness, colour_rows=colour_rows, colour=colour)
 
 
 def loss_of_white(table: Float[np.ndarray, "3 entries"]) -> np.float32:

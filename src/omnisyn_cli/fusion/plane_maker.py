@@ -1,0 +1,80 @@
+"""Planes for fusion networks (:mod:`omnisyn_cli.fusion.planes`), made of renderings of any larger size."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.network_kernels import reduce_band
+from omnisyn_cli.fusion.planes import FusionPlanes, fusion_planes
+from omnisyn_cli.fusion.rule import BlendRule, Shown
+from omnisyn_cli.fusion.second_look import FINER, SecondLook, second_look
+from omnisyn_cli.types import Witness
+
+__all__ = ["PlaneMaker", "reduced"]
+
+COARSE_ROWS = 4
+"""That are reduced together."""
+
+
+class PlaneMaker:
+    """Makes planes of one size from renderings of at least :data:`FINER` times that. Not shared between threads.
+
+    Args:
+        size: height and width of the planes.
+        bands: of the renderings.
+    """
+
+    def __init__(self, size: tuple[int, int], bands: BandRunner) -> None:
+        self.size, self._bands = size, bands
+        self._filler = HoleFiller(size, bands.threads)
+
+    def __call__(
+        self, views: Views, rule: BlendRule, witnesses: tuple[Witness, Witness]
+    ) -> tuple[FusionPlanes, SecondLook]:
+        """Planes of two renderings, those of a second look among them.
+
+        Args:
+            views: both, and what is done to their colours.
+            rule: at its place of the way.
+            witnesses: of both.
+        """
+        fine = reduced(views, (FINER * self.size[0], FINER * self.size[1]), self._bands)
+        first, second = (_halved(view) for view in fine)
+        baseline = float(np.linalg.norm(first.offset - second.offset))
+        base = fusion_planes(first, second, rule, baseline, self._filled)
+        look = second_look(*fine, witnesses, baseline)
+        return replace(base, planes=np.concatenate([base.planes, look.planes])), look
+
+    def _filled(self, image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        self._filler(image, weight)
+        return image
+
+
+def reduced(views: Views, size: tuple[int, int], bands: BandRunner) -> tuple[Shown, Shown]:
+    """Two renderings at a smaller size: means over blocks of what is seen, by its weight; colours are within [0, 1]."""
+    (height, _), (rows, _) = bands.size, size
+    colours, rhos = np.empty((2, *size, 4), np.float32), np.empty((2, *size), np.float32)
+    renderings = (views.first, views.second)
+
+    def reduce(top: int, bottom: int, *shown: np.ndarray) -> None:
+        for view, colour, coarse, rho in zip(renderings, shown, colours, rhos, strict=True):
+            reduce_band(colour, view.inverse_depth[top:bottom], coarse, rho, top, height)
+
+    bands(views, reduce, [*(i * height // rows for i in range(0, rows, COARSE_ROWS)), height])
+    first, second = (
+        Shown(colour[..., :3], colour[..., 3], rho, view.target_from_source.position.astype(np.float32))
+        for view, colour, rho in zip(renderings, colours, rhos, strict=True)
+    )
+    return first, second
+
+
+def _halved(view: Shown) -> Shown:
+    """The same at half the size."""
+    rows, cols = view.weight.shape
+    size = (rows // FINER, cols // FINER)
+    colour, rho = np.empty((*size, 4), np.float32), np.empty(size, np.float32)
+    weighted = np.concatenate([view.colour, view.weight[..., None]], axis=-1)
+    reduce_band(weighted, view.inverse_depth, colour, rho, 0, rows)
+    return replace(view, colour=colour[..., :3], weight=colour[..., 3], inverse_depth=rho)

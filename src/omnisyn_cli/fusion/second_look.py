@@ -1,0 +1,158 @@
+"""A second look at the photographs, where their surfaces may be wrong.
+
+What a rendering shows is what its own depth makes of a photograph. Where that depth is wrong, mostly beside edges, the
+right colour is in none of the renderings, but it is in the photographs: they show every point somewhere. So for every
+pixel two surfaces are supposed, the nearest and the farthest one that either rendering shows around it, and both
+photographs are asked what they show there (:class:`omnisyn_cli.types.Witness`). That makes four more candidates for the
+colour of a pixel, also where only one view or none shows anything. What each photograph shows where the *other* view's
+surface is, and whether its own depth agrees, tells which of the renderings to believe.
+
+Planes for the network, ``LOOKS`` of them, float32, after those of :mod:`omnisyn_cli.fusion.planes`:
+
+* ``CONFRONTED``: for what the first rendering shows, and then for what the second does, at the same point in the other
+  view: its colour (3), the mean difference of the colours, how much nearer its surface is, and how much farther,
+  both in [0, 1];
+* ``CANDIDATES``: colours of both photographs at the farthest surface, then at the nearest (3 each),
+* ``SUPPOSED``: roots of inverse depth × baseline of the farthest surface and of the nearest,
+* ``CONTRADICTED``: how much nearer (positive) or farther the views' own surfaces are, for each candidate, in [−1, 1],
+* ``UNLIKE``: mean difference of the colours of both photographs at the farthest surface and at the nearest.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Shaped
+
+from omnisyn_cli.fusion.bands import ROWS
+from omnisyn_cli.fusion.cells import greatest_near
+from omnisyn_cli.fusion.kernels import Storing, storing_in
+from omnisyn_cli.fusion.planes import GREATEST_GAP, PLANES, root_of_inverse_depth
+from omnisyn_cli.fusion.rule import BlendOptions, Shown
+from omnisyn_cli.fusion.second_look_kernels import add_rows, join_rows, suppose_rows
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Witness
+
+__all__ = ["CANDIDATES", "LOOKS", "SUPPOSED", "SecondLook"]
+
+CONFRONTED, CANDIDATES, SUPPOSED, CONTRADICTED, UNLIKE = (PLANES + k for k in (0, 12, 24, 26, 30))
+LOOKS = 32
+
+FINER = 2
+"""Second looks are taken at so many times the height of the planes, and averaged."""
+
+REACH = 4
+"""Rows and columns of a second look to every side, within which the nearest and the farthest surface are taken."""
+
+LEAST = 1e-3
+"""Inverse depth × baseline that is next to nothing."""
+
+LEAST_SHARE = np.float32(0.04)
+"""Of a candidate, below which it is not looked up; up to twice that it sets in. A fresh network gives less."""
+
+NOWHERE = np.float32(1e9)
+"""Inverse depth of what is not seen, nearer than everything."""
+
+Picture = Shaped[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True)
+class SecondLook:
+    """What both photographs show where surfaces are supposed.
+
+    Attributes:
+        planes: ``(LOOKS, height, width)``, at the size of the network's planes.
+        supposed: ``(2, rows, cols)`` inverse depth from the target of the farthest and of the nearest surface around
+            every pixel, at :data:`FINER` times that size.
+        witnesses: of both views.
+    """
+
+    planes: Float32[np.ndarray, "planes height width"]
+    supposed: Float32[np.ndarray, "2 rows cols"]
+    witnesses: tuple[Witness, Witness]
+
+    def mix_in(self, shares: Float32[np.ndarray, "4 height width"], picture: Picture, threads: int | None) -> None:
+        """Give candidates their share of a picture.
+
+        Args:
+            shares: of the farthest surface in the first and in the second photograph, and of the nearest, at any size;
+                what they leave of 1 is the picture's own.
+            picture: numbers or samples, changed.
+            threads: at most this many.
+        """
+        height, storing = len(picture), storing_in(picture)
+        shares = shares * np.clip(shares / LEAST_SHARE - np.float32(1.0), 0.0, 1.0)
+        per_row = shares.max(axis=(0, 2))
+
+        def mix(begin: int, end: int) -> None:
+            for top in range(begin * ROWS, min(end * ROWS, height), ROWS):
+                bottom = min(top + ROWS, height)
+                above, below = (row * len(per_row) // height for row in (top, bottom - 1))
+                if per_row[max(above - 1, 0) : below + 2].any():
+                    self._mix_rows(shares, picture[top:bottom], top, height, storing)
+
+        run_bands(mix, -(-height // ROWS), threads)
+
+    def _mix_rows(self, shares: np.ndarray, rows: Picture, top: int, height: int, storing: Storing) -> None:
+        points, colour = np.empty(rows.shape[:2], np.float32), np.empty((*rows.shape[:2], 4), np.float32)
+        total = np.zeros_like(colour)
+        for k, (share, witness) in enumerate(zip(shares, 2 * self.witnesses, strict=True)):
+            if suppose_rows(self.supposed[k // 2], share, top, height, points):
+                witness.colour_rows(points, top, colour)
+                add_rows(share, colour, top, height, total)
+        join_rows(total, storing, rows)
+
+
+def second_look(first: Shown, second: Shown, witnesses: tuple[Witness, Witness], baseline: float) -> SecondLook:
+    """Ask both photographs.
+
+    Args:
+        first: what the target sees of the first view, at :data:`FINER` times the size of the planes.
+        second: of the second view.
+        witnesses: of both.
+        baseline: how far apart both views are, in the unit that depth is measured in.
+    """
+    supposed = supposed_surfaces(first, second)
+    least = LEAST / baseline
+    planes = [*_confronted(first, witnesses[1], least), *_confronted(second, witnesses[0], least)]
+    gaps, unlike = [], []
+    for points in supposed:
+        seen = [np.moveaxis(witness.colour(points)[..., :3], -1, 0) for witness in witnesses]
+        planes += [plane for colours in seen for plane in colours]
+        gaps += [_gap(witness, points, least) for witness in witnesses]
+        unlike.append(np.abs(seen[0] - seen[1]).mean(axis=0))
+    planes += [*root_of_inverse_depth(supposed * np.float32(baseline)), *gaps, *unlike]
+    return SecondLook(averaged(np.stack(planes)), supposed, witnesses)
+
+
+def supposed_surfaces(first: Shown, second: Shown) -> Float32[np.ndarray, "2 rows cols"]:
+    """Inverse depth of the farthest and of the nearest surface that is seen around every pixel; 0 where none is."""
+    seen = [np.where(view.is_seen, view.near, -1.0).astype(np.float32) for view in (first, second)]
+    nearest = greatest_near(np.maximum(*seen), REACH)
+    farthest = -greatest_near(-np.minimum(*(np.where(near < 0.0, NOWHERE, near) for near in seen)), REACH)
+    nearest = np.maximum(nearest, np.float32(0.0))
+    return np.stack([np.minimum(farthest, nearest), nearest])
+
+
+def _confronted(view: Shown, other: Witness, least: float) -> Float32[np.ndarray, "6 rows cols"]:
+    """What the other photograph and its depth say of what a view shows; 0 where it shows nothing."""
+    is_seen = view.is_seen
+    points = np.where(is_seen, view.near, np.float32(-1.0)).astype(np.float32)
+    colour, gap = other.colour(points)[..., :3], _gap(other, points, least)
+    differs = np.abs(colour - view.colour).mean(axis=-1)
+    planes = np.stack([*np.moveaxis(colour, -1, 0), differs, np.maximum(gap, 0.0), np.maximum(-gap, 0.0)])
+    seen = averaged(is_seen.astype(np.float32)[None])
+    spread = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0.0).repeat(FINER, 1).repeat(FINER, 2)
+    return np.asarray(np.where(is_seen, planes, 0.0) * spread, np.float32)
+
+
+def _gap(witness: Witness, points: Float32[np.ndarray, "rows cols"], least: float) -> Float32[np.ndarray, "rows cols"]:
+    """How much nearer a view's surface is, in units of what counts as a disagreement over the greatest that is told."""
+    unit = BlendOptions().disagreement * GREATEST_GAP
+    return np.asarray(np.clip(witness.nearer(points, least) / unit, -1.0, 1.0), np.float32)
+
+
+def averaged(planes: Float32[np.ndarray, "planes rows cols"]) -> Float32[np.ndarray, "planes height width"]:
+    """Means over blocks of :data:`FINER` rows and columns."""
+    count, rows, cols = planes.shape
+    blocks = planes.reshape(count, rows // FINER, FINER, cols // FINER, FINER)
+    return np.asarray(blocks.mean(axis=(2, 4)), np.float32)

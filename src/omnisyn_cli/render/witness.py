@@ -1,0 +1,82 @@
+"""A panorama that is asked what it shows where somebody supposes a surface, whatever its own depth says.
+
+A pixel of the target and an inverse depth are a point, and a photograph shows every point somewhere: what it shows
+there is the colour of the point, or of what hides it. How far the panorama's own surface is in that direction says
+which.
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.render.shade import WHOLE_TRUST, Shader
+from omnisyn_cli.render.texture import Texture
+from omnisyn_cli.render.witness_kernels import find_nearer
+from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.types import Witness
+
+__all__ = ["AskedPanorama"]
+
+SMALL_SIZES = 2
+"""Of targets that tables are kept for, besides that of the frames."""
+
+
+class AskedPanorama:
+    """A panorama with its depth, to be asked from any number of places.
+
+    Args:
+        texture: makes the photograph, once it is asked for.
+        inverse_depth: 1/metre, of the panorama, at any size.
+        shader: of the frames' size.
+    """
+
+    def __init__(
+        self, texture: Callable[[], Texture], inverse_depth: Float[np.ndarray, "rows cols"], shader: Shader
+    ) -> None:
+        self._make_texture, self._shader = texture, shader
+        self._inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
+        self._shaders: dict[tuple[int, int], Shader] = {}
+
+    def seen_from(self, target_from_source: Pose) -> Witness:
+        """What it says to a target."""
+
+        def colour_rows(inverse_depth: np.ndarray, top: int, out: np.ndarray) -> None:
+            self._shader.supposed_rows(inverse_depth, self._texture, target_from_source, top, out)
+
+        def colour(inverse_depth: np.ndarray) -> Float32[np.ndarray, "height width 4"]:
+            shader = self._shader_of(inverse_depth.shape)
+            return shader(inverse_depth, WHOLE_TRUST, self._texture, target_from_source).copy()
+
+        def nearer(inverse_depth: np.ndarray, least: float) -> Float32[np.ndarray, "height width"]:
+            out = np.empty(inverse_depth.shape, np.float32)
+            tables = [table.astype(np.float32) for table in direction_tables(*inverse_depth.shape)]
+            rotation, position = (
+                np.ascontiguousarray(values, np.float32)
+                for values in (target_from_source.rotation, target_from_source.position)
+            )
+            run_bands(
+                lambda begin, end: find_nearer(
+                    inverse_depth, *tables, rotation, position, self._inverse_depth, np.float32(least), out, begin, end
+                ),
+                len(out),
+                self._shader.threads,
+            )
+            return out
+
+        return Witness(colour_rows, colour, nearer)
+
+    @cached_property
+    def _texture(self) -> Texture:
+        return self._make_texture()
+
+    def _shader_of(self, size: tuple[int, ...]) -> Shader:
+        height, width = size
+        if (height, width) not in self._shaders:
+            if len(self._shaders) == SMALL_SIZES:
+                self._shaders.clear()
+            self._shaders[height, width] = Shader((height, width), self._shader.threads)
+        return self._shaders[height, width]

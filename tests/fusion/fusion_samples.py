@@ -1,0 +1,26 @@
+"""Renderings that can be asked what else their photographs show."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from omnisyn_cli.types import Rendering, Witness
+
+
+def plain_witness(colour: float = 0.5) -> Witness:
+    """A photograph of one colour, whose surface is wherever somebody supposes it."""
+
+    def paint(points: np.ndarray, top: int, out: np.ndarray) -> None:
+        out[:] = np.where(points[..., None] >= 0.0, np.float32([colour, colour, colour, 1.0]), np.float32(0.0))
+
+    def whole(points: np.ndarray) -> np.ndarray:
+        out = np.empty((*points.shape, 4), np.float32)
+        paint(points, 0, out)
+        return out
+
+    return Witness(paint, whole, lambda points, least: np.zeros_like(points))
+
+
+def asked(view: Rendering, colour: float = 0.5) -> Rendering:
+    """With such a witness."""
+    return replace(view, witness=plain_witness(colour))

@@ -1,0 +1,131 @@
+"""A second look at the photographs: which surfaces are supposed, what is told of them, how candidates are mixed in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fusion_samples import plain_witness
+
+from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
+from omnisyn_cli.fusion.planes import PLANES
+from omnisyn_cli.fusion.rule import Shown
+from omnisyn_cli.fusion.second_look import (
+    CANDIDATES,
+    CONFRONTED,
+    CONTRADICTED,
+    LOOKS,
+    REACH,
+    SUPPOSED,
+    UNLIKE,
+    SecondLook,
+    averaged,
+    second_look,
+    supposed_surfaces,
+)
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.types import Rendering, Witness
+
+SIZE = (32, 64)
+
+
+def shown(rho, colour=0.5, size=SIZE):
+    rho = np.broadcast_to(np.float32(rho), size).copy()
+    return Shown(np.full((*size, 3), colour, np.float32), (rho >= 0).astype(np.float32), rho, np.zeros(3, np.float32))
+
+
+def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_and_over_the_seam():
+    first, second = np.full(SIZE, 0.3), np.full(SIZE, -1.0)
+    first[10, 63], second[20, 30] = 0.9, 0.1
+    farthest, nearest = supposed_surfaces(shown(first), shown(second))
+    row, col = np.indices(SIZE)
+    by_near = (np.abs(row - 10) <= REACH) & (np.abs((col - 63 + 32) % 64 - 32) <= REACH)
+    by_far = (np.abs(row - 20) <= REACH) & (np.abs(col - 30) <= REACH)
+    np.testing.assert_array_equal(nearest, np.where(by_near, np.float32(0.9), np.float32(0.3)))
+    np.testing.assert_array_equal(farthest, np.where(by_far, np.float32(0.1), np.float32(0.3)))
+
+
+def test_where_nothing_is_seen_at_all_points_are_infinitely_far():
+    assert not supposed_surfaces(shown(-1.0), shown(-1.0)).any()
+
+
+def test_planes_say_what_the_photographs_show():
+    """Grey of one kind each; the second surface lies nearer than all points, the first one farther."""
+    gaps = [
+        lambda points, least, gap=gap: np.where(points >= 0, np.float32(gap), np.float32(0)) for gap in (-0.12, 0.5)
+    ]
+    witnesses = [
+        Witness(plain.colour_rows, plain.colour, gap)
+        for plain, gap in zip((plain_witness(0.25), plain_witness(0.75)), gaps, strict=True)
+    ]
+    half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
+    look = second_look(shown(half_seen), shown(0.4, colour=0.1), (witnesses[0], witnesses[1]), baseline=4.0)
+    planes = look.planes
+    assert planes.shape == (LOOKS, 16, 32)
+
+    def plane(index):
+        return planes[index - PLANES]
+
+    seen = np.arange(32) < 16
+    for k, (expected, counted) in enumerate(
+        [
+            *((0.75, seen), (0.75, seen), (0.75, seen), (0.25, seen), (1.0, seen), (0.0, seen)),  # from the second view
+            *((0.25, 1), (0.25, 1), (0.25, 1), (0.15, 1), (0.0, 1), (0.5, 1)),  # from the first
+        ]
+    ):
+        np.testing.assert_allclose(plane(CONFRONTED + k), np.broadcast_to(expected * counted, (16, 32)), atol=1e-6)
+    for k, expected in enumerate((0.25, 0.75, 0.25, 0.75)):
+        for channel in range(3):
+            np.testing.assert_allclose(plane(CANDIDATES + 3 * k + channel), expected, atol=1e-6)
+        np.testing.assert_allclose(plane(CONTRADICTED + k), (-0.5, 1.0)[k % 2], atol=1e-6)
+    np.testing.assert_allclose(planes[UNLIKE - PLANES :], 0.5, atol=1e-6)
+    inside, beyond = np.s_[:, 4:12], np.s_[:, 20:28]
+    np.testing.assert_allclose(plane(SUPPOSED)[inside], np.sqrt(0.2 * 4), atol=1e-6)
+    np.testing.assert_allclose(plane(SUPPOSED)[beyond], np.sqrt(0.4 * 4), atol=1e-6)
+    np.testing.assert_allclose(plane(SUPPOSED + 1), np.sqrt(0.4 * 4), atol=1e-6)
+
+
+def test_blocks_are_averaged():
+    planes = np.random.default_rng(0).random((3, 6, 8), np.float32)
+    np.testing.assert_allclose(averaged(planes), planes.reshape(3, 3, 2, 4, 2).mean(axis=(2, 4)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.uint8])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_points_are_those_of_the_supposed_surfaces_and_masked_photographs_have_no_share(dtype, threads):
+    """The first photograph answers with the inverse depth it is asked about, the second one has nothing to show."""
+    rng, size = np.random.default_rng(0), (128, 256)
+    supposed = rng.random((2, 64, 128), np.float32)
+
+    def tell(points, top, out):
+        out[..., :3] = np.maximum(points, 0)[..., None]
+        out[..., 3] = points >= 0
+
+    def hide(points, top, out):
+        out[:] = 0.0
+
+    witnesses = tuple(Witness(paint, lambda points: points, lambda points, least: points) for paint in (tell, hide))
+    shares = np.zeros((4, 32, 64), np.float32)
+    shares[0, :16], shares[2, 16:], shares[3] = 0.5, 0.25, 0.5
+    image = np.full((*size, 3), 0.5, np.float32)
+    image = image if dtype == np.float32 else np.rint(255 * image).astype(np.uint8)
+    SecondLook(np.empty(0), supposed, witnesses).mix_in(shares, image, threads)
+    found = image if dtype == np.float32 else image / 255
+    wide = supposed.repeat(2, 1).repeat(2, 2)[..., None]
+    for rows, share, which in ((np.s_[:60], 0.5, 0), (np.s_[68:], 0.25, 1)):
+        expected = np.broadcast_to((1 - share) * 0.5 + share * wide[which], (*size, 3))
+        np.testing.assert_allclose(found[rows], expected[rows], atol=1e-5 if dtype == np.float32 else 1.01 / 255)
+
+
+def test_photographs_are_asked_in_the_exposure_of_the_frame():
+    """Candidates look as the rendering of the same view does, half way between two exposures."""
+    colour = np.float32([0.5, 0.5, 0.5, 1.0]) * np.ones((*SIZE, 1), np.float32)
+    views = [
+        replace(Rendering.of(np.zeros(SIZE, np.float32), colour, Pose.identity()), witness=plain_witness(0.5))
+        for _ in range(2)
+    ]
+    points, rows = np.zeros(SIZE, np.float32), np.empty((8, SIZE[1], 4), np.float32)
+    for view in ExposureMatcher(ExposureCurve(np.ones((3, 6))))(*views, 0.5):
+        assert abs(view.colour[0, 0, 0] - 0.5) > 0.05
+        np.testing.assert_allclose(view.witness.colour(points), view.colour, atol=1e-6)
+        view.witness.colour_rows(points[4:12], 4, rows)
+        np.testing.assert_allclose(rows, view.colour[4:12], atol=1e-6)
