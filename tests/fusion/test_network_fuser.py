@@ -281,7 +281,6 @@ def test_the_planes_are_what_they_are_said_to_be():
     assert not planes[[plane.LOG_RATIO, plane.GAP]][:, ~(a & b)].any()
     np.testing.assert_array_equal(planes[plane.SEEN : plane.SEEN + 2], np.stack([a, b]))
     np.testing.assert_array_equal(made.both, a & b)
-    np.testing.assert_array_equal(made.holes, ~a & ~b)
     baseline = np.linalg.norm(first.target_from_source.position - second.target_from_source.position)
     for k, view in enumerate((first, second)):
         colour = planes[(plane.FIRST, plane.SECOND)[k] :][:3].transpose(1, 2, 0)

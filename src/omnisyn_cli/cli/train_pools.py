@@ -119,7 +119,7 @@ def silhouette_pool(height: int, **options: Any) -> None:
 
 
 @click.command("fusion-pool")
-@_scene_options(200, "picture")
+@_scene_options(200, "picture", height=128)
 @click.option(
     "--preset",
     default=DEFAULT_PRESET,
@@ -134,7 +134,7 @@ def fusion_pool(height: int, preset: str, **options: Any) -> None:
     from omnisyn_cli.training.fusion_pool import FusionPoolConfig, make_fusion_scene
 
     _check_pool_height(height)
-    config = FusionPoolConfig(size=(height, 2 * height), preset=preset, rows=4 * height)
+    config = FusionPoolConfig(size=(height, 2 * height), preset=preset, rows=8 * height)
     _fill(make_fusion_scene, config, **options)
 
 

@@ -57,14 +57,12 @@ class FusionPlanes:
         planes: see the module's docstring.
         log_ratio: ``(height, width)`` of the geometric weights.
         both: 1 where both views see, else 0.
-        holes: 1 where neither view does, else 0.
         doubt: how much the network's shift of the weights counts, from 0 to 1.
     """
 
     planes: Float[Array, "planes height width"]
     log_ratio: Float[Array, "height width"]
     both: Float[Array, "height width"]
-    holes: Float[Array, "height width"]
     doubt: Float[Array, "height width"]
 
     @property
@@ -105,7 +103,7 @@ def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float,
         (2.0 * rule.t - 1.0) * one,
         directions[..., 1],
     ]
-    return FusionPlanes(xp.stack(planes), log_ratio, is_both, holes, doubt)
+    return FusionPlanes(xp.stack(planes), log_ratio, is_both, doubt)
 
 
 _directions = lru_cache(maxsize=2)(pixel_directions)

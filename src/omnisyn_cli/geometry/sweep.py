@@ -30,6 +30,7 @@ __all__ = [
     "free_space_agreement",
     "inverse_depth_from_parallax",
     "parallax_from_inverse_depth",
+    "seen_from_second",
     "sweep_directions",
 ]
 
@@ -117,6 +118,18 @@ def sweep_directions(
     return turned + inverse_depth[..., None] * translation
 
 
+def seen_from_second(
+    directions: Float[np.ndarray, "*batch 3"], inverse_depth: Float[np.ndarray, "*batch"], second_from_first: Pose
+) -> tuple[Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch"]]:
+    """Where the second camera sees points, as :func:`sweep_directions`, and their inverse depth from there.
+
+    Inverse depth is in the inverse of the unit that ``second_from_first`` is in, and is so from there.
+    """
+    exact = inverse_depth.astype(np.float64)
+    moved = sweep_directions(directions, exact, second_from_first)
+    return moved, exact / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+
+
 def free_space_agreement(
     inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
 ) -> Float[np.ndarray, "height width"]:
@@ -127,8 +140,7 @@ def free_space_agreement(
     Inverse depths, each in its own panorama's frame, and the translation of ``other_from_this`` are in baselines.
     """
     directions = pixel_directions(*inverse_depth.shape)
-    moved = sweep_directions(directions, inverse_depth.astype(np.float64), other_from_this)
-    expected = inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+    moved, expected = seen_from_second(directions, inverse_depth, other_from_this)
     seen = sample_nearest(other, moved)
     too_far = np.maximum(expected - seen - INFINITE, 0.0) / np.maximum(expected, INFINITE)
     return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)

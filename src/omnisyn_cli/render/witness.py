@@ -21,9 +21,6 @@ from omnisyn_cli.types import Witness
 
 __all__ = ["AskedPanorama"]
 
-SMALL_SIZES = 2
-"""Of targets that tables are kept for, besides that of the frames."""
-
 
 class AskedPanorama:
     """A panorama with its depth, to be asked from any number of places.
@@ -39,7 +36,7 @@ class AskedPanorama:
     ) -> None:
         self._make_texture, self._shader = texture, shader
         self._inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
-        self._shaders: dict[tuple[int, int], Shader] = {}
+        self._coarse: Shader | None = None
 
     def seen_from(self, target_from_source: Pose) -> Witness:
         """What it says to a target."""
@@ -74,9 +71,7 @@ class AskedPanorama:
         return self._make_texture()
 
     def _shader_of(self, size: tuple[int, ...]) -> Shader:
-        height, width = size
-        if (height, width) not in self._shaders:
-            if len(self._shaders) == SMALL_SIZES:
-                self._shaders.clear()
-            self._shaders[height, width] = Shader((height, width), self._shader.threads)
-        return self._shaders[height, width]
+        """Of a size other than the frames'; a fuser asks about one, frame after frame."""
+        if self._coarse is None or self._coarse.size != size:
+            self._coarse = Shader((size[0], size[1]), self._shader.threads)
+        return self._coarse

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.geometry.sweep import seen_from_second
 
 __all__ = ["GREATEST_ROOT", "Answer", "Evidence", "PlanesNetwork", "evidence_planes", "root_of"]
 
@@ -74,12 +74,10 @@ def evidence_planes(evidence: Evidence, other: Evidence) -> Float32[np.ndarray, 
     the other camera; sine of the elevation; root of the matched map where both directions agreed.
     """
     directions = pixel_directions(*evidence.filled.shape)
-    moved, moved_matched = (
-        sweep_directions(directions, each.astype(np.float64), evidence.second_from_first)
-        for each in (evidence.filled, evidence.matched)
+    (moved, expected), (moved_matched, _) = (
+        seen_from_second(directions, each, evidence.second_from_first) for each in (evidence.filled, evidence.matched)
     )
     filled_at, matched_at = (Lookup.along(each, other.filled.shape) for each in (moved, moved_matched))
-    expected = evidence.filled / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
     towards = evidence.second_from_first.inverse().position
     matched = root_of(evidence.matched)
     planes = [

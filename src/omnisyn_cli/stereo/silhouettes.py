@@ -14,7 +14,7 @@ from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.geometry.sweep import seen_from_second
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, PlanesNetwork, root_of
 from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.types import DepthEstimate, View
@@ -86,9 +86,7 @@ def silhouette_planes(
     directions = pixel_directions(*size)
     seen, differences, gaps, places = [], [], [], []
     for candidate in (root, nearest, farthest):
-        inverse_depth = np.square(candidate.astype(np.float64))
-        moved = sweep_directions(directions, inverse_depth, motion)
-        expected = inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
+        moved, expected = seen_from_second(directions, np.square(candidate.astype(np.float64)), motion)
         place = Lookup.along(moved, size)
         colours = place.bilinear(other_image)
         seen += list(np.moveaxis(colours, -1, 0).astype(np.float32))

@@ -19,11 +19,10 @@ from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.scenes import Scene, render_panorama
-from omnisyn_cli.stereo.evidence import GREATEST_ROOT, evidence_planes
+from omnisyn_cli.stereo.evidence import evidence_planes, root_of
 from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, load_samples, save_samples, stacked, vary_colours
-from omnisyn_cli.training.pool import STOPS, TiltedConfig, as_told, held_askew, scene_path
+from omnisyn_cli.training.pool import STOPS, TiltedConfig, photographed, scene_path
 from omnisyn_cli.types import View
 
 __all__ = ["make_evidence"]
@@ -52,25 +51,17 @@ def make_evidence(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
     scene, path = found
     rng = np.random.default_rng([21, seed])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
-    shown = []
-    for stop in (0, int(rng.integers(2, STOPS - 2)), STOPS - 1):
-        pose = Pose(held_askew(rng, tilt), path[stop].position)
-        image, inverse_depth = _photograph(scene, pose, config.size)
-        shown.append((image, inverse_depth, as_told(pose, error, rng)))
-    inner = ((0, 1), (1, 2))[int(rng.integers(2))]
     height, width = config.size
+    shown = [
+        photographed(scene, path[stop].position, tilt, error, rng, (2 * height, 2 * width), config.size)
+        for stop in (0, int(rng.integers(2, STOPS - 2)), STOPS - 1)
+    ]
+    inner = ((0, 1), (1, 2))[int(rng.integers(2))]
     estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # evidence has half
     pairs = [pair for i, j in ((0, 2), inner) for pair in _matched(shown[i], shown[j], estimator, rng)]
     file = scene_path(folder, seed)
     save_samples(file, pairs)
     return file
-
-
-def _photograph(scene: Scene, pose: Pose, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """The picture, twice as high, as it is matched; and the inverse depth at the centre of each pixel."""
-    image, _ = render_panorama(scene, pose, (2 * size[0], 2 * size[1]), supersample=2, threads=1)
-    _, depth = render_panorama(scene, pose, size, supersample=1, threads=1)
-    return np.asarray(image, np.float32), 1.0 / depth
 
 
 def _matched(
@@ -83,7 +74,7 @@ def _matched(
     colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
     first, second = estimator.evidence(View(colours[0], one[2]), View(colours[1], other[2]))
     baseline = float(np.linalg.norm(one[2].position - other[2].position))
-    roots = [np.sqrt(np.clip(x[1] * baseline, 0.0, GREATEST_ROOT**2)) for x in (one, other)]
+    roots = [root_of(x[1] * baseline) for x in (one, other)]
     return [
         EvidencePair(evidence_planes(first, second), roots[0], baseline),
         EvidencePair(evidence_planes(second, first), roots[1], baseline),

@@ -17,7 +17,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
@@ -26,7 +26,7 @@ from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import read_photographs
 from omnisyn_cli.io.outputs import make_folder, write_errors
-from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_views, sample_path
+from omnisyn_cli.scenes import Photos, Scene, generate_scene, pack_photos, render_panorama, render_views, sample_path
 from omnisyn_cli.training.data import PoolScene, save_scene
 from omnisyn_cli.types import View
 
@@ -187,6 +187,27 @@ def held_askew(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"
 def as_told(pose: Pose, error: float, rng: np.random.Generator) -> Pose:
     """A pose as it is said to be, wrong by rotations of a standard deviation in radians."""
     return Pose(pose.rotation @ rotation_from_rotation_vector(error * rng.standard_normal(3)), pose.position)
+
+
+def photographed(
+    scene: Scene, position: Float[np.ndarray, " 3"], tilt: float, error: float, rng: np.random.Generator,
+    size: tuple[int, int], depth_size: tuple[int, int],
+) -> tuple[Float32[np.ndarray, "height width 3"], Float[np.ndarray, "rows cols"], Pose]:  # fmt: skip
+    """A panorama taken by hand: colours, inverse depth at the centre of each pixel, and the pose it is said to have.
+
+    Args:
+        scene: what is photographed.
+        position: of the camera.
+        tilt: see :func:`held_askew`.
+        error: see :func:`as_told`.
+        rng: random numbers.
+        size: height and width of the picture.
+        depth_size: those of the inverse depth.
+    """
+    pose = Pose(held_askew(rng, tilt), position)
+    image, _ = render_panorama(scene, pose, size, supersample=2, threads=1)
+    _, depth = render_panorama(scene, pose, depth_size, supersample=1, threads=1)
+    return np.asarray(image, np.float32), 1.0 / depth, as_told(pose, error, rng)
 
 
 def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:

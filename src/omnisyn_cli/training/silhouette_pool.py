@@ -18,8 +18,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.scenes import render_panorama
 from omnisyn_cli.stereo.evidence import root_of
 from omnisyn_cli.stereo.silhouettes import COLOURED, DIFFERENCES, EAST_PLANE, silhouette_planes
 from omnisyn_cli.synthesis.making import make_estimator
@@ -33,7 +31,7 @@ from omnisyn_cli.training.data import (
     vary_colours,
     window_columns,
 )
-from omnisyn_cli.training.pool import STOPS, TiltedConfig, as_told, held_askew, scene_path
+from omnisyn_cli.training.pool import STOPS, TiltedConfig, photographed, scene_path
 from omnisyn_cli.types import DepthEstimator, View
 
 __all__ = ["SilhouettePoolConfig", "make_silhouettes"]
@@ -76,14 +74,15 @@ def make_silhouettes(folder: Path, seed: int, config: SilhouettePoolConfig) -> P
     rng = np.random.default_rng([91, seed])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
     divisor = 2 if rng.random() < config.halved else 1
-    photographed = (config.size[0] // divisor, config.size[1] // divisor)
-    colours, truths, poses = [], [], []
-    for stop in WAYS[int(rng.integers(len(WAYS)))]:
-        pose = Pose(held_askew(rng, tilt), path[stop].position)
-        colours.append(render_panorama(scene, pose, photographed, supersample=2, threads=1)[0])
-        truths.append(1.0 / render_panorama(scene, pose, config.size, supersample=1, threads=1)[1])
-        poses.append(as_told(pose, error, rng))
-    varied = vary_colours(np.stack(colours).astype(np.float32), rng, Augmentation())
+    size = (config.size[0] // divisor, config.size[1] // divisor)
+    colours, truths, poses = zip(
+        *(
+            photographed(scene, path[stop].position, tilt, error, rng, size, config.size)
+            for stop in WAYS[int(rng.integers(len(WAYS)))]
+        ),
+        strict=True,
+    )
+    varied = vary_colours(np.stack(colours), rng, Augmentation())
     views = (View(varied[0], poses[0]), View(varied[1], poses[1]))
     estimates = _estimator(2 * config.size[0])(*views)
     baseline = float(np.linalg.norm(poses[1].position - poses[0].position))
