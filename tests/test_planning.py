@@ -36,8 +36,11 @@ def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("asked", "fusion"),
     [
-        ({"preset": "balanced", "depth": "refined"}, "geometric"),
+        ({"preset": "fast", "depth": "refined"}, "geometric"),
+        ({"preset": "balanced", "depth": "refined"}, "network"),
         ({"preset": "accurate", "depth": "refined"}, "network"),
+        ({"preset": "accurate", "depth": "matching"}, "geometric"),  # nothing learned
+        ({"preset": "accurate", "depth": "matching", "fusion": "network"}, "network"),
         ({"preset": "accurate"}, "geometric"),  # depth comes from files
         ({"preset": "accurate", "fusion": "network"}, "network"),
         ({"preset": "accurate", "depth": "refined", "fusion": "geometric"}, "geometric"),

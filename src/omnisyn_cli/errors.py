@@ -10,10 +10,20 @@ Every message is one line that says what was expected, what was found and what t
     │   ├── PoseError           a pose file, or poses that contradict each other
     │   └── OutputPathError     the place to write to: exists already, no such folder, not writable
     ├── EncodingError       ffmpeg refused or stopped; its own words are in the message
+    ├── TrainingError       a run of training has collapsed
     └── WriteError          the disk is full, or the file went away while it was written
 """
 
-__all__ = ["EncodingError", "ImageError", "InputError", "OmnisynError", "OutputPathError", "PoseError", "WriteError"]
+__all__ = [
+    "EncodingError",
+    "ImageError",
+    "InputError",
+    "OmnisynError",
+    "OutputPathError",
+    "PoseError",
+    "TrainingError",
+    "WriteError",
+]
 
 
 class OmnisynError(Exception):
@@ -42,6 +52,10 @@ class OutputPathError(InputError):
 
 class EncodingError(OmnisynError):
     """The video encoder refused its input or stopped early."""
+
+
+class TrainingError(OmnisynError):
+    """Training went wrong and would not recover by itself."""
 
 
 class WriteError(OmnisynError):

@@ -205,7 +205,7 @@ def test_another_network_does_the_jobs_again_that_use_it(
     """A job without a network, one with that of its preset, others with those for edges, for fusion, or of a file."""
     write_row(tmp_path, 2)
     (tmp_path / "mine.onnx").write_text("mine")
-    wishes = {"none": {}, "preset": {"depth": "refined"}, "fusion": {"fusion": "network"},
+    wishes = {"none": {}, "preset": {"preset": "fast", "depth": "refined"}, "fusion": {"fusion": "network"},
               "edges": {"preset": "accurate", "depth": "refined", "fusion": "geometric"},
               "mine": {"depth": "network", "model": "mine.onnx"}}  # fmt: skip
     lines = [line(0, 1, **wish) | {"id": name, "output": name} for name, wish in wishes.items()]

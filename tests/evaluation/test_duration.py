@@ -43,12 +43,16 @@ def figures_of(recipe: Recipe, rows: int = 64, **changes: object) -> Figures:
     return replace(Figures(setting, recipe=recipe, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
 
 
-TABLE = tuple(
-    figures_of(
-        SCALE[name].recipe, seconds={**SECONDS, "depth": depth, "fuse": fuse}, scores={"a": score, "b": score + 1}
-    )
-    for (name, score), depth, fuse in zip(SCORES.items(), (2.0, 10.0, 10.0), (0.04, 0.04, 3.04), strict=True)
+TABLE = (
+    *(
+        figures_of(
+            SCALE[name].recipe, seconds={**SECONDS, "depth": depth, "fuse": fuse}, scores={"a": score, "b": score + 1}
+        )
+        for (name, score), depth, fuse in zip(SCORES.items(), (2.0, 10.0, 10.0), (0.04, 0.04, 3.04), strict=True)
+    ),
+    figures_of(Recipe()),
 )
+"""The presets, and one that fuses by rules."""
 
 
 @pytest.fixture(autouse=True)
@@ -98,7 +102,7 @@ def test_stages_have_the_figures_of_what_they_depend_on(plan: InterpolationPlan)
     """Depth that of its rows, frames those of their renderer and of their fusion; whatever else there is."""
     base = plan.recipe
     points = figures_of(replace(base, renderer="points"), seconds={**SECONDS, "render": 1.0})
-    both = replace(plan, recipe=replace(base, renderer="points", fusion="network"))
+    both = replace(plan, recipe=replace(base, renderer="points", fusion_rows=SCALE["accurate"].recipe.fusion_rows))
     usual, asked = work(plan, (*TABLE, points)), work(both, (*TABLE, points))
     assert asked.frames - usual.frames == pytest.approx(10 * (0.9 + 3.0))
     assert asked.pairs == usual.pairs

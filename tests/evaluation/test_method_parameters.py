@@ -69,7 +69,7 @@ def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
     assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
     assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
     assert digest in find_method("omnisyn-accurate").ingredients()
-    for name in ("matching", "omnisyn-balanced", "oracle-depth:views=1"):
+    for name in ("matching", "omnisyn-fast", "omnisyn-balanced:fusion=geometric", "oracle-depth:views=1"):
         assert digest not in find_method(name).ingredients()
 
 

@@ -155,7 +155,7 @@ def test_names_that_mean_nothing_are_refused(name: str) -> None:
 def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
     assert [method.name for method in find_methods("all")] == list(METHODS)
     assert len(METHODS) == len(set(METHODS))
-    assert "omnisyn-balanced:fusion=network" in METHODS
+    assert "omnisyn-balanced:fusion=geometric" in METHODS
     assert [method.name for method in find_methods("flow, matching:cut=0.3,flow")] == ["flow", "matching:cut=0.3"]
     assert all(method.description for method in METHODS.values())
 

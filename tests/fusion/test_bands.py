@@ -46,7 +46,7 @@ def correct(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return planes[13] + 1.0, 0.1 + 0.0 * planes[:4]
 
 
-FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: NetworkFuser(size, correct, None, threads)}
+FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: NetworkFuser(size, correct, 128, None, threads)}
 
 
 @pytest.mark.parametrize("size", SIZES)

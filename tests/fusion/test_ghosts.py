@@ -133,7 +133,7 @@ def test_a_network_has_no_say_in_what_moved() -> None:
     def insist(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.full(planes.shape[1:], -6.0, np.float32), np.full((4, *planes.shape[1:]), 0.2, np.float32)
 
-    fused = NetworkFuser(SIZE, insist, threads=1)(asked(near), asked(far), 0.5)
+    fused = NetworkFuser(SIZE, insist, 128, threads=1)(asked(near), asked(far), 0.5)
     change = np.abs(fused - fuse(near, far, 0.5)).max(axis=-1)
     assert change[where].max() < 1e-5
     assert change[elsewhere].max() > 0.05

@@ -121,6 +121,17 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
         np.testing.assert_array_equal(load_samples(path, FusionSample, 3)[0].truth, samples[1].truth)
 
 
+def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
+    size = (64, 128)
+    path = make_fusion_scene(tmp_path, 1, FusionPoolConfig(size=size, places=2, matched=1.0, rows=size[0]))
+    samples = load_samples(path, FusionSample)
+    small, large = ([s for s in samples if s.truth.shape[1:] == each] for each in ((32, 64), size))
+    assert len(small) == len(large) == 2
+    for sample in small:
+        halves = [one.truth.reshape(3, 32, 2, 64, 2).mean(axis=(2, 4)) for one in large]
+        assert min(np.abs(half - sample.truth).max() for half in halves) < 0.01
+
+
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
     config = FusionPoolConfig(size=SIZE, places=2, matched=1.0, rows=2 * SIZE[0])
     again = make_fusion_scene(tmp_path, int(pool[0].stem), config)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from training_samples import TINY, make_pool
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.depth import DepthNetwork
 from omnisyn_cli.runtime.threads import allowed_threads
@@ -45,6 +45,34 @@ def test_the_log_holds_one_object_per_validation(tmp_path, config):
     assert [row["step"] for row in logged] == [4, 8]
     assert len(rows) == 2
     assert 0 <= logged[0]["delta_25"] <= 1
+
+
+def test_the_best_weights_stay(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=8)
+    logged = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    best = min(logged, key=lambda row: row["held_out_loss"])
+    kept, last = (load_checkpoint(tmp_path / "run" / name) for name in ("best.pt", "checkpoint.pt"))
+    assert kept["step"] == best["step"]
+    assert kept["best"] == last["best"] == best["held_out_loss"]
+    assert load_network(tmp_path / "run" / "best.pt")[1]["scores"] == kept["scores"]
+
+
+def test_a_run_that_collapses_stops_and_leaves_what_was_before(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=4)
+    state = load_checkpoint(tmp_path / "run" / "checkpoint.pt")
+    save_checkpoint(tmp_path / "run" / "checkpoint.pt", {**state, "best": 0.5 * state["best"]})
+    with pytest.raises(TrainingError, match=r"at step 8: the run has collapsed; put best\.pt"):
+        train(TINY, config, tmp_path / "run", steps=8)
+    assert load_checkpoint(tmp_path / "run" / "checkpoint.pt")["step"] == 6
+    assert load_checkpoint(tmp_path / "run" / "best.pt")["step"] == 4
+
+
+def test_what_is_best_depends_on_what_it_is_judged_by(tmp_path, config):
+    train(TINY, config, tmp_path / "run", steps=4)
+    again = open_trainer(TINY, config, tmp_path / "run" / "checkpoint.pt")
+    assert again.best < 1e9
+    elsewhere = open_trainer(TINY, replace(config, validation_pairs=1), tmp_path / "run" / "checkpoint.pt")
+    assert elsewhere.best == float("inf")
 
 
 def test_a_batch_is_drawn_on_one_thread_while_the_others_learn(config):

@@ -73,7 +73,7 @@ if TYPE_CHECKING:
     "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
     help="How two renderings become one picture: by rules, by rules that a network corrects where estimated depths "
     "contradict each other, or painted by a network as in the paper; auto: the preset's, but rules where depth comes "
-    "from files.",
+    "from elsewhere (--depth, files) and where a GPU makes the frames.",
 )  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,

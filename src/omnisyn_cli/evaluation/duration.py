@@ -238,7 +238,7 @@ ASPECTS: dict[str, Callable[[Recipe], object]] = {
     "depth.kind": lambda recipe: recipe.depth.kind,
     "depth.networks": lambda recipe: recipe.depth.networks,
     "renderer": lambda recipe: recipe.renderer,
-    "fusion": lambda recipe: recipe.fusion,
+    "fusion": lambda recipe: (recipe.fusion, recipe.fusion_rows if recipe.fusion == "network" else 0),
     "edges": lambda recipe: recipe.edges,
 }
 """What a stage may depend on."""

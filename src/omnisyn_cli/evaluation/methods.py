@@ -253,7 +253,7 @@ LEAST_ROWS = 32
 ONE_VIEW = "views=1"
 
 VARIANTS = (
-    f"omnisyn-{DEFAULT_PRESET}:fusion=network",
+    f"omnisyn-{DEFAULT_PRESET}:fusion=geometric",
     "matching:metres=2",
     "matching:cut=0.02",
     "matching:cut=0.1",

@@ -30,13 +30,6 @@ from omnisyn_cli.types import Rendering, Witness
 
 __all__ = ["NetworkFuser"]
 
-WORKING_ROWS = 128
-"""Rows that the network looks at, as many as it was trained with.
-
-With 64 a frame of 1024×512 takes 0.05 s less of one core, and the mean between the twelve pairs of ``omnisyn bench`` is
-0.09 dB less.
-"""
-
 MULTIPLE = 32
 """It halves its input five times."""
 
@@ -63,7 +56,7 @@ class FusionCorrection(Protocol):
 
 
 def working_size(
-    size: tuple[int, int], rows: int = WORKING_ROWS, multiple: int = MULTIPLE, finer: int = FINER
+    size: tuple[int, int], rows: int, multiple: int = MULTIPLE, finer: int = FINER
 ) -> tuple[int, int] | None:
     """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
 
@@ -83,9 +76,9 @@ class NetworkFuser(GeometricFuser):
     Args:
         size: height and width of the frames; where they are lower than twice :data:`MULTIPLE` the fusion is geometric.
         correction: the network.
+        rows: that it looks at, at most; it learned from pictures of 128.
         options: of the geometric fusion.
         threads: at most this many; None is one per core.
-        rows: that the network looks at, at most.
         edges: see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
     """
 
@@ -93,9 +86,9 @@ class NetworkFuser(GeometricFuser):
         self,
         size: tuple[int, int],
         correction: FusionCorrection,
+        rows: int,
         options: BlendOptions | None = None,
         threads: int | None = None,
-        rows: int = WORKING_ROWS,
         *,
         edges: bool = True,
     ) -> None:

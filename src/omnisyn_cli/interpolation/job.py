@@ -57,7 +57,7 @@ class InterpolationJob:
         cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.synthesis.recipe.Recipe`; at most one of them,
             neither is the preset's.
         fusion: one of :data:`omnisyn_cli.synthesis.recipe.FUSIONS`, or ``auto``: what the preset says where depth is
-            estimated, ``geometric`` where it comes from files.
+            found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.
         ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
         codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.

@@ -124,7 +124,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     recipe = for_frames(tour.recipe, job, frames)
     path = tuple(plan_path(poses, frames, ease=job.ease, heading=job.heading))
     return InterpolationPlan(
-        job, entries, sources, recipe, (*tour.notes, *_notes_about_video(job, entries), *notes_about_gpu(recipe)),
+        job, entries, sources, recipe, (*tour.notes, *_notes_about_video(job, entries), *notes_about_gpu(recipe, job)),
         size, path, path_length(poses),
         estimated_memory(job, recipe, size, sources, _surface_sizes(recipe, sources, entries)),
     )  # fmt: skip
@@ -165,11 +165,11 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     job = replace(plan.job, preset=preset)
     recipe = for_frames(_installed_recipe(job, plan.entries), job, len(plan.path))
     surfaces = _surface_sizes(recipe, plan.source_sizes, plan.entries)
-    former = notes_about_gpu(plan.recipe)
+    former = notes_about_gpu(plan.recipe, plan.job)
     return replace(
         plan, job=job, recipe=recipe,
         memory=estimated_memory(job, recipe, plan.size, plan.source_sizes, surfaces),
-        notes=(*(note for note in plan.notes if note not in former), *notes_about_gpu(recipe)),
+        notes=(*(note for note in plan.notes if note not in former), *notes_about_gpu(recipe, job)),
     )  # fmt: skip
 
 

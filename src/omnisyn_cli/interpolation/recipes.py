@@ -42,10 +42,10 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
         cut=usual.cut if is_cut_as_usual else job.cut,
         cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
         adaptive=usual.adaptive if job.adaptive is None else job.adaptive,
-        fusion=usual.fusion if job.fusion == "auto" else job.fusion,
-        edges=usual.edges, fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
+        fusion=_fusion(job, kind, usual), fusion_rows=usual.fusion_rows, edges=usual.edges,
+        fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
     )  # fmt: skip
-    return replace(recipe, is_on_gpu=job.device == "cuda" and not _against_gpu(recipe))
+    return _on_gpu(recipe, job) if job.device == "cuda" else recipe
 
 
 def for_frames(recipe: Recipe, job: InterpolationJob, frames: int) -> Recipe:
@@ -88,6 +88,20 @@ def _silhouettes(kind: str, usual: Recipe) -> str | None:
     return usual.depth.silhouettes if kind == usual.depth.kind else None
 
 
+def _fusion(job: InterpolationJob, kind: str, usual: Recipe) -> str:
+    """What the job says, else its preset where depth is found as it says: no network saw renderings of other depth."""
+    if job.fusion != "auto":
+        return job.fusion
+    return usual.fusion if kind == usual.depth.kind else "geometric"
+
+
+def _on_gpu(recipe: Recipe, job: InterpolationJob) -> Recipe:
+    """With frames on the GPU if it does all that is asked for; by rules where only the preset has a network correct."""
+    by_rules = replace(recipe, fusion="geometric")
+    wanted = by_rules if job.fusion == "auto" and recipe.fusion == "network" else recipe
+    return recipe if _against_gpu(wanted) else replace(wanted, is_on_gpu=True)
+
+
 def _against_gpu(recipe: Recipe) -> list[str]:
     """What a GPU does not do."""
     wanted = {
@@ -99,7 +113,7 @@ def _against_gpu(recipe: Recipe) -> list[str]:
     return [what for what, is_wanted in wanted.items() if is_wanted]
 
 
-def notes_about_gpu(recipe: Recipe) -> tuple[str, ...]:
+def notes_about_gpu(recipe: Recipe, job: InterpolationJob) -> tuple[str, ...]:
     """What a user who asked for CUDA should know."""
     if recipe.device != "cuda" or recipe.method != OMNISYN:
         return ()
@@ -108,7 +122,14 @@ def notes_about_gpu(recipe: Recipe) -> tuple[str, ...]:
             "frames are made on the processor: the GPU makes them only with the renderer mesh and the fusion "
             f"geometric, without confidence maps and cross-fades; this job has {', '.join(_against_gpu(recipe))}",
         )
-    return ("on the GPU every triangle is drawn, --adaptive changes nothing",) if recipe.adaptive else ()
+    notes = []
+    if recipe.fusion != _fusion(job, recipe.depth.kind, PRESETS[job.preset].recipe):
+        notes.append(
+            f"the GPU fuses by rules; --fusion network has frames made on the processor, as preset {job.preset} does"
+        )
+    if recipe.adaptive:
+        notes.append("on the GPU every triangle is drawn, --adaptive changes nothing")
+    return tuple(notes)
 
 
 def check_device(recipe: Recipe) -> None:

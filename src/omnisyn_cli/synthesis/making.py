@@ -67,7 +67,9 @@ def make_method(
 
         return (FlowFades if recipe.method == "flow" else CrossFades)(options, clock)
     device = _open_gpu(size) if recipe.is_on_gpu else None
-    fuser = fuser or make_fuser(recipe.fusion, size, device=recipe.device, threads=threads, edges=recipe.edges)
+    fuser = fuser or make_fuser(
+        recipe.fusion, size, device=recipe.device, threads=threads, rows=recipe.fusion_rows, edges=recipe.edges
+    )
     estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
     return SurfaceMethod(estimator, options, fuser, clock, device)
 
@@ -115,7 +117,7 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
 
 def make_fuser(
     name: str, size: tuple[int, int], *, model: str | None = None, device: str = "auto", threads: int | None = None,
-    edges: bool = True,
+    rows: int = Recipe.fusion_rows, edges: bool = True,
 ) -> Fuser:  # fmt: skip
     """A fuser for frames of a size.
 
@@ -126,6 +128,7 @@ def make_fuser(
             :data:`omnisyn_cli.synthesis.recipe.FUSION_MODELS`.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
+        rows: that a network which corrects the rules looks at, at most.
         edges: whether pixels at edges are means of samples; never where a network paints.
 
     Raises:
@@ -147,7 +150,7 @@ def make_fuser(
         return PaintingFuser(size, SessionPainter(session), threads=threads)
     from omnisyn_cli.fusion.network import NetworkFuser
 
-    return NetworkFuser(size, SessionFusion(session), threads=threads, edges=edges)
+    return NetworkFuser(size, SessionFusion(session), rows, threads=threads, edges=edges)
 
 
 def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 
@@ -28,9 +29,8 @@ class Preset:
     recipe: Recipe
 
 
-def _refined(rows: int, silhouettes: str | None = None, fusion: str = "geometric", *, edges: bool = True) -> Recipe:
-    source = DepthSource("refined", rows, "completion-balanced", silhouettes)
-    return Recipe(source, adaptive=True, fusion=fusion, edges=edges)
+def _refined(rows: int, silhouettes: str | None = None, **changes: Any) -> Recipe:
+    return Recipe(DepthSource("refined", rows, "completion-balanced", silhouettes), adaptive=True, **changes)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -39,8 +39,16 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 
 SCALE: Mapping[str, Preset] = _by_name(
     Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
-    Preset("balanced", "matching, refined by a network, sharpened at twice the size", _refined(1024)),
-    Preset("accurate", "the same, a network looks at edges, and one fuses", _refined(1024, SILHOUETTES, "network")),
+    Preset(
+        "balanced",
+        "matching, refined by a network, sharpened at twice the size; another one fuses",
+        _refined(1024, fusion="network", fusion_rows=64),
+    ),
+    Preset(
+        "accurate",
+        "the same, a third one looks at edges, and the one that fuses looks closer",
+        _refined(1024, SILHOUETTES, fusion="network"),
+    ),
 )
 """By name, from the fastest to the most accurate."""
 

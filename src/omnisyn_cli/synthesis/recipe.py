@@ -99,6 +99,7 @@ class Recipe:
         cut_metres: step of depth at which they are cut (the paper's rule), likewise.
         adaptive: whether flat surfaces are drawn with fewer triangles.
         fusion: one of :data:`FUSIONS`.
+        fusion_rows: that a network which corrects the rules looks at, at most.
         edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.edges`; meshes that rules fuse
             have some.
         fallback: one of :data:`FALLBACKS`.
@@ -114,6 +115,7 @@ class Recipe:
     cut_metres: float | None = None
     adaptive: bool = False
     fusion: str = "geometric"
+    fusion_rows: int = 128
     edges: bool = True
     fallback: str = "none"
     confidence: bool = False

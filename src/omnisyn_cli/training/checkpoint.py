@@ -46,7 +46,7 @@ def compact(state: dict[str, Any]) -> dict[str, Any]:
     It can be exported, and a run that starts from it goes on with these weights and a fresh optimiser.
     """
     kept: dict[str, Any] = {
-        key: state[key] for key in ("kind", "network", "training", "step", "scores") if key in state
+        key: state[key] for key in ("kind", "network", "training", "step", "scores", "best") if key in state
     }
     average = {name: value.half() if value.is_floating_point() else value for name, value in state["average"].items()}
     return {**kept, "average": average}

@@ -9,6 +9,7 @@ place ``k``:
 * ``truth_k`` ``(3, height, width)`` float16, the scene as it is seen from there, in [0, 1].
 
 Renderings are made at four times that size and reduced as in the program; some poses are a little wrong, as in life.
+Every place is there at half that size as well, since presets have the network look at either; their order is random.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,6 +24,7 @@ from torch import Tensor
 
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion import second_look as look
+from omnisyn_cli.fusion.geometric import Confidence, Picture
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.render.mesh import Cut
@@ -36,7 +38,7 @@ from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stacked, window_columns
 from omnisyn_cli.training.pool import TiltedConfig, as_told, held_askew, scene_path
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Rendering, View
 
 __all__ = ["FusionPoolConfig", "make_fusion_scene"]
 
@@ -119,6 +121,34 @@ class _Recorder:
         return np.zeros_like(planes[0]), np.zeros_like(planes[:4])
 
 
+class _Recording:
+    """Fuses as a network does that looks at several sizes, and says what it is shown.
+
+    Args:
+        size: height and width of the frames.
+        heights: that it looks at; those that frames are too small for, or it, say nothing.
+    """
+
+    def __init__(self, size: tuple[int, int], heights: Sequence[int]) -> None:
+        self.recorders = [_Recorder() for _ in heights]
+        self.fusers = [
+            NetworkFuser(size, recorder, rows, threads=1)
+            for recorder, rows in zip(self.recorders, heights, strict=True)
+        ]
+
+    def __call__(
+        self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
+        confidence: Confidence | None = None,
+    ) -> Picture:  # fmt: skip
+        """See :class:`omnisyn_cli.types.Fuser`."""
+        pictures = [fuser(first, second, t, out, confidence) for fuser in self.fusers]
+        return pictures[-1]
+
+    def shown(self) -> list[np.ndarray]:
+        """The planes since it was asked the last time."""
+        return [recorder.planes.pop() for recorder in self.recorders if recorder.planes]
+
+
 def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
     """Render the scene of a seed into a pool; None if it has no room for a path, or shows nothing to be decided."""
     found = config.scene(seed, 2)
@@ -130,7 +160,7 @@ def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path
     if not samples:
         return None
     file = scene_path(folder, seed)
-    save_samples(file, samples)
+    save_samples(file, [samples[k] for k in rng.permutation(len(samples))])
     return file
 
 
@@ -154,17 +184,17 @@ def _samples(
     size = (OVERSIZE * config.size[0], OVERSIZE * config.size[1])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
     views = [_photograph(scene, end.position, tilt, error, size, rng) for end in ends]
-    recorder = _Recorder()
-    fuser = NetworkFuser(size, recorder, threads=1, rows=config.size[0])
+    fuser = _Recording(size, (config.size[0], config.size[0] // 2))
     first, second = (view.pose for view in views)
     shares = np.sort(rng.uniform(*config.shares, config.places))
     path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in shares]
     options = SynthesisOptions(size, recipe.renderer, Cut(recipe.cut, recipe.cut_metres), threads=1)
     for made in synthesize(views, path, SurfaceMethod(_estimator(recipe.depth), options, fuser)):
-        if recorder.planes:
+        if shown := fuser.shown():
             truth = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
-            small = cv2.resize(truth, config.size[::-1], interpolation=cv2.INTER_AREA)
-            yield FusionSample(recorder.planes.pop(), np.ascontiguousarray(small.transpose(2, 0, 1), np.float32))
+            for planes in shown:
+                small = cv2.resize(truth, planes.shape[:0:-1], interpolation=cv2.INTER_AREA)
+                yield FusionSample(planes, np.ascontiguousarray(small.transpose(2, 0, 1), np.float32))
 
 
 def _photograph(

@@ -17,20 +17,29 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from omnisyn_cli.errors import InputError
+from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
 from omnisyn_cli.runtime.threads import at_most
 from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
-from omnisyn_cli.training.checkpoint import load_checkpoint, of_this_version, save_checkpoint
+from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_pool
 from omnisyn_cli.training.pictures import Board, contact_sheet
 from omnisyn_cli.training.precision import Precision
-from omnisyn_cli.training.task import TrainConfig, on_device
+from omnisyn_cli.training.task import HELD_OUT_LOSS, TrainConfig, on_device
 from omnisyn_cli.training.tasks import TASKS, NetworkConfig, parts_of, task_named, task_of
 
 __all__ = ["TrainConfig", "part_of", "train"]
+
+CHECKPOINT = "checkpoint.pt"
+"""Name of the checkpoint that a run goes on from."""
+
+BEST = "best.pt"
+"""Name of the compact checkpoint with the least loss of what networks are judged by."""
+
+COLLAPSED = 1.25
+"""So many times the least loss so far, and no average of weights is what it was."""
 
 PROCESSOR = Precision(torch.device("cpu"))
 
@@ -55,6 +64,7 @@ class Trainer:
         self.scores: dict[str, float] = {}
         self.ahead = ThreadPoolExecutor(1, thread_name_prefix="draw")
         self.drawn: tuple[int, Future[Any]] | None = None
+        self.best = math.inf
         self.step = 0
         self.cooldown_start: int | None = None
 
@@ -68,6 +78,7 @@ class Trainer:
             "step": self.step,
             "cooldown_start": self.cooldown_start,
             "scores": self.scores,
+            "best": self.best,
             "weights": self.network.state_dict(),
             "average": self.average,
             "optimizer": self.optimizer.state_dict(),
@@ -89,6 +100,12 @@ class Trainer:
         self.step = state["step"]
         self.cooldown_start = state.get("cooldown_start")
         self.scores = dict(state.get("scores", {}))
+        if all(state["training"].get(name) == now for name, now in self._judged_by().items()):
+            self.best = state.get("best", math.inf)
+
+    def _judged_by(self) -> dict[str, Any]:
+        """What held-out losses depend on besides the weights, as a checkpoint has it."""
+        return {name: asdict(self.config)[name] for name in ("validation_pool", "size", "validation_pairs")}
 
     def begin_with(self, weights: Mapping[str, torch.Tensor]) -> None:
         """Before the first step: some of the weights, by name, instead of random ones.
@@ -163,6 +180,21 @@ class Trainer:
         for name, value in self.network.state_dict().items():
             self.average[name].lerp_(value, 1.0 - decay)
 
+    def surpasses(self, loss: float) -> bool:
+        """Whether the loss of what networks are judged by is the least so far, which is remembered then.
+
+        Raises:
+            TrainingError: it is far above the least: the run has collapsed, and would not recover.
+        """
+        if not loss <= COLLAPSED * self.best:
+            raise TrainingError(
+                f"expected a held-out loss near {self.best:.4g}, the least so far, got {loss:.4g} at step {self.step}: "
+                f"the run has collapsed; put {BEST} in the place of {CHECKPOINT} and go on with a lower --rate"
+            )
+        is_best = loss < self.best
+        self.best = min(loss, self.best)
+        return is_best
+
     def averaged_network(self) -> Any:
         """The network with averaged weights, for use."""
         network = self.task.build(self.network.config)
@@ -213,8 +245,9 @@ def train(
 ) -> Trainer:
     """Train until the time or the steps are over or a cool-down has ended; goes on where ``folder`` was left.
 
-    Writes ``checkpoint.pt`` (to resume) and ``log.jsonl`` (one object per validation) into ``folder``, and for networks
-    whose answers can be looked at ``pictures/NNNNNNNN.png`` by step.
+    Writes into ``folder``: ``checkpoint.pt`` (to resume), ``best.pt`` (compact, of the least loss of what the network
+    is judged by), ``log.jsonl`` (one object per validation) and, for networks whose answers can be looked at,
+    ``pictures/NNNNNNNN.png`` by step.
 
     Args:
         network: of a fresh run; a run that goes on keeps its own.
@@ -227,8 +260,11 @@ def train(
         board: gets each row and the pictures as well.
         weights: that a fresh run begins with, by name; the others are random.
         on_start: called once, before the first step, when everything has been found right.
+
+    Raises:
+        TrainingError: the run has collapsed; ``checkpoint.pt`` is of an earlier step.
     """
-    path = folder / "checkpoint.pt"
+    path = folder / CHECKPOINT
     trainer = open_trainer(network, config, path, precision, weights)
     started, losses = time.monotonic(), list[float]()
     pool = _checked_pools(trainer, config)
@@ -244,6 +280,8 @@ def train(
                 make_folder(folder / "pictures", "pictures")
                 write_image(folder / "pictures" / f"{trainer.step:08d}.png", contact_sheet(pictures))
             report(row)
+            if trainer.surpasses(trainer.scores.get(HELD_OUT_LOSS, math.nan)):
+                save_checkpoint(folder / BEST, compact(trainer.state()))
             if board is not None:
                 board.add(row, pictures)
             losses, pool = [], list_pool(Path(config.pool), *trainer.task.pools)

@@ -13,6 +13,9 @@ from omnisyn_cli.training.data import Augmentation, list_pool
 
 VALIDATION_SEED = 1
 
+HELD_OUT_LOSS = "held_out_loss"
+"""Name among the figures of the loss of what networks are judged by."""
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -115,8 +118,11 @@ class Task:
 
     @torch.no_grad()
     def validate(self, network: Any, stage: TrainConfig) -> dict[str, float]:
-        """Mean figures; NaN, as of pairs without sky, is left out."""
-        scores = [self.scores(self.answer_of(network, batch), batch) for batch in self.validation(network, stage)]
+        """Mean figures, and the mean loss; NaN, as of pairs without sky, is left out of the figures."""
+        scores = []
+        for batch in self.validation(network, stage):
+            answer = self.answer_of(network, batch)
+            scores.append({**self.scores(answer, batch), HELD_OUT_LOSS: float(self.loss(answer, batch))})
         rows = torch.tensor([list(score.values()) for score in scores])
         return dict(zip(scores[0], rows.nanmean(dim=0).tolist(), strict=True))
 

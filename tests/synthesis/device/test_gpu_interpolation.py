@@ -101,13 +101,25 @@ def test_the_plan_says_what_the_gpu_does_not_do(tmp_path: Path, changes: dict[st
 
 def test_notes_follow_the_preset(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
-    plan = plan_interpolation(job_of(tmp_path, images, device="cuda", preset="accurate"))
+    plan = plan_interpolation(job_of(tmp_path, images, device="cuda", preset="paper"))
     assert not plan.recipe.is_on_gpu
     assert len(plan.notes) == 1
     faster = with_preset(plan, "fast")
     assert faster.recipe.is_on_gpu
     assert faster.notes == ()
-    assert with_preset(faster, "accurate").notes == plan.notes
+    assert with_preset(faster, "paper").notes == plan.notes
+
+
+def test_a_gpu_fuses_by_rules_where_only_the_preset_has_a_network(tmp_path: Path) -> None:
+    images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
+    plan, asked, elsewhere = (
+        plan_interpolation(job_of(tmp_path, images, device="cuda", preset="accurate", **changes))
+        for changes in ({}, {"fusion": "network"}, {"save_confidence": tmp_path / "map"})
+    )
+    assert (plan.recipe.is_on_gpu, plan.recipe.fusion) == (True, "geometric")
+    assert re.search(r"fuses by rules; --fusion network .* as preset accurate does$", plan.notes[0])
+    assert (asked.recipe.is_on_gpu, asked.recipe.fusion) == (False, "network")
+    assert (elsewhere.recipe.is_on_gpu, elsewhere.recipe.fusion) == (False, "network")
 
 
 def test_other_methods_have_nothing_to_do_with_it(tmp_path: Path) -> None:
