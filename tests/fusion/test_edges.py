@@ -10,7 +10,6 @@ from omnisyn_cli.fusion.bands import Views
 from omnisyn_cli.fusion.edges import CONTRAST, EdgeSampler
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import Suppression
-from omnisyn_cli.fusion.kernels import NO_CORRECTION, Correction
 from omnisyn_cli.fusion.kinds import is_apart
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
@@ -138,24 +137,6 @@ def test_what_is_suppressed_is_suppressed_in_samples() -> None:
     GeometricFuser(SIZE, threads=1, edges=False).paint(views.then(Suppression(cells, 8)), rule, plain)
     there = spots(plain)
     assert (np.abs(out - halved(expected)).max(axis=-1)[there] < 0.01).mean() > 0.9
-
-
-def test_weights_are_corrected_in_samples_as_in_pixels() -> None:
-    rng, rule = np.random.default_rng(8), BlendRule.at(0.5, BlendOptions())
-    correction = Correction(
-        *(rng.uniform(low, high, (16, 32)).astype(np.float32) for low, high in ((2, 3), (-1, 1), (1, 1)))
-    )
-    found = {}
-    for name, size, views, options in (("spots", SIZE, VIEWS, {}), ("fine", DOUBLE, FINE_VIEWS, {"edges": False})):
-        for with_it in (True, False):
-            out = np.empty((*size, 3), np.float32)
-            fuser = GeometricFuser(size, threads=1, **options)
-            fuser.paint(Views(*views), rule, out, correction if with_it else NO_CORRECTION)
-            found[name, with_it] = out
-    there = spots(fused(VIEWS, SIZE, edges=False))
-    expected = halved(found["fine", True])
-    assert np.abs(expected - halved(found["fine", False]))[there].max() > 0.02, "nothing was corrected"
-    assert (np.abs(found["spots", True] - expected).max(axis=-1)[there] < 0.015).mean() > 0.85
 
 
 def test_where_a_view_does_not_jump_its_samples_lie_on_its_plane() -> None:

@@ -130,8 +130,8 @@ def test_a_network_has_no_say_in_what_moved() -> None:
     brighter = background + np.float32(0.1) * elsewhere[..., None]  # too little to have moved
     far = rendering(brighter, np.where(elsewhere, 0.2, 0.3), z=1e-3)
 
-    def insist(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.full(planes.shape[1:], -6.0, np.float32), np.full((4, *planes.shape[1:]), 0.2, np.float32)
+    def insist(planes: np.ndarray) -> np.ndarray:
+        return np.full((4, *planes.shape[1:]), 0.2, np.float32)
 
     fused = NetworkFuser(SIZE, insist, 128, threads=1)(asked(near), asked(far), 0.5)
     change = np.abs(fused - fuse(near, far, 0.5)).max(axis=-1)

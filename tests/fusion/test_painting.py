@@ -42,7 +42,7 @@ def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     paint(views, painter)
     first, second = reduced(Views(*views), (64, 128), BandRunner(size, 1))
     rule = BlendRule.at(0.5, BlendOptions())
-    recorded = fusion_planes(first, second, rule, 1.0, lambda image, weight: image).planes
+    recorded = fusion_planes(first, second, rule, 1.0, lambda image, weight: image)
     assert len(recorded) == PLANES
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
     np.testing.assert_array_equal(painter.shown[0], expected)

@@ -18,7 +18,6 @@ from omnisyn_cli.fusion.second_look import (
     SUPPOSED,
     UNLIKE,
     SecondLook,
-    averaged,
     second_look,
     supposed_surfaces,
 )
@@ -58,7 +57,7 @@ def test_planes_say_what_the_photographs_show():
         for plain, gap in zip((plain_witness(0.25), plain_witness(0.75)), gaps, strict=True)
     ]
     half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
-    look = second_look(shown(half_seen), shown(0.4, colour=0.1), (witnesses[0], witnesses[1]), baseline=4.0)
+    look = second_look(shown(half_seen), shown(0.4, colour=0.1), (witnesses[0], witnesses[1]), 4.0, threads=1)
     planes = look.planes
     assert planes.shape == (LOOKS, 16, 32)
 
@@ -84,9 +83,31 @@ def test_planes_say_what_the_photographs_show():
     np.testing.assert_allclose(plane(SUPPOSED + 1), np.sqrt(0.4 * 4), atol=1e-6)
 
 
-def test_blocks_are_averaged():
-    planes = np.random.default_rng(0).random((3, 6, 8), np.float32)
-    np.testing.assert_allclose(averaged(planes), planes.reshape(3, 3, 2, 4, 2).mean(axis=(2, 4)), rtol=1e-6)
+@pytest.mark.parametrize("threads", [1, 3])
+def test_planes_are_means_over_blocks_of_what_is_seen(threads):
+    rng = np.random.default_rng(0)
+    colours, gaps = rng.random((2, *SIZE, 4), np.float32), rng.uniform(-0.3, 0.3, (2, *SIZE)).astype(np.float32)
+    witnesses = tuple(
+        Witness(lambda *_: None, lambda points, k=k: colours[k], lambda points, least, k=k: gaps[k]) for k in (0, 1)
+    )
+    first, second = shown(np.where(rng.random(SIZE) < 0.5, 0.2, -1.0)), shown(0.4)
+    planes = second_look(first, second, witnesses, 4.0, threads).planes
+
+    def means(values, counts=True):
+        blocks = np.where(counts, values, 0.0).reshape(16, 2, 32, 2).sum(axis=(1, 3))
+        return blocks / np.maximum(np.broadcast_to(counts, SIZE).reshape(16, 2, 32, 2).sum(axis=(1, 3)), 1)
+
+    told, seen, half = np.clip(gaps / 0.24, -1, 1), first.inverse_depth >= 0, np.abs(colours - 0.5)[..., :3].mean(-1)
+    expected = [
+        *(means(colours[1, ..., k], seen) for k in range(3)),
+        *(means(each, seen) for each in (half[1], np.maximum(told[1], 0), np.maximum(-told[1], 0))),
+        *(means(colours[0, ..., k]) for k in range(3)),
+        *(means(each) for each in (half[0], np.maximum(told[0], 0), np.maximum(-told[0], 0))),
+        *(2 * [means(colours[view, ..., k]) for view in (0, 1) for k in range(3)]),
+    ]
+    np.testing.assert_allclose(planes[:24], expected, atol=1e-6)
+    np.testing.assert_allclose(planes[26:30], 2 * [means(each) for each in told], atol=1e-6)
+    np.testing.assert_allclose(planes[30:], 2 * [means(np.abs(colours[0] - colours[1])[..., :3].mean(-1))], atol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.uint8])

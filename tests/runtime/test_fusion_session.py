@@ -10,7 +10,7 @@ from omnisyn_cli.runtime.planes import SessionFusion, SessionPainter
 class Session:
     """Answers with what it is given; says what it takes and gives as ONNX Runtime does."""
 
-    def __init__(self, answers, inputs=("planes",), outputs=("shift", "shares")):
+    def __init__(self, answers, inputs=("planes",), outputs=("shares",)):
         self.answers, self.inputs, self.outputs = answers, inputs, outputs
 
     def get_inputs(self):
@@ -28,10 +28,8 @@ PLANES = np.zeros((52, 32, 64), np.float32)
 
 
 def test_answers_lose_their_batch():
-    shift, shares = np.arange(2048.0).reshape(1, 1, 32, 64), np.ones((1, 4, 32, 64))
-    found = SessionFusion(Session([shift, shares]))(PLANES)
-    np.testing.assert_array_equal(found[0], shift[0, 0])
-    np.testing.assert_array_equal(found[1], shares[0])
+    shares = np.arange(8192.0).reshape(1, 4, 32, 64)
+    np.testing.assert_array_equal(SessionFusion(Session([shares]))(PLANES), shares[0])
 
 
 @pytest.mark.parametrize("names", [{"inputs": ("first", "second")}, {"outputs": ("colour",)}])
@@ -43,8 +41,8 @@ def test_other_models_are_refused(names):
 @pytest.mark.parametrize(
     ("answers", "complaint"),
     [
-        ([np.zeros((1, 1, 32, 64)), np.zeros((1, 1, 32, 64))], "outputs of"),
-        ([np.full((1, 1, 32, 64), np.nan), np.zeros((1, 4, 32, 64))], "finite"),
+        ([np.zeros((1, 1, 32, 64))], "outputs of"),
+        ([np.full((1, 4, 32, 64), np.nan)], "finite"),
     ],
 )
 def test_broken_answers_are_refused(answers, complaint):

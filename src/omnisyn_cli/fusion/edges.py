@@ -12,7 +12,7 @@ from jaxtyping import Shaped, UInt8
 from omnisyn_cli.fusion.bands import Views
 from omnisyn_cli.fusion.edge_kernels import know_samples, list_spots, mark_edges
 from omnisyn_cli.fusion.ghosts import is_in_place
-from omnisyn_cli.fusion.kernels import Correction, Layer, Tables, blend_spots, offset_of, rule_of, storing_in
+from omnisyn_cli.fusion.kernels import Layer, Tables, blend_spots, offset_of, rule_of, storing_in
 from omnisyn_cli.fusion.rule import BlendRule
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.runtime.threads import run_bands
@@ -43,16 +43,13 @@ class EdgeSampler:
         self._tables = Tables(*(table.astype(np.float32) for table in double))
         self._marks = np.empty(size, np.uint8)
 
-    def __call__(
-        self, views: Views, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"], correction: Correction
-    ) -> None:
+    def __call__(self, views: Views, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
         """Change a picture where it has edges: not at the ends of the way, where photographs are shown as they are.
 
         Args:
             views: what it was blended of, with samples.
             rule: how they were; samples set in as strictly as it does.
             out: the picture, numbers or samples of it.
-            correction: of the weights.
         """
         height, _ = self.size
         share, numbers, storing = np.float32(rule.strictness), rule_of(rule), storing_in(out)
@@ -68,7 +65,7 @@ class EdgeSampler:
                 (rho_a, colour_a), (rho_b, colour_b) = views.samples(*spots)
                 first = Layer(colour_a, rho_a, offset_of(views.first))
                 second = Layer(colour_b, rho_b, offset_of(views.second))
-                blend_spots(first, second, numbers, self._tables, correction, spots[0], *self.size, share, storing, out)
+                blend_spots(first, second, numbers, self._tables, spots[0], share, storing, out)
 
         run_bands(sample, -(-height // ROWS), self.threads)
 

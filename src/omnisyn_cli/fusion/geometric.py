@@ -13,8 +13,6 @@ from omnisyn_cli.fusion.edges import EdgeSampler
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, is_in_place
 from omnisyn_cli.fusion.kernels import (
-    NO_CORRECTION,
-    Correction,
     Layer,
     Tables,
     blend_band,
@@ -69,14 +67,13 @@ class GeometricFuser:
         self.paint(self._judged(first, second, confidence).then(self._suppression(first, second, rule)), rule, out)
         return out
 
-    def paint(self, views: Views, rule: BlendRule, out: Picture, correction: Correction = NO_CORRECTION) -> None:
+    def paint(self, views: Views, rule: BlendRule, out: Picture) -> None:
         """Blend two renderings and fill the holes.
 
         Args:
             views: both, and what is done to their colours.
             rule: how they are blended.
             out: written: numbers >= 0, or samples.
-            correction: of the weights.
         """
         offsets, (sin_p, cos_p, sin_a, cos_a) = [offset_of(view) for view in (views.first, views.second)], self._tables
         storing, numbers, (colours, weights) = storing_in(out), rule_of(rule), self._filler.half
@@ -86,14 +83,14 @@ class GeometricFuser:
             blend_band(
                 Layer(first, views.first.inverse_depth[rows], offsets[0]),
                 Layer(second, views.second.inverse_depth[rows], offsets[1]),
-                numbers, Tables(sin_p[rows], cos_p[rows], sin_a, cos_a), correction, top, self.size[0], storing,
+                numbers, Tables(sin_p[rows], cos_p[rows], sin_a, cos_a), storing,
                 out[rows], self.is_seen[rows], colours[pairs], weights[pairs],
             )  # fmt: skip
 
         self.bands(views, blend)
         self._filler.fill(out, self.is_seen)
         if self._edges is not None and views.has_samples:
-            self._edges(views, rule, out, correction)
+            self._edges(views, rule, out)
 
     def _suppression(self, first: Rendering, second: Rendering, rule: BlendRule) -> ColourStep | None:
         """What suppresses ghosts, where there are any."""

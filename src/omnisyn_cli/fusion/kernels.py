@@ -23,22 +23,6 @@ STEPS = 6
 MOST_GAP = np.float32(4.0)
 """Beyond it nothing is left of a hidden surface's weight that could be seen: e⁻¹⁶."""
 
-LEAST_RATIO = np.float32(1e-9)
-"""Of two weights: beyond it their logarithm is not looked at."""
-
-PLAIN, DIFFERENT = np.float32(0.01), np.float32(0.06)
-"""Root mean square of the difference of two colours up to which it does not matter which of them is shown, and from
-which on all of a correction counts."""
-
-LEAST_SHIFT = np.float32(0.05)
-"""Of the log-ratio of weights, of which a share that is less than 1 % follows: it is left away, which saves work."""
-
-ALIKE = np.float32(0.5)
-"""Difference of the log-ratios of weights at which a coarse pixel counts half for a fine one."""
-
-FAINT = np.float32(1e-4)
-"""Share of coarse pixels that have anything to say below which a fine pixel stays as it is."""
-
 
 class Layer(NamedTuple):
     """Some rows of a rendering: ``(rows, width, 4)`` RGB and weight; inverse depth; where its view is, three numbers.
@@ -74,21 +58,6 @@ class Storing(NamedTuple):
     most: np.float32
     scale: np.float32
     half: np.float32
-
-
-class Correction(NamedTuple):
-    """What a network says about the weights of a whole picture, ``(rows, cols)`` each; nothing if these are empty.
-
-    ``shift`` is added to the log-ratio of the weights. It is carried from coarse pixels that both views see (``both``
-    is 1), the more the more alike the weights are there (``log_ratio``): edges stay where fine renderings have them.
-    """
-
-    shift: np.ndarray
-    log_ratio: np.ndarray
-    both: np.ndarray
-
-
-NO_CORRECTION = Correction(*np.empty((3, 0, 0), np.float32))
 
 
 def rule_of(rule: BlendRule) -> Rule:
@@ -169,7 +138,7 @@ def view_weights(weight_a, near_a, offset_a, weight_b, near_b, offset_b, x, y, z
 
 
 @fast_kernel()
-def blend_band(first, second, rule, tables, correction, top, height, storing, out, seen, coarse_colour, coarse_weight):
+def blend_band(first, second, rule, tables, storing, out, seen, coarse_colour, coarse_weight):
     """Blend some rows of two renderings, store them, and join them in twos for the pyramid that fills holes.
 
     Args:
@@ -177,9 +146,6 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
         second: of the second view.
         rule: :class:`Rule`.
         tables: :class:`Tables`.
-        correction: :class:`Correction` of the weights.
-        top: row of the picture that the first row is, an even number.
-        height: rows of the picture.
         storing: :class:`Storing`.
         out: ``(rows, width, 3)`` samples, written; of no meaning in holes. An odd number of rows ends the picture.
         seen: ``(rows, width)`` uint8, written: 0 in holes, else 1.
@@ -189,7 +155,7 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
     rows, width = seen.shape
     upper, lower = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32)
     first_flat, second_flat, out_flat = first.colour.reshape(-1), second.colour.reshape(-1), out.reshape(-1)
-    coarse_flat, half_width, cols = coarse_colour.reshape(-1), coarse_weight.shape[1], np.arange(width)
+    coarse_flat, half_width = coarse_colour.reshape(-1), coarse_weight.shape[1]
     for pair in range(len(coarse_weight)):
         for left in range(0, width, RUN):
             right = min(left + RUN, width)
@@ -204,8 +170,6 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
                     tables.sin_p[row:], tables.cos_p[row:], tables.sin_a[left:right], tables.cos_a[left:right]
                 )
                 _blend_run(a, b, rule, some, mixed)
-                if len(correction.shift) > 0:
-                    _correct_run(a, b, rule, some, correction, top + row, height, cols[left:right], width, mixed)
                 _store_run(mixed, storing, out_flat[3 * begin : 3 * end], seen[row, left:right])
                 if right < left + RUN:  # an odd last column stands alone
                     for number in range(4):
@@ -216,7 +180,7 @@ def blend_band(first, second, rule, tables, correction, top, height, storing, ou
 
 
 @fast_kernel()
-def blend_spots(first, second, rule, tables, correction, spots, height, width, share, storing, out):
+def blend_spots(first, second, rule, tables, spots, share, storing, out):
     """Give some pixels the means of their samples, blended one by one; samples that see nothing keep the pixel's own.
 
     Args:
@@ -224,21 +188,16 @@ def blend_spots(first, second, rule, tables, correction, spots, height, width, s
         second: of the second view.
         rule: :class:`Rule`.
         tables: :class:`Tables`, of which those of rows: of all rows of a picture of twice the size.
-        correction: :class:`Correction` of the weights.
         spots: :class:`omnisyn_cli.types.Spots`.
-        height: rows of the picture.
-        width: its columns.
         share: of the mean; the rest is what the pixel was.
         storing: :class:`Storing`.
         out: ``(height, width, 3)`` samples, changed.
     """
-    upper, lower, columns = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32), np.empty(RUN, np.int64)
+    upper, lower = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32)
     for row in range(len(spots.begins)):
         begin, end = 2 * spots.begins[row, 0], 2 * spots.begins[row, -1]
         for left in range(begin, end, RUN):
             right = min(left + RUN, end)
-            for at in range(left, right):
-                columns[at - left] = max(0, 2 * spots.cols[at // 2] + at % 2)
             for half, mixed in ((0, upper), (1, lower)):
                 double_row = 2 * (spots.top + row) + half
                 a = Layer(
@@ -252,9 +211,6 @@ def blend_spots(first, second, rule, tables, correction, spots, height, width, s
                     spots.sin_a[left:right], spots.cos_a[left:right],
                 )  # fmt: skip
                 _blend_run(a, b, rule, some, mixed)
-                if len(correction.shift) > 0:
-                    run = columns[: right - left]
-                    _correct_run(a, b, rule, some, correction, double_row, 2 * height, run, 2 * width, mixed)
             for at in range(left // 2, right // 2):
                 if spots.cols[at] >= 0:
                     _store_mean(upper, lower, 2 * at - left, share, storing, out[spots.top + row, spots.cols[at]])
@@ -334,81 +290,6 @@ def neighbours(index, fine, coarse):
     position = (np.float32(index) + np.float32(0.5)) * np.float32(coarse) / np.float32(fine) - np.float32(0.5)
     before = math.floor(position)
     return int(before), position - np.float32(before)
-
-
-@inlined(fastmath=True)
-def _relevance(first, second, col):
-    """How much of a correction counts for two colours: from 0 (they are alike) to 1, smooth."""
-    squared = np.float32(0.0)
-    for k in range(3):
-        step = first[4 * col + k] - second[4 * col + k]
-        squared += step * step
-    difference = math.sqrt(squared * (np.float32(1.0) / np.float32(3.0)))
-    x = min(np.float32(1.0), max(np.float32(0.0), (difference - PLAIN) / (DIFFERENT - PLAIN)))
-    return x * x * (np.float32(3.0) - np.float32(2.0) * x)
-
-
-@inlined()
-def _greatest_around(values, upper, lower, col):
-    """Of two by two numbers, those of columns ``col`` and ``col + 1``, which wrap."""
-    before, beyond = col % values.shape[1], (col + 1) % values.shape[1]
-    greatest = max(abs(values[upper, before]), abs(values[lower, before]))
-    return max(greatest, abs(values[upper, beyond]), abs(values[lower, beyond]))
-
-
-@fast_kernel()
-def _correct_run(first, second, rule, tables, correction, row, height, columns, width, mixed):
-    """Correct what :func:`_blend_run` found where it matters which of the views is shown.
-
-    The run is of ``columns`` in a ``row`` of a picture of ``height`` and ``width``; other arguments as there.
-    """
-    shift = correction.shift
-    rows, cols = shift.shape
-    zero, one, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
-    sine, y = tables.sin_p[0], tables.cos_p[0]
-    i, down = neighbours(row, height, rows)
-    upper, lower = max(i, 0), min(i + 1, rows - 1)
-    since = until = 0
-    greatest = zero
-    for col in range(len(first.inverse_depth)):
-        if not since <= columns[col] < until:
-            j, _ = neighbours(columns[col], width, cols)
-            since, until = columns[col], math.ceil((j + 1.5) * width / cols - 0.5)
-            greatest = _greatest_around(shift, upper, lower, j)
-        if greatest < LEAST_SHIFT:
-            continue
-        weight_a, weight_b = first.colour[4 * col + 3], second.colour[4 * col + 3]
-        if not (weight_a > UNSEEN and weight_b > UNSEEN):
-            continue
-        counts = _relevance(first.colour, second.colour, col)
-        if counts * greatest < LEAST_SHIFT:
-            continue
-        a, b = view_weights(
-            weight_a, max(first.inverse_depth[col], zero), first.offset,
-            weight_b, max(second.inverse_depth[col], zero), second.offset,
-            sine * tables.sin_a[col], y, -sine * tables.cos_a[col], rule,
-        )  # fmt: skip
-        if not (a > zero and b > zero):
-            continue
-        ratio = np.float32(math.log((a + LEAST_RATIO * b) / (b + LEAST_RATIO * a)))
-        j, right = neighbours(columns[col], width, cols)
-        before, beyond = j % cols, (j + 1) % cols
-        total = value = zero
-        for corner in range(4):
-            r, c = upper if corner < 2 else lower, before if corner % 2 == 0 else beyond
-            share = (one - down if corner < 2 else down) * (one - right if corner % 2 == 0 else right)
-            unlike = (correction.log_ratio[r, c] - ratio) / ALIKE
-            share *= correction.both[r, c] / (one + unlike * unlike)
-            total += share
-            value += share * shift[r, c]
-        if total < FAINT:
-            continue
-        factor = np.float32(math.exp(half * counts * value / total))
-        share_a = a * factor / (a * factor + b / factor)
-        for k in range(3):
-            mixed[k * RUN + col] = max(
-                zero, share_a * first.colour[4 * col + k] + (one - share_a) * second.colour[4 * col + k]
-            )
 
 
 @fast_kernel()

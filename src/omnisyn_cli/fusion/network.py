@@ -1,13 +1,12 @@
-"""Fusion with a network: the geometric fusion, corrected where the views contradict each other, and better holes.
+"""Fusion with a network: the geometric fusion, corrected where the views contradict each other or see nothing.
 
-The network looks at both renderings at a size of its own and says, for each pixel, by how much the geometric weights
-are to be shifted from one view to the other, and which shares of the pixel are to be what the photographs show at other
-distances (:mod:`omnisyn_cli.fusion.second_look`). So everything keeps the sharpness of the photographs at any size of
-the frames. Nothing changes where something moved, which one of them shows as a whole
-(:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the
-corrections fade, so that both ends are the photographs themselves.
+The network looks at both renderings at a size of its own and says, for each pixel, which shares of it are to be what
+the photographs show at other distances (:mod:`omnisyn_cli.fusion.second_look`). So everything keeps the sharpness of
+the photographs at any size of the frames. Nothing changes where something moved, which one of them shows as a whole
+(:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the corrections fade, so that both ends are the
+photographs themselves.
 
-Source: OmniSyn, section 3.5, with weights in the place of colours.
+Source: OmniSyn, section 3.5, with shares of photographs in the place of colours.
 """
 
 from dataclasses import replace
@@ -20,11 +19,10 @@ from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.cells import greatest_near
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import Suppression, is_in_place
-from omnisyn_cli.fusion.kernels import Correction
 from omnisyn_cli.fusion.plane_maker import PlaneMaker
-from omnisyn_cli.fusion.planes import FusionPlanes
+from omnisyn_cli.fusion.planes import is_settled
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.second_look import FINER, SecondLook
+from omnisyn_cli.fusion.second_look import FINER
 from omnisyn_cli.geometry.sampling import greatest_of_parts
 from omnisyn_cli.types import Rendering, Witness
 
@@ -34,7 +32,7 @@ MULTIPLE = 32
 """It halves its input five times."""
 
 LEAST_STRENGTH = 1e-6
-"""So close to an end the correction could change no colour, and weights may be too small for their ratio to be one."""
+"""So close to an end the correction could change no colour."""
 
 
 def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
@@ -45,10 +43,8 @@ def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.nda
 class FusionCorrection(Protocol):
     """A trained fusion network, however it is run."""
 
-    def __call__(
-        self, planes: Float32[np.ndarray, "planes height width"]
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "4 height width"]]:
-        """What to add to the log-ratio of the weights, and the shares of the candidates of a second look.
+    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "4 height width"]:
+        """The shares of the candidates of a second look.
 
         Planes are those of :mod:`omnisyn_cli.fusion.planes`, then those of :mod:`omnisyn_cli.fusion.second_look`.
         """
@@ -113,26 +109,16 @@ class NetworkFuser(GeometricFuser):
             first, second = self.bands.held(first, second)
         one, other = self._ghosts.looked_at(first), self._ghosts.looked_at(second)
         suppression, out = self._ghosts.among(one, other, rule), self._memory(out)
-        judged = self._judged(first, second, confidence).then(suppression)
+        self.paint(self._judged(first, second, confidence).then(suppression), rule, out)
         among = None if suppression is None else replace(suppression, cell=self._ghosts.along)
-        seen, look = self._planes(Views(one, other).then(among), rule, _witnesses(first, second))
-        if seen.is_settled:
-            self.paint(judged, rule, out)
-        else:
-            self._correct(judged, rule, seen, look, suppression, out)
+        planes, look = self._planes(Views(one, other).then(among), rule, _witnesses(first, second))
+        if not is_settled(planes):
+            shares = self._correction(planes)
+            strength = np.full(shares.shape[1:], rule.strictness, np.float32)
+            if suppression is not None:
+                strength *= undecided(suppression, strength.shape)
+            look.mix_in(strength * shares, out, self.threads)
         return out
-
-    def _correct(
-        self, views: Views, rule: BlendRule, seen: FusionPlanes, look: SecondLook, suppression: Suppression | None,
-        out: Picture,
-    ) -> None:  # fmt: skip
-        """The picture as the network wants it."""
-        shift, shares = self._correction(seen.planes)
-        strength = np.full(shift.shape, rule.strictness, np.float32)
-        if suppression is not None:
-            strength *= undecided(suppression, shift.shape)
-        self.paint(views, rule, out, Correction(strength * seen.doubt * shift, seen.log_ratio, seen.both))
-        look.mix_in(strength * shares, out, self.threads)
 
 
 def _witnesses(first: Rendering, second: Rendering) -> tuple[Witness, Witness]:

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float32
 
 from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.network_kernels import reduce_band
-from omnisyn_cli.fusion.planes import FusionPlanes, fusion_planes
+from omnisyn_cli.fusion.planes import fusion_planes
 from omnisyn_cli.fusion.rule import BlendRule, Shown
 from omnisyn_cli.fusion.second_look import FINER, SecondLook, second_look
 from omnisyn_cli.types import Witness
@@ -32,7 +33,7 @@ class PlaneMaker:
 
     def __call__(
         self, views: Views, rule: BlendRule, witnesses: tuple[Witness, Witness]
-    ) -> tuple[FusionPlanes, SecondLook]:
+    ) -> tuple[Float32[np.ndarray, "planes height width"], SecondLook]:
         """Planes of two renderings, those of a second look among them.
 
         Args:
@@ -43,9 +44,9 @@ class PlaneMaker:
         fine = reduced(views, (FINER * self.size[0], FINER * self.size[1]), self._bands)
         first, second = (_halved(view) for view in fine)
         baseline = float(np.linalg.norm(first.offset - second.offset))
-        base = fusion_planes(first, second, rule, baseline, self._filled)
-        look = second_look(*fine, witnesses, baseline)
-        return replace(base, planes=np.concatenate([base.planes, look.planes])), look
+        planes = fusion_planes(first, second, rule, baseline, self._filled)
+        look = second_look(*fine, witnesses, baseline, self._bands.threads)
+        return np.concatenate([planes, look.planes]), look
 
     def _filled(self, image: np.ndarray, weight: np.ndarray) -> np.ndarray:
         self._filler(image, weight)

@@ -18,7 +18,6 @@ They are a function of numpy arrays and of torch tensors, with gradients to colo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -26,7 +25,6 @@ from array_api_compat import array_namespace, device
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.fusion.cells import greatest_near, mean_near
-from omnisyn_cli.fusion.kernels import DIFFERENT, LEAST_RATIO, PLAIN
 from omnisyn_cli.fusion.rule import BlendRule, Shown, blended, difference_of_depth, view_weights
 from omnisyn_cli.geometry.sphere import pixel_directions
 
@@ -39,6 +37,13 @@ SEEN, RELEVANCE, TIME, LATITUDE, PLANES = 15, 17, 18, 19, 20
 
 GREATEST_ROOT, GREATEST_LOG, GREATEST_GAP = 2.0, 8.0, 4.0
 
+PLAIN, DIFFERENT = 0.01, 0.06
+"""Root mean square of the difference of two colours up to which it does not matter which of them is shown, and from
+which on it matters wholly."""
+
+LEAST_RATIO = 1e-9
+"""Of two weights: beyond it their logarithm is not looked at."""
+
 LINEAR = 1e-4
 """Inverse depth × baseline below which its root is a straight line, so that its slope stays bounded."""
 
@@ -49,29 +54,9 @@ Fill = Callable[[Array, Array], Array]
 """Answers a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
 
 
-@dataclass(frozen=True)
-class FusionPlanes:
-    """The planes, ``(PLANES, height, width)``, and what is needed to carry answers to larger frames.
-
-    Attributes:
-        planes: see the module's docstring.
-        log_ratio: ``(height, width)`` of the geometric weights.
-        both: 1 where both views see, else 0.
-        doubt: how much the network's shift of the weights counts, from 0 to 1.
-    """
-
-    planes: Float[Array, "planes height width"]
-    log_ratio: Float[Array, "height width"]
-    both: Float[Array, "height width"]
-    doubt: Float[Array, "height width"]
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether there is nothing to decide: both views see everything, and nothing differs between them."""
-        return bool(self.both.all()) and not bool(self.planes[RELEVANCE].any())
-
-
-def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float, fill: Fill) -> FusionPlanes:
+def fusion_planes(
+    first: Shown, second: Shown, rule: BlendRule, baseline: float, fill: Fill
+) -> Float[Array, "planes height width"]:
     """All planes of what two views show.
 
     Args:
@@ -88,7 +73,7 @@ def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float,
     directions = xp.asarray(_directions(*like.shape), dtype=like.dtype, device=device(like))
     gap = difference_of_depth(first, second, rule.disagreement) * is_both
     weights = view_weights(first, second, directions, rule)
-    log_ratio, doubt = _log_ratio(*(xp.where(both, weight, one) for weight in weights)), doubt_of(gap)
+    log_ratio = _log_ratio(*(xp.where(both, weight, one) for weight in weights))
     planes = [
         *(first.colour[..., k] for k in range(3)),
         *(second.colour[..., k] for k in range(3)),
@@ -99,11 +84,16 @@ def fusion_planes(first: Shown, second: Shown, rule: BlendRule, baseline: float,
         xp.clip(log_ratio / GREATEST_LOG, min=-1.0, max=1.0),
         xp.clip(gap / GREATEST_GAP, min=-1.0, max=1.0),
         *(xp.astype(view.is_seen, like.dtype) for view in (first, second)),
-        is_both * doubt * _relevance(first.colour - second.colour) + holes,
+        is_both * doubt_of(gap) * _relevance(first.colour - second.colour) + holes,
         (2.0 * rule.t - 1.0) * one,
         directions[..., 1],
     ]
-    return FusionPlanes(xp.stack(planes), log_ratio, is_both, doubt)
+    return xp.stack(planes)
+
+
+def is_settled(planes: Float32[Array, "planes height width"]) -> bool:
+    """Whether there is nothing to decide: both views see everything, and nothing differs between them."""
+    return bool(planes[SEEN : SEEN + 2].all()) and not bool(planes[RELEVANCE].any())
 
 
 _directions = lru_cache(maxsize=2)(pixel_directions)
@@ -111,15 +101,14 @@ _directions = lru_cache(maxsize=2)(pixel_directions)
 
 def _log_ratio(a: Array, b: Array) -> Float[Array, "height width"]:
     """log(a / b), bounded where one of them is next to nothing."""
-    least = float(LEAST_RATIO)
-    return array_namespace(a).log((a + least * b) / (b + least * a))
+    return array_namespace(a).log((a + LEAST_RATIO * b) / (b + LEAST_RATIO * a))
 
 
 def _relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
     """How much it matters which of two colours is shown: from 0 (they are alike) to 1, smooth."""
-    xp, plain, different = array_namespace(difference), float(PLAIN), float(DIFFERENT)
+    xp = array_namespace(difference)
     squared = xp.sum(difference * difference, axis=-1) / 3.0
-    x = xp.clip((xp.sqrt(xp.clip(squared, min=plain**2)) - plain) / (different - plain), min=0.0, max=1.0)
+    x = xp.clip((xp.sqrt(xp.clip(squared, min=PLAIN**2)) - PLAIN) / (DIFFERENT - PLAIN), min=0.0, max=1.0)
     return x * x * (3.0 - 2.0 * x)
 
 

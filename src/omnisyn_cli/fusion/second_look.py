@@ -19,6 +19,7 @@ Planes for the network, ``LOOKS`` of them, float32, after those of :mod:`omnisyn
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float32, Shaped
@@ -28,7 +29,7 @@ from omnisyn_cli.fusion.cells import greatest_near
 from omnisyn_cli.fusion.kernels import Storing, storing_in
 from omnisyn_cli.fusion.planes import GREATEST_GAP, PLANES, root_of_inverse_depth
 from omnisyn_cli.fusion.rule import BlendOptions, Shown
-from omnisyn_cli.fusion.second_look_kernels import add_rows, join_rows, suppose_rows
+from omnisyn_cli.fusion.second_look_kernels import add_rows, average_looks, join_rows, suppose_rows
 from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Witness
 
@@ -45,6 +46,9 @@ REACH = 4
 
 LEAST = 1e-3
 """Inverse depth × baseline that is next to nothing."""
+
+MOST_NEARER = BlendOptions().disagreement * GREATEST_GAP
+"""Share of inverse depth by which a surface is as much nearer, or farther, as is told."""
 
 LEAST_SHARE = np.float32(0.04)
 """Of a candidate, below which it is not looked up; up to twice that it sets in. A fresh network gives less."""
@@ -102,7 +106,9 @@ class SecondLook:
         join_rows(total, storing, rows)
 
 
-def second_look(first: Shown, second: Shown, witnesses: tuple[Witness, Witness], baseline: float) -> SecondLook:
+def second_look(
+    first: Shown, second: Shown, witnesses: tuple[Witness, Witness], baseline: float, threads: int | None
+) -> SecondLook:
     """Ask both photographs.
 
     Args:
@@ -110,49 +116,31 @@ def second_look(first: Shown, second: Shown, witnesses: tuple[Witness, Witness],
         second: of the second view.
         witnesses: of both.
         baseline: how far apart both views are, in the unit that depth is measured in.
+        threads: at most this many.
     """
-    supposed = supposed_surfaces(first, second)
+    supposed, shown = supposed_surfaces(first, second), (first.colour, second.colour)
+    points = [*map(_points, (first, second)), *supposed.repeat(2, axis=0)]
+    asked = [*witnesses[::-1], *witnesses, *witnesses]
+    colours = np.stack([witness.colour(each) for witness, each in zip(asked, points, strict=True)])
     least = LEAST / baseline
-    planes = [*_confronted(first, witnesses[1], least), *_confronted(second, witnesses[0], least)]
-    gaps, unlike = [], []
-    for points in supposed:
-        seen = [np.moveaxis(witness.colour(points)[..., :3], -1, 0) for witness in witnesses]
-        planes += [plane for colours in seen for plane in colours]
-        gaps += [_gap(witness, points, least) for witness in witnesses]
-        unlike.append(np.abs(seen[0] - seen[1]).mean(axis=0))
-    planes += [*root_of_inverse_depth(supposed * np.float32(baseline)), *gaps, *unlike]
-    return SecondLook(averaged(np.stack(planes)), supposed, witnesses)
+    nearer = np.stack([witness.nearer(each, least) for witness, each in zip(asked, points, strict=True)])
+    roots, unit = root_of_inverse_depth(supposed * np.float32(baseline)), np.float32(MOST_NEARER)
+    planes = np.empty((LOOKS, *(count // FINER for count in supposed.shape[1:])), np.float32)
+    seen = np.stack(points[:2])
+    average = partial(average_looks, shown, seen, colours, nearer, roots, unit, planes)
+    run_bands(average, planes.shape[1], threads)
+    return SecondLook(planes, supposed, witnesses)
 
 
 def supposed_surfaces(first: Shown, second: Shown) -> Float32[np.ndarray, "2 rows cols"]:
     """Inverse depth of the farthest and of the nearest surface that is seen around every pixel; 0 where none is."""
-    seen = [np.where(view.is_seen, view.near, -1.0).astype(np.float32) for view in (first, second)]
+    seen = [_points(view) for view in (first, second)]
     nearest = greatest_near(np.maximum(*seen), REACH)
     farthest = -greatest_near(-np.minimum(*(np.where(near < 0.0, NOWHERE, near) for near in seen)), REACH)
     nearest = np.maximum(nearest, np.float32(0.0))
     return np.stack([np.minimum(farthest, nearest), nearest])
 
 
-def _confronted(view: Shown, other: Witness, least: float) -> Float32[np.ndarray, "6 rows cols"]:
-    """What the other photograph and its depth say of what a view shows; 0 where it shows nothing."""
-    is_seen = view.is_seen
-    points = np.where(is_seen, view.near, np.float32(-1.0)).astype(np.float32)
-    colour, gap = other.colour(points)[..., :3], _gap(other, points, least)
-    differs = np.abs(colour - view.colour).mean(axis=-1)
-    planes = np.stack([*np.moveaxis(colour, -1, 0), differs, np.maximum(gap, 0.0), np.maximum(-gap, 0.0)])
-    seen = averaged(is_seen.astype(np.float32)[None])
-    spread = np.divide(1.0, seen, out=np.zeros_like(seen), where=seen > 0.0).repeat(FINER, 1).repeat(FINER, 2)
-    return np.asarray(np.where(is_seen, planes, 0.0) * spread, np.float32)
-
-
-def _gap(witness: Witness, points: Float32[np.ndarray, "rows cols"], least: float) -> Float32[np.ndarray, "rows cols"]:
-    """How much nearer a view's surface is, in units of what counts as a disagreement over the greatest that is told."""
-    unit = BlendOptions().disagreement * GREATEST_GAP
-    return np.asarray(np.clip(witness.nearer(points, least) / unit, -1.0, 1.0), np.float32)
-
-
-def averaged(planes: Float32[np.ndarray, "planes rows cols"]) -> Float32[np.ndarray, "planes height width"]:
-    """Means over blocks of :data:`FINER` rows and columns."""
-    count, rows, cols = planes.shape
-    blocks = planes.reshape(count, rows // FINER, FINER, cols // FINER, FINER)
-    return np.asarray(blocks.mean(axis=(2, 4)), np.float32)
+def _points(view: Shown) -> Float32[np.ndarray, "rows cols"]:
+    """Inverse depth of what a view shows; −1 where it shows nothing."""
+    return np.asarray(np.where(view.is_seen, view.near, -1.0), np.float32)

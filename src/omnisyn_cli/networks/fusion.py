@@ -2,11 +2,9 @@
 
 ``paper`` paints: renderings and visibility masks in, colours out, at one resolution. ``residual`` sees more (inverse
 depth, the position on the way, what the geometric fusion makes of it, see :mod:`omnisyn_cli.fusion.planes`; and what
-the photographs show at other distances, see :mod:`omnisyn_cli.fusion.second_look`) and answers less: a shift of the
-blend weights, and the shares of a pixel that are to be what the photographs show there. The shift is made of how much
-more or less decided the weights are to be than the geometric ones, and of a preference for one of the views. A fresh
-network shifts nothing and has small shares: it nearly is the geometric fusion; and because photographs are chosen from,
-not painted, the frames are as sharp as they are, at any size.
+the photographs show at other distances, see :mod:`omnisyn_cli.fusion.second_look`) and answers less: the shares of a
+pixel that are to be what the photographs show there. A fresh network has small shares: it nearly is the geometric
+fusion; and because photographs are chosen from, not painted, the frames are as sharp as they are, at any size.
 
 Source: OmniSyn, section 3.5.
 """
@@ -24,13 +22,7 @@ from omnisyn_cli.networks.layers import WrappedConv, at_least_single, initialise
 from omnisyn_cli.networks.paper_layers import Block, enlarged
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
-__all__ = ["FUSION_VARIANTS", "FusionConfig", "FusionCorrections", "FusionNetwork", "PaintingNetwork", "build_fusion"]
-
-GREATEST_SHIFT = 8.0
-"""Of the log-ratio of two weights: enough to turn almost any of them round."""
-
-LOG_RATIO_PLANE, GREATEST_LOG = 13, 8.0
-"""Of the input: the log-ratio of the geometric weights, and what it was divided by."""
+__all__ = ["FUSION_VARIANTS", "FusionConfig", "FusionNetwork", "PaintingNetwork", "build_fusion"]
 
 SEEN_PLANES, RELEVANCE_PLANE, SUPPOSED_PLANES = slice(15, 17), 17, slice(44, 46)
 """Of the input: 1 where the first, and where the second, shows anything; whether it matters which one is shown; the
@@ -41,9 +33,6 @@ APART = 0.06
 
 LEAST_NEAR = 1e-3
 """Inverse depth × baseline that is next to nothing."""
-
-MOST_DECIDED = 4.0
-"""Logarithm of the greatest factor that the log-ratio of weights is stretched by: beyond it numbers overflow."""
 
 SELDOM = 4.0
 """A fresh network gives each candidate e to minus this of what it leaves as it is."""
@@ -82,43 +71,23 @@ FUSION_VARIANTS = {
 """The networks by name; the last is the paper's with a quarter of the channels."""
 
 
-@dataclass(frozen=True)
-class FusionCorrections:
-    """What is changed in the geometric fusion.
-
-    Attributes:
-        shift: ``(batch, 1, height, width)`` added to log(weight of the first / weight of the second).
-        shares: ``(batch, 4, height, width)`` of the candidates of a second look; what they leave of 1 stays.
-    """
-
-    shift: Tensor
-    shares: Tensor
-
-    def outputs(self) -> tuple[Tensor, ...]:
-        """What leaves the program."""
-        return self.shift, self.shares
-
-
 class FusionNetwork(CorrectingUNet):
-    """Planes in, corrections out; any size that is a multiple of ``config.size_multiple``."""
+    """Planes in, shares of candidates out; any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: FusionConfig) -> None:
-        super().__init__(config, answers=6)
+        super().__init__(config, answers=4)
         nn.init.zeros_(self.answer.weight)
 
     @property
     def ports(self) -> Ports:
         """Planes of any size."""
-        return Ports({"planes": self.config.planes}, ("shift", "shares"))
+        return Ports({"planes": self.config.planes}, ("shares",))
 
-    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> FusionCorrections:
-        """Correct; see :meth:`answers`."""
-        stretch, shift, wanted = torch.split(self.answers(planes), [1, 1, 4], dim=1)
-        log_ratio = GREATEST_LOG * planes[:, LOG_RATIO_PLANE : LOG_RATIO_PLANE + 1]
-        shift = log_ratio * (torch.exp((PACE * stretch).clamp(max=MOST_DECIDED)) - 1.0) + PACE * shift
-        logits = torch.cat([torch.zeros_like(shift), PACE * wanted - SELDOM], dim=1)
-        shares = is_open(planes) * logits.softmax(dim=1)[:, 1:]
-        return FusionCorrections(GREATEST_SHIFT * torch.tanh(shift / GREATEST_SHIFT), shares)
+    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 4 height width"]:
+        """The shares of the candidates of a second look; what they leave of 1 stays as it is."""
+        wanted = PACE * self.answers(planes) - SELDOM
+        logits = torch.cat([torch.zeros_like(wanted[:, :1]), wanted], dim=1)
+        return is_open(planes) * logits.softmax(dim=1)[:, 1:]
 
 
 def is_open(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 1 height width"]:

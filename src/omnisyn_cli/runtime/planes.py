@@ -55,15 +55,13 @@ class SessionFusion:
     """
 
     def __init__(self, session: Any) -> None:
-        self._session = _checked(session, ["shift", "shares"])
+        self._session = _checked(session, ["shares"])
 
-    def __call__(
-        self, planes: Float32[np.ndarray, "planes height width"]
-    ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "4 height width"]]:
-        """The shift of the log-ratio of the weights, and shares of candidates; InputError if the model is broken."""
-        size = planes.shape[1:]
-        shift, shares = run_network(self._session, {"planes": planes[None]}, ((1, 1, *size), (1, 4, *size)))
-        return shift[0, 0], shares[0]
+    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "4 height width"]:
+        """Shares of candidates; InputError if the model is broken."""
+        (shares,) = run_network(self._session, {"planes": planes[None]}, ((1, 4, *planes.shape[1:]),))
+        answer: Float32[np.ndarray, "4 height width"] = shares[0]
+        return answer
 
 
 class SessionPainter:

@@ -6,13 +6,16 @@ from torch import Tensor
 
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.second_look import CANDIDATES, SUPPOSED
-from omnisyn_cli.networks.fusion import FusionConfig, FusionCorrections, FusionNetwork, PaintingNetwork
+from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 
-SQUARED_WEIGHT = 4.0
-"""Of squared errors beside absolute ones: both count alike at an error of a quarter."""
+ABSOLUTE_WEIGHT, SQUARED_WEIGHT = 0.5, 0.02
+"""Of absolute errors, and of squared ones over those that are usual."""
 
-LEAST_ERROR = 1e-10
+USUAL_ERROR = 5e-3
+"""Squared error that is usual where nobody says otherwise."""
+
+LEAST_USUAL, LEAST_ERROR = 1e-4, 1e-10
 
 
 def inputs_of(
@@ -29,32 +32,36 @@ def fused_by(
 ) -> Float[Tensor, "batch 3 height width"]:
     """The picture that a network makes of the planes."""
     answer = network(inputs_of(network.config, planes))
-    return corrected(planes, answer) if isinstance(answer, FusionCorrections) else answer
+    return answer if network.config.paints else corrected(planes, answer)
 
 
 def corrected(
-    planes: Float[Tensor, "batch planes height width"], corrections: FusionCorrections
+    planes: Float[Tensor, "batch planes height width"], shares: Float[Tensor, "batch 4 height width"]
 ) -> Float[Tensor, "batch 3 height width"]:
-    """The geometric fusion with shifted weights and shares of other candidates, as the program corrects it."""
-    first, second = planes[:, plane.FIRST : plane.FIRST + 3], planes[:, plane.SECOND : plane.SECOND + 3]
-    both = planes[:, plane.SEEN : plane.SEEN + 2].prod(dim=1, keepdim=True)
-    relevance = planes[:, plane.RELEVANCE : plane.RELEVANCE + 1]
-    log_ratio = plane.GREATEST_LOG * planes[:, plane.LOG_RATIO : plane.LOG_RATIO + 1]
-    more = torch.sigmoid(log_ratio + relevance * corrections.shift) - torch.sigmoid(log_ratio)
-    fused = planes[:, plane.FUSED : plane.FUSED + 3] + both * more * (first - second)
-    picture = fused
-    for k, candidate in enumerate(torch.split(planes[:, CANDIDATES:SUPPOSED], 3, dim=1)):
-        picture = picture + corrections.shares[:, k : k + 1] * (candidate - fused)
-    return picture
+    """The geometric fusion with shares of other candidates, as the program corrects it."""
+    fused = planes[:, plane.FUSED : plane.FUSED + 3]
+    candidates = torch.stack(torch.split(planes[:, CANDIDATES:SUPPOSED], 3, dim=1), dim=1)
+    return fused + (shares[:, :, None] * (candidates - fused[:, None])).sum(dim=1)
 
 
-def fusion_loss(picture: Float[Tensor, "batch 3 height width"], truth: Tensor) -> Tensor:
-    """Absolute and squared differences from the truth, weighted by the sine of the polar angle; a scalar.
+def fusion_loss(
+    picture: Float[Tensor, "batch 3 height width"], truth: Tensor, usual: Float[Tensor, " batch"] | None = None
+) -> Tensor:
+    """Absolute and squared differences from the truth, weighted half by solid angle and half by pixels; a scalar.
 
-    Source: OmniSyn, section 3.6; the squares, which make large errors dear, are ours.
+    Args:
+        picture: what is judged.
+        truth: likewise.
+        usual: squared error that pictures of such scenes have, over which squares are taken: a decibel in an easy scene
+            then counts as much as one in a hard scene.
+
+    Source: OmniSyn, section 3.6, of the absolute differences.
     """
+    usual = picture.new_full((len(picture),), USUAL_ERROR) if usual is None else usual
+    squared_weight = SQUARED_WEIGHT / (usual + LEAST_USUAL)
     error = (picture - truth).abs()
-    return ((error + SQUARED_WEIGHT * error.square()) * polar_weights(truth)).mean()
+    both = ABSOLUTE_WEIGHT * error + squared_weight[:, None, None, None] * error.square()
+    return (both * (0.5 + 0.5 * polar_weights(truth))).mean()
 
 
 @torch.no_grad()

@@ -12,6 +12,8 @@ Renderings are made at four times that size and reduced as in the program; some 
 Every place is there at half that size as well, since presets have the network look at either; their order is random.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -27,6 +29,7 @@ from omnisyn_cli.fusion import second_look as look
 from omnisyn_cli.fusion.geometric import Confidence, Picture
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
+from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.synthesis.frames import synthesize
@@ -103,11 +106,26 @@ class FusionSample:
 
 
 @dataclass(frozen=True)
+class Window(FusionSample):
+    """A place, or some of its columns, with the mean squared error of the geometric fusion of the whole place."""
+
+    usual: Float32[np.ndarray, ""]
+
+    @staticmethod
+    def of(sample: FusionSample) -> Window:
+        """The whole place."""
+        sines = direction_tables(*sample.truth.shape[1:])[0]
+        error = np.square(sample.planes[plane.FUSED : plane.FUSED + 3] - sample.truth).mean(axis=0)
+        return Window(sample.planes, sample.truth, np.asarray(error.mean(axis=1) @ sines / sines.sum(), np.float32))
+
+
+@dataclass(frozen=True)
 class FusionBatch:
-    """Windows of some of them for one step: ``(batch, planes, height, width)`` and ``(batch, 3, height, width)``."""
+    """Windows for one step: ``(batch, planes, height, width)``, ``(batch, 3, height, width)`` and ``(batch,)``."""
 
     planes: Float[Tensor, "batch planes height width"]
     truth: Float[Tensor, "batch 3 height width"]
+    usual: Float[Tensor, " batch"]
 
 
 class _Recorder:
@@ -116,9 +134,9 @@ class _Recorder:
     def __init__(self) -> None:
         self.planes: list[np.ndarray] = []
 
-    def __call__(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, planes: np.ndarray) -> np.ndarray:
         self.planes.append(planes)
-        return np.zeros_like(planes[0]), np.zeros_like(planes[:4])
+        return np.zeros_like(planes[:4])
 
 
 class _Recording:
@@ -214,21 +232,21 @@ def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> Fusio
     columns; it lies, across the seam or not, preferably where the views contradict each other. All are of one size,
     that of the first that is drawn: a pool may hold scenes of several.
     """
-    drawn: list[FusionSample] = []
+    drawn: list[Window] = []
     while len(drawn) < batch:
         path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
         sample = load_samples(path, FusionSample, which)[0]
         if not drawn or sample.truth.shape[-2] == drawn[0].truth.shape[-2]:
-            drawn.append(_varied(sample, rng))
+            drawn.append(_varied(Window.of(sample), rng))
     return FusionBatch(*stacked(drawn))
 
 
 def stored_fusion(path: Path, which: int) -> FusionBatch:
     """A place of a scene as it is."""
-    return FusionBatch(*stacked(load_samples(path, FusionSample, which)))
+    return FusionBatch(*stacked([Window.of(sample) for sample in load_samples(path, FusionSample, which)]))
 
 
-def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
+def _varied(sample: Window, rng: np.random.Generator) -> Window:
     """All that is done to colours is linear, so that blends of varied colours are varied blends."""
     farthest, nearest = sample.planes[look.SUPPOSED : look.SUPPOSED + 2]
     columns = window_columns(sample.planes[plane.RELEVANCE] + MINOR * (nearest - farthest > ONE_SURFACE), rng)
@@ -243,7 +261,8 @@ def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
         planes = exchanged(planes)
     if rng.random() < 0.5:
         planes, truth = planes[..., ::-1], truth[..., ::-1]
-    return FusionSample(np.ascontiguousarray(planes), np.ascontiguousarray(truth))
+    usual = sample.usual * np.square(tint).mean()
+    return Window(np.ascontiguousarray(planes), np.ascontiguousarray(truth), usual)
 
 
 def exchanged(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes height width"]:
