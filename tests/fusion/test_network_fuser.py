@@ -99,7 +99,7 @@ def test_towards_the_ends_its_word_counts_less_and_less():
 def test_candidates_take_their_share_of_every_pixel_holes_included(size):
     """Both photographs are grey of one kind each; what is hardly wanted is left away."""
     views = [asked(view, colour) for view, colour in zip(pair(size, holes=0.5), (0.25, 0.75), strict=True)]
-    shares = np.array([0.3, 0.2, 0.1, 0.04], np.float32)[:, None, None]
+    shares = np.array([0.3, 0.2, 0.1, 0.02], np.float32)[:, None, None]
     plain, mixed = geometric(views, 0.5), fuse(views, 0.5, Answers(shares))
     first, second = 0.3 + 0.1, 0.2
     expected = (1 - first - second) * plain + first * 0.25 + second * 0.75

@@ -3,14 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch.nn import functional
 
+from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.bands import BandRunner, Views
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.fusion.plane_maker import PlaneMaker
 from omnisyn_cli.fusion.planes import PLANES
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.second_look import FINER, LOOKS, SUPPOSED
+from omnisyn_cli.fusion.second_look import CANDIDATES, FINER, LOOKS, SUPPOSED
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
@@ -19,7 +21,7 @@ from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.witness import AskedPanorama
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
-from omnisyn_cli.training.fusion_losses import corrected, fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores, mixed
 from omnisyn_cli.training.fusion_pool import (
     FusionPoolConfig,
     FusionSample,
@@ -75,7 +77,8 @@ def test_the_network_learns_on_the_picture_that_the_program_makes():
         shares[:] = np.float32(share)
         picture = fuser(*views, 0.4).reshape(SIZE[0], FINER, SIZE[1], FINER, 3).mean(axis=(1, 3))
         batch = torch.from_numpy(shown[-1])[None]
-        expected = corrected(batch, torch.from_numpy(shares)[None])[0].permute(1, 2, 0).numpy()
+        chosen = torch.cat([batch[:, plane.FUSED : plane.FUSED + 3], batch[:, CANDIDATES:SUPPOSED]], dim=1)
+        expected = mixed(chosen, torch.from_numpy(shares)[None])[0].permute(1, 2, 0).numpy()
         hole = shown[-1][plane.SEEN : plane.SEEN + 2].sum(axis=0) == 0
         difference = np.abs(picture - np.maximum(expected, 0))
         assert np.median(difference[~hole]) < 0.1 * most, share
@@ -110,11 +113,17 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
         assert len(samples) == 2
         for sample in samples:
             assert sample.planes.shape == (PLANES + LOOKS, *SIZE)
-            assert sample.truth.shape == (3, *SIZE)
+            assert sample.truth.shape == (3, 2 * SIZE[0], 2 * SIZE[1])
+            assert sample.shown.shape == (15, 2 * SIZE[0], 2 * SIZE[1])
             assert 0.1 <= (sample.planes[plane.TIME].mean() + 1) / 2 <= 0.9
             assert np.isfinite(sample.planes).all()
-            fused = sample.planes[plane.FUSED : plane.FUSED + 3]
-            assert np.abs(fused - sample.truth).mean() < 0.5 * np.abs(np.roll(fused, 32, -1) - sample.truth).mean()
+            fused, roll = sample.shown[:3], SIZE[1]
+            assert np.abs(fused - sample.truth).mean() < 0.5 * np.abs(np.roll(fused, roll, -1) - sample.truth).mean()
+            decibels = ws_psnr(*(x.transpose(1, 2, 0) for x in (fused, sample.truth)))
+            assert -10 * np.log10(float(sample.usual)) == pytest.approx(decibels, abs=0.01)
+            small = sample.shown.reshape(15, SIZE[0], 2, SIZE[1], 2).mean(axis=(2, 4))
+            held = [*range(plane.FUSED, plane.FUSED + 3), *range(CANDIDATES, SUPPOSED)]
+            assert np.median(np.abs(small - sample.planes[held])) < 0.02, "pictures are what the planes show, finer"
         np.testing.assert_array_equal(load_samples(path, FusionSample, 3)[0].truth, samples[1].truth)
 
 
@@ -122,11 +131,11 @@ def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
     size = (64, 128)
     path = make_fusion_scene(tmp_path, 1, FusionPoolConfig(size=size, places=2, matched=1.0, rows=size[0]))
     samples = load_samples(path, FusionSample)
-    small, large = ([s for s in samples if s.truth.shape[1:] == each] for each in ((32, 64), size))
+    small, large = ([s for s in samples if s.planes.shape[1:] == each] for each in ((32, 64), size))
     assert len(small) == len(large) == 2
     for sample in small:
-        halves = [one.truth.reshape(3, 32, 2, 64, 2).mean(axis=(2, 4)) for one in large]
-        assert min(np.abs(half - sample.truth).max() for half in halves) < 0.01
+        assert sample.shown.shape == (15, 128, 256)
+        assert any(np.array_equal(one.truth, sample.truth) for one in large)
 
 
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
@@ -150,7 +159,9 @@ def test_a_batch_is_the_same_for_the_same_seed_and_variations_keep_the_geometric
     assert difference[both.expand_as(blend)].max() < 0.01
     fused = one.planes[:, plane.FUSED : plane.FUSED + 3]
     assert fused.shape == (6, 3, SIZE[0], SIZE[1] // WINDOWS)
-    own, others = (fused - one.truth).abs().mean(), (fused - one.truth.roll(1, 0)).abs().mean()
+    chosen = one.planes[:, [*range(plane.FUSED, plane.FUSED + 3), *range(CANDIDATES, SUPPOSED)]]
+    assert (functional.avg_pool2d(one.shown, 2) - chosen).abs().median() < 0.02
+    own, others = (one.shown[:, :3] - one.truth).abs().mean(), (one.shown[:, :3] - one.truth.roll(1, 0)).abs().mean()
     assert own < 0.7 * others
 
 
@@ -181,14 +192,13 @@ def test_the_loss_is_least_for_the_truth_and_counts_half_by_solid_angle():
 
 
 def test_scores_are_those_of_the_metrics():
-    from omnisyn_cli.evaluation.metrics import ws_psnr
-
     planes = torch.rand((1, PLANES + LOOKS, *SIZE), generator=torch.Generator().manual_seed(0))
     planes[:, plane.SEEN : plane.SEEN + 2] = (planes[:, plane.SEEN : plane.SEEN + 2] > 0.5).float()
-    truth = torch.rand((1, 3, *SIZE), generator=torch.Generator().manual_seed(1))
+    truth, geometric = torch.rand((2, 1, 3, *SIZE), generator=torch.Generator().manual_seed(1))
     picture = 0.9 * truth + 0.05
-    scores = fusion_scores(picture, planes, truth)
-    arrays = [x[0].permute(1, 2, 0).numpy() for x in (picture, truth, planes[:, plane.FUSED : plane.FUSED + 3])]
+    finer = [image.repeat_interleave(2, -1).repeat_interleave(2, -2) for image in (truth, geometric)]
+    scores = fusion_scores(picture, planes, *finer)
+    arrays = [x[0].permute(1, 2, 0).numpy() for x in (picture, truth, geometric)]
     assert scores["ws_psnr"] == pytest.approx(ws_psnr(arrays[0], arrays[1]), abs=1e-3)
     assert scores["gain"] == pytest.approx(scores["ws_psnr"] - ws_psnr(arrays[2], arrays[1]), abs=1e-3)
     hole = planes[0, plane.SEEN : plane.SEEN + 2].sum(dim=0).numpy() == 0
@@ -201,7 +211,8 @@ def test_a_fresh_network_scores_nearly_as_the_geometric_fusion(pool):
     stored = stored_fusion(pool[0], 0)
     torch.manual_seed(0)
     with torch.no_grad():
-        scores = fusion_scores(fused_by(build_fusion(TINY), stored.planes), stored.planes, stored.truth)
+        picture = fused_by(build_fusion(TINY), stored.planes, stored.shown)
+        scores = fusion_scores(picture, stored.planes, stored.truth, stored.shown[:, :3])
     assert abs(scores["gain"]) < 0.3
 
 

@@ -25,7 +25,7 @@ from omnisyn_cli.render.quads import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool, save_scene
-from omnisyn_cli.training.fusion_losses import fused_by
+from omnisyn_cli.training.fusion_losses import inputs_of
 from omnisyn_cli.training.joint import (
     JointAnswer,
     JointConfig,
@@ -82,8 +82,8 @@ def test_planes_are_those_of_the_program(t):
         HoleFiller(SIZE, 1)(image, weight)
         return image
 
-    expected = fusion_planes(own, other, rule, 1.0, fill).planes
-    found = fusion_planes(as_seen(first), as_seen(second), rule, 1.0, filled).planes.numpy()
+    expected = fusion_planes(own, other, rule, 1.0, fill)
+    found = fusion_planes(as_seen(first), as_seen(second), rule, 1.0, filled).numpy()
     for name in (
         "FIRST",
         "SECOND",
@@ -136,7 +136,7 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
         planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share, "epipole")
         stacked = torch.cat([rho[0], exchanged_panoramas(rho[1], "epipole")]).unsqueeze(1)
         prediction = PairPrediction(PaperPrediction(stacked, stacked), rho, torch.ones_like(rho))
-        return joint_loss(JointAnswer(prediction, planes, fused_by(network, planes)), drawn)
+        return joint_loss(JointAnswer(prediction, planes, network(inputs_of(network.config, planes))), drawn)
 
     (gradient,) = torch.autograd.grad(loss(rho), rho)
     waves = torch.linspace(0, 2 * np.pi, SIZE[1] + 1, dtype=torch.float64)[:-1]

@@ -22,7 +22,7 @@ from omnisyn_cli.fusion.ghosts import Suppression, is_in_place
 from omnisyn_cli.fusion.plane_maker import PlaneMaker
 from omnisyn_cli.fusion.planes import is_settled
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.second_look import FINER
+from omnisyn_cli.fusion.second_look import FINER, SecondLook
 from omnisyn_cli.geometry.sampling import greatest_of_parts
 from omnisyn_cli.types import Rendering, Witness
 
@@ -113,12 +113,25 @@ class NetworkFuser(GeometricFuser):
         among = None if suppression is None else replace(suppression, cell=self._ghosts.along)
         planes, look = self._planes(Views(one, other).then(among), rule, _witnesses(first, second))
         if not is_settled(planes):
-            shares = self._correction(planes)
-            strength = np.full(shares.shape[1:], rule.strictness, np.float32)
+            strength = np.full(planes.shape[1:], rule.strictness, np.float32)
             if suppression is not None:
                 strength *= undecided(suppression, strength.shape)
-            look.mix_in(strength * shares, out, self.threads)
+            self.correct(planes, look, strength, out)
         return out
+
+    def correct(
+        self, planes: Float32[np.ndarray, "planes height width"], look: SecondLook,
+        strength: Float32[np.ndarray, "height width"], picture: Picture,
+    ) -> None:  # fmt: skip
+        """Mix candidates into a picture as the network wants it.
+
+        Args:
+            planes: what the network sees.
+            look: the candidates.
+            strength: how much its word counts, from 0 to 1.
+            picture: of the geometric fusion, changed.
+        """
+        look.mix_in(strength * self._correction(planes), picture, self.threads)
 
 
 def _witnesses(first: Rendering, second: Rendering) -> tuple[Witness, Witness]:

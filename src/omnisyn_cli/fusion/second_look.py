@@ -50,7 +50,7 @@ LEAST = 1e-3
 MOST_NEARER = BlendOptions().disagreement * GREATEST_GAP
 """Share of inverse depth by which a surface is as much nearer, or farther, as is told."""
 
-LEAST_SHARE = np.float32(0.04)
+LEAST_SHARE = np.float32(0.02)
 """Of a candidate, below which it is not looked up; up to twice that it sets in. A fresh network gives less."""
 
 NOWHERE = np.float32(1e9)
@@ -95,6 +95,15 @@ class SecondLook:
                     self._mix_rows(shares, picture[top:bottom], top, height, storing)
 
         run_bands(mix, -(-height // ROWS), threads)
+
+    def candidates(self, size: tuple[int, int]) -> Float32[np.ndarray, "4 height width 4"]:
+        """RGB and alpha of both photographs at the farthest surface, then at the nearest, for a frame of a size."""
+        points, everywhere = np.empty(size, np.float32), np.ones((1, 1), np.float32)
+        colours = np.empty((4, *size, 4), np.float32)
+        for k, (colour, witness) in enumerate(zip(colours, 2 * self.witnesses, strict=True)):
+            suppose_rows(self.supposed[k // 2], everywhere, 0, size[0], points)
+            witness.colour_rows(points, 0, colour)
+        return colours
 
     def _mix_rows(self, shares: np.ndarray, rows: Picture, top: int, height: int, storing: Storing) -> None:
         points, colour = np.empty(rows.shape[:2], np.float32), np.empty((*rows.shape[:2], 4), np.float32)

@@ -64,7 +64,7 @@ class FusionConfig(CorrectingConfig):
 
 
 FUSION_VARIANTS = {
-    "residual": FusionConfig("residual", planes=52, widths=(20, 32, 48, 64, 96), fine=8),
+    "residual": FusionConfig("residual", planes=52, widths=(48, 64, 96, 128, 128), fine=24),
     "paper": FusionConfig("paper", planes=8, widths=(16, 32, 64, 128, 256, 512, 1024), paints=True),
     "paper-narrow": FusionConfig("paper-narrow", planes=8, widths=(4, 8, 16, 32, 64, 128, 256), paints=True),
 }

@@ -158,13 +158,15 @@ def save_samples(path: Path, samples: Sequence[Any]) -> None:
     save_arrays(path, arrays)
 
 
-def load_samples(path: Path, kind: type[Any], which: int | None = None) -> list[Any]:
+def load_samples(
+    path: Path, kind: type[Any], which: int | None = None, dtype: type[np.floating] = np.float32
+) -> list[Any]:
     """All samples of a file, or the one at ``which``, counted on beyond the last from the first again."""
     names = [entry.name for entry in fields(kind)]
     with np.load(path) as file:
         count = len(file.files) // len(names)
         return [
-            kind(*(file[f"{name}_{k}"].astype(np.float32) for name in names))
+            kind(*(file[f"{name}_{k}"].astype(dtype, copy=False) for name in names))
             for k in (range(count) if which is None else (which % count,))
         ]
 

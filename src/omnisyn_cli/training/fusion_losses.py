@@ -3,9 +3,9 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion.second_look import CANDIDATES, SUPPOSED
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 
@@ -28,20 +28,29 @@ def inputs_of(
 
 
 def fused_by(
-    network: FusionNetwork | PaintingNetwork, planes: Float[Tensor, "batch planes height width"]
-) -> Float[Tensor, "batch 3 height width"]:
-    """The picture that a network makes of the planes."""
+    network: FusionNetwork | PaintingNetwork,
+    planes: Float[Tensor, "batch planes height width"],
+    shown: Float[Tensor, "batch 15 rows cols"],
+) -> Float[Tensor, "batch 3 _ _"]:
+    """The picture that a network makes of the planes: painted, at their size; else mixed of what is shown, at its."""
     answer = network(inputs_of(network.config, planes))
-    return answer if network.config.paints else corrected(planes, answer)
+    return answer if network.config.paints else mixed(shown, answer)
 
 
-def corrected(
-    planes: Float[Tensor, "batch planes height width"], shares: Float[Tensor, "batch 4 height width"]
-) -> Float[Tensor, "batch 3 height width"]:
-    """The geometric fusion with shares of other candidates, as the program corrects it."""
-    fused = planes[:, plane.FUSED : plane.FUSED + 3]
-    candidates = torch.stack(torch.split(planes[:, CANDIDATES:SUPPOSED], 3, dim=1), dim=1)
-    return fused + (shares[:, :, None] * (candidates - fused[:, None])).sum(dim=1)
+def mixed(
+    shown: Float[Tensor, "batch 15 rows cols"], shares: Float[Tensor, "batch 4 height width"]
+) -> Float[Tensor, "batch 3 rows cols"]:
+    """The geometric fusion with shares of the candidates, as the program mixes them."""
+    fused, *candidates = torch.split(shown, 3, dim=1)
+    shares = functional.interpolate(shares, size=tuple(fused.shape[-2:]), mode="bilinear")
+    steps = [shares[:, k : k + 1] * (candidate - fused) for k, candidate in enumerate(candidates)]
+    return fused + torch.stack(steps).sum(dim=0)
+
+
+def at_size_of(picture: Float[Tensor, "batch 3 height width"], image: Tensor) -> Tensor:
+    """An image at the size of a picture, which is smaller by a whole factor or has the same."""
+    factor = image.shape[-1] // picture.shape[-1]
+    return functional.avg_pool2d(image, factor) if factor > 1 else image
 
 
 def fusion_loss(
@@ -57,7 +66,10 @@ def fusion_loss(
 
     Source: OmniSyn, section 3.6, of the absolute differences.
     """
-    usual = picture.new_full((len(picture),), USUAL_ERROR) if usual is None else usual
+    usual, truth = (
+        picture.new_full((len(picture),), USUAL_ERROR) if usual is None else usual,
+        at_size_of(picture, truth),
+    )
     squared_weight = SQUARED_WEIGHT / (usual + LEAST_USUAL)
     error = (picture - truth).abs()
     both = ABSOLUTE_WEIGHT * error + squared_weight[:, None, None, None] * error.square()
@@ -66,16 +78,17 @@ def fusion_loss(
 
 @torch.no_grad()
 def fusion_scores(
-    picture: Float[Tensor, "1 3 height width"], planes: Float[Tensor, "1 planes height width"], truth: Tensor
+    picture: Float[Tensor, "1 3 height width"], planes: Float[Tensor, "1 planes _ _"], truth: Tensor, geometric: Tensor
 ) -> dict[str, float]:
-    """Compare a picture, and the geometric fusion, with the truth.
+    """Compare a picture, and the geometric fusion, with the truth; these are made as small as the picture.
 
     Returns:
         ``ws_psnr`` in dB; ``gain``, dB more than the geometric fusion; ``hole_error``, the mean absolute error in
         holes, NaN where there are none; ``hole_gain``, by how much it is less than that of the geometric fusion.
     """
-    geometric = planes[:, plane.FUSED : plane.FUSED + 3]
-    hole = (planes[:, plane.SEEN : plane.SEEN + 2].sum(dim=1, keepdim=True) == 0).expand_as(truth)
+    truth, geometric = (at_size_of(picture, image) for image in (truth, geometric))
+    is_hole = (planes[:, plane.SEEN : plane.SEEN + 2].sum(dim=1, keepdim=True) == 0).to(picture.dtype)
+    hole = functional.interpolate(is_hole, size=tuple(picture.shape[-2:])).expand_as(picture) > 0
     ours, theirs = (_decibels(x, truth) for x in (picture, geometric))
     errors = [float((x - truth).abs()[hole].mean()) for x in (picture, geometric)]
     return {"ws_psnr": ours, "gain": ours - theirs, "hole_error": errors[0], "hole_gain": errors[1] - errors[0]}

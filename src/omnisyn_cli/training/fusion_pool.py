@@ -6,10 +6,14 @@ place ``k``:
 
 * ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes` and
   :mod:`omnisyn_cli.fusion.second_look`,
-* ``truth_k`` ``(3, height, width)`` float16, the scene as it is seen from there, in [0, 1].
+* ``shown_k`` ``(15, rows, cols)`` float16, at twice the size of the pool: what the geometric fusion makes of it, then
+  the four candidates,
+* ``truth_k`` ``(3, rows, cols)`` float16, the scene as it is seen from there, in [0, 1],
+* ``usual_k``, the mean squared error of the geometric fusion.
 
-Renderings are made at four times that size and reduced as in the program; some poses are a little wrong, as in life.
-Every place is there at half that size as well, since presets have the network look at either; their order is random.
+Photographs and renderings are made at twice that size again. Every place is there for a network that looks at the size
+of the pool and for one that looks at half of it, since presets have it look at either; their order is random. Some
+poses are a little wrong, as in life.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion import second_look as look
 from omnisyn_cli.fusion.geometric import Confidence, Picture
 from omnisyn_cli.fusion.network import NetworkFuser
+from omnisyn_cli.fusion.second_look import SecondLook
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut
@@ -45,8 +50,8 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, Rendering, View
 
 __all__ = ["FusionPoolConfig", "make_fusion_scene"]
 
-OVERSIZE = 4
-"""Photographs and renderings are this many times as high as the planes."""
+OVERSIZE, PICTURE = 4, 2
+"""So many times as high as a pool are the photographs and renderings of its scenes, and the pictures that are kept."""
 
 PAIRS_OF_VIEWS = (
     (plane.FIRST, plane.SECOND, 3),
@@ -70,6 +75,9 @@ DIFFERENCES = (look.CONFRONTED + 3, look.CONFRONTED + 9, look.UNLIKE, look.UNLIK
 
 ONE_SURFACE, MINOR = 0.05, 0.3
 """Difference of roots from which on two supposed surfaces are worth a look, and how much beside a contradiction."""
+
+EXCHANGED = [*range(3), *range(6, 9), *range(3, 6), *range(12, 15), *range(9, 12)]
+"""Where the channels of what a network chooses from are then."""
 
 SIGNED = (plane.LOG_RATIO, plane.GAP, plane.TIME)
 """What changes its sign then."""
@@ -99,72 +107,75 @@ class FusionPoolConfig(TiltedConfig):
 
 @dataclass(frozen=True)
 class FusionSample:
-    """One place: what the network sees, and what there is to be seen."""
+    """One place, or some of its columns: what the network sees, what it chooses from, and what there is to be seen."""
 
     planes: Float32[np.ndarray, "planes height width"]
-    truth: Float32[np.ndarray, "3 height width"]
-
-
-@dataclass(frozen=True)
-class Window(FusionSample):
-    """A place, or some of its columns, with the mean squared error of the geometric fusion of the whole place."""
-
+    shown: Float32[np.ndarray, "15 rows cols"]
+    truth: Float32[np.ndarray, "3 rows cols"]
     usual: Float32[np.ndarray, ""]
-
-    @staticmethod
-    def of(sample: FusionSample) -> Window:
-        """The whole place."""
-        sines = direction_tables(*sample.truth.shape[1:])[0]
-        error = np.square(sample.planes[plane.FUSED : plane.FUSED + 3] - sample.truth).mean(axis=0)
-        return Window(sample.planes, sample.truth, np.asarray(error.mean(axis=1) @ sines / sines.sum(), np.float32))
 
 
 @dataclass(frozen=True)
 class FusionBatch:
-    """Windows for one step: ``(batch, planes, height, width)``, ``(batch, 3, height, width)`` and ``(batch,)``."""
+    """Windows for one step, stacked."""
 
     planes: Float[Tensor, "batch planes height width"]
-    truth: Float[Tensor, "batch 3 height width"]
+    shown: Float[Tensor, "batch 15 rows cols"]
+    truth: Float[Tensor, "batch 3 rows cols"]
     usual: Float[Tensor, " batch"]
 
 
-class _Recorder:
-    """Stands in for the network: keeps what it is shown, corrects nothing."""
-
-    def __init__(self) -> None:
-        self.planes: list[np.ndarray] = []
-
-    def __call__(self, planes: np.ndarray) -> np.ndarray:
-        self.planes.append(planes)
-        return np.zeros_like(planes[:4])
-
-
-class _Recording:
-    """Fuses as a network does that looks at several sizes, and says what it is shown.
+class _Recorder(NetworkFuser):
+    """Fuses by rules, and keeps what a network would be shown and what it would choose from.
 
     Args:
         size: height and width of the frames.
-        heights: that it looks at; those that frames are too small for, or it, say nothing.
+        rows: that the network would look at.
+        kept: height and width of the pictures that are kept.
     """
 
-    def __init__(self, size: tuple[int, int], heights: Sequence[int]) -> None:
-        self.recorders = [_Recorder() for _ in heights]
-        self.fusers = [
-            NetworkFuser(size, recorder, rows, threads=1)
-            for recorder, rows in zip(self.recorders, heights, strict=True)
-        ]
+    def __init__(self, size: tuple[int, int], rows: int, kept: tuple[int, int]) -> None:
+        super().__init__(size, lambda planes: planes[:4], rows, threads=1)
+        self._kept = kept
+        self.seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def correct(self, planes: np.ndarray, look: SecondLook, strength: np.ndarray, picture: np.ndarray) -> None:
+        """See :class:`omnisyn_cli.fusion.network.NetworkFuser`; nothing is corrected."""
+        pictures = [picture, *look.candidates(self.size)[..., :3]]
+        self.seen.append((planes, np.concatenate([small_planes(each, self._kept) for each in pictures])))
+
+
+class _Recording:
+    """Fuses by rules, and keeps what networks that look at several sizes would be shown.
+
+    Args:
+        size: height and width of the frames.
+        heights: that they look at; those that frames are too small for, or it, say nothing.
+        kept: height and width of the pictures that are kept.
+    """
+
+    def __init__(self, size: tuple[int, int], heights: Sequence[int], kept: tuple[int, int]) -> None:
+        self.recorders = [_Recorder(size, rows, kept) for rows in heights]
 
     def __call__(
         self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
         confidence: Confidence | None = None,
     ) -> Picture:  # fmt: skip
         """See :class:`omnisyn_cli.types.Fuser`."""
-        pictures = [fuser(first, second, t, out, confidence) for fuser in self.fusers]
+        pictures = [recorder(first, second, t, out, confidence) for recorder in self.recorders]
         return pictures[-1]
 
-    def shown(self) -> list[np.ndarray]:
-        """The planes since it was asked the last time."""
-        return [recorder.planes.pop() for recorder in self.recorders if recorder.planes]
+    def seen(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The planes and pictures since it was asked the last time."""
+        return [recorder.seen.pop() for recorder in self.recorders if recorder.seen]
+
+
+def small_planes(
+    picture: Float32[np.ndarray, "height width 3"], size: tuple[int, int]
+) -> Float32[np.ndarray, "3 rows cols"]:
+    """A picture at a smaller size, channels first."""
+    small = cv2.resize(np.ascontiguousarray(picture, np.float32), size[::-1], interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(small.transpose(2, 0, 1))
 
 
 def make_fusion_scene(folder: Path, seed: int, config: FusionPoolConfig) -> Path | None:
@@ -202,17 +213,26 @@ def _samples(
     size = (OVERSIZE * config.size[0], OVERSIZE * config.size[1])
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
     views = [_photograph(scene, end.position, tilt, error, size, rng) for end in ends]
-    fuser = _Recording(size, (config.size[0], config.size[0] // 2))
+    kept = (PICTURE * config.size[0], PICTURE * config.size[1])
+    fuser = _Recording(size, (config.size[0], config.size[0] // 2), kept)
     first, second = (view.pose for view in views)
     shares = np.sort(rng.uniform(*config.shares, config.places))
     path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in shares]
     options = SynthesisOptions(size, recipe.renderer, Cut(recipe.cut, recipe.cut_metres), threads=1)
     for made in synthesize(views, path, SurfaceMethod(_estimator(recipe.depth), options, fuser)):
-        if shown := fuser.shown():
-            truth = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
-            for planes in shown:
-                small = cv2.resize(truth, planes.shape[:0:-1], interpolation=cv2.INTER_AREA)
-                yield FusionSample(planes, np.ascontiguousarray(small.transpose(2, 0, 1), np.float32))
+        if seen := fuser.seen():
+            scenery = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
+            truth = small_planes(scenery, kept)
+            for planes, shown in seen:
+                yield FusionSample(planes, shown, truth, _squared_error(shown[:3], truth))
+
+
+def _squared_error(
+    picture: Float32[np.ndarray, "3 rows cols"], truth: Float32[np.ndarray, "3 rows cols"]
+) -> Float32[np.ndarray, ""]:
+    """Mean over the sphere."""
+    sines = direction_tables(*truth.shape[1:])[0]
+    return np.asarray(np.square(picture - truth).mean(axis=(0, 2)) @ sines / sines.sum(), np.float32)
 
 
 def _photograph(
@@ -232,37 +252,51 @@ def draw_fusion(pool: list[Path], rng: np.random.Generator, batch: int) -> Fusio
     columns; it lies, across the seam or not, preferably where the views contradict each other. All are of one size,
     that of the first that is drawn: a pool may hold scenes of several.
     """
-    drawn: list[Window] = []
+    drawn: list[FusionSample] = []
     while len(drawn) < batch:
         path, which = pool[rng.integers(len(pool))], int(rng.integers(1 << 16))
-        sample = load_samples(path, FusionSample, which)[0]
-        if not drawn or sample.truth.shape[-2] == drawn[0].truth.shape[-2]:
-            drawn.append(_varied(Window.of(sample), rng))
+        sample = load_samples(path, FusionSample, which, np.float16)[0]
+        if not drawn or sample.planes.shape[-2] == drawn[0].planes.shape[-2]:
+            drawn.append(_varied(sample, rng))
     return FusionBatch(*stacked(drawn))
 
 
 def stored_fusion(path: Path, which: int) -> FusionBatch:
     """A place of a scene as it is."""
-    return FusionBatch(*stacked([Window.of(sample) for sample in load_samples(path, FusionSample, which)]))
+    return FusionBatch(*stacked(load_samples(path, FusionSample, which)))
 
 
-def _varied(sample: Window, rng: np.random.Generator) -> Window:
+def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
     """All that is done to colours is linear, so that blends of varied colours are varied blends."""
-    farthest, nearest = sample.planes[look.SUPPOSED : look.SUPPOSED + 2]
-    columns = window_columns(sample.planes[plane.RELEVANCE] + MINOR * (nearest - farthest > ONE_SURFACE), rng)
-    planes, truth = (x[..., columns] for x in (sample.planes, sample.truth))
+    planes, shown, truth = _window(sample, rng)
     tint = (rng.uniform(0.7, 1.05) * rng.uniform(0.9, 1.1, 3)).astype(np.float32)[:, None, None]
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
     for begin in COLOURED:
         planes[begin : begin + 3] = (planes[begin : begin + 3] * tint)[order]
     planes[list(DIFFERENCES)] *= tint.mean()
-    truth = (truth * tint)[order]
+    shown, truth = ((x.reshape(-1, 3, *x.shape[1:]) * tint)[:, order].reshape(x.shape) for x in (shown, truth))
     if rng.random() < 0.5:
-        planes = exchanged(planes)
+        planes, shown = exchanged(planes), shown[EXCHANGED]
     if rng.random() < 0.5:
-        planes, truth = planes[..., ::-1], truth[..., ::-1]
-    usual = sample.usual * np.square(tint).mean()
-    return Window(np.ascontiguousarray(planes), np.ascontiguousarray(truth), usual)
+        planes, shown, truth = (x[..., ::-1] for x in (planes, shown, truth))
+    usual = np.asarray(sample.usual * np.square(tint).mean(), np.float32)
+    planes, shown, truth = map(np.ascontiguousarray, (planes, shown, truth))
+    return FusionSample(planes, shown, truth, usual)
+
+
+def _window(sample: FusionSample, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Planes and pictures of a quarter of the columns, in single precision."""
+    relevance, farthest, nearest = (
+        sample.planes[k].astype(np.float32) for k in (plane.RELEVANCE, look.SUPPOSED, look.SUPPOSED + 1)
+    )
+    columns = window_columns(relevance + MINOR * (nearest - farthest > ONE_SURFACE), rng)
+    finer = sample.truth.shape[-1] // sample.planes.shape[-1]
+    fine = (finer * columns[:, None] + np.arange(finer)).ravel()
+    planes, shown, truth = (
+        x[..., some].astype(np.float32)
+        for x, some in ((sample.planes, columns), (sample.shown, fine), (sample.truth, fine))
+    )
+    return planes, shown, truth
 
 
 def exchanged(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes height width"]:

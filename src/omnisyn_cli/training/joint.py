@@ -23,6 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.planes import fusion_planes
 from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown
@@ -35,7 +36,7 @@ from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quads import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
-from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores
+from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, inputs_of
 from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
 from omnisyn_cli.training.triples import EPIPOLE_FROM_FORWARD, Triples, exchanged_panoramas
@@ -145,7 +146,7 @@ def joint_answer(network: JointNetwork, triples: Triples) -> JointAnswer:
             triples.share,
             network.depth.frame,
         )
-    return JointAnswer(prediction, planes, fused_by(network.fusion, planes))
+    return JointAnswer(prediction, planes, network.fusion(inputs_of(network.fusion.config, planes)))
 
 
 def joint_loss(answer: JointAnswer, triples: Triples) -> Tensor:
@@ -158,7 +159,8 @@ def joint_loss(answer: JointAnswer, triples: Triples) -> Tensor:
 def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:
     """Figures of both panoramas' depth and of the picture."""
     depths = depth_scores(answer.prediction.stacked, triples.roots.flatten(0, 1), triples.baseline.repeat(2))
-    return depths | fusion_scores(answer.picture, answer.planes, triples.middle)
+    geometric = answer.planes[:, plane.FUSED : plane.FUSED + 3]
+    return depths | fusion_scores(answer.picture, answer.planes, triples.middle, geometric)
 
 
 def joint_pictures(answer: JointAnswer, triples: Triples) -> dict[str, np.ndarray]:
@@ -189,7 +191,7 @@ def planes_between(
         first, second = (
             view_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i, frame) for i in range(2)
         )
-        planes.append(fusion_planes(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled).planes)
+        planes.append(fusion_planes(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
     return torch.stack(planes)
 
 
