@@ -30,7 +30,6 @@ from torch import Tensor
 
 from omnisyn_cli.fusion import planes as plane
 from omnisyn_cli.fusion import second_look as look
-from omnisyn_cli.fusion.geometric import Confidence, Picture
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.fusion.second_look import SecondLook
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
@@ -158,9 +157,9 @@ class _Recording:
         self.recorders = [_Recorder(size, rows, kept) for rows in heights]
 
     def __call__(
-        self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
-        confidence: Confidence | None = None,
-    ) -> Picture:  # fmt: skip
+        self, first: Rendering, second: Rendering, t: float, out: np.ndarray | None = None,
+        confidence: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
         """See :class:`omnisyn_cli.types.Fuser`."""
         pictures = [recorder(first, second, t, out, confidence) for recorder in self.recorders]
         return pictures[-1]
