@@ -137,6 +137,22 @@ def test_points_are_those_of_the_supposed_surfaces_and_masked_photographs_have_n
         np.testing.assert_allclose(found[rows], expected[rows], atol=1e-5 if dtype == np.float32 else 1.01 / 255)
 
 
+def test_candidates_are_both_photographs_at_both_surfaces():
+    """Each photograph answers with the inverse depth it is asked about, or with twice that."""
+
+    def tell(factor):
+        def paint(points, top, out):
+            out[..., :3], out[..., 3] = factor * points[..., None], 1.0
+
+        return Witness(paint, lambda points: points, lambda points, least: points)
+
+    supposed = np.random.default_rng(0).random((2, 32, 64), np.float32)
+    found = SecondLook(np.empty(0), supposed, (tell(1.0), tell(2.0))).candidates((64, 128))
+    wide = supposed.repeat(2, 1).repeat(2, 2)
+    for candidate, (surface, factor) in zip(found, ((0, 1), (0, 2), (1, 1), (1, 2)), strict=True):
+        np.testing.assert_allclose(candidate[..., 0], factor * wide[surface], rtol=1e-6)
+
+
 def test_photographs_are_asked_in_the_exposure_of_the_frame():
     """Candidates look as the rendering of the same view does, half way between two exposures."""
     colour = np.float32([0.5, 0.5, 0.5, 1.0]) * np.ones((*SIZE, 1), np.float32)
