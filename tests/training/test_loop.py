@@ -67,6 +67,16 @@ def test_a_run_that_collapses_stops_and_leaves_what_was_before(tmp_path, config)
     assert load_checkpoint(tmp_path / "run" / "best.pt")["step"] == 4
 
 
+def test_a_loss_that_is_no_number_in_one_pair_is_none_at_all(config):
+    trainer = Trainer(TINY, config)
+    losses = iter([1.0, float("nan")])
+    task = replace(trainer.task, loss=lambda answer, batch: torch.tensor(next(losses)))
+    loss = task.validate(trainer.averaged_network(), config)["held_out_loss"]
+    assert loss != loss
+    with pytest.raises(TrainingError, match="got nan"):
+        trainer.surpasses(loss)
+
+
 def test_what_is_best_depends_on_what_it_is_judged_by(tmp_path, config):
     train(TINY, config, tmp_path / "run", steps=4)
     again = open_trainer(TINY, config, tmp_path / "run" / "checkpoint.pt")

@@ -61,7 +61,15 @@ CHOICES = (
     "matching",
     *(
         f"{DEFAULT_METHOD}:{change}"
-        for change in ("model=none", "edges=none", "adaptive=none", "rows=512", "rows=2048", "renderer=points")
+        for change in (
+            "model=none",
+            "fusion=geometric",
+            "edges=none",
+            "adaptive=none",
+            "rows=512",
+            "rows=2048",
+            "renderer=points",
+        )
     ),
 )
 """What is measured unless something else is asked for: everything that costs time and that users may choose."""

@@ -118,13 +118,15 @@ class Task:
 
     @torch.no_grad()
     def validate(self, network: Any, stage: TrainConfig) -> dict[str, float]:
-        """Mean figures, and the mean loss; NaN, as of pairs without sky, is left out of the figures."""
-        scores = []
+        """Mean figures, of which NaN, as of pairs without sky, is left out; and the mean loss, which may be NaN."""
+        scores, losses = [], []
         for batch in self.validation(network, stage):
             answer = self.answer_of(network, batch)
-            scores.append({**self.scores(answer, batch), HELD_OUT_LOSS: float(self.loss(answer, batch))})
+            scores.append(self.scores(answer, batch))
+            losses.append(float(self.loss(answer, batch)))
         rows = torch.tensor([list(score.values()) for score in scores])
-        return dict(zip(scores[0], rows.nanmean(dim=0).tolist(), strict=True))
+        means = dict(zip(scores[0], rows.nanmean(dim=0).tolist(), strict=True))
+        return means | {HELD_OUT_LOSS: float(torch.tensor(losses).mean())}
 
     @torch.no_grad()
     def show(self, network: Any, stage: TrainConfig) -> dict[str, np.ndarray]:
