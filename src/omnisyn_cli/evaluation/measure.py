@@ -19,7 +19,7 @@ from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.fusion.kinds import pixel_kinds, silhouettes
 from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
 from omnisyn_cli.synthesis.frames import turned_panorama
 from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.segments import Stopwatch
@@ -223,7 +223,5 @@ def _end_errors(made: Pair, pair: LoadedPair, threads: int | None) -> dict[str, 
         shown, truth = _shown(made.frame(Waypoint(0, t, view.pose)).image), view.image
         if truth.shape[:2] != pair.size:
             truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
-        weights = metrics.row_weights(pair.size[0])
-        squared = ((shown.astype(np.float64) - _shown(truth)) ** 2).mean(axis=(1, 2))
-        errors.append(math.sqrt(float(np.average(squared, weights=weights))))
+        errors.append(math.sqrt(mean_over_sphere((shown.astype(np.float64) - _shown(truth)) ** 2)))
     return {"end_first": errors[0], "end_second": errors[1]}

@@ -29,12 +29,14 @@ __all__ = [
     "direction_to_angles",
     "direction_to_pixel",
     "linearised_arccos",
+    "mean_over_sphere",
     "normalize",
     "pixel_directions",
     "pixel_scale",
     "pixel_to_angles",
     "pixel_to_direction",
     "pixel_to_texture",
+    "row_weights",
     "solid_angles",
 ]
 
@@ -126,6 +128,18 @@ def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, n
     """
     azimuth, polar_angle = pixel_to_angles(np.arange(height), np.arange(width), (height, width))
     return np.sin(polar_angle), np.cos(polar_angle), np.sin(azimuth), np.cos(azimuth)
+
+
+def row_weights(height: int) -> Float[np.ndarray, " height"]:
+    """Sine of the polar angle of every row's centre: what a pixel of that row covers of the sphere, up to a factor."""
+    _, polar_angle = pixel_to_angles(np.arange(height), np.zeros(height), (height, 2 * height))
+    return np.asarray(np.sin(polar_angle))
+
+
+def mean_over_sphere(image: Float[np.ndarray, "height width channels"]) -> float:
+    """Mean of a panorama, each pixel weighted by its share of the sphere."""
+    rows = image.mean(axis=(1, 2))
+    return float(np.average(rows, weights=row_weights(len(rows))))
 
 
 def solid_angles(height: int, width: int) -> Float[np.ndarray, "height width"]:

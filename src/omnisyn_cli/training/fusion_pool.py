@@ -33,7 +33,7 @@ from omnisyn_cli.fusion import second_look as look
 from omnisyn_cli.fusion.network import NetworkFuser
 from omnisyn_cli.fusion.second_look import SecondLook
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
-from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.geometry.sphere import mean_over_sphere
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.synthesis.frames import synthesize
@@ -230,8 +230,7 @@ def _squared_error(
     picture: Float32[np.ndarray, "3 rows cols"], truth: Float32[np.ndarray, "3 rows cols"]
 ) -> Float32[np.ndarray, ""]:
     """Mean over the sphere."""
-    sines = direction_tables(*truth.shape[1:])[0]
-    return np.asarray(np.square(picture - truth).mean(axis=(0, 2)) @ sines / sines.sum(), np.float32)
+    return np.asarray(mean_over_sphere(np.square(picture - truth).transpose(1, 2, 0)), np.float32)
 
 
 def _photograph(

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics import confidence_metrics, merged_reliability, row_weights, unsure_metrics
+from omnisyn_cli.evaluation.metrics import confidence_metrics, merged_reliability, unsure_metrics
 from omnisyn_cli.evaluation.metrics.doubt import rank_correlation
+from omnisyn_cli.geometry.sphere import row_weights
 
 SIZE = (16, 32)
 

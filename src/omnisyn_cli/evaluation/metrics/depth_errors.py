@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.evaluation.metrics.image import check_same_size, row_weights
+from omnisyn_cli.evaluation.metrics.image import check_same_size
+from omnisyn_cli.geometry.sphere import row_weights
 
 SCORED_DEPTH = (1.0, 50.0)
 """Metres; pixels whose true depth lies strictly between are scored, in every metric the same ones."""

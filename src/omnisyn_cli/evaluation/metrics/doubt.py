@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.evaluation.metrics.depth_errors import DELTAS, scored_pixels
-from omnisyn_cli.evaluation.metrics.image import check_same_size, row_weights
+from omnisyn_cli.evaluation.metrics.image import check_same_size
+from omnisyn_cli.geometry.sphere import row_weights
 
 BINS = 10
 """Of confidence, equally wide."""

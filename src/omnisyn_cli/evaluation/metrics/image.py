@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.geometry.sphere import pixel_to_angles
+from omnisyn_cli.geometry.sphere import mean_over_sphere
 
 Picture = Float[np.ndarray, "height width 3"]
 
@@ -24,12 +24,6 @@ SIGMA = 1.5
 LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
 CONTRAST_FLOOR = (0.03 * PEAK) ** 2
 """C1 and C2 of Wang et al., 2004."""
-
-
-def row_weights(height: int) -> Float[np.ndarray, " height"]:
-    """Sine of the polar angle of every row's centre: what a pixel of that row covers of the sphere, up to a factor."""
-    _, polar_angle = pixel_to_angles(np.arange(height), np.zeros(height), (height, 2 * height))
-    return np.asarray(np.sin(polar_angle))
 
 
 def psnr(image: Picture, truth: Picture) -> float:
@@ -49,7 +43,7 @@ def ws_psnr(image: Picture, truth: Picture) -> float:
 
     Source: Sun, Lu and Yu, Weighted-to-spherically-uniform quality evaluation for omnidirectional video, 2017.
     """
-    return decibels(_mean_over_sphere(squared_error(image, truth)))
+    return decibels(mean_over_sphere(squared_error(image, truth)))
 
 
 def ssim(image: Picture, truth: Picture) -> float:
@@ -73,7 +67,7 @@ def ws_ssim(image: Picture, truth: Picture) -> float:
     panoramic video, 2018; continued over the borders instead of cropped.
     """
     _check_window(image, truth)
-    return _mean_over_sphere(_similarity(add_border(image, WINDOW // 2), add_border(truth, WINDOW // 2)))
+    return mean_over_sphere(_similarity(add_border(image, WINDOW // 2), add_border(truth, WINDOW // 2)))
 
 
 def lrce(image: Picture, truth: Picture) -> float:
@@ -107,11 +101,6 @@ def squared_error(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "he
     """Of every channel of every pixel; ValueError unless both are of one size."""
     check_same_size(image, truth)
     return np.asarray((image.astype(np.float64) - truth) ** 2)
-
-
-def _mean_over_sphere(values: Picture) -> float:
-    rows = values.mean(axis=(1, 2))
-    return float(np.average(rows, weights=row_weights(len(rows))))
 
 
 def decibels(mean_squared_error: float) -> float:

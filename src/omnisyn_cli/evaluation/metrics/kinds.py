@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Bool
 
-from omnisyn_cli.evaluation.metrics.image import Picture, decibels, row_weights, squared_error
+from omnisyn_cli.evaluation.metrics.image import Picture, decibels, squared_error
+from omnisyn_cli.geometry.sphere import row_weights
 
 Masks = Mapping[str, Bool[np.ndarray, "height width"]]
 

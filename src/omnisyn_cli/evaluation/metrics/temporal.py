@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.evaluation.metrics.image import row_weights, ws_psnr
+from omnisyn_cli.evaluation.metrics.image import ws_psnr
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
-from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.geometry.sweep import sweep_directions
 
 TOLERANCE = 0.05
