@@ -12,14 +12,16 @@ Singular, and said here once: at the two epipoles parallax is zero whatever the 
 """
 
 import math
+from functools import partial
 from typing import Any
 
+import cv2
 import numpy as np
 from array_api_compat import array_namespace
 from jaxtyping import Float, Shaped
 
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
-from omnisyn_cli.geometry.sampling import sample_nearest
+from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import UP, pixel_directions
 
 __all__ = [
@@ -27,8 +29,8 @@ __all__ = [
     "exchanged_in_epipole_frame",
     "exchanged_in_forward_frame",
     "forward_frame",
-    "free_space_agreement",
     "inverse_depth_from_parallax",
+    "mutual_agreement",
     "parallax_from_inverse_depth",
     "seen_from_second",
     "sweep_directions",
@@ -41,6 +43,15 @@ TOLERANCE = 0.1
 
 INFINITE = 1e-3
 """Inverse depth × baseline below which two values need not agree."""
+
+FAINT = 1e-2
+"""Inverse depth × baseline that differences around a pixel are relative to at least."""
+
+FARTHEST_APART, HALVING = 0.5, 0.2
+"""Relative difference that is as bad as any, and the mean of them around a pixel that halves what it is worth."""
+
+NEARBY = 1 / 128
+"""Of the height, to every side: what is around a pixel."""
 
 
 def epipole_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
@@ -130,20 +141,27 @@ def seen_from_second(
     return moved, exact / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
 
 
-def free_space_agreement(
+def mutual_agreement(
     inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
 ) -> Float[np.ndarray, "height width"]:
-    """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
+    """How far what the other camera estimates bears an estimate out: 1 where it does, falling to 0.
 
-    Where the other camera sees something nearer the surface is merely hidden from it, which contradicts nothing.
+    Steeply where it sees through the surface. Where it sees something nearer, the surface may merely be hidden from it:
+    that contradicts nothing, and confirms nothing. Around every pixel the mean of all relative differences counts as
+    well, a hidden one as one of :data:`TOLERANCE`: where neighbours are off, so mostly is what passes by chance.
 
     Inverse depths, each in its own panorama's frame, and the translation of ``other_from_this`` are in baselines.
     """
-    directions = pixel_directions(*inverse_depth.shape)
+    directions, rows = pixel_directions(*inverse_depth.shape), len(inverse_depth)
     moved, expected = seen_from_second(directions, inverse_depth, other_from_this)
-    seen = sample_nearest(other, moved)
-    too_far = np.maximum(expected - seen - INFINITE, 0.0) / np.maximum(expected, INFINITE)
-    return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)
+    farther = expected - sample_nearest(other, moved)
+    too_far = np.maximum(farther - INFINITE, 0.0) / np.maximum(expected, INFINITE)
+    apart = farther / np.maximum(np.maximum(expected, expected - farther), FAINT)
+    apart = np.where(apart > 0.0, np.minimum(apart, FARTHEST_APART), np.minimum(-apart, TOLERANCE))
+    side = 2 * math.ceil(NEARBY * rows) + 1
+    blur = partial(cv2.blur, ksize=(side, side), borderType=cv2.BORDER_REPLICATE)
+    around = filter_across_seam(blur, apart.astype(np.float32), side // 2)
+    return np.asarray(1.0 / ((1.0 + (too_far / TOLERANCE) ** 2) * (1.0 + around / HALVING)), np.float32)
 
 
 def _right_and_along(first: Pose, second: Pose) -> tuple[np.ndarray, np.ndarray, float]:

@@ -15,7 +15,7 @@ from jaxtyping import Float32
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam, turned_directions
-from omnisyn_cli.geometry.sweep import free_space_agreement
+from omnisyn_cli.geometry.sweep import mutual_agreement
 from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.costs import sweep_cost
@@ -134,7 +134,8 @@ class RefinedDepthEstimator:
     """Inverse depth of both panoramas; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
     Where matching is unsure the network chooses for each pixel alone, so the median of the answers around it is taken,
-    which keeps edges. A place that the other panorama looks through loses its confidence.
+    which keeps edges. A place that the other panorama looks through loses its confidence, and one amid places about which
+    both differ some of it.
 
     In a larger picture matching and the network see less of the scene around a pixel, but matching measures more
     exactly. So they say what is there, and its place is measured again at twice the size, until there are enough rows
@@ -194,10 +195,10 @@ def _refined(evidence: Evidence, inverse_depth: np.ndarray, confidence: np.ndarr
 def _estimate(
     view: View, other: View, answer: Answer, back: np.ndarray, baseline: float, sure: np.ndarray
 ) -> DepthEstimate:
-    """In 1/metre; not trusted where masked, or where the other panorama, whose answer is ``back``, looks through."""
+    """In 1/metre; not trusted where masked, nor far where ``back``, the other panorama's answer, contradicts it."""
     inverse_depth, confidence = answer
     motion = other.pose.inverse() @ view.pose
     second_from_first = Pose(motion.rotation, motion.position / baseline)
-    trust = confidence * free_space_agreement(inverse_depth, back, second_from_first)
+    trust = confidence * mutual_agreement(inverse_depth, back, second_from_first)
     trust = trust * usable_pixels(view, inverse_depth.shape)
     return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32), sure)
