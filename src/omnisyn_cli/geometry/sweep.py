@@ -25,12 +25,13 @@ from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import UP, pixel_directions
 
 __all__ = [
+    "agreement_around",
     "epipole_frame",
     "exchanged_in_epipole_frame",
     "exchanged_in_forward_frame",
     "forward_frame",
+    "free_space_agreement",
     "inverse_depth_from_parallax",
-    "mutual_agreement",
     "parallax_from_inverse_depth",
     "seen_from_second",
     "sweep_directions",
@@ -141,27 +142,43 @@ def seen_from_second(
     return moved, exact / np.maximum(np.linalg.norm(moved, axis=-1), 1e-9)
 
 
-def mutual_agreement(
+def free_space_agreement(
     inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
 ) -> Float[np.ndarray, "height width"]:
-    """How far what the other camera estimates bears an estimate out: 1 where it does, falling to 0.
+    """1 where nothing contradicts an estimate, falling to 0 where the other camera sees through the surface.
 
-    Steeply where it sees through the surface. Where it sees something nearer, the surface may merely be hidden from it:
-    that contradicts nothing, and confirms nothing. Around every pixel the mean of all relative differences counts as
-    well, a hidden one as one of :data:`TOLERANCE`: where neighbours are off, so mostly is what passes by chance.
+    Where the other camera sees something nearer the surface is merely hidden from it, which contradicts nothing.
 
     Inverse depths, each in its own panorama's frame, and the translation of ``other_from_this`` are in baselines.
     """
-    directions, rows = pixel_directions(*inverse_depth.shape), len(inverse_depth)
-    moved, expected = seen_from_second(directions, inverse_depth, other_from_this)
-    farther = expected - sample_nearest(other, moved)
-    too_far = np.maximum(farther - INFINITE, 0.0) / np.maximum(expected, INFINITE)
-    apart = farther / np.maximum(np.maximum(expected, expected - farther), FAINT)
+    expected, seen = _as_seen_by_other(inverse_depth, other, other_from_this)
+    too_far = np.maximum(expected - seen - INFINITE, 0.0) / np.maximum(expected, INFINITE)
+    return np.asarray(1.0 / (1.0 + (too_far / TOLERANCE) ** 2), np.float32)
+
+
+def agreement_around(
+    inverse_depth: Float[np.ndarray, "height width"], other: Float[np.ndarray, "height width"], other_from_this: Pose
+) -> Float[np.ndarray, "height width"]:
+    """1 where both estimates agree around a pixel, ½ where they are :data:`HALVING` apart there in the mean.
+
+    What agrees amid what does not does so by chance more often. A surface that is hidden from the other camera is not
+    contradicted, but not confirmed either: it counts as :data:`TOLERANCE` apart.
+
+    Frames and units are those of :func:`free_space_agreement`.
+    """
+    expected, seen = _as_seen_by_other(inverse_depth, other, other_from_this)
+    apart = (expected - seen) / np.maximum(np.maximum(expected, seen), FAINT)
     apart = np.where(apart > 0.0, np.minimum(apart, FARTHEST_APART), np.minimum(-apart, TOLERANCE))
-    side = 2 * math.ceil(NEARBY * rows) + 1
-    blur = partial(cv2.blur, ksize=(side, side), borderType=cv2.BORDER_REPLICATE)
-    around = filter_across_seam(blur, apart.astype(np.float32), side // 2)
-    return np.asarray(1.0 / ((1.0 + (too_far / TOLERANCE) ** 2) * (1.0 + around / HALVING)), np.float32)
+    side = 2 * math.ceil(NEARBY * len(apart)) + 1
+    mean = partial(cv2.blur, ksize=(side, side), borderType=cv2.BORDER_REPLICATE)
+    around = filter_across_seam(mean, apart.astype(np.float32), side // 2)
+    return np.asarray(1.0 / (1.0 + around / HALVING), np.float32)
+
+
+def _as_seen_by_other(inverse_depth: np.ndarray, other: np.ndarray, other_from_this: Pose) -> tuple[Array, Array]:
+    """Inverse depth from the other camera of all points, and what it estimates in their directions itself."""
+    moved, expected = seen_from_second(pixel_directions(*inverse_depth.shape), inverse_depth, other_from_this)
+    return expected, sample_nearest(other, moved)
 
 
 def _right_and_along(first: Pose, second: Pose) -> tuple[np.ndarray, np.ndarray, float]:

@@ -61,8 +61,8 @@ class LearnedDepthEstimator:
         images = [self._rectified(view, frame) for view in (first, second)]
         there, trust_there = self._run(images[0], images[1])
         back, trust_back = (exchange(x) for x in self._run(exchange(images[1]), exchange(images[0])))
-        trust_there = trust_there * sweep.mutual_agreement(there, back, Pose(np.eye(3), -onwards))
-        trust_back = trust_back * sweep.mutual_agreement(back, there, Pose(np.eye(3), onwards))
+        trust_there = trust_there * sweep.free_space_agreement(there, back, Pose(np.eye(3), -onwards))
+        trust_back = trust_back * sweep.free_space_agreement(back, there, Pose(np.eye(3), onwards))
         return (
             self._estimate(first, frame, there / np.float32(baseline), trust_there),
             self._estimate(second, frame, back / np.float32(baseline), trust_back),

@@ -5,7 +5,7 @@ pixel the surfaces of the smaller map within some pixels span a band of disparit
 larger size costs little more than a smaller one, and what repeats elsewhere cannot mislead.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -15,7 +15,7 @@ from jaxtyping import Float32
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam, turned_directions
-from omnisyn_cli.geometry.sweep import mutual_agreement
+from omnisyn_cli.geometry.sweep import agreement_around, free_space_agreement
 from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.costs import sweep_cost
@@ -134,8 +134,8 @@ class RefinedDepthEstimator:
     """Inverse depth of both panoramas; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
     Where matching is unsure the network chooses for each pixel alone, so the median of the answers around it is taken,
-    which keeps edges. A place that the other panorama looks through loses its confidence, and one amid places about which
-    both differ some of it.
+    which keeps edges. A place that the other panorama looks through loses its confidence, and one amid places where
+    both differ loses some.
 
     In a larger picture matching and the network see less of the scene around a pixel, but matching measures more
     exactly. So they say what is there, and its place is measured again at twice the size, until there are enough rows
@@ -174,7 +174,12 @@ class RefinedDepthEstimator:
             lambda: _estimate(first, second, (one, trust), other, baseline, there.sure),
             lambda: _estimate(second, first, (other, back_trust), one, baseline, back.sure),
         )
-        return estimates if self.silhouettes is None else with_silhouettes(first, second, estimates, self.silhouettes)
+        if self.silhouettes is not None:
+            estimates = with_silhouettes(first, second, estimates, self.silhouettes)
+        return both(
+            lambda: _confirmed(estimates, (first.pose, second.pose), baseline),
+            lambda: _confirmed(estimates[::-1], (second.pose, first.pose), baseline),
+        )
 
     def _answers(self, there: Evidence, back: Evidence) -> tuple[Answer, Answer]:
         if self.refinement is None:
@@ -195,10 +200,23 @@ def _refined(evidence: Evidence, inverse_depth: np.ndarray, confidence: np.ndarr
 def _estimate(
     view: View, other: View, answer: Answer, back: np.ndarray, baseline: float, sure: np.ndarray
 ) -> DepthEstimate:
-    """In 1/metre; not trusted where masked, nor far where ``back``, the other panorama's answer, contradicts it."""
+    """In 1/metre; not trusted where masked, or where the other panorama, whose answer is ``back``, looks through."""
     inverse_depth, confidence = answer
-    motion = other.pose.inverse() @ view.pose
-    second_from_first = Pose(motion.rotation, motion.position / baseline)
-    trust = confidence * mutual_agreement(inverse_depth, back, second_from_first)
+    trust = confidence * free_space_agreement(inverse_depth, back, _motion(view.pose, other.pose, baseline))
     trust = trust * usable_pixels(view, inverse_depth.shape)
     return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32), sure)
+
+
+def _confirmed(
+    estimates: tuple[DepthEstimate, DepthEstimate], poses: tuple[Pose, Pose], baseline: float
+) -> DepthEstimate:
+    """The first of two estimates, trusted as far as the second one agrees with it around there."""
+    own, other = (estimate.inverse_depth * np.float32(baseline) for estimate in estimates)
+    agreement = agreement_around(own, other, _motion(*poses, baseline))
+    return replace(estimates[0], confidence=estimates[0].confidence * agreement)
+
+
+def _motion(first: Pose, second: Pose, baseline: float) -> Pose:
+    """Takes points of the first camera's frame to the second one's, in baselines."""
+    motion = second.inverse() @ first
+    return Pose(motion.rotation, motion.position / baseline)

@@ -42,7 +42,7 @@ SCALE: Mapping[str, Preset] = _by_name(
     Preset(
         "balanced",
         "matching, refined by a network, sharpened at twice the size; another one fuses",
-        _refined(1024, fusion="network", fusion_rows=64),
+        _refined(1024, fusion="network", fusion_rows=96),
     ),
     Preset(
         "accurate",
