@@ -14,6 +14,7 @@ from omnisyn_cli.geometry.sphere import (
     direction_to_angles,
     direction_to_pixel,
     linearised_arccos,
+    mean_over_sphere,
     normalize,
     pixel_directions,
     pixel_scale,
@@ -80,6 +81,15 @@ def test_solid_angles_sum_to_the_whole_sphere(size):
     assert weights.shape == size
     assert weights.sum() == pytest.approx(4 * math.pi)
     assert (weights > 0).all()
+
+
+def test_the_mean_over_the_sphere_is_that_of_solid_angles():
+    image = np.random.default_rng(5).random((64, 128, 3))
+    assert mean_over_sphere(image) == pytest.approx(
+        np.average(image.mean(axis=2), weights=solid_angles(64, 128)), rel=1e-3
+    )
+    image[:4] = 1e3
+    assert mean_over_sphere(image) < image.mean() / 5  # rows at a pole are small
 
 
 def test_solid_angles_are_those_of_random_points_on_the_sphere():

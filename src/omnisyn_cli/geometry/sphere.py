@@ -132,8 +132,7 @@ def direction_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, n
 
 def row_weights(height: int) -> Float[np.ndarray, " height"]:
     """Sine of the polar angle of every row's centre: what a pixel of that row covers of the sphere, up to a factor."""
-    _, polar_angle = pixel_to_angles(np.arange(height), np.zeros(height), (height, 2 * height))
-    return np.asarray(np.sin(polar_angle))
+    return direction_tables(height, 2 * height)[0]
 
 
 def mean_over_sphere(image: Float[np.ndarray, "height width channels"]) -> float:

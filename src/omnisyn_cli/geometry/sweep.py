@@ -32,6 +32,7 @@ __all__ = [
     "forward_frame",
     "free_space_agreement",
     "inverse_depth_from_parallax",
+    "motion_in_baselines",
     "parallax_from_inverse_depth",
     "seen_from_second",
     "sweep_directions",
@@ -128,6 +129,12 @@ def sweep_directions(
     translation = xp.asarray(second_from_first.position, dtype=directions.dtype)
     turned = directions @ rotation.T
     return turned + inverse_depth[..., None] * translation
+
+
+def motion_in_baselines(first: Pose, second: Pose) -> Pose:
+    """Takes points of the first camera's frame to the second one's; the unit is the distance between both, not 0."""
+    motion = second.inverse() @ first
+    return Pose(motion.rotation, motion.position / np.linalg.norm(motion.position))
 
 
 def seen_from_second(

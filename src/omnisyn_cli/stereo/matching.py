@@ -12,10 +12,9 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame, motion_in_baselines
 from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.runtime.threads import both, run_bands
@@ -121,7 +120,6 @@ def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) ->
     image, usable = resize_area(view.image, pair.size), usable_pixels(view, pair.size)
     inverse_depth, agreed, sky = _in_camera(view, pair, matches)
     weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
-    motion = other.pose.inverse() @ view.pose
     return Evidence(
         image=image,
         matched=inverse_depth,
@@ -129,7 +127,7 @@ def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) ->
         sky=sky,
         filled=np.where(sky, 0.0, fill(inverse_depth, weight, image, usable)),
         usable=usable,
-        second_from_first=Pose(motion.rotation, motion.position / pair.baseline),
+        second_from_first=motion_in_baselines(view.pose, other.pose),
         up=np.asarray(view.pose.rotation[1]),
     )
 

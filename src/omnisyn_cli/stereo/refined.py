@@ -15,7 +15,7 @@ from jaxtyping import Float32
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam, turned_directions
-from omnisyn_cli.geometry.sweep import agreement_around, free_space_agreement
+from omnisyn_cli.geometry.sweep import agreement_around, free_space_agreement, motion_in_baselines
 from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.costs import sweep_cost
@@ -202,7 +202,7 @@ def _estimate(
 ) -> DepthEstimate:
     """In 1/metre; not trusted where masked, or where the other panorama, whose answer is ``back``, looks through."""
     inverse_depth, confidence = answer
-    trust = confidence * free_space_agreement(inverse_depth, back, _motion(view.pose, other.pose, baseline))
+    trust = confidence * free_space_agreement(inverse_depth, back, motion_in_baselines(view.pose, other.pose))
     trust = trust * usable_pixels(view, inverse_depth.shape)
     return DepthEstimate((inverse_depth / baseline).astype(np.float32), trust.astype(np.float32), sure)
 
@@ -212,11 +212,5 @@ def _confirmed(
 ) -> DepthEstimate:
     """The first of two estimates, trusted as far as the second one agrees with it around there."""
     own, other = (estimate.inverse_depth * np.float32(baseline) for estimate in estimates)
-    agreement = agreement_around(own, other, _motion(*poses, baseline))
+    agreement = agreement_around(own, other, motion_in_baselines(*poses))
     return replace(estimates[0], confidence=estimates[0].confidence * agreement)
-
-
-def _motion(first: Pose, second: Pose, baseline: float) -> Pose:
-    """Takes points of the first camera's frame to the second one's, in baselines."""
-    motion = second.inverse() @ first
-    return Pose(motion.rotation, motion.position / baseline)

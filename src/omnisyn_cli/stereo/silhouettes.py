@@ -11,10 +11,9 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.geometry.lookup import Lookup
-from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import seen_from_second
+from omnisyn_cli.geometry.sweep import motion_in_baselines, seen_from_second
 from omnisyn_cli.stereo.evidence import GREATEST_ROOT, PlanesNetwork, root_of
 from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.types import DepthEstimate, View
@@ -80,7 +79,7 @@ def silhouette_planes(
     (view, other), (own, theirs) = views, estimates
     size, baseline = own.inverse_depth.shape, _baseline(view, other)
     image, other_image = (resize_area(each.image, size) for each in views)
-    motion = _in_baselines(view, other)
+    motion = motion_in_baselines(view.pose, other.pose)
     root, their_root = (root_of(each.inverse_depth * baseline) for each in estimates)
     nearest, farthest = _around(root)
     directions = pixel_directions(*size)
@@ -112,12 +111,6 @@ def silhouette_planes(
 
 def _baseline(view: View, other: View) -> float:
     return float(np.linalg.norm(other.pose.position - view.pose.position))
-
-
-def _in_baselines(view: View, other: View) -> Pose:
-    """Takes points of the panorama's frame to the other one's."""
-    motion = other.pose.inverse() @ view.pose
-    return Pose(motion.rotation, motion.position / np.linalg.norm(motion.position))
 
 
 def _around(root: Float32[np.ndarray, "height width"]) -> tuple[np.ndarray, np.ndarray]:

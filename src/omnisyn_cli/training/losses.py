@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.geometry.sphere import pixel_to_angles
+from omnisyn_cli.geometry.sphere import row_weights
 from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.interface import DepthAnswer
@@ -63,10 +63,8 @@ EDGE_WEIGHT = 0.25
 
 def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
     """Sine of the polar angle of every row, divided by its mean."""
-    height, width = like.shape[-2:]
-    row = torch.arange(height, dtype=like.dtype, device=like.device)
-    sine = torch.sin(pixel_to_angles(row, row, (height, width))[1])
-    return (sine / sine.mean())[:, None]
+    weights = row_weights(like.shape[-2])
+    return torch.as_tensor(weights / weights.mean(), dtype=like.dtype, device=like.device)[:, None]
 
 
 def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
