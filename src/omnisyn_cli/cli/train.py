@@ -10,7 +10,7 @@ import click
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool, silhouette_pool
+from omnisyn_cli.cli.train_pools import convert, doubt_pool, evidence, fusion_pool, pool
 
 FOLDER = FilePath(file_okay=False)
 
@@ -26,7 +26,7 @@ def train() -> None:
     """Train the networks on scenes that the program makes itself."""
 
 
-for command in (convert, evidence, fusion_pool, pool, silhouette_pool):
+for command in (convert, evidence, fusion_pool, pool, doubt_pool):
     train.add_command(command)
 
 
@@ -85,11 +85,11 @@ def completion(**options: Any) -> None:
 
 
 @train.command()
-@_stage_options("silhouette-pool", batch=2, rate=1.5e-3)
+@_stage_options("doubt-pool", batch=2, rate=1.5e-3)
 @_variant_option("balanced")
-def silhouettes(**options: Any) -> None:
-    """Train the network that decides where near things end in FOLDER; a run that is there goes on."""
-    _train_variant("silhouettes", **options)
+def doubt(**options: Any) -> None:
+    """Train the network that says how far depth may be trusted in FOLDER; a run that is there goes on."""
+    _train_variant("doubt", **options)
 
 
 @train.command()

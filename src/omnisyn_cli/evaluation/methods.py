@@ -10,9 +10,9 @@ fusion is corrected by a network), ``fusion=painting`` (a network paints, as in 
 does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``views=1`` (only the first
 panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
 neighbours); those whose depth networks refine take ``rows`` (that it is looked for at), ``model=none`` (all else as it
-is, without the network that completes it) and ``silhouettes=none`` (likewise, without the one that decides where near
-things end): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
-``omnisyn-accurate:model=none:silhouettes=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
+is, without the network that completes it) and ``doubt=none`` (likewise, without the one that says how
+far depth may be trusted): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
+``omnisyn-accurate:model=none:doubt=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
 """
 
 import time
@@ -242,7 +242,7 @@ BASES: Mapping[str, ComparedMethod] = {
 FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
 """Fusions by the parameter that asks for them."""
 
-NETWORKS_LEFT_OUT: Mapping[str, str] = {f"{part}=none": part for part in ("model", "silhouettes")}
+NETWORKS_LEFT_OUT: Mapping[str, str] = {f"{part}=none": part for part in ("model", "doubt")}
 """Networks of refined depth by the parameter that leaves them out."""
 
 LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}

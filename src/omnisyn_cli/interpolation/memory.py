@@ -17,8 +17,8 @@ PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
 BYTES_PER_PIXEL_OF_NETWORK = {"refined": 820, "network": 3200}
 """What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
 
-BYTES_PER_PIXEL_OF_SILHOUETTES = 900
-"""What the network that looks at edges takes and keeps for each pixel of the estimate."""
+DOUBTING = 115e6
+"""Bytes that the network which doubts takes and keeps; it looks at one size, whatever that of the estimate."""
 
 FINDING = 110e6
 """Bytes that are given back when depth has been found and both surfaces have been made."""
@@ -123,11 +123,8 @@ def estimated_surface_memory(
 
 def _bytes_of_program(recipe: Recipe, depths: Sequence[tuple[int, int]]) -> float:
     kind, (height, width) = recipe.depth.kind, depths[0]
-    edges = BYTES_PER_PIXEL_OF_SILHOUETTES if recipe.depth.silhouettes else 0
-    largest = max(rows * columns for rows, columns in depths)
-    return (
-        PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * height * width + edges * largest
-    )
+    doubting = DOUBTING if recipe.depth.doubt else 0.0
+    return PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * height * width + doubting
 
 
 def _bytes_of_finding(recipe: Recipe, vertices: int, depths: Sequence[tuple[int, int]]) -> float:

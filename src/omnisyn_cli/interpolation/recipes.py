@@ -37,7 +37,7 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
     usual = usual.of_known_depth() if kind == "file" else usual
     is_cut_as_usual = job.cut is None and job.cut_metres is None
     recipe = Recipe(
-        DepthSource(kind, usual.depth.rows, _model(job, kind, usual), _silhouettes(kind, usual)),
+        DepthSource(kind, usual.depth.rows, _model(job, kind, usual), _doubt(kind, usual)),
         renderer=usual.renderer if job.renderer == "auto" else job.renderer,
         cut=usual.cut if is_cut_as_usual else job.cut,
         cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
@@ -83,9 +83,9 @@ def _model(job: InterpolationJob, kind: str, usual: Recipe) -> str | None:
     return model
 
 
-def _silhouettes(kind: str, usual: Recipe) -> str | None:
-    """The network that decides about edges, where the preset has one and depth is found as there."""
-    return usual.depth.silhouettes if kind == usual.depth.kind else None
+def _doubt(kind: str, usual: Recipe) -> str | None:
+    """The network that doubts, where the preset has one and depth is found as there."""
+    return usual.depth.doubt if kind == usual.depth.kind else None
 
 
 def _fusion(job: InterpolationJob, kind: str, usual: Recipe) -> str:

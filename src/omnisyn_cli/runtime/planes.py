@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["SessionFusion", "SessionPainter", "SessionRefinement"]
+__all__ = ["SessionDoubt", "SessionFusion", "SessionPainter", "SessionRefinement"]
 
 MULTIPLE = 32
 """The completion network halves its input five times, the other one four: heights and widths are multiples of this."""
@@ -18,7 +18,7 @@ class SessionRefinement:
     """Planes in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.evidence.PlanesNetwork`.
 
     Args:
-        session: of a completion or silhouette model, from :func:`omnisyn_cli.runtime.session.open_session`.
+        session: of a completion model, from :func:`omnisyn_cli.runtime.session.open_session`.
 
     Raises:
         InputError: the model is of another kind.
@@ -27,21 +27,36 @@ class SessionRefinement:
     def __init__(self, session: Any) -> None:
         names = [entry.name for entry in session.get_inputs()]
         if names != ["planes"]:
-            raise InputError(
-                f"expected a completion or silhouette model with the input 'planes', got inputs {names}; name another"
-            )
+            raise InputError(f"expected a completion model with the input 'planes', got inputs {names}; name another")
         self._session = session
 
     def __call__(
         self, planes: Float32[np.ndarray, "planes height width"]
     ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
         """Inverse depth × baseline, and the probability that it is within 10 %; InputError if the model is broken."""
-        height, width = planes.shape[1:]
-        below, beyond = -height % MULTIPLE, -width % MULTIPLE
-        padded = np.pad(planes, ((0, 0), (0, below), (0, 0)), mode="edge")
-        padded = np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
+        padded, (height, width) = _padded(planes), planes.shape[1:]
         inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
         return inverse_depth[:height, :width], confidence[:height, :width]
+
+
+class SessionDoubt:
+    """Planes in, the probability that depth is right out; see :class:`omnisyn_cli.stereo.doubt.DoubtingNetwork`.
+
+    Args:
+        session: of a doubting model, likewise.
+
+    Raises:
+        InputError: the model is of another kind.
+    """
+
+    def __init__(self, session: Any) -> None:
+        self._session = _checked(session, ["confidence"])
+
+    def __call__(self, planes: Float32[np.ndarray, "27 height width"]) -> Float32[np.ndarray, "height width"]:
+        """For every pixel; InputError if the model is broken."""
+        padded, (height, width) = _padded(planes), planes.shape[1:]
+        (answer,) = run_network(self._session, {"planes": padded[None]}, ((1, 1, *padded.shape[1:]),))
+        return answer[0, 0, :height, :width]
 
 
 class SessionFusion:
@@ -84,12 +99,20 @@ class SessionPainter:
         return picture
 
 
+def _padded(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes rows columns"]:
+    """Of a size that networks can halve, carried on over the seam and beyond the poles."""
+    height, width = planes.shape[1:]
+    below, beyond = -height % MULTIPLE, -width % MULTIPLE
+    padded = np.pad(planes, ((0, 0), (0, below), (0, 0)), mode="edge")
+    return np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
+
+
 def _checked(session: Any, outputs: list[str]) -> Any:
     """The session, of planes and these outputs."""
     names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
     if names != [["planes"], outputs]:
         raise InputError(
-            f"expected a fusion model with the input 'planes' and the outputs {' and '.join(map(repr, outputs))}, "
+            f"expected a model with the input 'planes' and the outputs {' and '.join(map(repr, outputs))}, "
             f"got {names[0]} and {names[1]}; name another"
         )
     return session

@@ -10,8 +10,8 @@ from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 __all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
 
 
-SILHOUETTES = "silhouettes-balanced"
-"""Name in the manifest of the network that decides where near things end."""
+DOUBT = "doubt-balanced"
+"""Name in the manifest of the network that says how far depth may be trusted."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Preset:
     recipe: Recipe
 
 
-def _refined(rows: int, silhouettes: str | None = None, **changes: Any) -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced", silhouettes), adaptive=True, **changes)
+def _refined(rows: int, doubt: str | None = None, **changes: Any) -> Recipe:
+    return Recipe(DepthSource("refined", rows, "completion-balanced", doubt), adaptive=True, **changes)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -41,13 +41,13 @@ SCALE: Mapping[str, Preset] = _by_name(
     Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
     Preset(
         "balanced",
-        "matching, refined by a network, sharpened at twice the size; another one fuses",
-        _refined(1024, fusion="network", fusion_rows=96),
+        "matching, refined by a network, sharpened at twice the size; two more doubt and fuse",
+        _refined(1024, DOUBT, fusion="network", fusion_rows=96),
     ),
     Preset(
         "accurate",
-        "the same, a third one looks at edges, and the one that fuses looks closer",
-        _refined(1024, SILHOUETTES, fusion="network"),
+        "the same, but the network that fuses looks closer",
+        _refined(1024, DOUBT, fusion="network"),
     ),
 )
 """By name, from the fastest to the most accurate."""

@@ -72,18 +72,18 @@ class DepthSource:
             more than it is good at, see :mod:`omnisyn_cli.stereo.sizes`; a network alone answers in a size of its own.
         model: for :data:`NETWORKED_DEPTH`: a name in the manifest, or the path of an ONNX file; for ``refined`` None
             leaves the network out, to compare with.
-        silhouettes: likewise, of the network that decides in refined estimates where near things end.
+        doubt: likewise, of the network that says how far refined estimates may be trusted.
     """
 
     kind: str = "file"
     rows: int = 512
     model: str | None = None
-    silhouettes: str | None = None
+    doubt: str | None = None
 
     @property
     def networks(self) -> tuple[str, ...]:
         """Those that have a part in it, in the order in which they do."""
-        return tuple(network for network in (self.model, self.silhouettes) if network is not None)
+        return tuple(network for network in (self.model, self.doubt) if network is not None)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Recipe:
 
     def of_known_depth(self) -> Recipe:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
-        return replace(self, depth=replace(self.depth, kind="file", model=None, silhouettes=None), fusion="geometric")
+        return replace(self, depth=replace(self.depth, kind="file", model=None, doubt=None), fusion="geometric")
 
     @property
     def networks(self) -> tuple[str, ...]:

@@ -16,9 +16,9 @@ from torch.nn import functional
 from omnisyn_cli.geometry.sphere import row_weights
 from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.networks.doubt import ANSWERED, CONFIDENCE_PLANE, FACTORS, ROOT_PLANE
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
-from omnisyn_cli.networks.silhouettes import ROOT_PLANE, SilhouettePrediction
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
@@ -35,6 +35,9 @@ RIGHT_WITHIN = 1.1
 FARTHEST = 1e-3
 """Inverse depth × baseline below this is called infinitely far when confidence is judged."""
 
+CERTAIN = (0.001, 0.999)
+"""Confidences are taken for no less and no more where their surprise is judged."""
+
 SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
 
@@ -48,12 +51,6 @@ MODE_SCALE = 0.03
 """Error of a root that makes a mode e times less likely."""
 
 MODE_WEIGHT = 0.02
-
-AWAY_WEIGHT, DOUBT_WEIGHT = 0.15, 0.1
-"""Of what lies away from silhouettes, and of the confidence, for the silhouette network."""
-
-HALF_WAY = 81.0
-"""Pixels of 512 rows by which a point at the distance of the baseline, abeam, moves on half of the way."""
 
 JUMP = 0.1
 """Difference of neighbouring true roots that is called an edge."""
@@ -145,66 +142,56 @@ def completion_loss(
     return told.mean() + shape + CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
 
 
-def silhouette_loss(prediction: SilhouettePrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
-    """Expected displacement of the three choices, large ones alike, and log-loss of the confidence; a scalar.
-
-    What is misplaced by a few pixels is simply wrong: nothing is gained by a mean of two surfaces.
+def doubt_loss(
+    logits: Float[Tensor, "batch 4 height width"],
+    planes: Float[Tensor, "batch planes height width"],
+    target: Float[Tensor, "batch 1 height width"],
+) -> Tensor:
+    """Log-loss of the probabilities of all of :data:`~omnisyn_cli.networks.doubt.FACTORS`, a scalar.
 
     Args:
-        prediction: of the silhouette network.
+        logits: of the doubting network.
+        planes: its input, with the map that it is asked about.
         target: true roots; NaN where they are not known.
     """
     known, target = _known(target)
     area = polar_weights(target) * known
-    weight = area * (AWAY_WEIGHT + _beside_silhouettes(target))
-    expected = (prediction.logits.softmax(dim=1) * _misplaced(prediction.roots, target)).sum(dim=1, keepdim=True)
-    doubt = (_doubt(prediction, target) * area).sum() / area.sum()
-    return (expected * weight).sum() / weight.sum() + DOUBT_WEIGHT * doubt
-
-
-def _misplaced(root: Tensor, target: Tensor) -> Tensor:
-    """From 0 to 1: ½ where a point is a pixel away from its place half way between the panoramas."""
-    pixels = HALF_WAY * (root.square() - target.square()).abs()
-    return pixels / (1.0 + pixels)
+    surprise = functional.binary_cross_entropy_with_logits(logits, _within(planes, target), reduction="none")
+    return (surprise.mean(dim=1, keepdim=True) * area).sum() / area.sum()
 
 
 @torch.no_grad()
-def silhouette_scores(
-    prediction: SilhouettePrediction,
+def doubt_scores(
+    logits: Float[Tensor, "batch 4 height width"],
     planes: Float[Tensor, "batch planes height width"],
     target: Float[Tensor, "batch 1 height width"],
 ) -> dict[str, float]:
-    """What is gained beside silhouettes and elsewhere; means weigh pixels by solid angle.
+    """What the network knows that the confidence it was shown does not; means weigh pixels by solid angle.
 
     Args:
-        prediction: of the network.
+        logits: of the network.
         planes: its input.
         target: true roots; NaN where they are not known.
 
     Returns:
-        Beside silhouettes ``misplaced``, see :func:`_misplaced`, and ``within_5``, the share of pixels whose depth is
-        within a factor of 1.05; the same ``_before``, of the map that was shown; ``misplaced_away`` and
-        ``misplaced_away_before`` elsewhere; ``moved``, the share of the sphere whose depth was changed;
-        ``confidence_error``, the mean of |confidence − (within a factor of 1.1)|, over all.
+        ``surprise``, the log-loss of the probability that depth is within 10 %, and ``error``, its mean distance from
+        1 where depth is and from 0 elsewhere; ``surprise_before`` and ``error_before``, of the confidence in the input.
     """
     known, target = _known(target)
-    area, beside = polar_weights(target) * known, _beside_silhouettes(target)
-    own, found = planes[:, ROOT_PLANE : ROOT_PLANE + 1], prediction.root()
-
-    def mean(values: Tensor, weights: Tensor) -> float:
-        return float((values * weights).sum() / weights.sum())
-
+    area, right = polar_weights(target) * known, _within(planes, target)[:, ANSWERED : ANSWERED + 1]
+    told, before = logits[:, ANSWERED : ANSWERED + 1].sigmoid(), planes[:, CONFIDENCE_PLANE : CONFIDENCE_PLANE + 1]
     scores = {}
-    for root, when in ((found, ""), (own, "_before")):
-        misplaced = _misplaced(root, target)
-        scores[f"misplaced{when}"] = mean(misplaced, area * beside)
-        scores[f"within_5{when}"] = mean(_is_right(root.square(), target.square(), 1.05), area * beside)
-        scores[f"misplaced_away{when}"] = mean(misplaced, area * (1.0 - beside))
-    right = _is_right(prediction.inverse_depth(), target.square())
-    return scores | {
-        "moved": mean((found != own).to(area.dtype), area),
-        "confidence_error": mean((prediction.confidence() - right).abs(), area),
-    }
+    for confidence, when in ((told, ""), (before, "_before")):
+        surprise = functional.binary_cross_entropy(confidence.clamp(*CERTAIN), right, reduction="none")
+        scores[f"surprise{when}"] = float((surprise * area).sum() / area.sum())
+        scores[f"error{when}"] = float(((confidence - right).abs() * area).sum() / area.sum())
+    return scores
+
+
+def _within(planes: Tensor, target: Tensor) -> Tensor:
+    """``(batch, 4, height, width)`` 1 where the map is within each of :data:`FACTORS` of the truth, else 0."""
+    inverse_depth, truth = planes[:, ROOT_PLANE : ROOT_PLANE + 1].square(), target.square()
+    return torch.cat([_is_right(inverse_depth, truth, factor) for factor in FACTORS], dim=1)
 
 
 def _beside_silhouettes(target: Tensor) -> Tensor:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
@@ -18,23 +19,24 @@ from omnisyn_cli.networks.completion import (
 )
 from omnisyn_cli.networks.depth import DepthNetwork
 from omnisyn_cli.networks.depth_config import VARIANTS, DepthConfig
+from omnisyn_cli.networks.doubt import (
+    ANSWERED,
+    CONFIDENCE_PLANE,
+    DOUBT_VARIANTS,
+    ROOT_PLANE,
+    DoubtConfig,
+    DoubtNetwork,
+)
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
-from omnisyn_cli.networks.silhouettes import (
-    ROOT_PLANE,
-    SILHOUETTE_VARIANTS,
-    SilhouetteConfig,
-    SilhouetteNetwork,
-    SilhouettePrediction,
-)
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import Batch, EvidenceBatch
+from omnisyn_cli.training.doubt_pool import draw_doubt, stored_doubt
 from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
 from omnisyn_cli.training.pictures import as_array, depth_pictures
-from omnisyn_cli.training.silhouette_pool import draw_silhouettes, stored_silhouettes
 from omnisyn_cli.training.synsin import draw_views
 from omnisyn_cli.training.task import Task
 from omnisyn_cli.training.triples import draw_pairs, draw_triples
@@ -42,7 +44,7 @@ from omnisyn_cli.training.triples import draw_pairs, draw_triples
 __all__ = ["TASKS", "kinds_for", "task_of"]
 
 NetworkConfig = (
-    DepthConfig | PaperConfig | CompletionConfig | SilhouetteConfig | FusionConfig | joint.JointConfig | SynSinConfig
+    DepthConfig | PaperConfig | CompletionConfig | DoubtConfig | FusionConfig | joint.JointConfig | SynSinConfig
 )
 
 
@@ -65,12 +67,12 @@ def _completion_pictures(answer: CompletionPrediction, batch: EvidenceBatch) -> 
     return shown | {"filled": given["prediction"], "known": np.where(is_sure, given["truth"], np.float32(0.0))}
 
 
-def _silhouette_pictures(answer: SilhouettePrediction, batch: EvidenceBatch) -> dict[str, np.ndarray]:
-    """With the map as it was."""
-    planes, truth = batch.planes[0], as_array(batch.root[0, 0])
-    image, found = as_array(planes[:3]), as_array(answer.root()[0, 0])
-    shown, given = (depth_pictures(image, root, truth) for root in (found, as_array(planes[ROOT_PLANE])))
-    return shown | {"before": given["prediction"]}
+def _doubt_pictures(logits: Tensor, batch: EvidenceBatch) -> dict[str, np.ndarray]:
+    """The map, with the probability that it is within 10 %, and the confidence that was shown, from black to white."""
+    planes, told = batch.planes[0], logits[0, ANSWERED].sigmoid()
+    given = depth_pictures(as_array(planes[:3]), as_array(planes[ROOT_PLANE]), as_array(batch.root[0, 0]))
+    confidences = {"confidence": told, "confidence_before": planes[CONFIDENCE_PLANE]}
+    return given | {name: np.stack([as_array(plane)] * 3, axis=-1) for name, plane in confidences.items()}
 
 
 _STEREO = Task(
@@ -106,16 +108,16 @@ TASKS: Mapping[str, Task] = {
         pictures=_completion_pictures,
         pools=("pool", "evidence"),
     ),
-    "silhouettes": Task(
-        SilhouetteConfig,
-        SILHOUETTE_VARIANTS,
-        SilhouetteNetwork,
-        draw=lambda pool, rng, stage, *_: draw_silhouettes(pool, rng, stage.batch),
-        loss=lambda answer, batch: losses.silhouette_loss(answer, batch.root),
-        scores=lambda answer, batch: losses.silhouette_scores(answer, batch.planes, batch.root),
-        pictures=_silhouette_pictures,
-        held_out=lambda path, turn, _: stored_silhouettes(path, turn),
-        pools=("silhouette-pool",),
+    "doubt": Task(
+        DoubtConfig,
+        DOUBT_VARIANTS,
+        DoubtNetwork,
+        draw=lambda pool, rng, stage, *_: draw_doubt(pool, rng, stage.batch),
+        loss=lambda answer, batch: losses.doubt_loss(answer, batch.planes, batch.root),
+        scores=lambda answer, batch: losses.doubt_scores(answer, batch.planes, batch.root),
+        pictures=_doubt_pictures,
+        held_out=lambda path, turn, _: stored_doubt(path, turn),
+        pools=("doubt-pool",),
     ),
     "fusion": Task(
         FusionConfig,

@@ -1,24 +1,39 @@
-"""The edges of a finished estimate, decided pixel by pixel by a network (:mod:`omnisyn_cli.networks.silhouettes`).
+"""How far a finished estimate may be trusted, as a network says that sees it (:mod:`omnisyn_cli.networks.doubt`).
 
 Everything is dimensionless, as in :mod:`omnisyn_cli.stereo.evidence`: distances count in baselines, and inverse depth
 enters as its square root.
 """
 
+from dataclasses import replace
 from functools import partial
+from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Shaped
 
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import motion_in_baselines, seen_from_second
-from omnisyn_cli.stereo.evidence import GREATEST_ROOT, PlanesNetwork, root_of
+from omnisyn_cli.stereo.evidence import root_of
 from omnisyn_cli.stereo.rectify import resize_area
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["COLOURED", "DIFFERENCES", "EAST_PLANE", "silhouette_planes", "with_silhouettes"]
+__all__ = [
+    "COLOURED",
+    "DIFFERENCES",
+    "EAST_PLANE",
+    "ROWS",
+    "DoubtingNetwork",
+    "doubt_planes",
+    "doubted",
+    "middles",
+    "shrunk",
+]
+
+ROWS = 256
+"""Of the maps that are looked at, at most."""
 
 AROUND = 13
 """Side in pixels of the square in which the nearest and the farthest surface are looked for."""
@@ -35,40 +50,61 @@ DIFFERENCES = slice(20, 23)
 POLE = np.array([0.0, 1.0, 0.0])
 """Of a camera's own frame: up, if it is held upright."""
 
-DOUBTED = 0.3
-"""Confidence below which an estimate may be changed: edges that are believed are thin things more often than errors.
 
-Frames of 1024×512 between three sets of pairs, in dB: +0.07 (twelve pairs of the bench), +0.18 (fifteen of five kinds),
-+0.23 (warehouses); with 0.5 +0.04, +0.18, +0.28; with 0.8 −0.02, +0.17, +0.31; everywhere −0.07, +0.10, +0.25.
-"""
+class DoubtingNetwork(Protocol):
+    """A trained network that is shown planes of a panorama of a pair, however it is run."""
 
-UNCHANGED = 1e-4
-"""Difference of roots below which a pixel has kept its depth."""
+    def __call__(self, planes: Float32[np.ndarray, "27 height width"]) -> Float32[np.ndarray, "height width"]:
+        """The probability that the depth of a pixel is within 10 % of the truth."""
+        ...
 
 
-def with_silhouettes(
-    first: View, second: View, estimates: tuple[DepthEstimate, DepthEstimate], network: PlanesNetwork
+def doubted(
+    first: View, second: View, estimates: tuple[DepthEstimate, DepthEstimate], network: DoubtingNetwork
 ) -> tuple[DepthEstimate, DepthEstimate]:
-    """Both estimates with edges as the network has them, believed no more than before and no more than it says.
+    """Both estimates as they are; their confidence is the geometric mean of what it was and what the network says.
+
+    Neither knows everything: alone, what the network says ranks errors as well, but frames that it misleads lose more.
 
     Args:
         first: a panorama.
         second: the other one, from another place.
         estimates: of both, of one size.
-        network: decides.
+        network: doubts.
     """
-    one, other = estimates
-    baseline = _baseline(first, second)
-    return (  # one after the other: planes and network take much memory
-        _decided(first, one, *network(silhouette_planes((first, second), (one, other))), baseline),
-        _decided(second, other, *network(silhouette_planes((second, first), (other, one))), baseline),
+    one, other = (shrunk(estimate) for estimate in estimates)
+    answers = (  # one after the other: planes and network take much memory
+        network(doubt_planes((first, second), (one, other))),
+        network(doubt_planes((second, first), (other, one))),
     )
+    return _believed(estimates[0], answers[0]), _believed(estimates[1], answers[1])
 
 
-def silhouette_planes(
+def shrunk(estimate: DepthEstimate, rows: int = ROWS) -> DepthEstimate:
+    """An estimate of so many rows at most: depth in the middle of the larger pixels, mean confidence."""
+    size = (rows, 2 * rows)
+    if len(estimate.inverse_depth) <= rows:
+        return estimate
+    confidence = resize_area(estimate.confidence, size)
+    return replace(estimate, inverse_depth=middles(estimate.inverse_depth, size), confidence=confidence)
+
+
+def middles(values: Shaped[np.ndarray, "height width"], size: tuple[int, int]) -> Shaped[np.ndarray, "rows columns"]:
+    """The values at the middles of the pixels of a smaller map."""
+    rows, columns = (((np.arange(n) + 0.5) * many / n).astype(int) for n, many in zip(size, values.shape, strict=True))
+    return np.ascontiguousarray(values[rows[:, None], columns])
+
+
+def _believed(estimate: DepthEstimate, told: Float32[np.ndarray, "rows columns"]) -> DepthEstimate:
+    """The estimate with what the network says of it."""
+    at = Lookup.along(pixel_directions(*estimate.inverse_depth.shape), told.shape)
+    return replace(estimate, confidence=np.sqrt(estimate.confidence * at.bilinear(told)).astype(np.float32))
+
+
+def doubt_planes(
     views: tuple[View, View], estimates: tuple[DepthEstimate, DepthEstimate]
 ) -> Float32[np.ndarray, "27 height width"]:
-    """The input of a silhouette network for the first of two panoramas.
+    """The input of a doubting network for the first of two panoramas.
 
     In order: its picture (3); the root of its map, how much greater the greatest and how much less the least root
     around is; its confidence; cosine to the direction of the other camera, and how far that lies to the east and to the
@@ -129,18 +165,3 @@ def _where_is(
     east = np.cross(directions, POLE)
     east /= np.maximum(np.linalg.norm(east, axis=-1, keepdims=True), 1e-6)
     return directions @ towards, east @ towards, np.cross(east, directions) @ towards
-
-
-def _decided(
-    view: View, estimate: DepthEstimate, inverse_depth: np.ndarray, confidence: np.ndarray, baseline: float
-) -> DepthEstimate:
-    """What the network says where the estimate is doubted; where it keeps that, it is kept bit for bit.
-
-    In pictures of fewer rows than the estimate edges are too soft to choose by: there only the confidence is taken.
-    """
-    is_kept = (estimate.confidence >= DOUBTED) | (view.image.shape[0] < estimate.inverse_depth.shape[0])
-    is_kept |= np.abs(root_of(inverse_depth) - root_of(estimate.inverse_depth * baseline)) < UNCHANGED
-    is_kept |= estimate.inverse_depth * baseline > GREATEST_ROOT**2
-    chosen = np.where(is_kept, estimate.inverse_depth, inverse_depth / baseline)
-    trust = np.minimum(estimate.confidence, confidence)
-    return DepthEstimate(chosen.astype(np.float32), trust.astype(np.float32), estimate.sure)
