@@ -63,6 +63,7 @@ CHOICES = (
         f"{DEFAULT_METHOD}:{change}"
         for change in (
             "model=none",
+            "doubt=none",
             "fusion=geometric",
             "edges=none",
             "adaptive=none",
