@@ -206,7 +206,7 @@ def test_another_network_does_the_jobs_again_that_use_it(
     write_row(tmp_path, 2)
     (tmp_path / "mine.onnx").write_text("mine")
     wishes = {"none": {}, "preset": {"preset": "fast", "depth": "refined"}, "fusion": {"fusion": "network"},
-              "doubt": {"preset": "balanced", "depth": "refined", "fusion": "geometric"},
+              "doubt": {"preset": "accurate", "depth": "refined", "fusion": "geometric"},
               "mine": {"depth": "network", "model": "mine.onnx"}}  # fmt: skip
     lines = [line(0, 1, **wish) | {"id": name, "output": name} for name, wish in wishes.items()]
     first = batch(tmp_path, *lines)

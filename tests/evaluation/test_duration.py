@@ -270,10 +270,7 @@ def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(
 def test_a_preset_that_costs_half_as_much_again_is_worth_it(
     plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By 0.3 dB on scenes that nothing was tuned on, for ninety frames of the size of common photographs.
-
-    Whatever it costs, it gains more than the standard error from pair to pair.
-    """
+    """By 0.3 dB on scenes that nothing was tuned on, for ninety frames of the size of common photographs."""
     monkeypatch.undo()
     table, clip = duration.shipped_table(), replace(chain_of(plan, 2, 92), size=(1024, 2048))
     found = [budget._scored(table, name) for name in SCALE]
@@ -282,4 +279,4 @@ def test_a_preset_that_costs_half_as_much_again_is_worth_it(
     for cheap, dear in pairwise(scored):
         less, more = (work(replace(clip, recipe=each.recipe), table) for each in (cheap, dear))
         assert sum(vars(more).values()) < 1.5 * sum(vars(less).values()) or gain(dear, cheap)[0] >= 0.3
-        assert gain(dear, cheap)[0] > gain(dear, cheap)[1]
+        assert gain(dear, cheap)[0] > 2 * gain(dear, cheap)[1]

@@ -82,7 +82,7 @@ def test_with_nothing_learned_in_it_the_product_needs_no_network(
     assert plain.std() > 0.05
     nothing_learned = "omnisyn-accurate:model=none:doubt=none:fusion=geometric"
     assert find_method(nothing_learned).recipe.networks == ()
-    assert find_method("omnisyn-accurate").recipe.depth == find_method("omnisyn-balanced").recipe.depth
+    assert find_method("omnisyn-accurate:doubt=none").recipe.depth == find_method("omnisyn-balanced").recipe.depth
     assert find_method("omnisyn-accurate:model=none").recipe.depth.networks == ("doubt-balanced",)
     with pytest.raises(MethodUnavailableError, match="completion-balanced"):
         images("omnisyn-fast", hall)

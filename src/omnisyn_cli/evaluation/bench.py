@@ -63,7 +63,6 @@ CHOICES = (
         f"{DEFAULT_METHOD}:{change}"
         for change in (
             "model=none",
-            "doubt=none",
             "fusion=geometric",
             "edges=none",
             "adaptive=none",

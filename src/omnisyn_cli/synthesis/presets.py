@@ -41,12 +41,12 @@ SCALE: Mapping[str, Preset] = _by_name(
     Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
     Preset(
         "balanced",
-        "matching, refined by a network, sharpened at twice the size; two more doubt and fuse",
-        _refined(1024, DOUBT, fusion="network", fusion_rows=96),
+        "matching, refined by a network, sharpened at twice the size; another one fuses",
+        _refined(1024, fusion="network", fusion_rows=96),
     ),
     Preset(
         "accurate",
-        "the same, but the network that fuses looks closer",
+        "the same, a third one doubts, and the one that fuses looks closer",
         _refined(1024, DOUBT, fusion="network"),
     ),
 )
