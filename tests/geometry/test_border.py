@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from test_sampling import noise, unwrapped
 
-from omnisyn_cli.geometry.sampling import add_border, add_columns, filter_across_seam
+from omnisyn_cli.geometry.sampling import add_border, add_columns, filter_across_seam, window_max, window_min
 
 
 @pytest.mark.parametrize("shape", [(6, 8), (4, 10, 3)])
@@ -42,3 +42,17 @@ def test_a_turned_image_is_filtered_as_if_it_were_not_turned(turn):
 def test_an_image_that_needs_nothing_from_over_the_seam_is_filtered_as_it_is():
     image = noise(4, 6)
     np.testing.assert_array_equal(filter_across_seam(np.negative, image, 0), -image)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(6, 12), (5, 10, 3)])
+@pytest.mark.parametrize("reach", [0, 1, 3])
+def test_window_extremes_equal_brute_force_across_the_seam(dtype, shape, reach):
+    """Beyond the poles nothing counts, however large or small values are."""
+    image = (200.0 * noise(*shape) + 20.0).astype(dtype)
+    height, width = shape[:2]
+    for row, col in np.ndindex(height, width):
+        rows = slice(max(row - reach, 0), row + reach + 1)
+        window = image[rows][:, np.arange(col - reach, col + reach + 1) % width]
+        np.testing.assert_array_equal(window_max(image, reach)[row, col], window.max(axis=(0, 1)))
+        np.testing.assert_array_equal(window_min(image, reach)[row, col], window.min(axis=(0, 1)))

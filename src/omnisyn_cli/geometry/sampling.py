@@ -5,6 +5,7 @@ and is tested against these.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ __all__ = [
     "sample_nearest",
     "turned_directions",
     "turned_image",
+    "window_max",
+    "window_min",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
@@ -74,6 +77,31 @@ def filter_across_seam(
     ``apply`` keeps the size; its answers depend on ``reach`` columns on either side.
     """
     return apply(add_columns(image, reach))[:, reach : reach + image.shape[1]]
+
+
+def window_max(
+    image: Shaped[np.ndarray, "height width *channels"], reach: int
+) -> Shaped[np.ndarray, "height width ..."]:
+    """The greatest value at most ``reach`` rows and columns away (dilation by a square).
+
+    Columns wrap; beyond the poles there is nothing. Types are those that OpenCV dilates: not bool, no wide integers.
+    """
+    import cv2  # loaded only here: a plan needs this module, and no more
+
+    return filter_across_seam(partial(cv2.dilate, kernel=_square(reach)), image, reach)
+
+
+def window_min(
+    image: Shaped[np.ndarray, "height width *channels"], reach: int
+) -> Shaped[np.ndarray, "height width ..."]:
+    """The least value at most ``reach`` rows and columns away (erosion by a square); as :func:`window_max`."""
+    import cv2  # loaded only here: a plan needs this module, and no more
+
+    return filter_across_seam(partial(cv2.erode, kernel=_square(reach)), image, reach)
+
+
+def _square(reach: int) -> np.ndarray:
+    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
 
 
 def sample_nearest(image: Float[Array, "height width *channels"], direction: Float[Array, "*batch 3"]) -> Array:
