@@ -43,7 +43,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @click.option(
     "--methods", metavar="usual|all|LIST", default="usual", show_default=True,
     help="Names separated by commas, see --list-methods; a name may have parameters: matching:cut=0.02. usual: "
-    "crossfade, matching, the presets from fast to accurate, and the true depth where there is some.",
+    "crossfade, matching, the presets from fast to balanced, and the true depth where there is some.",
 )  # fmt: skip
 @click.option(
     "--list-methods", is_flag=True, is_eager=True, expose_value=False, callback=_list_methods,

@@ -82,7 +82,6 @@ def export(
     from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export, run_export
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.recipes import check_device
-    from omnisyn_cli.interpolation.rehearsal import rehearsed
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
@@ -96,7 +95,6 @@ def export(
         return
     check_device(plan.tour.recipe)
     context.with_resource(say_when_compiling(is_quiet=quiet))
-    context.with_resource(rehearsed(plan.tour))
     total = len(plan.tour.entries)
     with counted_bar("depth", total, lambda done: "panoramas", is_quiet=quiet) as on_panorama:
         summary = run_export(plan, on_panorama)

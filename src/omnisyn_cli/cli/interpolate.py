@@ -54,14 +54,13 @@ if TYPE_CHECKING:
 @preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
-    help="Take the preset of the best picture, from fast to accurate, that is expected to be done in this time, and "
+    help="Take the preset of the best picture, from fast to balanced, that is expected to be done in this time, and "
     "say what more time would bring.",
 )  # fmt: skip
 @depth_options
 @click.option(
     "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto", show_default=True,
-    help="mesh is exact; points and the paper's two-pass method are there to compare; auto: the preset's, mesh but for "
-    "paper.",
+    help="mesh is exact; the paper's two-pass method is there to compare; auto: the preset's, mesh but for paper.",
 )  # fmt: skip
 @cut_options
 @click.option(
@@ -173,10 +172,8 @@ def interpolate(
         return
     compiled: list[str] = []
     context.with_resource(say_when_compiling(is_quiet=quiet, listen=compiled.append))
-    from omnisyn_cli.interpolation.rehearsal import rehearsed  # the kernels, which a plan does without
     from omnisyn_cli.interpolation.run import run_interpolation
 
-    context.with_resource(rehearsed(plan))
     with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not compiled:

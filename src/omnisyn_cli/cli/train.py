@@ -10,7 +10,7 @@ import click
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.train_pools import convert, doubt_pool, evidence, fusion_pool, pool
+from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
 
 FOLDER = FilePath(file_okay=False)
 
@@ -26,7 +26,7 @@ def train() -> None:
     """Train the networks on scenes that the program makes itself."""
 
 
-for command in (convert, evidence, fusion_pool, pool, doubt_pool):
+for command in (convert, evidence, fusion_pool, pool):
     train.add_command(command)
 
 
@@ -82,14 +82,6 @@ def completion(**options: Any) -> None:
     matched, will do as well, in a pool of their own or beside the others: few scenes for much time, best taken last.
     """
     _train_variant("completion", **options)
-
-
-@train.command()
-@_stage_options("doubt-pool", batch=2, rate=1.5e-3)
-@_variant_option("balanced")
-def doubt(**options: Any) -> None:
-    """Train the network that says how far depth may be trusted in FOLDER; a run that is there goes on."""
-    _train_variant("doubt", **options)
 
 
 @train.command()

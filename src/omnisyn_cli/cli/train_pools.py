@@ -1,4 +1,4 @@
-"""``omnisyn train pool``, ``convert``, ``evidence``, ``doubt-pool``, ``fusion-pool``: what networks learn from."""
+"""``omnisyn train pool``, ``convert``, ``evidence``, ``fusion-pool``: what networks learn from."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -101,21 +101,6 @@ def evidence(height: int, **options: Any) -> None:
 
     _check_pool_height(height)
     _fill(make_evidence, TiltedConfig(size=(height, 2 * height)), **options)
-
-
-@click.command("doubt-pool")
-@_scene_options(400, "estimate, half of those it is made with", height=256)
-@WORKERS
-@TEXTURES
-def doubt_pool(height: int, **options: Any) -> None:
-    """Render scenes into FOLDER and estimate their depth, for `train doubt`; those that are there already stay.
-
-    A scene takes 3 seconds of a core and 15 MB.
-    """
-    from omnisyn_cli.training.doubt_pool import DoubtPoolConfig, make_doubt
-
-    _check_pool_height(height)
-    _fill(make_doubt, DoubtPoolConfig(size=(height, 2 * height)), **options)
 
 
 @click.command("fusion-pool")

@@ -55,7 +55,7 @@ def view(
 
     \b
     omnisyn view a.jpg b.jpg --poses poses.json --open
-    omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset accurate
+    omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset balanced
     omnisyn view tour/ --folder --serve --open
 
     FOLDER stands for the panoramas that its poses.json names, in the order of that file.
@@ -67,7 +67,6 @@ def view(
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.job import InterpolationJob
     from omnisyn_cli.interpolation.recipes import check_device
-    from omnisyn_cli.interpolation.rehearsal import rehearsed
     from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk
 
     check_one_cut(options)
@@ -84,7 +83,6 @@ def view(
         return
     check_device(plan.tour.recipe)
     context.with_resource(say_when_compiling(is_quiet=quiet))
-    context.with_resource(rehearsed(plan.tour))
     with counted_bar("depth", len(plan.tour.entries) - 1, lambda done: "pairs", is_quiet=quiet) as on_pair:
         summary = run_walk(plan, on_pair)
     if not quiet:

@@ -68,7 +68,7 @@ CHOICES = (
             "adaptive=none",
             "rows=512",
             "rows=2048",
-            "renderer=points",
+            "renderer=two-pass",
         )
     ),
 )

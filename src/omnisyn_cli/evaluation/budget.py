@@ -1,6 +1,6 @@
 """Which preset shows the best picture within a number of seconds on this machine.
 
-Only presets of the scale from fast to accurate are chosen: what is there to compare with is neither.
+Only presets of the scale from fast to balanced are chosen: what is there to compare with is neither.
 """
 
 import math

@@ -5,14 +5,13 @@ at the true depth, make surfaces of another density, hide the second panorama.
 
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
 changes by more than this share), ``metres`` (at steps of depth, as the paper does), ``depth`` (WIDTHxHEIGHT of the
-estimates, which is the density of the mesh), ``renderer`` (``points``, ``two-pass``), ``fusion=network`` (the geometric
+estimates, which is the density of the mesh), ``renderer`` (``two-pass``), ``fusion=network`` (the geometric
 fusion is corrected by a network), ``fusion=painting`` (a network paints, as in the paper), ``fusion=geometric`` (none
 does), ``edges=none`` (no edges are sampled), ``adaptive=none`` (every triangle is drawn), ``views=1`` (only the first
 panorama is shown) or ``neighbours=2`` (pairs that share a panorama are a tour, in which its depth comes from both its
-neighbours); those whose depth networks refine take ``rows`` (that it is looked for at), ``model=none`` (all else as it
-is, without the network that completes it) and ``doubt=none`` (likewise, without the one that says how
-far depth may be trusted): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
-``omnisyn-accurate:model=none:doubt=none:fusion=geometric``, which is ``accurate`` with nothing learned in it.
+neighbours); those whose depth a network refines take ``rows`` (that it is looked for at) and ``model=none`` (all else
+as it is, without that network): ``matching:cut=0.02``, ``oracle-depth:metres=2:depth=512x256``,
+``omnisyn-balanced:model=none:fusion=geometric``, which is ``balanced`` with nothing learned in it.
 """
 
 import time
@@ -222,10 +221,6 @@ BASES: Mapping[str, ComparedMethod] = {
             PRESETS["paper"].recipe,
         ),
         (
-            "omnisyn-points", "the default preset with a cloud of points instead of the mesh",
-            replace(_DEFAULT, renderer="points"),
-        ),
-        (
             "omnisyn-two-pass", "the default preset with the paper's two-pass rasteriser",
             replace(_DEFAULT, renderer="two-pass"),
         ),
@@ -242,8 +237,8 @@ BASES: Mapping[str, ComparedMethod] = {
 FUSED_BY = {f"fusion={name}": name for name in FUSIONS}
 """Fusions by the parameter that asks for them."""
 
-NETWORKS_LEFT_OUT: Mapping[str, str] = {f"{part}=none": part for part in ("model", "doubt")}
-"""Networks of refined depth by the parameter that leaves them out."""
+WITHOUT_NETWORK = "model=none"
+"""Refined depth without its network."""
 
 LEFT_OUT: Mapping[str, Mapping[str, Any]] = {"edges=none": {"edges": False}, "adaptive=none": {"adaptive": False}}
 """What parameters leave out of a recipe."""
@@ -310,21 +305,18 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=points, {', '.join((*FUSED_BY, *LEFT_OUT))}, rows=1024 "
-        f"or {' or '.join(NETWORKS_LEFT_OUT)} (where networks refine matching), {ONE_VIEW} or {IN_TOUR} (where depth "
-        f"is looked for) after the colon, got {parameter!r} in {name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSED_BY, *LEFT_OUT))}, rows=1024 "
+        f"or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) "
+        f"after the colon, got {parameter!r} in {name!r}"
     )
 
 
 def _changed_source(source: DepthSource, parameter: str) -> DepthSource | None:
-    """Refined depth of other rows or without one of its networks; None where the parameter says neither."""
+    """Refined depth of other rows or without its network; None where the parameter says neither."""
     key, _, value = parameter.partition("=")
     if key == "rows" and int(value) >= LEAST_ROWS:
         return replace(source, rows=int(value))
-    if parameter not in NETWORKS_LEFT_OUT:
-        return None
-    without: Mapping[str, Any] = {NETWORKS_LEFT_OUT[parameter]: None}
-    return replace(source, **without)
+    return replace(source, model=None) if parameter == WITHOUT_NETWORK else None
 
 
 METHODS: Mapping[str, ComparedMethod] = {name: find_method(name) for name in (*BASES, *VARIANTS)}

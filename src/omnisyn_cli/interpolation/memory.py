@@ -17,9 +17,6 @@ PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
 BYTES_PER_PIXEL_OF_NETWORK = {"refined": 820, "network": 3200}
 """What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
 
-DOUBTING = 115e6
-"""Bytes that the network which doubts takes and keeps; it looks at one size, whatever that of the estimate."""
-
 FINDING = 110e6
 """Bytes that are given back when depth has been found and both surfaces have been made."""
 
@@ -29,17 +26,14 @@ PAINTING, PAINTED_ROWS = 230, 1024
 CORRECTING = 50e6
 """Bytes that a network which corrects the blend takes, which looks at one size, whatever that of the frames."""
 
-BYTES_PER_VERTEX = {"mesh": 57, "points": 24, "two-pass": 660}
-"""While surfaces are made: mesh with buffers; splats; explicit triangles."""
+BYTES_PER_VERTEX = {"mesh": 57, "two-pass": 660}
+"""While surfaces are made: mesh with buffers; explicit triangles."""
 
 MOST_PER_VERTEX = max(BYTES_PER_VERTEX.values())
 """For renderers that were not measured."""
 
 BYTES_PER_KEPT_VERTEX = {**BYTES_PER_VERTEX, "two-pass": 150}
 """While frames are made."""
-
-SPLATTING = 36
-"""Bytes of each pixel of a frame in which points are collected."""
 
 PASSING, PASSING_ROUNDED = 18, 10
 """Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
@@ -123,8 +117,7 @@ def estimated_surface_memory(
 
 def _bytes_of_program(recipe: Recipe, depths: Sequence[tuple[int, int]]) -> float:
     kind, (height, width) = recipe.depth.kind, depths[0]
-    doubting = DOUBTING if recipe.depth.doubt else 0.0
-    return PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * height * width + doubting
+    return PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * height * width
 
 
 def _bytes_of_finding(recipe: Recipe, vertices: int, depths: Sequence[tuple[int, int]]) -> float:
@@ -187,11 +180,10 @@ def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int
     pyramid, planes = 16 / 3, 1.5
     painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if recipe.fusion == "painting" else 0
     corrected = CORRECTING if recipe.fusion == "network" else 0
-    collected = SPLATTING if recipe.renderer == "points" else 0
-    seen = 4 if recipe.renderer == "mesh" else 8  # the others know which point or face it is, too
+    seen = 4 if recipe.renderer == "mesh" else 8  # the others know which face it is, too
     is_held = recipe.renderer != "mesh" or (recipe.fusion != "painting" and step_in_cells(size) == 1)
     is_judged = recipe.fallback == "crossfade" or recipe.confidence
     marked = 1 if recipe.edges and recipe.renderer == "mesh" and recipe.fusion != "painting" else 0
     frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING
-    whole = 2 * (seen + (16 if is_held else 0)) + 1 + marked + frame + collected + (CONFIDENCE if is_judged else 0)
+    whole = 2 * (seen + (16 if is_held else 0)) + 1 + marked + frame + (CONFIDENCE if is_judged else 0)
     return painted + corrected + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

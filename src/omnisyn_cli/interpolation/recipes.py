@@ -37,7 +37,7 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
     usual = usual.of_known_depth() if kind == "file" else usual
     is_cut_as_usual = job.cut is None and job.cut_metres is None
     recipe = Recipe(
-        DepthSource(kind, usual.depth.rows, _model(job, kind, usual), _doubt(kind, usual)),
+        DepthSource(kind, usual.depth.rows, _model(job, kind, usual)),
         renderer=usual.renderer if job.renderer == "auto" else job.renderer,
         cut=usual.cut if is_cut_as_usual else job.cut,
         cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
@@ -81,11 +81,6 @@ def _model(job: InterpolationJob, kind: str, usual: Recipe) -> str | None:
     if model is None:
         raise InputError(f"expected a model for depth {kind!r}, got none; name one (--model)")
     return model
-
-
-def _doubt(kind: str, usual: Recipe) -> str | None:
-    """The network that doubts, where the preset has one and depth is found as there."""
-    return usual.depth.doubt if kind == usual.depth.kind else None
 
 
 def _fusion(job: InterpolationJob, kind: str, usual: Recipe) -> str:

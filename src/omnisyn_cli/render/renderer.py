@@ -1,7 +1,6 @@
 """One panorama seen from elsewhere, by a method chosen by name.
 
-``mesh``: the exact rasteriser, the default. ``points``: every pixel of the inverse depth is a disc, no surface is
-assumed. ``two-pass``: the paper's (section 3.4), kept for comparison.
+``mesh``: the exact rasteriser, the default. ``two-pass``: the paper's (section 3.4), kept for comparison.
 """
 
 from collections.abc import Callable
@@ -13,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
-from omnisyn_cli.render.points import PointRenderer
 from omnisyn_cli.render.rasterize import Rasterizer
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
@@ -81,7 +79,6 @@ class MeshRenderer:
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {
     "mesh": MeshRenderer,
-    "points": PointRenderer,
     "two-pass": TwoPassRenderer,
 }
 """Classes by name; all are made with the arguments of :class:`MeshRenderer`, which alone knows a way."""

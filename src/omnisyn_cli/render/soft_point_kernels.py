@@ -4,10 +4,58 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.render.point_kernels import disc_columns, disc_rows
 from omnisyn_cli.runtime.jit import kernel
 
 NO_POINT = -1
+
+
+@kernel()
+def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, points, begin, end):
+    """Cosine and sine of the polar angle, column and inverse depth in the target, for source rows of points.
+
+    Points that are masked or lie at the target's centre get a negative inverse depth.
+    """
+    width = rho.shape[1]
+    for row in range(begin, end):
+        sp, y = np.float64(sin_p[row]), np.float64(cos_p[row])
+        for col in range(width):
+            x, z, w = sp * sin_a[col], -sp * cos_a[col], np.float64(rho[row, col])
+            vx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + w * t[0]
+            vy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + w * t[1]
+            vz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + w * t[2]
+            length = math.sqrt(vx * vx + vy * vy + vz * vz)
+            seen = mask[row, col] and length > 1e-9
+            shrink = 1.0 / length if seen else 0.0
+            points[row, col, 0] = vy * shrink
+            points[row, col, 1] = math.sqrt(vx * vx + vz * vz) * shrink
+            points[row, col, 2] = math.atan2(vx, -vz) * scale[2] + scale[3]
+            points[row, col, 3] = w * shrink if seen else -1.0
+
+
+@kernel()
+def disc_rows(point, radius, height, begin, end):
+    """First and last row that a disc of angle ``radius`` around a point can touch."""
+    polar = math.atan2(point[1], point[0])
+    scale = height / math.pi
+    first = math.ceil((polar - radius) * scale - 0.5)
+    last = math.floor((polar + radius) * scale - 0.5)
+    return max(begin, first), min(end - 1, last)
+
+
+@kernel()
+def disc_columns(point, cos_radius, sp, cp, width):
+    """First and last column of a row that a disc covers; all of them if it holds the pole, none if it misses the row.
+
+    The spherical law of cosines: ``cos radius = cos p·cos p₀ + sin p·sin p₀·cos Δazimuth``.
+    """
+    excess = cos_radius - cp * point[0]
+    ring = sp * point[1]
+    if excess > ring:
+        return 0, -1
+    if excess <= -ring:
+        return 0, width - 1
+    half = math.acos(excess / ring) * (width / (2.0 * math.pi))
+    return math.ceil(point[2] - half), min(math.floor(point[2] + half), math.ceil(point[2] - half) + width - 1)
 
 
 @kernel()

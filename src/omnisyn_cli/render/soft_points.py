@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.render.points import projected_points
-from omnisyn_cli.render.soft_point_kernels import NO_POINT, composite, list_points
+from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
+from omnisyn_cli.render.soft_point_kernels import NO_POINT, composite, list_points, project_points
 from omnisyn_cli.runtime.threads import run_bands
 
 __all__ = ["NO_POINT", "Cloud", "splat"]
@@ -112,6 +111,22 @@ def list_visible(
     angle = disc_angle(radius, size[0])
     run_bands(lambda begin, end: list_points(points, order, angle, sin_p, cos_p, found, begin, end), size[0], threads)
     return PointLists(points, found)
+
+
+def projected_points(
+    inverse_depth: np.ndarray, mask: np.ndarray, pose: Pose, size: tuple[int, int], threads: int | None
+) -> np.ndarray:
+    """Per point ``(cos polar, sin polar, column, inverse depth)`` in the target."""
+    points = np.empty((*inverse_depth.shape, 4))
+    tables = direction_tables(*inverse_depth.shape)
+    rotation, translation = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.position)
+    scale = np.array(pixel_scale(size))
+
+    def band(begin: int, end: int) -> None:
+        project_points(inverse_depth, mask, *tables, rotation, translation, scale, points, begin, end)
+
+    run_bands(band, len(points), threads)
+    return points
 
 
 def _usable(inverse_depth: np.ndarray, mask: np.ndarray | None) -> Bool[np.ndarray, "height width"]:

@@ -17,16 +17,13 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 __all__ = [
     "Decorator",
-    "OtherCompiler",
     "announce_compiling",
     "are_kernels_kept",
     "compiled_kernel",
     "fast_kernel",
     "inlined",
     "inlined_contracting",
-    "is_on_disk",
     "kernel",
-    "reporting_to",
     "when_compiling",
     "while_compiling",
 ]
@@ -38,9 +35,6 @@ Decorator = Callable[..., Any]
 COMPILATION = "numba:compile"
 """What numba calls it."""
 
-PATIENCE = 0.5
-"""Seconds between two looks at whether to go on waiting."""
-
 ELSEWHERE = "elsewhere"
 """Said of what another process compiles, and long enough to be worth a word."""
 
@@ -49,62 +43,6 @@ class _Kept:
     """Whether machine code has a place on disk."""
 
     everywhere = True
-
-
-class OtherCompiler:
-    """What another process compiles for this one, as it says itself; see :func:`reporting_to`."""
-
-    def __init__(self) -> None:
-        self._at_work: set[str] = set()
-        self._changed = threading.Condition()
-
-    def hear(self, report: str) -> None:
-        """Take ``+NAME`` when it begins with a kernel, ``-NAME`` when that is on disk."""
-        with self._changed:
-            (self._at_work.add if report.startswith("+") else self._at_work.discard)(report[1:])
-            self._changed.notify_all()
-
-    def end(self) -> None:
-        """Take it that nothing more will come."""
-        with self._changed:
-            self._at_work.clear()
-            self._changed.notify_all()
-
-    def wait_for(self, name: str) -> bool:
-        """Wait while a kernel is compiled there; whether it was."""
-        with self._changed:
-            if name not in self._at_work:
-                return False
-            with event.trigger_event(COMPILATION):
-                while not self._changed.wait_for(lambda: name not in self._at_work, PATIENCE):
-                    pass  # a chance for Ctrl-C, where a wait without end would not notice it
-            return True
-
-    @contextmanager
-    def awaited(self) -> Iterator[None]:
-        """Inside, a kernel that is compiled there at the moment is not compiled here as well."""
-        _Others.compiler = self
-        try:
-            yield
-        finally:
-            _Others.compiler = None
-
-
-class _Others:
-    """Who else compiles, and who wants to know what is compiled here."""
-
-    compiler: OtherCompiler | None = None
-    report: Callable[[str], None] = staticmethod(lambda report: None)
-
-
-@contextmanager
-def reporting_to(report: Callable[[str], None]) -> Iterator[None]:
-    """Inside, ``report`` is called as :meth:`OtherCompiler.hear` is."""
-    former, _Others.report = _Others.report, staticmethod(report)
-    try:
-        yield
-    finally:
-        _Others.report = former
 
 
 class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]
@@ -129,29 +67,8 @@ class _Kernels(FunctionCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self.name = f"{function.__module__}.{function.__qualname__}"
         stamp = self._impl.locator.get_source_stamp()
         self._cache_file = _KeyedFiles(self.cache_path, self._impl.filename_base, stamp)
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What is there for some types; what another process is compiling is waited for."""
-        found = super().load_overload(sig, target_context)
-        if found is None and _Others.compiler is not None and _Others.compiler.wait_for(self.name):
-            found = super().load_overload(sig, target_context)
-        if found is None:
-            _Others.report(f"+{self.name}")
-        return found
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled for some types."""
-        super().save_overload(sig, data)
-        _Others.report(f"-{self.name}")
-
-
-def is_on_disk(kernel: Callable[..., Any]) -> bool:
-    """Whether there is machine code of a kernel from a former run, for whatever types."""
-    kept = getattr(kernel, "_cache", None)
-    return isinstance(kept, _Kernels) and bool(kept._cache_file._load_index())
 
 
 def are_kernels_kept() -> bool:
@@ -260,7 +177,7 @@ class _Change(event.Listener):  # type: ignore[misc]
 
 @contextmanager
 def while_compiling(say: Callable[[bool], None]) -> Iterator[None]:
-    """Call ``say`` with True whenever a kernel is compiled, or waited for, in between, and with False afterwards."""
+    """Call ``say`` with True whenever a kernel is compiled in between, and with False afterwards."""
     with event.install_listener(COMPILATION, _Change(say)):
         yield
 

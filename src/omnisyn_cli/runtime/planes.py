@@ -8,7 +8,7 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["SessionDoubt", "SessionFusion", "SessionPainter", "SessionRefinement"]
+__all__ = ["SessionFusion", "SessionPainter", "SessionRefinement"]
 
 MULTIPLE = 32
 """The completion network halves its input five times, the other one four: heights and widths are multiples of this."""
@@ -37,26 +37,6 @@ class SessionRefinement:
         padded, (height, width) = _padded(planes), planes.shape[1:]
         inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
         return inverse_depth[:height, :width], confidence[:height, :width]
-
-
-class SessionDoubt:
-    """Planes in, the probability that depth is right out; see :class:`omnisyn_cli.stereo.doubt.DoubtingNetwork`.
-
-    Args:
-        session: of a doubting model, likewise.
-
-    Raises:
-        InputError: the model is of another kind.
-    """
-
-    def __init__(self, session: Any) -> None:
-        self._session = _checked(session, ["confidence"])
-
-    def __call__(self, planes: Float32[np.ndarray, "27 height width"]) -> Float32[np.ndarray, "height width"]:
-        """For every pixel; InputError if the model is broken."""
-        padded, (height, width) = _padded(planes), planes.shape[1:]
-        (answer,) = run_network(self._session, {"planes": padded[None]}, ((1, 1, *padded.shape[1:]),))
-        return answer[0, 0, :height, :width]
 
 
 class SessionFusion:

@@ -19,7 +19,6 @@ from omnisyn_cli.geometry.sweep import agreement_around, free_space_agreement, m
 from omnisyn_cli.runtime.thread_limit import limited_threads
 from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.stereo.costs import sweep_cost
-from omnisyn_cli.stereo.doubt import DoubtingNetwork, doubted
 from omnisyn_cli.stereo.evidence import Answer, Evidence, PlanesNetwork, evidence_planes
 from omnisyn_cli.stereo.filling import median_around, remove_speckles, upsample
 from omnisyn_cli.stereo.matching import SPECKLE, MatchingDepthEstimator, agreeing, is_measurable
@@ -147,13 +146,11 @@ class RefinedDepthEstimator:
         matching: finds the evidence.
         refinement: the network; None leaves it out, to see what it is worth: what matching filled is taken as it is.
         rows: that depth is looked for at, see :func:`omnisyn_cli.stereo.sizes.estimate_sizes`.
-        doubt: says how far the estimates may be trusted (:mod:`omnisyn_cli.stereo.doubt`); None leaves that out.
     """
 
     matching: MatchingDepthEstimator
     refinement: PlanesNetwork | None
     rows: int
-    doubt: DoubtingNetwork | None = None
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
@@ -174,11 +171,10 @@ class RefinedDepthEstimator:
             lambda: _estimate(first, second, (one, trust), other, baseline, there.sure),
             lambda: _estimate(second, first, (other, back_trust), one, baseline, back.sure),
         )
-        estimates = both(
+        return both(
             partial(_confirmed, estimates, (first.pose, second.pose), baseline),
             partial(_confirmed, estimates[::-1], (second.pose, first.pose), baseline),
         )
-        return estimates if self.doubt is None else doubted(first, second, estimates, self.doubt)
 
     def _answers(self, there: Evidence, back: Evidence) -> tuple[Answer, Answer]:
         if self.refinement is None:

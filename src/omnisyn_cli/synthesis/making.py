@@ -105,12 +105,11 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
     matching = MatchingDepthEstimator(MatchingOptions(size=(coarse, 2 * coarse)), threads)
     if source.kind == "matching":
         return matching
-    from omnisyn_cli.runtime.planes import SessionDoubt, SessionRefinement
+    from omnisyn_cli.runtime.planes import SessionRefinement
     from omnisyn_cli.stereo.refined import RefinedDepthEstimator
 
     refinement = SessionRefinement(_session(source.model, device, threads)) if source.model is not None else None
-    doubt = SessionDoubt(_session(source.doubt, device, threads)) if source.doubt is not None else None
-    return RefinedDepthEstimator(matching, refinement, source.rows, doubt)
+    return RefinedDepthEstimator(matching, refinement, source.rows)
 
 
 def make_fuser(

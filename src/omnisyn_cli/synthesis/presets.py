@@ -1,4 +1,4 @@
-"""How much time accuracy is worth: recipes with a name, from fast to accurate; and the paper's own method."""
+"""How much time accuracy is worth: recipes with a name, from fast to balanced; and the paper's own method."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,10 +8,6 @@ from typing import Any
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 
 __all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
-
-
-DOUBT = "doubt-balanced"
-"""Name in the manifest of the network that says how far depth may be trusted."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +25,8 @@ class Preset:
     recipe: Recipe
 
 
-def _refined(rows: int, doubt: str | None = None, **changes: Any) -> Recipe:
-    return Recipe(DepthSource("refined", rows, "completion-balanced", doubt), adaptive=True, **changes)
+def _refined(rows: int, **changes: Any) -> Recipe:
+    return Recipe(DepthSource("refined", rows, "completion-balanced"), adaptive=True, **changes)
 
 
 def _by_name(*presets: Preset) -> Mapping[str, Preset]:
@@ -42,12 +38,7 @@ SCALE: Mapping[str, Preset] = _by_name(
     Preset(
         "balanced",
         "matching, refined by a network, sharpened at twice the size; another one fuses",
-        _refined(1024, fusion="network", fusion_rows=96),
-    ),
-    Preset(
-        "accurate",
-        "the same, a third one doubts, and the one that fuses looks closer",
-        _refined(1024, DOUBT, fusion="network"),
+        _refined(1024, fusion="network"),
     ),
 )
 """By name, from the fastest to the most accurate."""

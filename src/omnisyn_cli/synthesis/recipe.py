@@ -32,7 +32,7 @@ itself."""
 NETWORKED_DEPTH = ("refined", "network", "monocular")
 """Those that a network has a part in."""
 
-RENDERERS = ("mesh", "points", "two-pass")
+RENDERERS = ("mesh", "two-pass")
 """How surfaces are drawn, see :mod:`omnisyn_cli.render.renderer`."""
 
 FUSIONS = ("geometric", "network", "painting")
@@ -72,18 +72,16 @@ class DepthSource:
             more than it is good at, see :mod:`omnisyn_cli.stereo.sizes`; a network alone answers in a size of its own.
         model: for :data:`NETWORKED_DEPTH`: a name in the manifest, or the path of an ONNX file; for ``refined`` None
             leaves the network out, to compare with.
-        doubt: likewise, of the network that says how far refined estimates may be trusted.
     """
 
     kind: str = "file"
     rows: int = 512
     model: str | None = None
-    doubt: str | None = None
 
     @property
     def networks(self) -> tuple[str, ...]:
-        """Those that have a part in it, in the order in which they do."""
-        return tuple(network for network in (self.model, self.doubt) if network is not None)
+        """Those that have a part in it."""
+        return () if self.model is None else (self.model,)
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class Recipe:
     cut_metres: float | None = None
     adaptive: bool = False
     fusion: str = "geometric"
-    fusion_rows: int = 128
+    fusion_rows: int = 96
     edges: bool = True
     fallback: str = "none"
     confidence: bool = False
@@ -124,7 +122,7 @@ class Recipe:
 
     def of_known_depth(self) -> Recipe:
         """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
-        return replace(self, depth=replace(self.depth, kind="file", model=None, doubt=None), fusion="geometric")
+        return replace(self, depth=replace(self.depth, kind="file", model=None), fusion="geometric")
 
     @property
     def networks(self) -> tuple[str, ...]:

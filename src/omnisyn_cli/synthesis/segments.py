@@ -36,7 +36,7 @@ class SynthesisOptions:
 
     Attributes:
         size: height and width of the frames.
-        renderer: ``mesh``, ``points`` or ``two-pass``.
+        renderer: ``mesh`` or ``two-pass``.
         cut: where meshes are cut.
         threads: at most this many; None is one per core.
         cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
