@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.fusion.photometry.curve import linear_from_stored, stored_from_linear
+from omnisyn_cli.fusion.photometry.exposure_curve import linear_from_stored, stored_from_linear
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.render.mesh import Cut

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.synthesis.device.pair import GpuFrames
 from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.methods import SurfaceMethod

@@ -19,7 +19,7 @@ from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.io import read_depth, write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
-from omnisyn_cli.render.quads import CUT_EDGES
+from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.scenes.panorama import render_panorama
 from synthesis_samples import RADIUS, SIZE, posed, write_hall

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from fusion_samples import asked
 
-from omnisyn_cli.fusion.bands import ROWS, BandRunner, Views
-from omnisyn_cli.fusion.cells import step_in_cells
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.network import NetworkFuser
+from omnisyn_cli.fusion.ghost_grid import step_in_cells
+from omnisyn_cli.fusion.layer_pair import ROWS, BandRunner, Views
+from omnisyn_cli.fusion.residual import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Rendering
 

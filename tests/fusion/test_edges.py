@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from ball_samples import CENTRE, hits, inverse_depth
 
-from omnisyn_cli.fusion.bands import Views
-from omnisyn_cli.fusion.edges import CONTRAST, EdgeSampler
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import Suppression
-from omnisyn_cli.fusion.kinds import is_apart
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.layer_pair import Views
+from omnisyn_cli.fusion.pixel_classes import is_apart
+from omnisyn_cli.fusion.supersampling import CONTRAST, EdgeSampler
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from omnisyn_cli.fusion.blend_rule import BlendOptions
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.rule import BlendOptions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Rendering
 

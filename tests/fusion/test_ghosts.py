@@ -9,10 +9,10 @@ import pytest
 import torch
 from fusion_samples import asked
 
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
-from omnisyn_cli.fusion.network import NetworkFuser
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.residual import NetworkFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Rendering

@@ -5,8 +5,8 @@ import pytest
 import torch
 from ball_samples import inverse_depth, seen_by
 
-from omnisyn_cli.fusion.kinds import BESIDE as REACH
-from omnisyn_cli.fusion.kinds import DISAGREEMENT, PixelKinds, pixel_kinds, silhouettes
+from omnisyn_cli.fusion.pixel_classes import BESIDE as REACH
+from omnisyn_cli.fusion.pixel_classes import DISAGREEMENT, PixelKinds, pixel_kinds, silhouettes
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.renderer import MeshRenderer
 from omnisyn_cli.types import UNSEEN, Rendering

@@ -8,15 +8,15 @@ from fusion_samples import asked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.downsample_kernels import reduce_band
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.network import NetworkFuser, working_size
-from omnisyn_cli.fusion.network_kernels import reduce_band
-from omnisyn_cli.fusion.plane_maker import PlaneMaker
-from omnisyn_cli.fusion.planes import PLANES, doubt_of
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.second_look import FINER, LOOKS
+from omnisyn_cli.fusion.input_builder import PlaneMaker
+from omnisyn_cli.fusion.input_channels import PLANES, doubt_of
+from omnisyn_cli.fusion.layer_pair import BandRunner, Views
+from omnisyn_cli.fusion.residual import NetworkFuser, working_size
+from omnisyn_cli.fusion.warp_candidates import FINER, LOOKS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Rendering

@@ -5,12 +5,11 @@ import pytest
 import torch
 from test_network_fuser import copy, geometric, pair
 
-from omnisyn_cli.fusion import painting
-from omnisyn_cli.fusion.bands import BandRunner, Views
-from omnisyn_cli.fusion.painting import MULTIPLE, PaintingFuser
-from omnisyn_cli.fusion.plane_maker import reduced
-from omnisyn_cli.fusion.planes import PLANES, fusion_planes
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.direct import MULTIPLE, PaintingFuser
+from omnisyn_cli.fusion.input_builder import reduced
+from omnisyn_cli.fusion.input_channels import PLANES, fusion_planes
+from omnisyn_cli.fusion.layer_pair import BandRunner, Views
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
@@ -37,7 +36,7 @@ def paint(views, painter, t=0.5, threads=1):
 @pytest.mark.parametrize(("size", "most"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
 def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     """Against the planes that training takes from a pool, which another module makes."""
-    monkeypatch.setattr(painting, "MOST_ROWS", most)
+    monkeypatch.setattr(direct, "MOST_ROWS", most)
     views, painter = pair(size), Painter()
     paint(views, painter)
     first, second = reduced(Views(*views), (64, 128), BandRunner(size, 1))
@@ -63,7 +62,7 @@ def test_it_paints_from_the_first_frame_to_the_last():
 
 
 def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
-    monkeypatch.setattr(painting, "MOST_ROWS", 64)
+    monkeypatch.setattr(direct, "MOST_ROWS", 64)
     picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
     found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)))
     expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.fusion.blend_kernels import quantize_rows
 
 
 def quantized(values: np.ndarray, dtype: type = np.uint8) -> np.ndarray:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from omnisyn_cli.fusion.bands import Views
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown, blended, view_weights
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.fusion.layer_pair import Views
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import UNSEEN, Rendering

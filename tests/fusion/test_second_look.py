@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from fusion_samples import plain_witness
 
+from omnisyn_cli.fusion.blend_rule import Shown
+from omnisyn_cli.fusion.input_channels import PLANES
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
-from omnisyn_cli.fusion.planes import PLANES
-from omnisyn_cli.fusion.rule import Shown
-from omnisyn_cli.fusion.second_look import (
+from omnisyn_cli.fusion.warp_candidates import (
     CANDIDATES,
     CONFRONTED,
     CONTRADICTED,

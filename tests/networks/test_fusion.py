@@ -5,7 +5,7 @@ import torch
 from plane_samples import FUSION, PAINTING, answers, awake, random_planes
 from torch.nn import functional
 
-from omnisyn_cli.fusion.second_look import LEAST_SHARE
+from omnisyn_cli.fusion.warp_candidates import LEAST_SHARE
 from omnisyn_cli.networks.fusion import (
     FUSION_VARIANTS,
     RELEVANCE_PLANE,

@@ -8,7 +8,7 @@ from render_samples import CUTS, WHOLE, rough, smooth
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render import mesh as mesh_module
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
-from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUAD
+from omnisyn_cli.render.quad_blocks import CUT_EDGES, FACES_PER_QUAD
 
 SHAPES = [(2, 2), (2, 5), (4, 8), (9, 14)]
 

@@ -7,7 +7,7 @@ from render_samples import CUTS, POSES, WHOLE, is_unambiguous, moved, random_pos
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Mesh, build_mesh
-from omnisyn_cli.render.quads import FACES_PER_QUAD
+from omnisyn_cli.render.quad_blocks import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments, Rasterizer, rasterize
 from reference_rasterizer import rasterize_reference
 

@@ -5,7 +5,7 @@ from render_samples import WHOLE, moved, random_pose, rough, smooth
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import RENDERERS, make_renderer
-from omnisyn_cli.render.trust import LEAST
+from omnisyn_cli.render.surface_confidence import LEAST
 
 everywhere = pytest.mark.parametrize("name", RENDERERS)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.render.simd import (
     FIXED_ONE,
     FIXED_TEXEL,
@@ -24,7 +25,6 @@ from omnisyn_cli.render.simd import (
     store_sum,
     where,
 )
-from omnisyn_cli.runtime.jit import kernel
 
 
 @kernel(cache=False)

@@ -4,11 +4,10 @@ from render_samples import rough
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import build_mesh
-from omnisyn_cli.render.quads import CUT_EDGES, FACES_PER_QUARTER
+from omnisyn_cli.render.quad_blocks import CUT_EDGES, FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.shade import shade
-from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.trust import (
+from omnisyn_cli.render.surface_confidence import (
     AT_CUTS,
     BEHIND,
     BEHIND_CUTS,
@@ -20,6 +19,7 @@ from omnisyn_cli.render.trust import (
     REACH,
     trust_of_quarters,
 )
+from omnisyn_cli.render.texture import make_texture
 
 
 def whole(height, width):

@@ -7,9 +7,9 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import RENDERERS, make_renderer
+from omnisyn_cli.render.reprojection import AskedPanorama
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.witness import AskedPanorama
 
 SIZE = (64, 128)
 POSE = Pose(rotation_from_heading(0.7, 0.1, -0.2), np.array([0.3, -0.1, 0.4]))

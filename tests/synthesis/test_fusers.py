@@ -11,9 +11,9 @@ from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.network import NetworkFuser
-from omnisyn_cli.fusion.planes import PLANES
-from omnisyn_cli.fusion.second_look import LOOKS
+from omnisyn_cli.fusion.residual import NetworkFuser
+from omnisyn_cli.fusion.input_channels import PLANES
+from omnisyn_cli.fusion.warp_candidates import LOOKS
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation

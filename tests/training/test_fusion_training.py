@@ -6,19 +6,19 @@ import torch
 from torch.nn import functional
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion.bands import BandRunner, Views
-from omnisyn_cli.fusion.network import NetworkFuser
-from omnisyn_cli.fusion.plane_maker import PlaneMaker
-from omnisyn_cli.fusion.planes import PLANES
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.second_look import CANDIDATES, FINER, LOOKS, SUPPOSED
+from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion.layer_pair import BandRunner, Views
+from omnisyn_cli.fusion.residual import NetworkFuser
+from omnisyn_cli.fusion.input_builder import PlaneMaker
+from omnisyn_cli.fusion.input_channels import PLANES
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.warp_candidates import CANDIDATES, FINER, LOOKS, SUPPOSED
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.witness import AskedPanorama
+from omnisyn_cli.render.reprojection import AskedPanorama
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
 from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores, mixed

@@ -10,18 +10,18 @@ from training_samples import TINY, ball_scene, make_pool
 
 from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion.layer_pair import BandRunner, Views
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.plane_maker import reduced
-from omnisyn_cli.fusion.planes import fusion_planes
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown
+from omnisyn_cli.fusion.input_builder import reduced
+from omnisyn_cli.fusion.input_channels import fusion_planes
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.depth_config import VARIANTS
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig, PaperPrediction
 from omnisyn_cli.render.mesh import build_mesh
-from omnisyn_cli.render.quads import CUT_EDGES
+from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.data import list_pool, save_scene

@@ -13,7 +13,7 @@ import pytest
 from interpolation_samples import job_of
 from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown, blended, view_weights
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions

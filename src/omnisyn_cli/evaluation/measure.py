@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.evaluation import metrics
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
-from omnisyn_cli.fusion.kinds import pixel_kinds, silhouettes
+from omnisyn_cli.fusion.pixel_classes import pixel_kinds, silhouettes
 from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
 from omnisyn_cli.synthesis.frames import turned_panorama
 from omnisyn_cli.synthesis.methods import Pair
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -122,7 +122,7 @@ def _scores(
 
 
 def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
-    """Where pixels of each kind are in a frame, by :mod:`omnisyn_cli.fusion.kinds`; its ends without geometry."""
+    """Where pixels of each kind are in a frame, by :mod:`omnisyn_cli.fusion.pixel_classes`; its ends without geometry."""
     shown = made.renderings(waypoint)
     if shown is None:
         return metrics.end_masks(size)

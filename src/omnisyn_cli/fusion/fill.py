@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.kernels import stored, storing_in
-from omnisyn_cli.runtime.jit import fast_kernel
-from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.blend_kernels import stored, storing_in
 
 __all__ = ["HoleFiller"]
 

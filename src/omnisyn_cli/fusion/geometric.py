@@ -1,18 +1,13 @@
 """Fusion without a network: a soft choice per pixel, then the holes are filled from their far side.
 
-How much a view counts for a pixel is said in :mod:`omnisyn_cli.fusion.rule`. Things that moved between the photographs
+How much a view counts for a pixel is said in :mod:`omnisyn_cli.fusion.blend_rule`. Things that moved between the photographs
 are shown by one of the views alone (:mod:`omnisyn_cli.fusion.ghosts`).
 """
 
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.bands import ROWS, BandRunner, Views
-from omnisyn_cli.fusion.confidence import confidence_step
-from omnisyn_cli.fusion.edges import EdgeSampler
-from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.ghosts import GhostRemover, is_in_place
-from omnisyn_cli.fusion.kernels import (
+from omnisyn_cli.fusion.blend_kernels import (
     Layer,
     Tables,
     blend_band,
@@ -20,7 +15,12 @@ from omnisyn_cli.fusion.kernels import (
     rule_of,
     storing_in,
 )
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.confidence import confidence_step
+from omnisyn_cli.fusion.fill import HoleFiller
+from omnisyn_cli.fusion.ghosts import GhostRemover, is_in_place
+from omnisyn_cli.fusion.layer_pair import ROWS, BandRunner, Views
+from omnisyn_cli.fusion.supersampling import EdgeSampler
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.types import ColourStep, Rendering
 
@@ -37,7 +37,7 @@ class GeometricFuser:
         size: height and width of the frames.
         options: of the rule.
         threads: at most this many; None is one per core.
-        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.edges`, where renderings have
+        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.supersampling`, where renderings have
             some.
 
     Attributes:

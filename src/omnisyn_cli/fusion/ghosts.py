@@ -21,14 +21,14 @@ import numpy as np
 from array_api_compat import array_namespace, device, is_numpy_array
 from jaxtyping import Bool, Float32, Integer
 
-from omnisyn_cli.fusion.cells import greatest_near, mean_near, side_of_cells, step_in_cells
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.blend_rule import BlendRule, Shown, view_weights
+from omnisyn_cli.fusion.ghost_grid import greatest_near, mean_near, side_of_cells, step_in_cells
 from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows, suppress_spots
-from omnisyn_cli.fusion.rule import BlendRule, Shown, view_weights
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.geometry.regions import connected_regions
 from omnisyn_cli.geometry.sampling import at_crossings
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import UNSEEN, Rendering, Spots
 
 __all__ = ["GhostRemover", "Suppression", "is_in_place"]

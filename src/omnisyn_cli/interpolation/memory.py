@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omnisyn_cli.fusion.cells import step_in_cells
+from omnisyn_cli.fusion.ghost_grid import step_in_cells
 from omnisyn_cli.interpolation.job import InterpolationJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
@@ -143,7 +143,7 @@ def estimated_memory(
         size: height and width of the frames.
         sources: those of the panoramas.
         depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
-            to their size by :mod:`omnisyn_cli.stereo.refined`.
+            to their size by :mod:`omnisyn_cli.stereo.refined_estimator`.
 
     Raises:
         ImageError: a panorama is missing or unreadable.

@@ -1,8 +1,8 @@
 """Two renderings become one picture: the paper's UNet, and a smaller network that corrects the geometric fusion.
 
 ``paper`` paints: renderings and visibility masks in, colours out, at one resolution. ``residual`` sees more (inverse
-depth, the position on the way, what the geometric fusion makes of it, see :mod:`omnisyn_cli.fusion.planes`; and what
-the photographs show at other distances, see :mod:`omnisyn_cli.fusion.second_look`) and answers less: the shares of a
+depth, the position on the way, what the geometric fusion makes of it, see :mod:`omnisyn_cli.fusion.input_channels`; and what
+the photographs show at other distances, see :mod:`omnisyn_cli.fusion.warp_candidates`) and answers less: the shares of a
 pixel that are to be what the photographs show there. A fresh network has small shares: it nearly is the geometric
 fusion; and because photographs are chosen from, not painted, the frames are as sharp as they are, at any size.
 

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.render.quads import BLOCK
+from omnisyn_cli.compute.jit import fast_kernel, inlined, kernel
+from omnisyn_cli.render.quad_blocks import BLOCK
 from omnisyn_cli.render.simd import LANES, load, splat, store
 from omnisyn_cli.render.trigonometry import atan2_fast
-from omnisyn_cli.runtime.jit import fast_kernel, inlined, kernel
 
 __all__ = ["WIDE"]
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import fast_kernel, inlined, inlined_contracting, kernel
 from omnisyn_cli.render.box_kernels import (
     COL,
     FIRST_COL,
@@ -22,6 +23,7 @@ from omnisyn_cli.render.box_kernels import (
     Z,
     surround,
 )
+from omnisyn_cli.render.quad_blocks import BLOCK, DIAGONAL
 from omnisyn_cli.render.quad_kernels import (
     A_LEFT,
     A_OTHER,
@@ -36,10 +38,8 @@ from omnisyn_cli.render.quad_kernels import (
     NOT_AT_ALL,
     split_exactly,
 )
-from omnisyn_cli.render.quads import BLOCK, DIAGONAL
 from omnisyn_cli.render.simd import LANES, load, load_halves, pair, splat, store, store_halves, where
 from omnisyn_cli.render.trigonometry import atan2_fast
-from omnisyn_cli.runtime.jit import fast_kernel, inlined, inlined_contracting, kernel
 
 SPANNED = 24
 """Columns of a box from which on spans are found row by row."""

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float, Integer, UInt8
 
 from omnisyn_cli.geometry.sampling import greatest_of_parts
 from omnisyn_cli.geometry.sphere import UP, direction_tables, pixel_directions
-from omnisyn_cli.render.quads import (
+from omnisyn_cli.render.quad_blocks import (
     BLOCK,
     BOTTOM,
     CUT_EDGES,
@@ -42,7 +42,7 @@ from omnisyn_cli.render.quads import (
     empty_blocks,
     put,
 )
-from omnisyn_cli.render.trust import trust_of_quarters
+from omnisyn_cli.render.surface_confidence import trust_of_quarters
 
 __all__ = ["Cut", "Mesh", "build_mesh", "mask_of_vertices"]
 

@@ -19,8 +19,9 @@ edge-on) and across the seam a quad is drawn in float64.
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.render.box_kernels import FREE, INVERSE_DEPTH, X, Y, Z
-from omnisyn_cli.render.quads import DIAGONAL, REMOVED
+from omnisyn_cli.render.quad_blocks import DIAGONAL, REMOVED
 from omnisyn_cli.render.simd import (
     LANES,
     double,
@@ -31,7 +32,6 @@ from omnisyn_cli.render.simd import (
     store,
     where,
 )
-from omnisyn_cli.runtime.jit import inlined, kernel
 
 __all__ = ["EDGE_ON", "split_quad"]
 

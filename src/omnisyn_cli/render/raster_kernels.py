@@ -7,6 +7,7 @@ target's frame and projected, boxes are found, edges and planes are planned, ray
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import fast_kernel, inlined, kernel
 from omnisyn_cli.render.box_kernels import (
     FIRST_COL,
     FIRST_ROW,
@@ -17,9 +18,8 @@ from omnisyn_cli.render.box_kernels import (
     place_block,
 )
 from omnisyn_cli.render.draw_kernels import draw_quads
+from omnisyn_cli.render.quad_blocks import BLOCK
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, plan_quads
-from omnisyn_cli.render.quads import BLOCK
-from omnisyn_cli.runtime.jit import fast_kernel, inlined, kernel
 
 __all__ = ["rasterize_blocks"]
 

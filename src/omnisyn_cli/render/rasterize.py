@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
+from omnisyn_cli.render.edge_pixel_kernels import rasterize_spots
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import QuadBlocks
+from omnisyn_cli.render.quad_blocks import QuadBlocks
 from omnisyn_cli.render.raster_kernels import NOTHING, find_block_boxes, rasterize_blocks
-from omnisyn_cli.render.spot_kernels import rasterize_spots
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Spots
 
 __all__ = ["NOTHING", "Fragments", "rasterize"]

@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
 from omnisyn_cli.render.rasterize import Rasterizer
+from omnisyn_cli.render.reprojection import AskedPanorama
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass import TwoPassRenderer
-from omnisyn_cli.render.witness import AskedPanorama
 from omnisyn_cli.types import Rendering, Samples, Spots
 
 __all__ = ["MeshRenderer", "Renderer", "make_renderer"]

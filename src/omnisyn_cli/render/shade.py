@@ -11,13 +11,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Integer
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import at_crossings
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.shade_kernels import shade_rows, shade_spots
 from omnisyn_cli.render.texture import CHANNELS, Texture, cubic_weights
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Spots
 
 __all__ = ["Shader", "TrustMap", "make_trust"]

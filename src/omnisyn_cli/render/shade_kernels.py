@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.render.simd import (
     FIXED_ONE,
     FIXED_TEXEL,
@@ -16,7 +17,6 @@ from omnisyn_cli.render.simd import (
     store_sum,
 )
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
-from omnisyn_cli.runtime.jit import fast_kernel, inlined
 
 __all__ = ["FINER", "SPECIAL"]
 

@@ -12,9 +12,10 @@ merged quad reach outwards by as much as the vertices along them lie outside (se
 import numpy as np
 from jaxtyping import Float, Integer
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import CUT_EDGES, DIAGONAL, REMOVED, QuadBlocks, in_blocks
+from omnisyn_cli.render.quad_blocks import CUT_EDGES, DIAGONAL, REMOVED, QuadBlocks, in_blocks
 from omnisyn_cli.render.simplify_kernels import (
     APART,
     COVERED,
@@ -24,7 +25,6 @@ from omnisyn_cli.render.simplify_kernels import (
     measure_gaps,
     merge_strips,
 )
-from omnisyn_cli.runtime.threads import run_bands
 
 __all__ = ["flat_rectangles"]
 

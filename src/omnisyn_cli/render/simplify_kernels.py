@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.render.quads import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
-from omnisyn_cli.runtime.jit import inlined, kernel
+from omnisyn_cli.compute.jit import inlined, kernel
+from omnisyn_cli.render.quad_blocks import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
 
 COVERED = 255
 """Marks quads inside of a rectangle that begins elsewhere, and those that are not drawn."""

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.runtime.jit import kernel
+from omnisyn_cli.compute.jit import kernel
 
 NO_POINT = -1
 

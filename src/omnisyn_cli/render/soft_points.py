@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.soft_point_kernels import NO_POINT, composite, list_points, project_points
-from omnisyn_cli.runtime.threads import run_bands
 
 __all__ = ["NO_POINT", "Cloud", "splat"]
 

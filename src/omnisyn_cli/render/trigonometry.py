@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.runtime.jit import inlined
+from omnisyn_cli.compute.jit import inlined
 
 ATAN2_ERROR = 4e-7
 """Largest error of :func:`atan2_fast` in radians, float32 rounding included."""

@@ -15,16 +15,16 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.mesh import Cut, Mesh, Triangles, build_mesh, mask_of_vertices
-from omnisyn_cli.render.quads import FACES_PER_QUAD
+from omnisyn_cli.render.quad_blocks import FACES_PER_QUAD
 from omnisyn_cli.render.rasterize import NOTHING, Fragments
+from omnisyn_cli.render.reprojection import AskedPanorama
 from omnisyn_cli.render.shade import Shader, make_trust
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.render.two_pass_kernels import draw_flat_triangles, flatten_triangles
-from omnisyn_cli.render.witness import AskedPanorama
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
 

@@ -12,14 +12,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.confidence.score import PairConfidence, assess_pair
+from omnisyn_cli.compute.threads import both, limited_threads
+from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess_pair
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, estimate_curve, rough_curve
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
-from omnisyn_cli.runtime.thread_limit import limited_threads
-from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.types import DepthEstimate, Rendering, View
 
 __all__ = ["CHECK_SIZE", "SAME_PLACE", "CrossCheck", "in_one_exposure", "middle_of", "resized"]
@@ -58,7 +57,7 @@ def in_one_exposure(first: View, second: View, threads: int | None = None) -> tu
     """
     if rough_curve(first, second).is_identity or np.array_equal(first.pose.position, second.pose.position):
         return first, second
-    from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+    from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
     options = MatchingOptions(size=ROUGH_SIZE, colour_share=0.0, doubtful_colour_share=0.0)
     views = (first, second)

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.bands import ROWS
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.layer_pair import ROWS
 from omnisyn_cli.fusion.confidence import doubtful_regions
-from omnisyn_cli.fusion.kernels import storing_in
+from omnisyn_cli.fusion.blend_kernels import storing_in
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.runtime.threads import run_bands
 
 
 class CrossFade:

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.geometric import ROWS
-from omnisyn_cli.fusion.kernels import quantize_rows
+from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.synthesis.between import Frame, MemoryForFrames
 from omnisyn_cli.synthesis.methods import Method, Pair
 from omnisyn_cli.synthesis.trajectory import Waypoint

@@ -19,10 +19,10 @@ from omnisyn_cli.synthesis.recipe import (
 from omnisyn_cli.types import DepthEstimator, Fuser, KnownDepth
 
 if TYPE_CHECKING:
+    from omnisyn_cli.compute.stopwatch import Stopwatch
     from omnisyn_cli.runtime.synsin_sessions import SynSinSessions
     from omnisyn_cli.synthesis.device.pair import GpuFrames
     from omnisyn_cli.synthesis.methods import Method
-    from omnisyn_cli.synthesis.segments import Stopwatch
 
 __all__ = ["make_estimator", "make_method"]
 
@@ -98,15 +98,15 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
         from omnisyn_cli.runtime.synsin_sessions import MonocularDepthEstimator
 
         return MonocularDepthEstimator(_session(source.model, device, threads))
-    from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-    from omnisyn_cli.stereo.sizes import coarse_rows
+    from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+    from omnisyn_cli.stereo.depth_sizes import coarse_rows
 
     coarse = coarse_rows(source.rows)
     matching = MatchingDepthEstimator(MatchingOptions(size=(coarse, 2 * coarse)), threads)
     if source.kind == "matching":
         return matching
     from omnisyn_cli.runtime.planes import SessionRefinement
-    from omnisyn_cli.stereo.refined import RefinedDepthEstimator
+    from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
     refinement = SessionRefinement(_session(source.model, device, threads)) if source.model is not None else None
     return RefinedDepthEstimator(matching, refinement, source.rows)
@@ -142,10 +142,10 @@ def make_fuser(
 
     session = _session(model or FUSION_MODELS[name], device, threads)
     if name == "painting":
-        from omnisyn_cli.fusion.painting import PaintingFuser
+        from omnisyn_cli.fusion.direct import PaintingFuser
 
         return PaintingFuser(size, SessionPainter(session), threads=threads)
-    from omnisyn_cli.fusion.network import NetworkFuser
+    from omnisyn_cli.fusion.residual import NetworkFuser
 
     return NetworkFuser(size, SessionFusion(session), rows, threads=threads, edges=edges)
 

@@ -69,7 +69,7 @@ class DepthSource:
     Attributes:
         kind: one of :data:`DEPTH_SOURCES`.
         rows: that it is looked for at; refined estimates have half of them, those of matching alone as many, but not
-            more than it is good at, see :mod:`omnisyn_cli.stereo.sizes`; a network alone answers in a size of its own.
+            more than it is good at, see :mod:`omnisyn_cli.stereo.depth_sizes`; a network alone answers in a size of its own.
         model: for :data:`NETWORKED_DEPTH`: a name in the manifest, or the path of an ONNX file; for ``refined`` None
             leaves the network out, to compare with.
     """
@@ -98,7 +98,7 @@ class Recipe:
         adaptive: whether flat surfaces are drawn with fewer triangles.
         fusion: one of :data:`FUSIONS`.
         fusion_rows: that a network which corrects the rules looks at, at most.
-        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.edges`; meshes that rules fuse
+        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.supersampling`; meshes that rules fuse
             have some.
         fallback: one of :data:`FALLBACKS`.
         confidence: whether every frame gets a map of its confidence.

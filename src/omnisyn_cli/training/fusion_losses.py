@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion import input_channels as plane
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 

@@ -4,8 +4,8 @@ A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. The ends of a strai
 photographed, their depth is estimated or, for a few, known, both surfaces are rendered from places in between. For each
 place ``k``:
 
-* ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.planes` and
-  :mod:`omnisyn_cli.fusion.second_look`,
+* ``planes_k`` ``(planes, height, width)`` float16, see :mod:`omnisyn_cli.fusion.input_channels` and
+  :mod:`omnisyn_cli.fusion.warp_candidates`,
 * ``shown_k`` ``(15, rows, cols)`` float16, at twice the size of the pool: what the geometric fusion makes of it, then
   the four candidates,
 * ``truth_k`` ``(3, rows, cols)`` float16, the scene as it is seen from there, in [0, 1],
@@ -28,10 +28,10 @@ import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from omnisyn_cli.fusion import planes as plane
-from omnisyn_cli.fusion import second_look as look
-from omnisyn_cli.fusion.network import NetworkFuser
-from omnisyn_cli.fusion.second_look import SecondLook
+from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion import warp_candidates as look
+from omnisyn_cli.fusion.residual import NetworkFuser
+from omnisyn_cli.fusion.warp_candidates import SecondLook
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import mean_over_sphere
 from omnisyn_cli.render.mesh import Cut
@@ -139,7 +139,7 @@ class _Recorder(NetworkFuser):
         self.seen: list[tuple[np.ndarray, np.ndarray]] = []
 
     def correct(self, planes: np.ndarray, look: SecondLook, strength: np.ndarray, picture: np.ndarray) -> None:
-        """See :class:`omnisyn_cli.fusion.network.NetworkFuser`; nothing is corrected."""
+        """See :class:`omnisyn_cli.fusion.residual.NetworkFuser`; nothing is corrected."""
         pictures = [picture, *look.candidates(self.size)[..., :3]]
         self.seen.append((planes, np.concatenate([small_planes(each, self._kept) for each in pictures])))
 

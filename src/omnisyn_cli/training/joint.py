@@ -23,23 +23,21 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion import input_channels as plane
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.planes import fusion_planes
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown
+from omnisyn_cli.fusion.input_channels import fusion_planes
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.networks.depth import DepthNetwork, DepthPrediction
-from omnisyn_cli.networks.depth_config import DepthConfig
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork, PaperPrediction
 from omnisyn_cli.render.mesh import Mesh, build_mesh
-from omnisyn_cli.render.quads import FACES_PER_QUARTER
+from omnisyn_cli.render.quad_blocks import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
 from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, inputs_of
-from omnisyn_cli.training.losses import depth_loss, depth_scores, paper_loss
+from omnisyn_cli.training.losses import depth_scores, paper_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
-from omnisyn_cli.training.triples import EPIPOLE_FROM_FORWARD, Triples, exchanged_panoramas
+from omnisyn_cli.training.triples import Triples, exchanged_panoramas
 
 __all__ = ["JointConfig"]
 
@@ -52,9 +50,9 @@ ALONG = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class JointConfig:
-    """Which networks; a depth network of either kind, and a fusion network that paints: the others ask photographs."""
+    """Which networks; the fusion network is one that paints: the others need the photographs."""
 
-    depth: DepthConfig | PaperConfig
+    depth: PaperConfig
     fusion: FusionConfig
 
     @property
@@ -74,16 +72,12 @@ class JointConfig:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a checkpoint; the depth network is under the kind that its own checkpoints name."""
-        kind = "paper" if isinstance(self.depth, PaperConfig) else "depth"
-        return {kind: self.depth.as_dict(), "fusion": self.fusion.as_dict()}
+        return {"paper": self.depth.as_dict(), "fusion": self.fusion.as_dict()}
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> JointConfig:
         """The inverse of :meth:`as_dict`; unknown and missing keys are errors."""
-        fusion = FusionConfig.from_dict(values["fusion"])
-        if "paper" in values:
-            return JointConfig(PaperConfig.from_dict(values["paper"]), fusion)
-        return JointConfig(DepthConfig.from_dict(values["depth"]), fusion)
+        return JointConfig(PaperConfig.from_dict(values["paper"]), FusionConfig.from_dict(values["fusion"]))
 
 
 @dataclass(frozen=True)
@@ -97,7 +91,7 @@ class PairPrediction:
         confidence: the same of the confidence, without gradients.
     """
 
-    stacked: DepthPrediction | PaperPrediction
+    stacked: PaperPrediction
     inverse_depth: Float[Tensor, "2 batch height width"]
     confidence: Float[Tensor, "2 batch height width"]
 
@@ -108,22 +102,17 @@ class JointNetwork(nn.Module):
     def __init__(self, config: JointConfig) -> None:
         super().__init__()
         self.config = config
-        self.depth: DepthNetwork | PaperNetwork = (
-            PaperNetwork(config.depth) if isinstance(config.depth, PaperConfig) else DepthNetwork(config.depth)
-        )
+        self.depth = PaperNetwork(config.depth)
         self.fusion = build_fusion(config.fusion)
 
     def forward(
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
     ) -> PairPrediction:
         """Estimate the depth of both panoramas, called like the depth network."""
-        frame = self.depth.frame
-        other_way = [exchanged_panoramas(x, frame) for x in (second, first)]
+        other_way = [exchanged_panoramas(x) for x in (second, first)]
         stacked = self.depth(torch.cat([first, other_way[0]]), torch.cat([second, other_way[1]]))
         halves = (x.squeeze(1).chunk(2) for x in (stacked.inverse_depth(), stacked.confidence().detach()))
-        return PairPrediction(
-            stacked, *(torch.stack([one, exchanged_panoramas(other, frame)]) for one, other in halves)
-        )
+        return PairPrediction(stacked, *(torch.stack([one, exchanged_panoramas(other)]) for one, other in halves))
 
 
 @dataclass(frozen=True)
@@ -144,15 +133,13 @@ def joint_answer(network: JointNetwork, triples: Triples) -> JointAnswer:
             prediction.confidence.float(),
             torch.stack([triples.first_texture, triples.second_texture]),
             triples.share,
-            network.depth.frame,
         )
     return JointAnswer(prediction, planes, network.fusion(inputs_of(network.fusion.config, planes)))
 
 
 def joint_loss(answer: JointAnswer, triples: Triples) -> Tensor:
     """The loss of both panoramas' depth and that of the picture, a scalar."""
-    stacked, roots = answer.prediction.stacked, triples.roots.flatten(0, 1)
-    depth = depth_loss(stacked, roots) if isinstance(stacked, DepthPrediction) else paper_loss(stacked, roots)
+    depth = paper_loss(answer.prediction.stacked, triples.roots.flatten(0, 1))
     return depth + FUSION_WEIGHT * fusion_loss(answer.picture, triples.middle)
 
 
@@ -175,7 +162,6 @@ def planes_between(
     confidence: Float[Tensor, "2 batch rows cols"],
     textures: Float[Tensor, "2 batch 3 rows cols"],
     share: Float[Tensor, " batch"],
-    frame: str,
 ) -> Float[Tensor, "batch planes rows cols"]:
     """What the fusion network sees of pairs, from places between them.
 
@@ -184,13 +170,10 @@ def planes_between(
         confidence: of it, in [0, 1].
         textures: their colours; gradients flow to them.
         share: of the way, of each pair.
-        frame: that the panoramas are held in, ``epipole`` or ``forward``.
     """
     planes = []
     for k, t in enumerate(share.tolist()):
-        first, second = (
-            view_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i, frame) for i in range(2)
-        )
+        first, second = (view_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i) for i in range(2))
         planes.append(fusion_planes(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
     return torch.stack(planes)
 
@@ -208,13 +191,11 @@ def view_between(
     confidence: Float[Tensor, "rows cols"],
     texture: Float[Tensor, "3 rows cols"],
     ahead: float,
-    frame: str,
 ) -> Shown:
     """One panorama as it is seen, in the forward frame, from ``ahead`` baselines further on, at its own size."""
     surface = inverse_depth.detach().cpu().numpy()
     mesh = build_mesh(surface, confidence=confidence.cpu().numpy())
-    rotation = EPIPOLE_FROM_FORWARD.T if frame == "epipole" else np.eye(3)
-    pose = Pose(rotation, -ahead * ALONG)
+    pose = Pose(np.eye(3), -ahead * ALONG)
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
     weight = _weight(fragments, mesh).to(inverse_depth)

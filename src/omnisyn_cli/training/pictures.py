@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion import planes as plane
+from omnisyn_cli.fusion import input_channels as plane
 from omnisyn_cli.io.outputs import write_errors
 
 __all__ = ["Board"]

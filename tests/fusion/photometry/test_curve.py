@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion.photometry.curve import (
+from omnisyn_cli.fusion.photometry.exposure_curve import (
     KNOTS,
     ExposureCurve,
     estimate_curve,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, rough_curve
-from omnisyn_cli.fusion.photometry.curve import KNOTS
+from omnisyn_cli.fusion.photometry.exposure_curve import KNOTS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Rendering, View
 from photometry_samples import exposed, in_eight_bits

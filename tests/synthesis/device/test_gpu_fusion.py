@@ -5,11 +5,11 @@ import pytest
 import torch
 from gpu_samples import BRIGHTER
 
-from omnisyn_cli.fusion.bands import Views
+from omnisyn_cli.fusion.layer_pair import Views
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover
 from omnisyn_cli.fusion.photometry import ExposureMatcher
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.synthesis.device.pictures import change_colours, fill_holes, samples_of

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.fusion.photometry.curve import ExposureCurve, estimate_gain
-from omnisyn_cli.fusion.photometry.kernels import look_up_rows
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, estimate_gain
+from omnisyn_cli.fusion.photometry.exposure_kernels import look_up_rows
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import View
 
 SAMPLES = (64, 128)

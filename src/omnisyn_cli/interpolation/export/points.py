@@ -11,7 +11,7 @@ from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_tables, normalize, pixel_directions, pixel_scale, pixel_to_direction
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import BOTTOM, LEFT, TOP
+from omnisyn_cli.render.quad_blocks import BOTTOM, LEFT, TOP
 
 DISC = 0.55
 """Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %.

@@ -8,8 +8,8 @@ import numpy as np
 
 from omnisyn_cli.fusion.confidence import LEAST_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.fusion.photometry.matching import CLIPPING, MOST_LOSS
-from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendOptions
+from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING, MOST_LOSS
+from omnisyn_cli.fusion.blend_rule import FAR_PREFERENCE, BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
@@ -21,7 +21,7 @@ from omnisyn_cli.interpolation.walk.packing import (
     trust_codes,
 )
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.quads import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
+from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.types import BELIEF, UNSEEN
 

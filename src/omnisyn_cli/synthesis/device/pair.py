@@ -19,10 +19,10 @@ import torch
 from jaxtyping import Bool, Float32, Integer, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.bands import Views
+from omnisyn_cli.fusion.layer_pair import Views
 from omnisyn_cli.fusion.ghosts import GhostRemover, is_in_place
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown, blended, view_weights
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices

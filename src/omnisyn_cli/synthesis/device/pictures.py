@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.photometry.matching import CLIPPING
+from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING
 
 
 def change_colours(

@@ -1,13 +1,13 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-"""The loop of :mod:`omnisyn_cli.render.witness`, in numba."""
+"""The loop of :mod:`omnisyn_cli.render.reprojection`, in numba."""
 
 import math
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.render.shade_kernels import LEVEL, X, Y, Z, find_directions
 from omnisyn_cli.render.trigonometry import atan2_fast
-from omnisyn_cli.runtime.jit import fast_kernel
 
 
 @fast_kernel()

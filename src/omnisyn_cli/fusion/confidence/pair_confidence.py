@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.fusion.kinds import pixel_kinds
+from omnisyn_cli.fusion.pixel_classes import pixel_kinds
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.types import UNSEEN, Rendering
 

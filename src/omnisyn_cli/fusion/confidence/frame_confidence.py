@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.geometry.sampling import add_columns
-from omnisyn_cli.runtime.jit import fast_kernel
 from omnisyn_cli.types import BELIEF, UNSEEN, ColourStep
 
 ALONE = np.float32(0.6)

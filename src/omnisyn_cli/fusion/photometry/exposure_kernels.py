@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from omnisyn_cli.runtime.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, inlined
 
 
 @inlined(fastmath=True)

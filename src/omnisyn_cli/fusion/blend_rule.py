@@ -12,7 +12,7 @@ Measured on ray-traced scenes with true depth (mean of nine frames): share alone
 further factor for the angle at which a surface was seen lost 0.1 dB and is left out.
 
 What is stated here serves ghosts, devices and training, with gradients; the kernels have a twin of it for one pixel,
-:func:`omnisyn_cli.fusion.kernels.view_weights`, and a test ties the two.
+:func:`omnisyn_cli.fusion.blend_kernels.view_weights`, and a test ties the two.
 """
 
 from __future__ import annotations

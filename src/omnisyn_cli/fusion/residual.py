@@ -1,7 +1,7 @@
 """Fusion with a network: the geometric fusion, corrected where the views contradict each other or see nothing.
 
 The network looks at both renderings at a size of its own and says, for each pixel, which shares of it are to be what
-the photographs show at other distances (:mod:`omnisyn_cli.fusion.second_look`). So everything keeps the sharpness of
+the photographs show at other distances (:mod:`omnisyn_cli.fusion.warp_candidates`). So everything keeps the sharpness of
 the photographs at any size of the frames. Nothing changes where something moved, which one of them shows as a whole
 (:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the corrections fade, so that both ends are the
 photographs themselves.
@@ -15,14 +15,14 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.bands import BandRunner, Views
-from omnisyn_cli.fusion.cells import greatest_near
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
+from omnisyn_cli.fusion.ghost_grid import greatest_near
 from omnisyn_cli.fusion.ghosts import Suppression, is_in_place
-from omnisyn_cli.fusion.plane_maker import PlaneMaker
-from omnisyn_cli.fusion.planes import is_settled
-from omnisyn_cli.fusion.rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.second_look import FINER, SecondLook
+from omnisyn_cli.fusion.input_builder import PlaneMaker
+from omnisyn_cli.fusion.input_channels import is_settled
+from omnisyn_cli.fusion.layer_pair import BandRunner, Views
+from omnisyn_cli.fusion.warp_candidates import FINER, SecondLook
 from omnisyn_cli.geometry.sampling import greatest_of_parts
 from omnisyn_cli.types import Rendering, Witness
 
@@ -46,7 +46,7 @@ class FusionCorrection(Protocol):
     def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "4 height width"]:
         """The shares of the candidates of a second look.
 
-        Planes are those of :mod:`omnisyn_cli.fusion.planes`, then those of :mod:`omnisyn_cli.fusion.second_look`.
+        Planes are those of :mod:`omnisyn_cli.fusion.input_channels`, then those of :mod:`omnisyn_cli.fusion.warp_candidates`.
         """
         ...
 

@@ -9,13 +9,13 @@ edges 0.65 dB with true depth, 0.2 dB with estimated depth; figures are in ``doc
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
-from omnisyn_cli.fusion.bands import Views
-from omnisyn_cli.fusion.edge_kernels import know_samples, list_spots, mark_edges
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.blend_kernels import Layer, Tables, blend_spots, offset_of, rule_of, storing_in
+from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.ghosts import is_in_place
-from omnisyn_cli.fusion.kernels import Layer, Tables, blend_spots, offset_of, rule_of, storing_in
-from omnisyn_cli.fusion.rule import BlendRule
+from omnisyn_cli.fusion.layer_pair import Views
+from omnisyn_cli.fusion.supersampling_kernels import know_samples, list_spots, mark_edges
 from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import SPOT_PADDING, SPOT_TILE, Rendering, Spots
 
 CONTRAST = 40
@@ -70,7 +70,7 @@ class EdgeSampler:
         run_bands(sample, -(-height // ROWS), self.threads)
 
     def marked(self, views: Views, picture: Shaped[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width"]:
-        """Not 0 at spots, see :func:`omnisyn_cli.fusion.edge_kernels.mark_edges`; the next call overwrites it."""
+        """Not 0 at spots, see :func:`omnisyn_cli.fusion.supersampling_kernels.mark_edges`; the next call overwrites it."""
         first, second = views.first.inverse_depth, views.second.inverse_depth
         scale = np.float32(255.0 if picture.dtype.kind == "f" else 255.0 / np.iinfo(picture.dtype).max)
         run_bands(

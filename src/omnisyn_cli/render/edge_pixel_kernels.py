@@ -7,6 +7,7 @@ whatever columns they are of, so they are tested eight at a time as well; an ind
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.render.box_kernels import (
     FIRST_COL,
     FIRST_ROW,
@@ -18,10 +19,9 @@ from omnisyn_cli.render.box_kernels import (
     surround,
 )
 from omnisyn_cli.render.draw_kernels import exact_corners, exact_quad, seen_exactly, seen_on_rays
+from omnisyn_cli.render.quad_blocks import BLOCK, REMOVED
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, DRAWN, IN_FLOAT32, NOT_AT_ALL, plan_quads
-from omnisyn_cli.render.quads import BLOCK, REMOVED
 from omnisyn_cli.render.simd import LANES, load_halves, pair, splat, store_halves, where
-from omnisyn_cli.runtime.jit import inlined, kernel
 from omnisyn_cli.types import SPOT_TILE
 
 HALF = LANES // 2

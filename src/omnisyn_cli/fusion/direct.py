@@ -13,14 +13,14 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import is_in_place
-from omnisyn_cli.fusion.kernels import quantize_rows
-from omnisyn_cli.fusion.network import working_size
-from omnisyn_cli.fusion.plane_maker import reduced
+from omnisyn_cli.fusion.input_builder import reduced
+from omnisyn_cli.fusion.residual import working_size
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Rendering
 
 __all__ = ["PaintingFuser"]

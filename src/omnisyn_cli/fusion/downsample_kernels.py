@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from omnisyn_cli.runtime.jit import fast_kernel
+from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.types import UNSEEN
 
 LOOKED_AT = 4

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.fusion.photometry.curve import ExposureCurve, linear_from_stored
-from omnisyn_cli.fusion.photometry.kernels import expose_rows
+from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, linear_from_stored
+from omnisyn_cli.fusion.photometry.exposure_kernels import expose_rows
 from omnisyn_cli.types import Rendering, Samples, Spots, Witness
 
 __all__ = ["CLIPPING", "MOST_LOSS"]

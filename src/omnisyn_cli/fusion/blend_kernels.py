@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omnisyn_cli.fusion.rule import FAR_PREFERENCE, BlendRule
-from omnisyn_cli.runtime.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.fusion.blend_rule import FAR_PREFERENCE, BlendRule
 from omnisyn_cli.types import BELIEF, UNSEEN, Rendering
 
 __all__ = ["blend_band", "quantize_rows", "storing_in"]
@@ -36,7 +36,7 @@ class Layer(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """:class:`omnisyn_cli.fusion.rule.BlendRule` as kernels take it."""
+    """:class:`omnisyn_cli.fusion.blend_rule.BlendRule` as kernels take it."""
 
     t: np.float32
     disagreement: np.float32
@@ -109,7 +109,7 @@ def _falling(gap):
 
 @inlined(fastmath=True)
 def view_weights(weight_a, near_a, offset_a, weight_b, near_b, offset_b, x, y, z, rule):
-    """:func:`omnisyn_cli.fusion.rule.view_weights` of one pixel, all branches chosen without a jump.
+    """:func:`omnisyn_cli.fusion.blend_rule.view_weights` of one pixel, all branches chosen without a jump.
 
     Args:
         weight_a: of the first's colour.

@@ -1,12 +1,12 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-"""The loops of :mod:`omnisyn_cli.fusion.second_look` over the rows of a frame, in numba."""
+"""The loops of :mod:`omnisyn_cli.fusion.warp_candidates` over the rows of a frame, in numba."""
 
 import math
 
 import numpy as np
 
-from omnisyn_cli.fusion.kernels import neighbours, stored
-from omnisyn_cli.runtime.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.fusion.blend_kernels import neighbours, stored
 
 
 @inlined(fastmath=True)
@@ -134,7 +134,7 @@ def _suppose(colours, nearer, roots, most, row, col, share, values):
 
 @fast_kernel()
 def average_looks(shown, seen, colours, nearer, roots, most, planes, begin, end):
-    """All planes of a second look, see :mod:`omnisyn_cli.fusion.second_look`: means over blocks of pixels.
+    """All planes of a second look, see :mod:`omnisyn_cli.fusion.warp_candidates`: means over blocks of pixels.
 
     Args:
         shown: ``(rows, cols, 3)`` of either view.

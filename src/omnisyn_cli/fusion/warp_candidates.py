@@ -7,7 +7,7 @@ photographs are asked what they show there (:class:`omnisyn_cli.types.Witness`).
 colour of a pixel, also where only one view or none shows anything. What each photograph shows where the *other* view's
 surface is, and whether its own depth agrees, tells which of the renderings to believe.
 
-Planes for the network, ``LOOKS`` of them, float32, after those of :mod:`omnisyn_cli.fusion.planes`:
+Planes for the network, ``LOOKS`` of them, float32, after those of :mod:`omnisyn_cli.fusion.input_channels`:
 
 * ``CONFRONTED``: for what the first rendering shows, and then for what the second does, at the same point in the other
   view: its colour (3), the mean difference of the colours, how much nearer its surface is, and how much farther,
@@ -24,13 +24,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.bands import ROWS
-from omnisyn_cli.fusion.cells import greatest_near
-from omnisyn_cli.fusion.kernels import Storing, storing_in
-from omnisyn_cli.fusion.planes import GREATEST_GAP, PLANES, root_of_inverse_depth
-from omnisyn_cli.fusion.rule import BlendOptions, Shown
-from omnisyn_cli.fusion.second_look_kernels import add_rows, average_looks, join_rows, suppose_rows
-from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.fusion.blend_kernels import Storing, storing_in
+from omnisyn_cli.fusion.blend_rule import BlendOptions, Shown
+from omnisyn_cli.fusion.ghost_grid import greatest_near
+from omnisyn_cli.fusion.input_channels import GREATEST_GAP, PLANES, root_of_inverse_depth
+from omnisyn_cli.fusion.layer_pair import ROWS
+from omnisyn_cli.fusion.warp_candidate_kernels import add_rows, average_looks, join_rows, suppose_rows
 from omnisyn_cli.types import Witness
 
 __all__ = ["CANDIDATES", "LOOKS", "SUPPOSED", "SecondLook"]

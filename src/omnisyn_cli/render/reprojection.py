@@ -11,12 +11,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Float32
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
+from omnisyn_cli.render.reprojection_kernels import find_nearer
 from omnisyn_cli.render.shade import WHOLE_TRUST, Shader
 from omnisyn_cli.render.texture import Texture
-from omnisyn_cli.render.witness_kernels import find_nearer
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import Witness
 
 __all__ = ["AskedPanorama"]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.ghosts import Suppression
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.types import ColourStep, Rendering, Samples, Spots
 
 __all__ = ["ROWS", "Views"]

@@ -24,8 +24,8 @@ from typing import Any
 from array_api_compat import array_namespace, device
 from jaxtyping import Float, Float32
 
-from omnisyn_cli.fusion.cells import greatest_near, mean_near
-from omnisyn_cli.fusion.rule import BlendRule, Shown, blended, difference_of_depth, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendRule, Shown, blended, difference_of_depth, view_weights
+from omnisyn_cli.fusion.ghost_grid import greatest_near, mean_near
 from omnisyn_cli.geometry.sphere import pixel_directions
 
 __all__ = ["fusion_planes"]

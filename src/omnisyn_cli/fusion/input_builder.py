@@ -1,16 +1,16 @@
-"""Planes for fusion networks (:mod:`omnisyn_cli.fusion.planes`), made of renderings of any larger size."""
+"""Planes for fusion networks (:mod:`omnisyn_cli.fusion.input_channels`), made of renderings of any larger size."""
 
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.fusion.bands import BandRunner, Views
+from omnisyn_cli.fusion.blend_rule import BlendRule, Shown
+from omnisyn_cli.fusion.downsample_kernels import reduce_band
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.network_kernels import reduce_band
-from omnisyn_cli.fusion.planes import fusion_planes
-from omnisyn_cli.fusion.rule import BlendRule, Shown
-from omnisyn_cli.fusion.second_look import FINER, SecondLook, second_look
+from omnisyn_cli.fusion.input_channels import fusion_planes
+from omnisyn_cli.fusion.layer_pair import BandRunner, Views
+from omnisyn_cli.fusion.warp_candidates import FINER, SecondLook, second_look
 from omnisyn_cli.types import Witness
 
 __all__ = ["PlaneMaker", "reduced"]

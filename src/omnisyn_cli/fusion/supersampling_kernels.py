@@ -1,10 +1,10 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-"""The loops of :mod:`omnisyn_cli.fusion.edges`, in numba."""
+"""The loops of :mod:`omnisyn_cli.fusion.supersampling`, in numba."""
 
 import numpy as np
 
-from omnisyn_cli.fusion.kinds import DISAGREEMENT, FARTHEST
-from omnisyn_cli.runtime.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.fusion.pixel_classes import DISAGREEMENT, FARTHEST
 from omnisyn_cli.types import SPOT_PADDING, SPOT_TILE
 
 TOGETHER = 64
@@ -66,7 +66,7 @@ def _is_any(marks, begin, end):
 
 @inlined(fastmath=True)
 def _is_apart(one, other):
-    """:func:`omnisyn_cli.fusion.kinds.is_apart` of two pixels, what is not seen being infinitely far."""
+    """:func:`omnisyn_cli.fusion.pixel_classes.is_apart` of two pixels, what is not seen being infinitely far."""
     a, b = max(one, np.float32(0.0)), max(other, np.float32(0.0))
     return abs(a - b) > np.float32(DISAGREEMENT) * max(max(a, b), np.float32(FARTHEST))
 
