@@ -22,7 +22,7 @@ MOST_WORKERS = 4
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """As many as there are cores for the suite or a folder; a file is done before workers have begun."""
-    from omnisyn_cli.runtime.threads import available_threads
+    from omnisyn_cli.compute.threads import available_threads
 
     is_of_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
     return 0 if is_of_files else min(available_threads(), MOST_WORKERS)

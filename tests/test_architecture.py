@@ -23,7 +23,7 @@ LAYERS = (
     {"io", "networks", "runtime", "scenes", "stereo", "render", "fusion"},
     {"types"},
     {"geometry"},
-    {"errors", "runtime.jit", "runtime.threads", "runtime.thread_limit", "synthesis.presets", "synthesis.recipe"},
+    {"errors", "compute", "synthesis.presets", "synthesis.recipe"},
 )
 """From the top to the bottom; what is in one set does not know each other. A module named here leaves its room."""
 

@@ -23,7 +23,7 @@ MEASURED = """
 import sys
 from pathlib import Path
 from omnisyn_cli.cli import main
-from omnisyn_cli.runtime.jit import when_compiling
+from omnisyn_cli.compute.jit import when_compiling
 compiled = []
 try:
     with when_compiling(lambda: compiled.append(True)):

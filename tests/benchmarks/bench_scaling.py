@@ -23,12 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
+from omnisyn_cli.compute.jit import kernel
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.runtime.jit import kernel
-from omnisyn_cli.runtime.threads import run_bands
 
 WIDTHS = (1024, 2048, 4096, 8192)
 FEW = 4

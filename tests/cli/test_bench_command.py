@@ -9,13 +9,13 @@ import pytest
 from cli_samples import listing, run_cli, write_pair
 
 from omnisyn_cli.cli.bench import LAYOUTS
+from omnisyn_cli.compute.jit import announce_compiling, when_compiling
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench
 from omnisyn_cli.evaluation.bench import CHOICES, GENERATED, BenchJob
 from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.datasets import FORMATS
 from omnisyn_cli.evaluation.pareto import FIGURES, FRAME_STAGES, Figures, read_table
-from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
 from omnisyn_cli.synthesis.presets import SCALE
 from synthesis_samples import posed, write_hall
 

@@ -7,9 +7,9 @@ from cli_samples import run_cli, write_pair
 
 from omnisyn_cli.cli import progress
 from omnisyn_cli.cli.progress import COMPILING, COMPILING_AGAIN, say_when_compiling
+from omnisyn_cli.compute import jit
+from omnisyn_cli.compute.jit import announce_compiling, kernel
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime import jit
-from omnisyn_cli.runtime.jit import announce_compiling, kernel
 
 
 @pytest.mark.parametrize("is_quiet", [False, True])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hall_samples import damage, hall_pair, run, write_halls
 
+from omnisyn_cli.compute.jit import kernel, when_compiling
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench, bench_run
 from omnisyn_cli.evaluation.bench import BenchJob, make_scenes, plan_bench, run_bench
@@ -24,7 +25,6 @@ from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
-from omnisyn_cli.runtime.jit import kernel, when_compiling
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.synthesis.recipe import OMNISYN
 from omnisyn_cli.types import KnownDepth

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hall_samples import loaded_hall
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.methods import MethodAtWork, MethodUnavailableError, find_method
 from omnisyn_cli.evaluation.views import LoadedPair
@@ -14,7 +15,7 @@ from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis.making import make_fuser
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.recipe import FUSION_MODELS
-from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
 

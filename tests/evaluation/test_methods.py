@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hall_samples import SIZE, loaded_hall
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import methods
 from omnisyn_cli.evaluation.methods import (
@@ -25,7 +26,6 @@ from omnisyn_cli.synthesis.fades import optical_flow
 from omnisyn_cli.synthesis.frames import Frame
 from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr

@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
-from omnisyn_cli.runtime import jit
-from omnisyn_cli.runtime.jit import (
+from omnisyn_cli.compute import jit
+from omnisyn_cli.compute.jit import (
     OtherCompiler,
     announce_compiling,
     are_kernels_kept,
@@ -88,7 +88,7 @@ def test_compiling_begins_and_ends_once_for_a_kernel_and_those_in_it() -> None:
 
 
 KERNEL = """
-from omnisyn_cli.runtime.jit import kernel
+from omnisyn_cli.compute.jit import kernel
 
 @kernel
 def double(x):

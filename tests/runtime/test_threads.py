@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from omnisyn_cli.runtime.threads import available_threads, bands, run_bands
+from omnisyn_cli.compute.threads import available_threads, bands, run_bands
 
 
 @given(st.integers(0, 300), st.integers(1, 40))

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from stereo_samples import OPENINGS, room
 
+from omnisyn_cli.compute.threads import allowed_threads, both, limited_threads, run_bands
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.runtime.thread_limit import limited_threads
-from omnisyn_cli.runtime.threads import allowed_threads, both, run_bands
-from omnisyn_cli.stereo import matching
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo import matching_estimator
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
 SMALL = MatchingOptions(size=(96, 192))
 
@@ -59,7 +58,7 @@ def test_there_is_at_least_one_thread() -> None:
 def test_an_estimate_keeps_to_its_threads_and_does_not_depend_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
     views = room(Pose.identity(), SMALL.size)[0], room(OPENINGS["level"], SMALL.size)[0]
     seen = []
-    plain = matching.fill
+    plain = matching_estimator.fill
     monkeypatch.setattr(matching, "fill", lambda *a: seen.append(counts()) or plain(*a))
     many = MatchingDepthEstimator(SMALL)
     for free, limited in zip(many(*views), replace(many, threads=1)(*views), strict=True):

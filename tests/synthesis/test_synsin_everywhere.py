@@ -11,6 +11,7 @@ from click.testing import CliRunner
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.cli.interpolate import interpolate
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.depth_table import SOURCES
 from omnisyn_cli.evaluation.methods import MethodAtWork, find_method
@@ -22,7 +23,6 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.recipe import SYNSIN_MODELS
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from synsin_samples import TINY_SIZE, write_synsin_models
 from synthesis_samples import SIZE, hall_view, write_hall

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.synthesis.frames import Frame, synthesize, turned_panorama
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import HEADINGS, Waypoint, plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import SIZE, hall_image, hall_view, posed, ws_psnr

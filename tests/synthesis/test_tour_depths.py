@@ -7,10 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.tours import Opinion, TourDepths, joined
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View

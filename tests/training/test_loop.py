@@ -5,10 +5,10 @@ import pytest
 import torch
 from training_samples import TINY, make_pool
 
+from omnisyn_cli.compute.threads import allowed_threads
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.depth import DepthNetwork
-from omnisyn_cli.runtime.threads import allowed_threads
 from omnisyn_cli.training.checkpoint import NEEDED, compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
 

@@ -20,10 +20,10 @@ from omnisyn_cli.batch.interpolations import Settings
 from omnisyn_cli.batch.local_executor import LocalExecutor
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, sources
+from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
 from omnisyn_cli.io import read_header
-from omnisyn_cli.runtime.threads import available_threads
 
 __all__ = ["BatchOptions", "BatchReport", "Progress", "run_batch"]
 

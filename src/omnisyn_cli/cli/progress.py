@@ -28,7 +28,7 @@ def say_when_compiling(
         is_quiet: nothing is printed then.
         listen: called with what is, or would have been, said.
     """
-    from omnisyn_cli.runtime.jit import are_kernels_kept, when_compiling
+    from omnisyn_cli.compute.jit import are_kernels_kept, when_compiling
 
     def say() -> None:
         note = COMPILING if are_kernels_kept() else COMPILING_AGAIN
@@ -76,7 +76,7 @@ def counted_bar(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from omnisyn_cli.runtime.jit import while_compiling
+    from omnisyn_cli.compute.jit import while_compiling
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:

@@ -14,6 +14,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from omnisyn_cli.batch.local_executor import end_with_parent
+from omnisyn_cli.compute.jit import announce_compiling, when_compiling
+from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
@@ -24,8 +26,6 @@ from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.json_lines import append_line, complete_lines
 from omnisyn_cli.io.outputs import make_folder, staged_folder
-from omnisyn_cli.runtime.jit import announce_compiling, when_compiling
-from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.synthesis.recipe import OMNISYN

@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import TypeAdapter
 
+from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.evaluation.pareto import Figures, read_table
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.io.outputs import write_parts
-from omnisyn_cli.runtime.threads import available_threads
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
 

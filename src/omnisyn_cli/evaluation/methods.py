@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.grouping import IN_TOUR
 from omnisyn_cli.fusion.geometric import GeometricFuser
@@ -34,7 +35,6 @@ from omnisyn_cli.synthesis.making import make_estimator, make_method
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.synthesis.recipe import FUSIONS, OMNISYN, RENDERERS, SYNSIN_MODELS, DepthSource, Recipe
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
 
@@ -305,9 +305,9 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
     except ValueError:
         pass
     raise InputError(
-        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSED_BY, *LEFT_OUT))}, rows=1024 "
-        f"or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is looked for) "
-        f"after the colon, got {parameter!r} in {name!r}"
+        f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSED_BY, *LEFT_OUT))}, "
+        f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is "
+        f"looked for) after the colon, got {parameter!r} in {name!r}"
     )
 
 

@@ -7,12 +7,12 @@ from weakref import ref
 import numpy as np
 from jaxtyping import Float
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import Panorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import PosedPanorama
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["KeptPanorama"]

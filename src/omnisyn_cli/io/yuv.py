@@ -12,7 +12,7 @@ figure E-1 (type 0).
 import numpy as np
 from jaxtyping import UInt8
 
-from omnisyn_cli.runtime.jit import fast_kernel
+from omnisyn_cli.compute.jit import fast_kernel
 
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
 """Shares of the channels in luma."""

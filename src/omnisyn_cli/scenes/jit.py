@@ -2,8 +2,8 @@
 
 from functools import partial
 
-from omnisyn_cli.runtime import jit
-from omnisyn_cli.runtime.jit import Decorator
+from omnisyn_cli.compute import jit
+from omnisyn_cli.compute.jit import Decorator
 
 _FAST = {"nsz", "arcp", "contract", "afn", "reassoc"}  # all of fastmath but the promise that nothing is infinite
 

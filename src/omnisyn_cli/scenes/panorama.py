@@ -10,26 +10,26 @@ from functools import lru_cache, partial
 import numpy as np
 from jaxtyping import Float, Int
 
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
-from omnisyn_cli.runtime.threads import run_bands
-from omnisyn_cli.scenes.culling import list_tile, tile_planes
+from omnisyn_cli.scenes.culling import cull_tile, tile_planes
 from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.raycast import cast_rays, first_hit
 from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.shading import shade, tone
-from omnisyn_cli.scenes.world import SKY, Scalar, pack, papers_of, seen_from
+from omnisyn_cli.scenes.world import SKY_ID, Scalar, pack_scene, photo_textures_of, seen_from
 
 EXPOSURE = int(Scalar.EXPOSURE)
 
 
 @kernel
-def _render_tile(world, papers, tables, samples, rows, columns, listed, count, image, depth):  # type: ignore[no-untyped-def]
+def _render_tile(world, photos, tables, samples, rows, columns, candidates, count, image, depth):  # type: ignore[no-untyped-def]
     """Render the pixels of rows[0] to rows[1] - 1 and columns[0] to columns[1] - 1; only the listed shapes can show."""
     sin_centre, cos_centre, horizon_centre, sin_sample, cos_sample, horizon, up = tables
     pixel = math.pi / (depth.shape[0] * samples)
     exposure = world.scalars[EXPOSURE]
-    hits, distances = np.empty(samples * samples, np.int64), np.empty(samples * samples)
+    hits, trace_rays = np.empty(samples * samples, np.int64), np.empty(samples * samples)
     rays = np.empty((samples * samples, 3))
     for row in range(rows[0], rows[1]):
         for column in range(columns[0], columns[1]):
@@ -43,12 +43,12 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, i
                 x = sine * ahead[j, 0] + cosine * up[0]
                 y = sine * ahead[j, 1] + cosine * up[1]
                 z = sine * ahead[j, 2] + cosine * up[2]
-                t, hit = first_hit(world, listed, count, x, y, z)
+                t, hit = first_hit(world, candidates, count, x, y, z)
                 if sample < 0:
-                    depth[row, column] = np.inf if hit == SKY else t
+                    depth[row, column] = np.inf if hit == SKY_ID else t
                 else:
                     rays[sample, 0], rays[sample, 1], rays[sample, 2] = x, y, z
-                    distances[sample], hits[sample] = t, hit
+                    trace_rays[sample], hits[sample] = t, hit
                     is_uniform = is_uniform and hit == hits[0]
             red, green, blue, shaded = 0.0, 0.0, 0.0, 0
             for sample in range(samples * samples):
@@ -56,7 +56,7 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, i
                 if is_uniform and (sample // samples + sample % samples) % 2 == 1:
                     continue
                 x, y, z = rays[sample, 0], rays[sample, 1], rays[sample, 2]
-                r, g, b = shade(world, papers, hits[sample], distances[sample], x, y, z, pixel, sample)
+                r, g, b = shade(world, photos, hits[sample], trace_rays[sample], x, y, z, pixel, sample)
                 red += tone(r, exposure)
                 green += tone(g, exposure)
                 blue += tone(b, exposure)
@@ -67,7 +67,7 @@ def _render_tile(world, papers, tables, samples, rows, columns, listed, count, i
 
 
 @kernel
-def render_tiles(world, papers, bounds, tables, samples, tiles, image, depth, begin, end):  # type: ignore[no-untyped-def]
+def render_tiles(world, photos, bounds, tables, samples, tiles, image, depth, begin, end):  # type: ignore[no-untyped-def]
     """Render some bands of tiles.
 
     Args:
@@ -93,7 +93,7 @@ def render_tiles(world, papers, bounds, tables, samples, tiles, image, depth, be
             bottom, right = min(height, top + large), min(width, left + large)
             rows, columns = (top * samples, bottom * samples - 1), (left * samples, right * samples - 1)
             tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
-            listed = list_tile(bounds, bounds.order, len(bounds.order), planes, coarse)
+            candidates = cull_tile(bounds, bounds.order, len(bounds.order), planes, coarse)
             for row in range(top, bottom, small):
                 for column in range(left, right, small):
                     last_row, last_column = min(bottom, row + small), min(right, column + small)
@@ -102,9 +102,9 @@ def render_tiles(world, papers, bounds, tables, samples, tiles, image, depth, be
                         (column * samples, last_column * samples - 1),
                     )
                     tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
-                    count = list_tile(bounds, coarse, listed, planes, fine)
+                    count = cull_tile(bounds, coarse, candidates, planes, fine)
                     rows, columns = (row, last_row), (column, last_column)
-                    _render_tile(world, papers, tables, samples, rows, columns, fine, count, image, depth)
+                    _render_tile(world, photos, tables, samples, rows, columns, fine, count, image, depth)
 
 
 _TILES = (16, 4)  # pixels; chosen by timing
@@ -158,17 +158,17 @@ def render_views(
     if height < 1 or width < 1 or supersample < 1:
         raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
     tables = _ray_tables(np.asarray(rotation, dtype=np.float64), size, supersample)
-    packed = pack(scene)
+    static = pack_scene(scene)
     images = np.empty((len(positions), height, width, 3), dtype=np.float32)
     depths = np.empty((len(positions), height, width), dtype=np.float32)
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
-        world, bounds = seen_from(packed, scene, position)
-        kernel = partial(render_tiles, world, papers_of(scene), bounds, tables, supersample, _TILES, image, depth)
+        world, bounds = seen_from(static, scene, position)
+        kernel = partial(render_tiles, world, photo_textures_of(scene), bounds, tables, supersample, _TILES, image, depth)
         run_bands(kernel, -(-height // _TILES[0]), threads)
     return images, depths
 
 
-def distances(
+def trace_rays(
     scene: Scene, position: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Cast single rays from one position.
@@ -181,7 +181,7 @@ def distances(
     Returns:
         Metres (inf = sky), and what is hit: the number of a shape, -1 for the ground, -2 for the sky.
     """
-    world, _ = seen_from(pack(scene), scene, np.asarray(position, dtype=np.float64))
+    world, _ = seen_from(pack_scene(scene), scene, np.asarray(position, dtype=np.float64))
     distance, hit = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)
     cast_rays(world, np.ascontiguousarray(directions, dtype=np.float64), distance, hit)
     return distance, hit

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, UInt16, UInt64
 
-from omnisyn_cli.runtime.jit import inlined, kernel
-from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.compute.jit import inlined, kernel
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.stereo.semi_global import MOST_COST, PARTS, Bands
 
 HALF_WINDOW = 3

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
+from omnisyn_cli.compute.jit import fast_kernel, inlined, kernel
+from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
-from omnisyn_cli.runtime.jit import fast_kernel, inlined, kernel
-from omnisyn_cli.runtime.threads import run_bands
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 __all__ = ["fill"]

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from omnisyn_cli.runtime.jit import kernel
+from omnisyn_cli.compute.jit import kernel
 
 SUMS = 9
 """Numbers per pixel: the upper triangle of the matrix, row after row, and the right side."""

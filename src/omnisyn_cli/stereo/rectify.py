@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
+from omnisyn_cli.compute.threads import both
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, turned_directions
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
-from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.types import View
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])

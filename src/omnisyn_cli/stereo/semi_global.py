@@ -19,8 +19,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64, UInt16
 
-from omnisyn_cli.runtime.jit import fast_kernel, inlined
-from omnisyn_cli.runtime.threads import run_bands
+from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.compute.threads import run_bands
 
 RUN_UP = 64
 """Columns that a horizontal path walks before the seam, so that the seam is no border."""

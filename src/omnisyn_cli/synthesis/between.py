@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.geometry.pose import rotation_vector_from_rotation
 from omnisyn_cli.geometry.sphere import pixel_scale
-from omnisyn_cli.synthesis.segments import Segment, Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.segments import Segment, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
 

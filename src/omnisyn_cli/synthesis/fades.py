@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames, turned_panorama
-from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 

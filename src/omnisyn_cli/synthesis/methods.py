@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from jaxtyping import Float32
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.synthesis.between import Frame, Fused, MemoryForFrames, fused
-from omnisyn_cli.synthesis.segments import Segment, Stopwatch, SynthesisOptions, prepare_segment
+from omnisyn_cli.synthesis.segments import Segment, SynthesisOptions, prepare_segment
 from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.fusion.confidence import LEAST_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
-from omnisyn_cli.runtime.thread_limit import limited_threads
-from omnisyn_cli.runtime.threads import both
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.synthesis.tours import TourDepths, is_moving
@@ -27,7 +23,7 @@ from omnisyn_cli.types import DepthEstimate, View
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 
-__all__ = ["Stopwatch", "SynthesisOptions", "measure_pair", "usable_image"]
+__all__ = ["SynthesisOptions", "measure_pair", "usable_image"]
 
 
 @dataclass(frozen=True)
@@ -52,27 +48,6 @@ class SynthesisOptions:
     cross_fade: bool = False
     confidence: bool = False
     adaptive: bool = False
-
-
-class Stopwatch:
-    """Seconds by stage.
-
-    Args:
-        now: the clock, in seconds; that on the wall unless something else is to be counted.
-    """
-
-    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
-        self.now = now
-        self.seconds: dict[str, float] = defaultdict(float)
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Time what happens inside."""
-        begin = self.now()
-        try:
-            yield
-        finally:
-            self.seconds[stage] += self.now() - begin
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,14 @@ from functools import cached_property
 
 import numpy as np
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions
 from omnisyn_cli.render.soft_points import Cloud, splat
 from omnisyn_cli.runtime.synsin_sessions import SynSinSessions, upright_image
 from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames, turned_panorama
-from omnisyn_cli.synthesis.segments import Stopwatch, SynthesisOptions
+from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 

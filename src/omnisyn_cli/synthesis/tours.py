@@ -29,7 +29,7 @@ from omnisyn_cli.synthesis.consistency import CHECK_SIZE, SAME_PLACE, in_one_exp
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 
 if TYPE_CHECKING:
-    from omnisyn_cli.synthesis.segments import Stopwatch
+    from omnisyn_cli.compute.stopwatch import Stopwatch
 
 __all__ = ["TourDepths", "is_moving"]
 

@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from omnisyn_cli.compute.threads import at_most
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.io import write_image
 from omnisyn_cli.io.json_lines import append_line
 from omnisyn_cli.io.outputs import make_folder
-from omnisyn_cli.runtime.threads import at_most
 from omnisyn_cli.training.adversarial import Discriminator, PatchDiscriminator
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation, check_height, list_pool

@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.compute.jit import kernel
 from omnisyn_cli.evaluation.metrics.depth_errors import SCORED_DEPTH
 from omnisyn_cli.evaluation.metrics.image import Picture, check_same_size
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_scale, row_weights
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.runtime.jit import kernel
 from omnisyn_cli.types import View
 
 TOLERANCE = 30 / 255

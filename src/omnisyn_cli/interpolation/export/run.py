@@ -8,6 +8,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from annotated_types import Ge, Gt
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.pose import Pose
@@ -26,7 +27,6 @@ from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder
 from omnisyn_cli.io.ply import write_ply
 from omnisyn_cli.poses.formats import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimator
 
 JPEG_BYTES, MODEL_BYTES = 0.4, 40

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
@@ -16,7 +17,6 @@ from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
 from omnisyn_cli.interpolation.walk.page import MOST_BYTES, write_folder, write_page
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept
-from omnisyn_cli.synthesis.segments import Stopwatch
 from omnisyn_cli.types import DepthEstimator
 
 JPEG_BYTES, PNG_BYTES = 0.3, 2.0

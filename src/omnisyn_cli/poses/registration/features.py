@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_scale, pixel_to_direction
-from omnisyn_cli.runtime.thread_limit import limited_threads
 
 MOST_ROWS = 1024
 """Larger panoramas are reduced to this height: features are then found within about 0.05°."""

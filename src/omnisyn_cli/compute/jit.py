@@ -1,0 +1,188 @@
+"""How kernels are compiled: no GIL, no exceptions for division by zero, kept on disk after the first run.
+
+Where no folder can be written (a read-only installation without a home), they are compiled by every process.
+"""
+
+import hashlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from numba import njit
+from numba.core import event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+__all__ = [
+    "Decorator",
+    "announce_compiling",
+    "are_kernels_kept",
+    "compiled_kernel",
+    "fast_kernel",
+    "inlined",
+    "inlined_contracting",
+    "kernel",
+    "when_compiling",
+    "while_compiling",
+]
+
+Decorator = Callable[..., Any]
+"""Numba's decorators say nothing about the types of what they make."""
+
+
+COMPILATION = "numba:compile"
+"""What numba calls it."""
+
+ELSEWHERE = "elsewhere"
+"""Said of what another process compiles, and long enough to be worth a word."""
+
+
+class _Kept:
+    """Whether machine code has a place on disk."""
+
+    everywhere = True
+
+
+class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]
+    """Files of machine code whose names say what is in them.
+
+    Numba numbers them: two processes that compile a kernel for different types at once may write both into one file, of
+    which the index of one of them says that it is the other's. Here the loser of such a race compiles once more.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep the machine code of a kernel for types and a processor, which are its key."""
+        overloads = self._load_index()
+        if key not in overloads:
+            digest = hashlib.sha256(repr(key).encode()).digest()
+            overloads[key] = self._data_name(int.from_bytes(digest[:8], "big"))
+            self._save_index(overloads)
+        self._save_data(overloads[key], data)
+
+
+class _Kernels(FunctionCache):  # type: ignore[misc]
+    """The machine code of a kernel on disk, for all types that it was compiled for."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _KeyedFiles(self.cache_path, self._impl.filename_base, stamp)
+
+
+def are_kernels_kept() -> bool:
+    """Whether there was a place on disk for the machine code of all kernels of the modules loaded by now."""
+    return _Kept.everywhere
+
+
+def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool = True, **options: Any) -> Any:
+    """:func:`numba.njit`, but that a place for machine code is a wish: without one, numba would refuse the function.
+
+    Args:
+        function: to be compiled; None makes a decorator.
+        cache: keep the machine code on disk where that is possible.
+        options: of :func:`numba.njit`.
+    """
+    if function is None:
+        return partial(compiled_kernel, cache=cache, **options)
+    compiled = njit(function, **options)
+    if cache:
+        try:
+            compiled._cache = _Kernels(compiled.py_func)
+        except RuntimeError:  # no folder that numba knows can be written
+            _Kept.everywhere = False
+    return compiled
+
+
+kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy")
+"""Strict floating point: a·b − c·d is the exact negative of c·d − a·b."""
+
+inlined: Decorator = partial(kernel, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""The same, always inlined, so that loops around it can be vectorised; only kernels can call it."""
+
+inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
+"""Inlined; a·b + c may be one instruction."""
+
+fast_kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", fastmath=True)
+"""Reassociation allowed: for colours and boxes, never for tests of visibility."""
+
+
+class _Compilation(event.Listener):  # type: ignore[misc]
+    """Says once that kernels are compiled, when that has taken a while; a kernel inside of another counts once."""
+
+    def __init__(self, say: Callable[[], None], patience: float) -> None:
+        self._say: Callable[[], None] | None = say
+        self._left, self._depth, self._begun = patience, 0, 0.0
+        self._timer: threading.Timer | None = None
+        self._lock = threading.Lock()
+
+    def on_start(self, event: Any) -> None:
+        self._depth += 1
+        if self._depth > 1 or self._say is None:
+            return
+        if self._left <= 0.0 or event.data == ELSEWHERE:
+            self._tell()
+            return
+        self._begun = time.perf_counter()
+        self._timer = threading.Timer(self._left, self._tell)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.rest()
+            self._left -= time.perf_counter() - self._begun
+
+    def rest(self) -> None:
+        """Say nothing until something is compiled again."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _tell(self) -> None:
+        with self._lock:
+            say, self._say = self._say, None
+        if say is not None:
+            say()
+
+
+@contextmanager
+def when_compiling(say: Callable[[], None], patience: float = 0.0) -> Iterator[None]:
+    """Call ``say`` once if kernels are compiled in between for longer than so many seconds; others are on disk."""
+    listener = _Compilation(say, patience)
+    try:
+        with event.install_listener(COMPILATION, listener):
+            yield
+    finally:
+        listener.rest()
+
+
+class _Change(event.Listener):  # type: ignore[misc]
+    """Says when compiling begins and ends; a kernel inside of another changes nothing."""
+
+    def __init__(self, say: Callable[[bool], None]) -> None:
+        self._say, self._depth = say, 0
+
+    def on_start(self, event: Any) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            self._say(True)
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self._say(False)
+
+
+@contextmanager
+def while_compiling(say: Callable[[bool], None]) -> Iterator[None]:
+    """Call ``say`` with True whenever a kernel is compiled in between, and with False afterwards."""
+    with event.install_listener(COMPILATION, _Change(say)):
+        yield
+
+
+def announce_compiling() -> None:
+    """Let those who wait in :func:`when_compiling` know that another process, started by this one, compiles."""
+    event.start_event(COMPILATION, data=ELSEWHERE)
+    event.end_event(COMPILATION, data=ELSEWHERE)

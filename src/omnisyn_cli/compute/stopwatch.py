@@ -1,0 +1,29 @@
+"""Seconds by stage."""
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+__all__ = ["Stopwatch"]
+
+
+class Stopwatch:
+    """Seconds by stage.
+
+    Args:
+        now: the clock, in seconds; by default that on the wall.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
+        self.now = now
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time what happens inside."""
+        begin = self.now()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += self.now() - begin

@@ -1,0 +1,109 @@
+"""Kernels on bands of rows, each band in a thread of its own.
+
+The kernels release the GIL and write only their own rows, so the result does not depend on the number of threads.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
+from functools import lru_cache
+from itertools import pairwise
+from typing import TypeVar
+
+__all__ = ["allowed_threads", "at_most", "available_threads", "both", "limited_threads", "run_bands"]
+
+T = TypeVar("T")
+
+_limit: ContextVar[int | None] = ContextVar("most threads", default=None)
+
+BANDS_PER_THREAD = 4
+"""More bands than threads, because some rows are more work than others."""
+
+
+def available_threads() -> int:
+    """The number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def allowed_threads() -> int:
+    """How many :func:`run_bands` uses if its caller does not say: a core each, or what :func:`at_most` allows."""
+    return min(available_threads(), _limit.get() or available_threads())
+
+
+@contextmanager
+def at_most(threads: int) -> Iterator[None]:
+    """Inside, in the calling thread and what :func:`both` starts from it, loops use no more threads than that.
+
+    Raises:
+        ValueError: fewer than one thread.
+    """
+    if threads < 1:
+        raise ValueError(f"expected at least 1 thread, got {threads}")
+    former = _limit.set(min(threads, _limit.get() or threads))
+    try:
+        yield
+    finally:
+        _limit.reset(former)
+
+
+@contextmanager
+def limited_threads(threads: int | None) -> Iterator[None]:
+    """At most ``threads`` of this package (:func:`at_most`) and OpenCV (of the process) inside; None changes nothing.
+
+    Raises:
+        ValueError: fewer than one thread.
+    """
+    if threads is None:
+        yield
+        return
+    import cv2  # slow to import, and only work with pictures needs it
+
+    before = cv2.getNumThreads()
+    with at_most(threads):
+        try:
+            cv2.setNumThreads(min(threads, before))
+            yield
+        finally:
+            cv2.setNumThreads(before)
+
+
+def both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
+    """What two functions return, called at the same time where loops may use more than one thread.
+
+    For work that is mostly numpy's, which uses one.
+    """
+    if allowed_threads() == 1:
+        return first(), second()
+    with ThreadPoolExecutor(1, "omnisyn-both") as pool:
+        later = pool.submit(copy_context().run, second)
+        return first(), later.result()
+
+
+def bands(rows: int, count: int) -> list[tuple[int, int]]:
+    """``count`` (or fewer) contiguous ranges that cover ``range(rows)``."""
+    edges = [rows * k // count for k in range(count + 1)]
+    return [(begin, end) for begin, end in pairwise(edges) if end > begin]
+
+
+def run_bands(kernel: Callable[[int, int], None], rows: int, threads: int | None = None) -> None:
+    """Call ``kernel(row_begin, row_end)`` for bands that cover ``rows``; on one thread that is a single plain call."""
+    threads = threads or allowed_threads()
+    if threads == 1:
+        kernel(0, rows)
+        return
+    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in bands(rows, threads * BANDS_PER_THREAD)]
+    for future in pending:
+        future.result()
+
+
+@lru_cache(maxsize=4)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=threads, thread_name_prefix="omnisyn")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        after_in_child=_pool.cache_clear
+    )  # threads do not survive a fork, their pools would wait forever
