@@ -50,10 +50,9 @@ def peak_of(command: list[str]) -> int:
     [
         (2, (256, 512), {"preset": "balanced"}),
         (2, (1024, 2048), {"preset": "balanced"}),
-        (2, (256, 512), {"preset": "accurate"}),
         (2, (256, 512), {"preset": "fast"}),
         (4, (256, 512), {"preset": "fast"}),
-        (2, (256, 512), {"depth": "matching", "renderer": "points"}),
+        (2, (256, 512), {"depth": "matching", "renderer": "two-pass"}),
         (2, (256, 512), {"method": "synsin"}),
     ],
     ids=str,
@@ -119,9 +118,7 @@ def test_the_estimate_of_memory_grows_with_every_size(tmp_path: Path) -> None:
 
 def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2])
-    sizes = [
-        plan_interpolation(job_of(tmp_path, images, renderer=name)).memory for name in ("mesh", "points", "two-pass")
-    ]
+    sizes = [plan_interpolation(job_of(tmp_path, images, renderer=name)).memory for name in ("mesh", "two-pass")]
     assert sizes == sorted(set(sizes))
 
 
@@ -155,7 +152,7 @@ def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Pa
         job = job_of(tmp_path, images, size=(rows, 2 * rows), **changes)
         return plan_interpolation(job).memory / (2 * rows**2)
 
-    few, many = (bytes_of(rows) - bytes_of(rows, renderer="points") for rows in (896, 898))
+    few, many = (bytes_of(rows) - bytes_of(rows, renderer="two-pass") for rows in (896, 898))
     assert few - many == pytest.approx(2 * 16, abs=0.1)
     corrected = bytes_of(1024, fusion="network") - bytes_of(1024)
     assert corrected == pytest.approx(CORRECTING / (2 * 1024**2), abs=1e-3)

@@ -38,12 +38,11 @@ def test_depth_comes_from_files_where_all_have_one(tmp_path: Path) -> None:
     [
         ({"preset": "fast", "depth": "refined"}, "geometric"),
         ({"preset": "balanced", "depth": "refined"}, "network"),
-        ({"preset": "accurate", "depth": "refined"}, "network"),
-        ({"preset": "accurate", "depth": "matching"}, "geometric"),  # nothing learned
-        ({"preset": "accurate", "depth": "matching", "fusion": "network"}, "network"),
-        ({"preset": "accurate"}, "geometric"),  # depth comes from files
-        ({"preset": "accurate", "fusion": "network"}, "network"),
-        ({"preset": "accurate", "depth": "refined", "fusion": "geometric"}, "geometric"),
+        ({"preset": "balanced", "depth": "matching"}, "geometric"),  # nothing learned
+        ({"preset": "balanced", "depth": "matching", "fusion": "network"}, "network"),
+        ({"preset": "balanced"}, "geometric"),  # depth comes from files
+        ({"preset": "balanced", "fusion": "network"}, "network"),
+        ({"preset": "balanced", "depth": "refined", "fusion": "geometric"}, "geometric"),
     ],
 )
 def test_the_preset_says_how_renderings_of_estimated_depth_are_fused(

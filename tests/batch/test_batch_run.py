@@ -151,7 +151,6 @@ def test_only_what_changed_is_done_again(tmp_path: Path, change: Callable[[Path]
 
 NETWORKS = {
     "completion-balanced": "completion",
-    "doubt-balanced": "doubt",
     "fusion-residual": "fusion",
 }
 
@@ -191,22 +190,20 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         (lambda folder: install(folder), []),
         (lambda folder: os.utime(folder / "manifest.toml", ns=(1, 1)), []),
-        (lambda folder: install(folder, completion="second"), ["doubt", "preset"]),
-        (lambda folder: install(folder, doubt="second"), ["doubt"]),
+        (lambda folder: install(folder, completion="second"), ["preset"]),
         (lambda folder: install(folder, fusion="second"), ["fusion"]),
         (lambda folder: (folder.parent / "mine.onnx").write_text("other"), ["mine"]),
         (lambda folder: os.utime(folder.parent / "mine.onnx", ns=(1, 1)), []),
     ],
-    ids=["the same", "touched", "of the preset", "for doubt", "for fusion", "of the user", "of the user touched"],
+    ids=["the same", "touched", "of the preset", "for fusion", "of the user", "of the user touched"],
 )
 def test_another_network_does_the_jobs_again_that_use_it(
     tmp_path: Path, installed: Path, change: Callable[[Path], Any], again: list[str]
 ) -> None:
-    """A job without a network, one with that of its preset, others with those for doubt, for fusion, or of a file."""
+    """A job without a network, one with that of its preset, others with that for fusion, or of a file."""
     write_row(tmp_path, 2)
     (tmp_path / "mine.onnx").write_text("mine")
     wishes = {"none": {}, "preset": {"preset": "fast", "depth": "refined"}, "fusion": {"fusion": "network"},
-              "doubt": {"preset": "accurate", "depth": "refined", "fusion": "geometric"},
               "mine": {"depth": "network", "model": "mine.onnx"}}  # fmt: skip
     lines = [line(0, 1, **wish) | {"id": name, "output": name} for name, wish in wishes.items()]
     first = batch(tmp_path, *lines)

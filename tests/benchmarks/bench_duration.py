@@ -29,14 +29,12 @@ CLOSE = 0.25
 SETTINGS = (
     "--size 1024x512 --frames 60 --preset fast",
     "--size 1024x512 --frames 60",
-    "--size 1024x512 --frames 24 --preset accurate",
     "--size 512x256 --frames 90",
     "--size 2048x1024 --frames 24 --preset fast",
     "--size 2048x1024 --frames 30",
     "--size 4096x2048 --frames 12 --preset fast",
     "--size 4096x2048 --frames 10",
     "--size 1024x512 --frames 24 --fusion network",
-    "--size 2048x1024 --frames 16 --preset accurate",
     "--size 1024x512 --frames 30 --threads 1",
     "--size 3072x1536 --frames 12",
 )

@@ -21,7 +21,7 @@ from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
 
-SCORES = {"fast": 25.0, "balanced": 27.0, "accurate": 28.0}
+SCORES = {"fast": 25.0, "balanced": 27.0}
 
 
 @pytest.fixture
@@ -168,7 +168,7 @@ def test_depth_from_files_leaves_nothing_to_choose(capsys: pytest.CaptureFixture
     ("more", "code", "message"),
     [
         (["--preset", "fast"], 2, "expected --preset or --budget"),
-        (["--renderer", "points"], 3, "expected the renderer 'mesh' with a budget"),
+        (["--renderer", "two-pass"], 3, "expected the renderer 'mesh' with a budget"),
         (["--depth", "matching"], 3, "expected the depth 'auto' with a budget, got 'matching'"),
         (["--depth", "refined", "--model", "completion-balanced"], 3, "expected no model with a budget"),
         (["--fusion", "network"], 3, "expected the fusion 'auto' with a budget, got 'network'"),

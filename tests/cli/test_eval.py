@@ -86,7 +86,7 @@ def test_the_usual_methods_are_compared_unless_others_are_named(
         result = run_cli(capsys, "eval", scenes / "hall", "--threads", 1, "--json", "--no-pictures", *more)
         return [unit["method"] for unit in json.loads(result.out)["units"]]
 
-    presets = ["omnisyn-fast", "omnisyn-balanced", "omnisyn-accurate"]
+    presets = ["omnisyn-fast", "omnisyn-balanced"]
     assert methods() == ["crossfade", "matching", *presets, "oracle-depth"]
     assert methods("--methods", "usual") == methods()
     poses = json.loads((scenes / "hall" / "poses.json").read_text())
@@ -95,7 +95,7 @@ def test_the_usual_methods_are_compared_unless_others_are_named(
     assert methods() == ["crossfade", "matching", *presets]
     assert methods("--methods", "crossfade,oracle-depth") == ["crossfade", "oracle-depth"]
     words = " ".join(run_cli(capsys, "eval", "--help").out.split())
-    assert "usual: crossfade, matching, the presets from fast to accurate, and the true depth" in words
+    assert "usual: crossfade, matching, the presets from fast to balanced, and the true depth" in words
 
 
 def test_the_report_and_its_pictures_are_kept(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
     digest = models.read_manifest()[FUSION_MODELS["network"]].sha256
     assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
     assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
-    assert digest in find_method("omnisyn-accurate").ingredients()
+    assert digest in find_method("omnisyn-balanced").ingredients()
     for name in ("matching", "omnisyn-fast", "omnisyn-balanced:fusion=geometric", "oracle-depth:views=1"):
         assert digest not in find_method(name).ingredients()
 
@@ -81,10 +81,7 @@ def test_with_nothing_learned_in_it_the_product_needs_no_network(
     plain = images("omnisyn-fast:model=none:fusion=geometric", hall)
     assert np.isfinite(plain).all()
     assert plain.std() > 0.05
-    nothing_learned = "omnisyn-accurate:model=none:doubt=none:fusion=geometric"
-    assert find_method(nothing_learned).recipe.networks == ()
-    assert find_method("omnisyn-accurate:doubt=none").recipe.depth == find_method("omnisyn-balanced").recipe.depth
-    assert find_method("omnisyn-accurate:model=none").recipe.depth.networks == ("doubt-balanced",)
+    assert find_method("omnisyn-balanced:model=none:fusion=geometric").recipe.networks == ()
     with pytest.raises(MethodUnavailableError, match="completion-balanced"):
         images("omnisyn-fast", hall)
 

@@ -22,7 +22,7 @@ from omnisyn_cli.evaluation.methods import (
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis.fades import optical_flow
+from omnisyn_cli.baselines.fades import optical_flow
 from omnisyn_cli.synthesis.frames import Frame
 from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
@@ -183,8 +183,8 @@ def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(
     known = PairDepths()
     recipe = Recipe(DepthSource("matching"))
     method = ComparedMethod("slow", "", recipe)
-    points = replace(method, recipe=replace(recipe, renderer="points"))
-    for changed in (method, points, replace(method, depth_size=(16, 32))):
+    two_pass = replace(method, recipe=replace(recipe, renderer="two-pass"))
+    for changed in (method, two_pass, replace(method, depth_size=(16, 32))):
         clock = Stopwatch()
         MethodAtWork(changed, hall.views, threads=1, known=known)(hall.size, clock)
         taken.append(clock.seconds["depth"])

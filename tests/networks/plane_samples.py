@@ -9,17 +9,15 @@ from omnisyn_cli.networks.completion import (
     CompletionNetwork,
     SphereAttention,
 )
-from omnisyn_cli.networks.doubt import DoubtConfig, DoubtNetwork
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 
 FUSION = FusionConfig("tiny", planes=52, widths=(8, 12, 16), fine=6)
 PAINTING = FusionConfig("tiny paper", planes=8, widths=(8, 12, 16, 24), paints=True)
 COMPLETION = CompletionConfig("tiny", planes=19, widths=(8, 12, 16), fine=6, heads=2, looks=1)
-DOUBT = DoubtConfig("tiny", planes=27, widths=(8, 12, 16), fine=6)
 
 
 def awake(config):
-    builds = {CompletionConfig: CompletionNetwork, FusionConfig: build_fusion, DoubtConfig: DoubtNetwork}
+    builds = {CompletionConfig: CompletionNetwork, FusionConfig: build_fusion}
     torch.manual_seed(0)
     network = builds[type(config)](config).eval()
     for layer in network.modules():

@@ -24,7 +24,7 @@ from omnisyn_cli.networks.paper import (
     sweep_grid,
     sweep_volume,
 )
-from omnisyn_cli.runtime.depth import LearnedDepthEstimator
+from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.losses import paper_loss
 from omnisyn_cli.types import View

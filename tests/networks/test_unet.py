@@ -1,7 +1,7 @@
 import onnx
 import pytest
 import torch
-from plane_samples import COMPLETION, DOUBT, FUSION, PAINTING, answers, awake, random_planes
+from plane_samples import COMPLETION, FUSION, PAINTING, answers, awake, random_planes
 from torch.nn import functional
 
 from omnisyn_cli.networks.export import OPSET, PARITY, export_network, largest_difference
@@ -10,7 +10,7 @@ from omnisyn_cli.networks.layers import LEAK
 from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
 every_network = pytest.mark.parametrize(
-    "config", [COMPLETION, FUSION, PAINTING, DOUBT], ids=["completion", "fusion", "painting", "doubt"]
+    "config", [COMPLETION, FUSION, PAINTING], ids=["completion", "fusion", "painting"]
 )
 
 

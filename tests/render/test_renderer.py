@@ -123,5 +123,5 @@ def test_broken_inverse_depths_are_refused(name):
 
 
 def test_an_unknown_renderer_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"mesh, points, two-pass.*'magic'"):
+    with pytest.raises(ValueError, match=r"mesh, two-pass.*'magic'"):
         make_renderer("magic", picture(4, 8), None, smooth(4, 8), None, (4, 8))

@@ -1,6 +1,5 @@
 """Who compiles says so, once; who finds machine code does not."""
 
-import threading
 import time
 from pathlib import Path
 
@@ -10,13 +9,10 @@ import pytest
 
 from omnisyn_cli.compute import jit
 from omnisyn_cli.compute.jit import (
-    OtherCompiler,
     announce_compiling,
     are_kernels_kept,
     fast_kernel,
-    is_on_disk,
     kernel,
-    reporting_to,
     when_compiling,
     while_compiling,
 )
@@ -116,46 +112,6 @@ def test_two_processes_that_compile_one_kernel_for_two_types_do_not_mix_them_up(
     assert (first(3), second(1.5)) == (6, 3.0)
     monkeypatch.undo()
     again = loaded(tmp_path, monkeypatch)
-    assert is_on_disk(again)
     assert again(1.5) == 3.0
     assert again(3) == 6
     assert len(list((tmp_path / "kept").rglob("*.nbc"))) == 2
-
-
-def test_a_kernel_that_another_process_compiles_is_waited_for_and_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    there, here, third = (loaded(tmp_path, monkeypatch) for _ in range(3))
-    reports: list[str] = []
-    with reporting_to(reports.append):
-        there(3)
-    assert reports == ["+doubling.double", "-doubling.double"]
-    other, compiled = OtherCompiler(), []
-    other.hear("+doubling.double")
-    files = list((tmp_path / "kept").rglob("*.nb?"))
-    hidden = {file: file.read_bytes() for file in files}
-    for file in files:
-        file.unlink()
-
-    def finish() -> None:
-        for file, content in hidden.items():
-            file.write_bytes(content)
-        other.hear("-doubling.double")
-
-    timer = threading.Timer(0.3, finish)
-    timer.start()
-    with other.awaited(), reporting_to(compiled.append):
-        assert here(3) == 6
-    assert compiled == []
-    timer.join()
-    other.hear("+doubling.double")
-    threading.Timer(0.3, other.end).start()  # it was killed
-    with other.awaited(), reporting_to(compiled.append):
-        assert third(np.float32(3)) == 6
-    assert compiled == ["+doubling.double", "-doubling.double"]
-
-
-def test_what_nobody_else_compiles_is_not_waited_for() -> None:
-    other = OtherCompiler()
-    other.hear("+other.kernel")
-    assert not other.wait_for("mine")

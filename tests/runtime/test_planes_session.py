@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.planes import SessionDoubt, SessionFusion, SessionPainter
+from omnisyn_cli.runtime.planes import SessionFusion, SessionPainter, SessionRefinement
 
 
 class Session:
@@ -20,7 +20,7 @@ class Session:
         return [SimpleNamespace(name=name) for name in self.outputs]
 
     def run(self, _, inputs):
-        assert inputs["planes"].shape in ((1, 52, 32, 64), (1, 27, 32, 64), (1, 8, 32, 64))
+        assert inputs["planes"].shape in ((1, 52, 32, 64), (1, 19, 32, 64), (1, 8, 32, 64))
         return self.answers
 
 
@@ -60,9 +60,9 @@ def test_a_painter_gives_its_picture_and_other_models_are_none():
         SessionPainter(Session([picture[:, :1]], outputs=("colour",)))(PLANES[:8])
 
 
-def test_doubt_is_padded_to_what_the_network_takes_and_cut_again():
+def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again():
     """Over the seam, and on beyond the last row."""
-    planes = np.random.default_rng(0).random((27, 30, 60), dtype=np.float32)
+    planes = np.random.default_rng(0).random((19, 30, 60), dtype=np.float32)
 
     class Echo(Session):
         def run(self, names, inputs):
@@ -70,9 +70,9 @@ def test_doubt_is_padded_to_what_the_network_takes_and_cut_again():
             given = inputs["planes"][0]
             np.testing.assert_array_equal(given[:, :30, 60:], planes[..., :4])
             np.testing.assert_array_equal(given[:, 30:, :60], np.repeat(planes[:, -1:], 2, axis=1))
-            return [given[None, :1]]
+            return [given[None, :1], given[None, 1:2]]
 
-    found = SessionDoubt(Echo([], outputs=("confidence",)))(planes)
-    np.testing.assert_array_equal(found, planes[0])
-    with pytest.raises(InputError, match="the outputs 'confidence', got"):
-        SessionDoubt(Session([]))
+    found = SessionRefinement(Echo([], outputs=("inverse_depth", "confidence")))(planes)
+    np.testing.assert_array_equal(found, planes[:2])
+    with pytest.raises(InputError, match="the outputs 'inverse_depth', 'confidence', got"):
+        SessionRefinement(Session([]))

@@ -1,4 +1,4 @@
-"""The scale from fast to accurate, and beside it the paper's method with the paper's settings."""
+"""The scale from fast to balanced, and beside it the paper's method with the paper's settings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,7 @@ def images(tmp_path: Path) -> list[Path]:
 
 def test_every_preset_is_on_the_scale_or_beside_it() -> None:
     assert list(PRESETS) == [*SCALE, *REPRODUCTIONS]
-    assert list(SCALE) == ["fast", "balanced", "accurate"]
+    assert list(SCALE) == ["fast", "balanced"]
     assert DEFAULT_PRESET in SCALE
     assert sorted(p.recipe.depth.rows for p in SCALE.values()) == [p.recipe.depth.rows for p in SCALE.values()]
     assert {preset.recipe.fusion for preset in PRESETS.values()} <= set(FUSIONS)
@@ -103,4 +103,4 @@ def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
 def test_the_help_says_that_it_is_no_point_on_the_scale() -> None:
     words = " ".join(CliRunner().invoke(interpolate, ["--help"]).output.split())
     assert "Beside that scale paper: the method of the paper" in words
-    assert f"accurate: {SCALE['accurate'].summary}" in words
+    assert f"balanced: {SCALE['balanced'].summary}" in words

@@ -69,7 +69,7 @@ def test_pictures_from_one_panorama_and_from_two_differ(tmp_path: Path) -> None:
         ({"preset": "fast"}, "preset"),
         ({"depth": "matching"}, "depth"),
         ({"model": "completion-balanced"}, "model"),
-        ({"renderer": "points"}, "renderer"),
+        ({"renderer": "two-pass"}, "renderer"),
         ({"cut": 0.1}, "cut"),
         ({"fusion": "network"}, "fusion"),
         ({"adaptive": True}, "adaptive"),

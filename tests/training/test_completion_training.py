@@ -100,14 +100,14 @@ def test_silhouettes_are_blunted_as_windows_do_it_and_nothing_else_is():
     nothing = np.zeros(truth.shape, np.bool_)
     grown, lost, sure_there = 0, 0, []
     for seed in range(20):
-        agreed, matched = completion._blunted(truth, nothing, truth, np.random.default_rng(seed))
+        left_right_consistent, matched = completion._blunted(truth, nothing, truth, np.random.default_rng(seed))
         changed = np.abs(matched - truth) > 0.3
         assert away[changed].max(initial=0.0) < 8.0
         np.testing.assert_array_equal(matched[~changed & (away > 8.0)], truth[~changed & (away > 8.0)])
-        assert not agreed[away > 8.0].any()
+        assert not left_right_consistent[away > 8.0].any()
         grown, lost = grown + (changed & (truth < 0.5)).sum(), lost + (changed & (truth > 0.5)).sum()
         np.testing.assert_allclose(matched[changed & (truth < 0.5)], 1.0, rtol=0.2)
-        sure_there.append(agreed[changed].mean() if changed.any() else 0.5)
+        sure_there.append(left_right_consistent[changed].mean() if changed.any() else 0.5)
     assert grown > lost
     assert 0.2 < np.mean(sure_there) < 0.9
 

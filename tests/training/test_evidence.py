@@ -6,7 +6,7 @@ from omnisyn_cli.cli import main
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import CompletionConfig
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.stereo.evidence import PLANES
+from omnisyn_cli.stereo.stereo_features import PLANES
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import is_made_by, list_pool, load_samples
 from omnisyn_cli.training.evidence_pool import EvidencePair, evidence_pair, make_evidence
@@ -35,9 +35,9 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
             assert pair.root.shape == SIZE
             assert pair.baseline > 0.05
             assert np.isfinite(pair.planes).all()
-            agreed = (pair.planes[5] > 0) & (pair.planes[6] == 0)
+            left_right_consistent = (pair.planes[5] > 0) & (pair.planes[6] == 0)
             for truth, errors in ((pair.root, own), (np.roll(pair.root, SIZE[0], axis=1), elsewhere)):
-                errors.extend(np.abs(pair.planes[3] - truth)[agreed])
+                errors.extend(np.abs(pair.planes[3] - truth)[left_right_consistent])
         assert load_samples(path, EvidencePair, 2)[0].baseline == load_samples(path, EvidencePair)[2].baseline
     assert np.mean(own) < 0.7 * np.mean(elsewhere), (np.mean(own), np.mean(elsewhere))
 

@@ -11,10 +11,10 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import write_depth, write_image
-from omnisyn_cli.networks.depth import DepthPrediction
+from omnisyn_cli.networks.paper import PaperPrediction
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.training.data import draw_batch, list_pool, load_scene
-from omnisyn_cli.training.losses import depth_loss, depth_scores
+from omnisyn_cli.training.losses import depth_scores, paper_loss
 from omnisyn_cli.training.pool import add_pair, pair_path, pool_scene
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -63,23 +63,23 @@ def test_holes_and_masks_are_unknown_and_teach_nothing(tmp_path):
     batch = draw_batch(list_pool(folder), np.random.default_rng(0), 4, SIZE)
     unknown = torch.isnan(batch.root)
     assert unknown.any()
-    roots = [torch.rand(4, 1, 32, 64), torch.rand(4, 1, *SIZE)]
-    changed = [roots[0].clone(), torch.where(unknown, torch.rand(4, 1, *SIZE), roots[1])]
-    changed[0][unknown[..., 1::2, 1::2]] = 9.0
-    one, other = (figures(each, batch) for each in (roots, changed))
+    heads = torch.rand(2, 4, 1, *SIZE)
+    changed = torch.where(unknown, torch.rand(2, 4, 1, *SIZE), heads)
+    one, other = (figures(each, batch) for each in (heads, changed))
     assert one == pytest.approx(other)
     assert all(np.isfinite(one))
 
 
-def figures(roots, batch):
-    """Loss and scores; gradients are finite, and nothing where the truth is unknown."""
-    leaves = [root.clone().requires_grad_() for root in roots]
-    prediction = DepthPrediction(tuple(leaves), torch.zeros_like(roots[-1]))
-    loss = depth_loss(prediction, batch.root)
+def figures(heads, batch):
+    """Loss and scores of a low and a high head; gradients are finite, and nothing where the truth is unknown."""
+    leaves = [head.clone().requires_grad_() for head in heads]
+    prediction = PaperPrediction(*leaves)
+    loss = paper_loss(prediction, batch.root)
     loss.backward()
     unknown = torch.isnan(batch.root)
-    assert all(torch.all(torch.isfinite(leaf.grad)) for leaf in leaves)
-    assert torch.all(leaves[-1].grad[unknown] == 0)
+    for leaf in leaves:
+        assert torch.all(torch.isfinite(leaf.grad))
+        assert torch.all(leaf.grad[unknown] == 0)
     scores = depth_scores(prediction, batch.root, batch.baseline)
     return loss.item(), scores["imae"], scores["delta_25"], scores["confidence_error"]
 

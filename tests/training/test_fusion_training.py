@@ -7,9 +7,9 @@ from torch.nn import functional
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.fusion import input_channels as plane
-from omnisyn_cli.fusion.layer_pair import BandRunner, Views
-from omnisyn_cli.fusion.residual import NetworkFuser
-from omnisyn_cli.fusion.input_builder import PlaneMaker
+from omnisyn_cli.fusion.layer_pair import RowTileRunner, LayerPair
+from omnisyn_cli.fusion.residual import ResidualFuser
+from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import PLANES
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.warp_candidates import CANDIDATES, FINER, LOOKS, SUPPOSED
@@ -18,7 +18,7 @@ from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.reprojection import AskedPanorama
+from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
 from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores, mixed
@@ -32,7 +32,7 @@ from omnisyn_cli.training.fusion_pool import (
 )
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 TINY = FusionConfig("tiny", planes=PLANES + LOOKS, widths=(8, 12, 16), fine=6)
 TINY_PAPER = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
@@ -56,8 +56,8 @@ def rendering(seed, offset):
     colour[hole], rho[hole] = 0.0, -1.0
     colour, rho = (x.repeat(FINER, 0).repeat(FINER, 1) for x in (colour, rho))
     pose, texture = Pose(np.eye(3), np.array(offset, float)), make_texture(rng.random((16, 32, 3), np.float32))
-    panorama = AskedPanorama(lambda: texture, rng.random((16, 32)), Shader(rho.shape, 1))
-    return replace(Rendering.of(rho, colour, pose), witness=panorama.seen_from(pose))
+    panorama = Reprojector(lambda: texture, rng.random((16, 32)), Shader(rho.shape, 1))
+    return replace(Layer.from_arrays(rho, colour, pose), source_sampler=panorama.seen_from(pose))
 
 
 def test_the_network_learns_on_the_picture_that_the_program_makes():
@@ -72,7 +72,7 @@ def test_the_network_learns_on_the_picture_that_the_program_makes():
         shown.append(planes)
         return shares
 
-    fuser = NetworkFuser(views[0].inverse_depth.shape, network, threads=1, rows=SIZE[0])
+    fuser = ResidualFuser(views[0].inverse_depth.shape, network, threads=1, rows=SIZE[0])
     for share, most in ((0.0, 0.01), (0.2, 0.03)):
         shares[:] = np.float32(share)
         picture = fuser(*views, 0.4).reshape(SIZE[0], FINER, SIZE[1], FINER, 3).mean(axis=(1, 3))
@@ -98,10 +98,10 @@ def test_the_network_knows_where_the_weights_are():
 
 def test_exchanging_the_views_exchanges_the_planes():
     first, second = rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))
-    make, options = PlaneMaker(SIZE, BandRunner(first.inverse_depth.shape, 1)), BlendOptions()
-    witnesses = first.witness, second.witness
-    there = make(Views(first, second), BlendRule.at(0.3, options), witnesses)[0]
-    back = make(Views(second, first), BlendRule.at(0.7, options), witnesses[::-1])[0]
+    make, options = InputBuilder(SIZE, RowTileRunner(first.inverse_depth.shape, 1)), BlendOptions()
+    source_samplers = first.source_sampler, second.source_sampler
+    there = make(LayerPair(first, second), BlendRule.at(0.3, options), source_samplers)[0]
+    back = make(LayerPair(second, first), BlendRule.at(0.7, options), source_samplers[::-1])[0]
     np.testing.assert_allclose(exchanged(there), back, atol=1e-4)
     np.testing.assert_array_equal(exchanged(exchanged(there)), there)
 

@@ -11,15 +11,14 @@ from training_samples import TINY, ball_scene, make_pool
 from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion import input_channels as plane
-from omnisyn_cli.fusion.layer_pair import BandRunner, Views
+from omnisyn_cli.fusion.layer_pair import RowTileRunner, LayerPair
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.input_builder import reduced
-from omnisyn_cli.fusion.input_channels import fusion_planes
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown
+from omnisyn_cli.fusion.input_builder import downsampled_pair
+from omnisyn_cli.fusion.input_channels import fusion_input_channels
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.networks.depth_config import VARIANTS
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
-from omnisyn_cli.networks.paper import PaperConfig, PaperPrediction
+from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.runtime.models import read_manifest
@@ -39,10 +38,9 @@ from omnisyn_cli.training.joint import (
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, part_of, train
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.triples import draw_triples, exchanged_panoramas
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 PAINTING = FusionConfig("tiny", planes=8, widths=(8, 12, 16), paints=True)
-PAPER = PaperConfig("tiny-paper", (64, 128), widths=(4, 6, 8, 8, 8, 8), volume_widths=(4, 6, 8, 8), levels=16)
 JOINT = JointConfig(TINY, PAINTING)
 SIZE = (64, 128)
 
@@ -63,12 +61,12 @@ def random_view(seed, position):
     hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((8, 8), bool))
     colour[..., 3] = 0.01 + 0.99 * colour[..., 3]
     colour[hole], rho[hole] = 0.0, -1.0
-    return Rendering.of(rho, colour, Pose(np.eye(3), np.array(position, float)))
+    return Layer.from_arrays(rho, colour, Pose(np.eye(3), np.array(position, float)))
 
 
 def as_seen(view):
     colour, offset = torch.from_numpy(view.colour), torch.from_numpy(view.target_from_source.position)
-    return Shown(colour[..., :3], colour[..., 3], torch.from_numpy(view.inverse_depth), offset.to(colour))
+    return LayerArrays(colour[..., :3], colour[..., 3], torch.from_numpy(view.inverse_depth), offset.to(colour))
 
 
 @pytest.mark.parametrize("t", [0.4, 0.93])
@@ -76,14 +74,14 @@ def test_planes_are_those_of_the_program(t):
     """Of tensors as of arrays, weights, doubt, filled holes and all."""
     first, second = random_view(1, (0.0, 0.0, t)), random_view(2, (0.0, 0.0, t - 1.0))
     rule = BlendRule.at(t, BlendOptions())
-    own, other = reduced(Views(first, second), SIZE, BandRunner(SIZE, 1))
+    own, other = downsampled_pair(LayerPair(first, second), SIZE, RowTileRunner(SIZE, 1))
 
     def fill(image, weight):
         HoleFiller(SIZE, 1)(image, weight)
         return image
 
-    expected = fusion_planes(own, other, rule, 1.0, fill)
-    found = fusion_planes(as_seen(first), as_seen(second), rule, 1.0, filled).numpy()
+    expected = fusion_input_channels(own, other, rule, 1.0, fill)
+    found = fusion_input_channels(as_seen(first), as_seen(second), rule, 1.0, filled).numpy()
     for name in (
         "FIRST",
         "SECOND",
@@ -102,14 +100,14 @@ def test_planes_are_those_of_the_program(t):
 
 
 @pytest.mark.parametrize("frame", ["epipole", "forward"])
-def test_true_depth_shows_the_view_between(tmp_path, frame):
+def test_true_depth_shows_the_view_between(tmp_path):
     """Whichever end a way is walked from, mirrored or not, in both frames: both renderings are the true picture."""
     pool = list_pool(make_pool(tmp_path, scenes=3))
-    drawn = draw_triples(pool, np.random.default_rng(0), 8, SIZE, frame)
-    second = exchanged_panoramas(drawn.roots[1], frame)
+    drawn = draw_triples(pool, np.random.default_rng(0), 8, SIZE)
+    second = exchanged_panoramas(drawn.roots[1])
     rho = torch.stack([drawn.roots[0], second]).squeeze(2).square()
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
-    planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share, frame)
+    planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share)
     assert drawn.share.unique().numel() > 1
     for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
         shown = planes[:, begin : begin + 3]
@@ -121,9 +119,9 @@ def test_true_depth_shows_the_view_between(tmp_path, frame):
 def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
     """Of the joint loss of a smooth scene without cuts, to the inverse depth of both panoramas, in any direction."""
     rng = np.random.default_rng(0)
-    drawn = draw_triples(list_pool(make_pool(tmp_path, scenes=1)), rng, 1, SIZE, "epipole")
+    drawn = draw_triples(list_pool(make_pool(tmp_path, scenes=1)), rng, 1, SIZE)
     drawn = replace(drawn, **{name: value.double() for name, value in vars(drawn).items()})
-    own = torch.stack([drawn.roots[0], exchanged_panoramas(drawn.roots[1], "epipole")]).squeeze(2).square()
+    own = torch.stack([drawn.roots[0], exchanged_panoramas(drawn.roots[1])]).squeeze(2).square()
     rho = (1.05 * own).requires_grad_()
     for surface in rho.detach().numpy():
         assert not (build_mesh(surface[0]).quads & CUT_EDGES).any()
@@ -133,8 +131,8 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
 
     def loss(rho):
-        planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share, "epipole")
-        stacked = torch.cat([rho[0], exchanged_panoramas(rho[1], "epipole")]).unsqueeze(1)
+        planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share)
+        stacked = torch.cat([rho[0], exchanged_panoramas(rho[1])]).unsqueeze(1)
         prediction = PairPrediction(PaperPrediction(stacked, stacked), rho, torch.ones_like(rho))
         return joint_loss(JointAnswer(prediction, planes, network(inputs_of(network.config, planes))), drawn)
 
@@ -154,24 +152,23 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences(tmp_path):
 
 def test_the_picture_alone_teaches_depth(tmp_path):
     """From a surface that is too far everywhere, the gradient of the picture's error leads to the true one."""
-    drawn = draw_triples(list_pool(make_pool(tmp_path, scenes=1)), np.random.default_rng(3), 1, SIZE, "epipole")
-    own = torch.stack([drawn.roots[0], exchanged_panoramas(drawn.roots[1], "epipole")]).squeeze(2).square()
+    drawn = draw_triples(list_pool(make_pool(tmp_path, scenes=1)), np.random.default_rng(3), 1, SIZE)
+    own = torch.stack([drawn.roots[0], exchanged_panoramas(drawn.roots[1])]).squeeze(2).square()
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
     scale = torch.tensor(0.9, requires_grad=True)
     optimizer = torch.optim.Adam([scale], lr=5e-3)
     for _ in range(60):
-        planes = planes_between(scale * own, torch.ones_like(own), textures, drawn.share, "epipole")
+        planes = planes_between(scale * own, torch.ones_like(own), textures, drawn.share)
         optimizer.zero_grad()
         (planes[:, plane.FUSED : plane.FUSED + 3] - drawn.middle).square().mean().backward()
         optimizer.step()
     assert scale.item() == pytest.approx(1.0, abs=0.03)
 
 
-@pytest.mark.parametrize("depth", [TINY, PAPER], ids=["ours", "paper"])
-def test_both_networks_are_taught_by_both_losses(tmp_path, depth):
-    """The error of the picture alone reaches the weights of the depth network, whatever the pair of networks."""
-    network = JointNetwork(JointConfig(depth, PAINTING))
-    drawn = draw_triples(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE, network.depth.frame)
+def test_both_networks_are_taught_by_both_losses(tmp_path):
+    """The error of the picture alone reaches the weights of the depth network."""
+    network = JointNetwork(JOINT)
+    drawn = draw_triples(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 1, SIZE)
     answer = joint_answer(network, drawn)
     (answer.picture - drawn.middle).abs().mean().backward()
     for part in (network.depth, network.fusion):
@@ -183,14 +180,12 @@ def test_both_networks_are_taught_by_both_losses(tmp_path, depth):
 def test_both_panoramas_are_estimated_in_one_frame():
     """Exchanging the cameras exchanges the answers."""
     torch.manual_seed(0)
-    for depth in (TINY, PAPER):
-        network = JointNetwork(JointConfig(depth, PAINTING)).eval()
-        first, second = torch.rand(2, 1, 3, *SIZE)
-        frame = network.depth.frame
-        with torch.no_grad():
-            there = network(first, second).inverse_depth
-            back = network(exchanged_panoramas(second, frame), exchanged_panoramas(first, frame)).inverse_depth
-        np.testing.assert_allclose(exchanged_panoramas(back.flip(0), frame), there, atol=1e-5)
+    network = JointNetwork(JOINT).eval()
+    first, second = torch.rand(2, 1, 3, *SIZE)
+    with torch.no_grad():
+        there = network(first, second).inverse_depth
+        back = network(exchanged_panoramas(second), exchanged_panoramas(first)).inverse_depth
+    np.testing.assert_allclose(exchanged_panoramas(back.flip(0)), there, atol=1e-5)
 
 
 def test_a_stopped_run_goes_on_bit_for_bit(tmp_path, config):
@@ -223,7 +218,7 @@ def test_both_networks_leave_as_files_of_their_own_and_can_begin_another_run(tmp
     assert equal(
         dict(part.state_dict()), {k.removeprefix("fusion."): v for k, v in trainer.average.items() if k[0] == "f"}
     )
-    with pytest.raises(InputError, match=r"expected a completion network in .*got depth and fusion"):
+    with pytest.raises(InputError, match=r"expected a completion network in .*got paper and fusion"):
         part_of(path, ("completion",))
 
 
@@ -232,14 +227,14 @@ def run(*arguments):
 
 
 def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, config):
-    monkeypatch.setitem(VARIANTS, "tiny", TINY)
+    monkeypatch.setitem(PAPER_VARIANTS, "tiny", TINY)
     monkeypatch.setitem(FUSION_VARIANTS, "tiny", PAINTING)
     depth = train(TINY, config, tmp_path / "depth", steps=1)
     save_checkpoint(tmp_path / "small.pt", compact(depth.state()))
     pools = ("--pool", config.pool, "--validation-pool", config.validation_pool, "--height", 64, "--rate", 0.0)
     result = run("joint", tmp_path / "run", *pools, "--depth", tmp_path / "small.pt", "--fusion", "tiny", "--steps", 1)
     assert result.exit_code == 0, result.output
-    held = part_of(tmp_path / "run" / "checkpoint.pt", ("depth",)).state_dict()
+    held = part_of(tmp_path / "run" / "checkpoint.pt", ("paper",)).state_dict()
     for name, value in depth.average.items():
         torch.testing.assert_close(held[name], value, rtol=2e-3, atol=1e-4)
     again = run(
@@ -254,20 +249,20 @@ def test_a_run_begins_with_the_checkpoints_it_is_given(tmp_path, monkeypatch, co
         1,
     )
     assert again.exit_code == 0, again.output
-    assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("depth",)).state_dict(), held)
+    assert equal(part_of(tmp_path / "two" / "checkpoint.pt", ("paper",)).state_dict(), held)
 
 
 def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
     pools = ("--pool", config.pool, "--validation-pool", config.validation_pool)
     result = run("joint", tmp_path / "run", *pools, "--depth", "slow")
     assert result.exit_code == 2
-    assert "expected a checkpoint or one of fast" in result.output
+    assert "expected a checkpoint or one of paper" in result.output
     result = run("joint", tmp_path / "run", *pools, "--fusion", "residual")
     assert result.exit_code == 2
     assert "expected a network that paints" in result.output
     result = run("joint", tmp_path / "run", *pools, "--height", 100)
     assert result.exit_code == 2
-    assert "multiple of 64 for the joint network" in result.output
+    assert "multiple of 128 for the joint network" in result.output
     train(TINY, config, tmp_path / "depth", steps=1)
     result = run("joint", tmp_path / "run", *pools, "--fusion", tmp_path / "depth" / "checkpoint.pt")
     assert isinstance(result.exception, InputError)
@@ -279,14 +274,14 @@ def test_what_cannot_begin_a_run_is_refused(tmp_path, config):
 def test_pools_of_pairs_are_refused(tmp_path):
     save_scene(tmp_path / "00000000.npz", ball_scene(along=(0.0, 1.0)))
     with pytest.raises(InputError, match="at least 3 views, got 2"):
-        draw_triples(list_pool(tmp_path), np.random.default_rng(0), 1, SIZE, "epipole")
+        draw_triples(list_pool(tmp_path), np.random.default_rng(0), 1, SIZE)
 
 
 def test_triples_depend_on_the_seed_alone_and_light_is_the_same_for_all_views(tmp_path):
     from omnisyn_cli.training.data import Augmentation
 
     pool = list_pool(make_pool(tmp_path))
-    plain = draw_triples(pool, np.random.default_rng(5), 4, SIZE, "epipole")
+    plain = draw_triples(pool, np.random.default_rng(5), 4, SIZE)
     one, same = (draw_triples(pool, np.random.default_rng(5), 4, SIZE, "epipole", Augmentation()) for _ in range(2))
     assert all(torch.equal(value, getattr(same, name)) for name, value in vars(one).items())
     assert torch.equal(plain.first, plain.first_texture)

@@ -8,7 +8,7 @@ from training_samples import TINY, make_pool
 from omnisyn_cli.compute.threads import allowed_threads
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
-from omnisyn_cli.networks.depth import DepthNetwork
+from omnisyn_cli.networks.paper import PaperNetwork
 from omnisyn_cli.training.checkpoint import NEEDED, compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
 
@@ -132,7 +132,7 @@ def test_the_average_follows_the_weights(tmp_path, config):
     assert state["step"] == 3
     for name, value in network.state_dict().items():
         assert torch.equal(value, trainer.average[name])
-    name = "encoder.stem.first.weight"
+    name = "features.blocks.0.first.weight"
     assert not torch.equal(trainer.average[name], trainer.network.state_dict()[name])
 
 
@@ -169,7 +169,7 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(tmp_path, config
 
 def test_a_folder_of_another_kind_of_network_is_refused(tmp_path, config):
     train(TINY, config, tmp_path / "run", steps=1)
-    with pytest.raises(InputError, match=r"expected a completion network in .*got a depth network"):
+    with pytest.raises(InputError, match=r"expected a completion network in .*got a paper network"):
         train(COMPLETION_VARIANTS["balanced"], config, tmp_path / "run", steps=2)
 
 
@@ -196,7 +196,7 @@ def test_one_pair_can_be_learned_by_heart(tmp_path):
     rows = []
     train(TINY, config, tmp_path / "run", steps=300, report=rows.append)
     assert rows[-1]["delta_10"] > 0.9
-    assert isinstance(load_network(tmp_path / "run" / "checkpoint.pt")[0], DepthNetwork)
+    assert isinstance(load_network(tmp_path / "run" / "checkpoint.pt")[0], PaperNetwork)
 
 
 def test_a_compact_checkpoint_is_the_same_network_and_can_be_trained_on(tmp_path, config):

@@ -4,9 +4,8 @@ import pytest
 import torch
 
 from omnisyn_cli.networks.completion import CompletionPrediction
-from omnisyn_cli.networks.depth import DepthPrediction
 from omnisyn_cli.networks.paper import PaperPrediction
-from omnisyn_cli.training.losses import completion_loss, depth_loss, depth_scores, paper_loss, polar_weights
+from omnisyn_cli.training.losses import completion_loss, depth_scores, paper_loss, polar_weights
 
 
 @pytest.fixture
@@ -17,9 +16,9 @@ def target():
     return root
 
 
-def prediction(root, logit=0.0):
-    coarse = root[..., 1::2, 1::2]
-    return DepthPrediction((coarse, root), torch.full_like(root, logit))
+def prediction(root):
+    """Of both heads alike, so that the confidence is 1."""
+    return PaperPrediction(root.square(), root.square())
 
 
 def test_weights_are_solid_angles_with_mean_one():
@@ -28,38 +27,32 @@ def test_weights_are_solid_angles_with_mean_one():
     assert weights[8, 0] / weights[0, 0] == pytest.approx(math.sin(8.5 / 16 * math.pi) / math.sin(0.5 / 16 * math.pi))
 
 
-def test_the_truth_costs_nothing_but_doubt(target):
-    assert depth_loss(prediction(target, 20.0), target) < 1e-6
-    assert depth_loss(prediction(target, -20.0), target) > 0.5
+def test_the_truth_costs_nothing(target):
+    assert paper_loss(prediction(target), target) == 0
 
 
 def test_below_zero_is_infinitely_far(target):
-    below = torch.where(target == 0, -0.05, target)
-    gradients_aside = depth_loss(prediction(below, 20.0), target)
-    assert gradients_aside < 0.05
-    scores = depth_scores(prediction(below), target, torch.ones(2))
-    assert scores["sky_zero"] == 1.0
+    heads = torch.where(target == 0, -0.05, target.square())
+    assert paper_loss(PaperPrediction(heads, heads), target) == 0
+    assert depth_scores(PaperPrediction(heads, heads), target, torch.ones(2))["sky_zero"] == 1.0
 
 
 @pytest.mark.parametrize("error", [0.05, -0.05, 0.2])
 def test_errors_cost_more_the_larger_they_are(target, error):
     def cost(scale):
-        wrong = torch.where(target == 0, target, target + scale * error)
-        return depth_loss(prediction(wrong, 0.0), target)
+        return paper_loss(prediction(torch.where(target == 0, target, target + scale * error)), target)
 
     assert cost(0.0) < cost(0.5) < cost(1.0)
 
 
 def test_gradients_are_finite_everywhere(target):
-    root = target.clone().requires_grad_()
-    logit = torch.zeros_like(target, requires_grad=True)
-    depth_loss(DepthPrediction((root[..., 1::2, 1::2], root), logit), target).backward()
-    assert torch.all(torch.isfinite(root.grad))
-    assert torch.all(torch.isfinite(logit.grad))
+    low, high = (target.square().requires_grad_() for _ in range(2))
+    paper_loss(PaperPrediction(low, high), target).backward()
+    assert all(torch.all(torch.isfinite(head.grad)) for head in (low, high))
 
 
 def test_scores_of_the_truth_are_perfect_and_scale_with_the_baseline(target):
-    perfect = depth_scores(prediction(target, 20.0), target, torch.tensor([2.0, 2.0]))
+    perfect = depth_scores(prediction(target), target, torch.tensor([2.0, 2.0]))
     assert (perfect["imae"], perfect["delta_5"], perfect["delta_25"], perfect["sky_zero"]) == (0.0, 1.0, 1.0, 1.0)
     assert perfect["confidence_error"] < 1e-6
     nearer = prediction(target * math.sqrt(1.07))  # 7 % more inverse depth
@@ -97,15 +90,15 @@ def polar_mean(rows):
     return sum(math.sin((row + 0.5) / rows * math.pi) for row in range(rows)) / rows
 
 
-def test_doubt_of_a_completed_root_costs_by_its_solid_angle():
-    """A doubt in one row adds to the loss what the sine of its polar angle says, and nothing else changes."""
+def test_uncertainty_of_a_completed_root_costs_by_its_solid_angle():
+    """A wrong confidence in one row adds to the loss what the sine of its polar angle says, and nothing else changes."""
     truth = torch.full((1, 1, 16, 32), 0.5)
 
     def loss(rows):
-        doubt = torch.full_like(truth, 20.0)
-        doubt[..., rows, :] = 0.0
+        logit = torch.full_like(truth, 20.0)
+        logit[..., rows, :] = 0.0
         nothing = torch.zeros_like(truth)
-        return float(completion_loss(CompletionPrediction(truth.expand(1, 2, 16, 32), nothing, doubt), truth, nothing))
+        return float(completion_loss(CompletionPrediction(truth.expand(1, 2, 16, 32), nothing, logit), truth, nothing))
 
     pole, equator = (loss([row]) - loss([]) for row in (0, 8))
     assert pole / equator == pytest.approx(math.sin(0.5 / 16 * math.pi) / math.sin(8.5 / 16 * math.pi), rel=1e-3)

@@ -13,7 +13,6 @@ MODELS = Path(__file__).parents[2] / "models"
 
 SHIPPED = {
     "completion-balanced": ["completion-balanced"],
-    "doubt-balanced": ["doubt-balanced"],
     "depth-paper-narrow": ["depth-paper-narrow"],
     "fusion-paper-narrow": ["fusion-paper-narrow"],
     "fusion-residual": ["fusion-residual"],

@@ -15,7 +15,7 @@ from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork
-from omnisyn_cli.render.soft_points_torch import splat_torch
+from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.training import adversarial, synsin
 from omnisyn_cli.training.adversarial import (
     PatchDiscriminator,

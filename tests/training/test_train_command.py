@@ -5,7 +5,6 @@ from training_samples import make_pool
 
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.networks.depth_config import VARIANTS
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.runtime.session import open_session
@@ -28,12 +27,12 @@ def test_an_unknown_kind_of_scene_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("variant", [*VARIANTS, *PAPER_VARIANTS])
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_a_height_that_the_network_cannot_halve_often_enough_is_refused(tmp_path, variant):
     pools = ("--pool", tmp_path, "--validation-pool", tmp_path)
     result = run("depth", tmp_path / "run", *pools, "--variant", variant, "--height", 100)
     assert result.exit_code == 2
-    assert f"multiple of {(VARIANTS | PAPER_VARIANTS)[variant].size_multiple} for" in result.output
+    assert f"multiple of {PAPER_VARIANTS[variant].size_multiple} for" in result.output
     assert list(tmp_path.iterdir()) == []
 
 
@@ -85,9 +84,9 @@ def test_the_papers_network_is_trained_published_and_found_by_its_name(tmp_path,
     assert session.get_modelmeta().custom_metadata_map["frame"] == "forward"
 
 
-def test_rates_are_those_of_the_variant_unless_told(tmp_path):
+def test_the_rate_is_the_authors_unless_told(tmp_path):
     pools = [f"--{name}={make_pool(tmp_path / name)}" for name in ("pool", "validation-pool")]
-    for rate, expected in (([], 6e-4), (["--rate", "2e-3"], 2e-3)):
+    for rate, expected in (([], 1e-4), (["--rate", "2e-3"], 2e-3)):
         folder = tmp_path / f"run{len(rate)}"
         result = run("depth", folder, *pools, "--height", 64, "--steps", 1, "--batch", 1, *rate)
         assert result.exit_code == 0, result.output

@@ -30,10 +30,9 @@ for command in (convert, evidence, fusion_pool, pool):
     train.add_command(command)
 
 
-def _stage_options(pool: str, batch: int, rate: float | None) -> Callable[..., Any]:
+def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
     """What every training command takes."""
-    by_variant = "" if rate is not None else "  [default: 6e-4, for paper 1e-4]"
-    warm, half = f"Learning rate after the warm-up.{by_variant}", "auto uses bfloat16 if the machine has it."
+    warm, half = "Learning rate after the warm-up.", "auto uses bfloat16 if the machine has it."
     learn, judge = f"Scenes to learn from, made by `omnisyn train {pool}`.", "Scenes to be judged by: other seeds."
     at_least_0, at_least_1 = WholeRange(0), WholeRange(1)
     shown: dict[str, Any] = {"show_default": True}
@@ -63,8 +62,8 @@ def _height_option(default: int, least: int, more: str = ".") -> Callable[..., A
 
 
 @train.command()
-@_stage_options("pool", batch=4, rate=None)
-@_variant_option("fast", "Network of a fresh run: fast, accurate, paper, paper-square, paper-narrow.")
+@_stage_options("pool", batch=4, rate=1e-4)
+@_variant_option("paper-narrow", "Network of a fresh run: paper, paper-square, paper-narrow.")
 @_height_option(256, 64)
 def depth(**options: Any) -> None:
     """Train a depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
@@ -95,7 +94,10 @@ def fusion(**options: Any) -> None:
 @train.command()
 @_stage_options("pool", batch=1, rate=1e-4)
 @click.option(
-    "--depth", default="fast", show_default=True, help="Of a fresh run: a variant, or a checkpoint to begin with."
+    "--depth",
+    default="paper-narrow",
+    show_default=True,
+    help="Of a fresh run: a variant, or a checkpoint to begin with.",
 )
 @click.option(
     "--fusion", default="paper-narrow", show_default=True, help="The same for the fusion network, which has to paint."
@@ -131,15 +133,12 @@ def synsin(**options: Any) -> None:
     _train_variant("synsin", ema=SYNSIN_EMA, warmup_steps=SYNSIN_WARMUP, **options)
 
 
-def _train_variant(role: str, variant: str, rate: float | None, **options: Any) -> None:
+def _train_variant(role: str, variant: str, **options: Any) -> None:
     """Train the network of that name."""
-    from omnisyn_cli.training.tasks import TASKS, task_of
-
     known = _variants(role)
     if variant not in known:
         raise click.BadParameter(f"expected one of {', '.join(known)}, got {variant!r}", param_hint="--variant")
-    network = known[variant]
-    _train(network, variant, rate=TASKS[task_of(network)].rate if rate is None else rate, **options)
+    _train(known[variant], variant, **options)
 
 
 def _variants(role: str) -> dict[str, Any]:

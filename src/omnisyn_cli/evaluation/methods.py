@@ -36,7 +36,7 @@ from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.synthesis.recipe import FUSIONS, OMNISYN, RENDERERS, SYNSIN_MODELS, DepthSource, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 __all__ = ["METHODS"]
 
@@ -173,16 +173,16 @@ class _FirstViewOnly:
         self._fuser: Fuser = GeometricFuser(size, threads=threads)
 
     def __call__(
-        self, first: Rendering, second: Rendering, t: float, out: np.ndarray | None = None,
+        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
         confidence: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
         return self._fuser(first, _nothing_of(second), t, out, confidence)
 
 
-def _nothing_of(view: Rendering) -> Rendering:
+def _nothing_of(view: Layer) -> Layer:
     """A rendering of a view that shows nothing."""
     unseen = np.full_like(view.inverse_depth, -1.0)
-    return Rendering.of(unseen, np.zeros((*unseen.shape, 4), np.float32), view.target_from_source)
+    return Layer.from_arrays(unseen, np.zeros((*unseen.shape, 4), np.float32), view.target_from_source)
 
 
 class _FirstOfPair:
@@ -199,7 +199,7 @@ class _FirstOfPair:
         """Of the first view's surface."""
         return self._pair.inverse_depth(waypoint, (0,))
 
-    def renderings(self, waypoint: Waypoint) -> tuple[Rendering, Rendering]:
+    def renderings(self, waypoint: Waypoint) -> tuple[Layer, Layer]:
         """Of the first view's surface, and of nothing."""
         first, second = self._pair.renderings(waypoint)
         return first, _nothing_of(second)

@@ -4,7 +4,7 @@ Much of what matching leaves open is hidden from the other panorama, has no text
 can be matched there, but a room tells much about its hidden parts. The network sees the picture, what matching is sure
 of, planes carried on from there (:mod:`omnisyn_cli.stereo.filling`), what the other panorama shows where the map says
 that the same point is, where the other camera is and where up is, all in the upright frame of the camera
-(:func:`omnisyn_cli.stereo.evidence.evidence_planes`). It corrects the filled map everywhere, as some of what passes for
+(:func:`omnisyn_cli.stereo.stereo_features.completion_channels`). It corrects the filled map everywhere, as some of what passes for
 sure is wrong.
 
 It answers with two roots for each pixel and with which of them is the more likely one: at an edge one follows the near

@@ -34,6 +34,7 @@ class Ports:
         inputs: channels by name.
         outputs: names.
         size: ``(height, width)`` that it takes; None for all multiples of its configuration's ``size_multiple``.
+        own_sizes: of inputs that are not of that size.
         notes: for the metadata.
         is_folded: whether constants are computed when the file is written.
     """
@@ -41,6 +42,7 @@ class Ports:
     inputs: Mapping[str, int]
     outputs: tuple[str, ...] = ("inverse_depth", "confidence")
     size: tuple[int, int] | None = None
+    own_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
     is_folded: bool = True
 
@@ -64,21 +66,19 @@ class Network(nn.Module):
 class PairNetwork(Network):
     """Two panoramas in, the ``inverse depth · baseline`` of the first one out.
 
-    It is called with the colours of both in [0, 1], held in one frame.
+    It is called with the colours of both in [0, 1], held in the forward frame of :mod:`omnisyn_cli.geometry.sweep`.
 
     Attributes:
-        frame: ``epipole`` or ``forward``, see :mod:`omnisyn_cli.geometry.sweep`.
         is_folded: see :class:`Ports`.
     """
 
-    frame: str
     is_folded = True
 
     @property
     def ports(self) -> Ports:
         """Both panoramas at the configured size, as the sweep is a constant."""
         both = {"first": 3, "second": 3}
-        return Ports(both, size=self.config.size, notes={"frame": self.frame}, is_folded=self.is_folded)
+        return Ports(both, size=self.config.size, notes={"frame": "forward"}, is_folded=self.is_folded)
 
 
 class DepthAnswer:

@@ -187,7 +187,6 @@ def _mirrored(quarter: Tensor) -> Tensor:
 class PaperNetwork(PairNetwork):
     """Two panoramas in, the first one's ``inverse depth · baseline`` out; see the module's docstring."""
 
-    frame = "forward"
     is_folded = False  # the sweep would be written out, and twice
 
     def __init__(self, config: PaperConfig) -> None:

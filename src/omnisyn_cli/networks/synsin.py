@@ -4,7 +4,7 @@
    of the world (how high cameras are held, how large doors are), so it is learned from scenes in metres.
 2. ``encoder``: features of every pixel. The first three are its colours, and what the decoder says is added to those
    of the points, so that a picture begins as one.
-3. ``decoder``: blended points (:mod:`omnisyn_cli.render.soft_points`) and their opacity become a picture; what no point
+3. ``decoder``: blended points (:mod:`omnisyn_cli.baselines.soft_points`) and their opacity become a picture; what no point
    covers is made up.
 
 Every convolution wraps around the seam; a channel with the row (CoordConv) tells up from down, so panoramas have to be

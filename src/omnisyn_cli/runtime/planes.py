@@ -15,7 +15,7 @@ MULTIPLE = 32
 
 
 class SessionRefinement:
-    """Planes in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.stereo_features.PlanesNetwork`.
+    """Planes in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.stereo_features.CompletionModel`.
 
     Args:
         session: of a completion model, from :func:`omnisyn_cli.runtime.session.open_session`.
@@ -40,7 +40,7 @@ class SessionRefinement:
 
 
 class SessionFusion:
-    """Planes in, corrections out; see :class:`omnisyn_cli.fusion.residual.FusionCorrection`.
+    """Planes in, corrections out; see :class:`omnisyn_cli.fusion.residual.ResidualFusionNetwork`.
 
     Args:
         session: of a fusion model, likewise.
@@ -60,7 +60,7 @@ class SessionFusion:
 
 
 class SessionPainter:
-    """Planes in, a picture out; see :class:`omnisyn_cli.fusion.direct.Painter`.
+    """Planes in, a picture out; see :class:`omnisyn_cli.baselines.direct_fuser.DirectFusionNetwork`.
 
     Args:
         session: of a fusion model that paints, likewise.

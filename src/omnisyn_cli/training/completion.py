@@ -4,7 +4,7 @@ Exact depth says what the other camera cannot see, and colours where nothing can
 of can be made up for a hundredth of the time that matching takes, and differently every time a scene is seen. Of the
 rest some is given up by chance, some is wrong, and some of what is wrong passes for sure. Views come from the pool of
 the depth networks and are turned from the frame of the epipoles to a camera held nearly upright, as the evidence of
-real matching is (:mod:`omnisyn_cli.stereo.evidence`). Real evidence (:mod:`omnisyn_cli.training.evidence_pool`) comes
+real matching is (:mod:`omnisyn_cli.stereo.stereo_features`). Real evidence (:mod:`omnisyn_cli.training.evidence_pool`) comes
 last, as fine-tuning.
 """
 
@@ -23,9 +23,9 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.stereo.evidence import GREATEST_ROOT, Evidence, evidence_planes, root_of
+from omnisyn_cli.stereo.stereo_features import MAX_SQRT_INV_DEPTH, StereoFeatures, completion_channels, sqrt_inv_depth
 from omnisyn_cli.stereo.filling import fill
-from omnisyn_cli.stereo.matching import HINT
+from omnisyn_cli.stereo.matching_estimator import HINT
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, is_made_by, load_scene, vary_colours
 from omnisyn_cli.training.evidence_pool import evidence_pair
 from omnisyn_cli.training.pool import held_askew
@@ -112,8 +112,8 @@ def completion_pair(
         views = [replace(view, image=colour) for colour, view in zip(colours, views, strict=True)]
     up = turn.T @ scene.up
     there, back = (_evidence(*order, up, rng) for order in ((views[0], views[1]), (views[1], views[0])))
-    planes = [evidence_planes(there, back), evidence_planes(back, there)]
-    roots = [np.where(view.is_known, root_of(view.inverse_depth), np.float32(np.nan))[None] for view in views]
+    planes = [completion_channels(there, back), completion_channels(back, there)]
+    roots = [np.where(view.is_known, sqrt_inv_depth(view.inverse_depth), np.float32(np.nan))[None] for view in views]
     if rng.random() < 0.5:  # in a mirror: all planes are even in it
         planes, roots = ([x[..., ::-1] for x in each] for each in (planes, roots))
     return EvidenceBatch(
@@ -144,25 +144,25 @@ def _turned(
     return _Turned(colours, scaled, sign * turn.T @ ZENITH, is_known)
 
 
-def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Generator) -> Evidence:
+def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Generator) -> StereoFeatures:
     """What matching might know of a view: some of the truth, and some that is wrong."""
     size = view.inverse_depth.shape
     usable = _usable(up, size, rng)
-    agreed = _agreed(view, other, rng) & usable & view.is_known
-    matched = _matched(view.inverse_depth, agreed, rng)
-    agreed, matched = _mistaken(*_blunted(view.inverse_depth, agreed, matched, rng), rng)
+    left_right_consistent = _agreed(view, other, rng) & usable & view.is_known
+    matched = _matched(view.inverse_depth, left_right_consistent, rng)
+    left_right_consistent, matched = _mistaken(*_blunted(view.inverse_depth, left_right_consistent, matched, rng), rng)
     sky = (view.inverse_depth == 0) & (usable | (rng.random() < 0.5))
     sky &= _blobs(size, 8, rng) > rng.choice([0.0, 0.0, 0.4])
-    agreed &= usable & ~sky & (view.inverse_depth > 0) & view.is_known
-    weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
+    left_right_consistent &= usable & ~sky & (view.inverse_depth > 0) & view.is_known
+    weight = np.where(sky, 0.0, np.where(left_right_consistent, 1.0, HINT * usable))
     filled = np.where(sky, 0.0, fill(matched.astype(np.float64), weight, view.image, usable))
     motion = Pose(np.eye(3), -view.towards)
-    return Evidence(view.image, matched, agreed, sky, filled, usable, motion, up)
+    return StereoFeatures(view.image, matched, left_right_consistent, sky, filled, usable, motion, up)
 
 
 def _agreed(view: _Turned, other: _Turned, rng: np.random.Generator) -> Bool[np.ndarray, "height width"]:
     """Where matching would be sure: seen by both, with texture, off the epipoles, not too near, and lucky."""
-    size, root = view.inverse_depth.shape, root_of(view.inverse_depth)
+    size, root = view.inverse_depth.shape, sqrt_inv_depth(view.inverse_depth)
     directions = pixel_directions(*size)
     found = _is_seen(view, other, directions)
     found &= np.abs(directions @ view.towards) < np.cos(np.radians(rng.uniform(3.0, 14.0)))
@@ -205,51 +205,51 @@ def _blobs(size: tuple[int, ...], rows: int, rng: np.random.Generator) -> Float3
 
 
 def _matched(
-    truth: Float32[np.ndarray, "height width"], agreed: Bool[np.ndarray, "height width"], rng: np.random.Generator
+    truth: Float32[np.ndarray, "height width"], left_right_consistent: Bool[np.ndarray, "height width"], rng: np.random.Generator
 ) -> Float32[np.ndarray, "height width"]:
     """The best match of every pixel: nearly right where matching is sure, elsewhere right, too far or anything."""
-    size, root = truth.shape, root_of(truth)
+    size, root = truth.shape, sqrt_inv_depth(truth)
     exact = root * (1.0 + rng.uniform(0.002, 0.015) * rng.standard_normal(size, dtype=np.float32))
     behind = cv2.erode(root, np.ones((9, 9), np.uint8)) * (1.0 + 0.3 * (_blobs(size, 16, rng) - 0.5))
     anything = _blobs(size, 16, rng) * rng.uniform(0.3, 1.5)
     luck = _blobs(size, 16, rng)
     guess = np.where(luck < 0.35, exact, np.where(luck < 0.65, behind, anything))
-    return np.asarray(np.square(np.clip(np.where(agreed, exact, guess), 0.0, GREATEST_ROOT)), np.float32)
+    return np.asarray(np.square(np.clip(np.where(left_right_consistent, exact, guess), 0.0, MAX_SQRT_INV_DEPTH)), np.float32)
 
 
 def _blunted(
     truth: Float32[np.ndarray, "height width"],
-    agreed: Bool[np.ndarray, "height width"],
+    left_right_consistent: Bool[np.ndarray, "height width"],
     matched: Float32[np.ndarray, "height width"],
     rng: np.random.Generator,
 ) -> tuple[Bool[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
     """What windows make of silhouettes: near things grow by some pixels, thin ones are lost, and much of it is sure."""
-    root, size = root_of(truth), truth.shape
+    root, size = sqrt_inv_depth(truth), truth.shape
     wide, thin = (np.ones((int(rng.integers(*sides)),) * 2, np.uint8) for sides in ((2, 9), (1, 6)))
     grown = filter_across_seam(partial(cv2.dilate, kernel=wide), root, len(wide))
     opened = filter_across_seam(partial(cv2.morphologyEx, op=cv2.MORPH_OPEN, kernel=thin), root, 2 * len(thin))
     for wrong, most in ((grown, 1.0), (opened, 0.8)):
         is_wrong = (np.abs(wrong - root) > APART) & (_blobs(size, 16, rng) < rng.uniform(0.3, most))
         noisy = wrong * (1.0 + 0.01 * rng.standard_normal(size, dtype=np.float32))
-        matched = np.where(is_wrong, np.square(np.clip(noisy, 0.0, GREATEST_ROOT)), matched)
-        agreed = np.where(is_wrong, _blobs(size, 32, rng) < rng.uniform(0.3, 1.0), agreed)
-    return agreed, matched.astype(np.float32)
+        matched = np.where(is_wrong, np.square(np.clip(noisy, 0.0, MAX_SQRT_INV_DEPTH)), matched)
+        left_right_consistent = np.where(is_wrong, _blobs(size, 32, rng) < rng.uniform(0.3, 1.0), left_right_consistent)
+    return left_right_consistent, matched.astype(np.float32)
 
 
 def _mistaken(
-    agreed: Bool[np.ndarray, "height width"], matched: Float32[np.ndarray, "height width"], rng: np.random.Generator
+    left_right_consistent: Bool[np.ndarray, "height width"], matched: Float32[np.ndarray, "height width"], rng: np.random.Generator
 ) -> tuple[Bool[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
     """Islands that pass for sure and are wrong."""
-    height, width = agreed.shape
+    height, width = left_right_consistent.shape
     for _ in range(int(rng.integers(0, 6))):
         island = np.zeros((height, width), np.uint8)
         centre, reach = (int(rng.integers(width)), int(rng.integers(height))), height / 128.0
         axes = int(rng.uniform(1, 14) * reach) + 1, int(rng.uniform(1, 8) * reach) + 1
         cv2.ellipse(island, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
         is_wrong = island > 0
-        matched = np.where(is_wrong, np.clip(matched * rng.uniform(0.1, 4.0), 0.0, GREATEST_ROOT**2), matched)
-        agreed = agreed | (is_wrong & (rng.random() < 0.6))
-    return agreed, matched.astype(np.float32)
+        matched = np.where(is_wrong, np.clip(matched * rng.uniform(0.1, 4.0), 0.0, MAX_SQRT_INV_DEPTH**2), matched)
+        left_right_consistent = left_right_consistent | (is_wrong & (rng.random() < 0.6))
+    return left_right_consistent, matched.astype(np.float32)
 
 
 def _usable(up: np.ndarray, size: tuple[int, ...], rng: np.random.Generator) -> Bool[np.ndarray, "height width"]:

@@ -81,7 +81,7 @@ class EvidenceBatch:
     """Panoramas with what matching made of them, or might have made.
 
     Attributes:
-        planes: ``(batch, planes, height, width)``, see :func:`omnisyn_cli.stereo.evidence.evidence_planes`.
+        planes: ``(batch, planes, height, width)``, see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
         root: ``(batch, 1, height, width)`` true square root of inverse depth × baseline; NaN where it is not known.
         baseline: ``(batch,)`` metres.
     """

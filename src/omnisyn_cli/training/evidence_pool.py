@@ -3,7 +3,7 @@
 A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
 for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
 
-* ``planes_k`` ``(planes, height, width)`` float16, see :func:`omnisyn_cli.stereo.evidence.evidence_planes`,
+* ``planes_k`` ``(planes, height, width)`` float16, see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`,
 * ``root_k`` ``(height, width)`` float16, true square root of inverse depth × baseline,
 * ``baseline_k`` metres.
 
@@ -19,8 +19,8 @@ from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.stereo.evidence import evidence_planes, root_of
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, load_samples, save_samples, stacked, vary_colours
 from omnisyn_cli.training.pool import STOPS, TiltedConfig, photographed, scene_path
 from omnisyn_cli.types import View
@@ -72,12 +72,12 @@ def _matched(
 ) -> list[EvidencePair]:
     """Both panoramas of a pair, photographed with different cameras."""
     colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
-    first, second = estimator.evidence(View(colours[0], one[2]), View(colours[1], other[2]))
+    first, second = estimator.features(View(colours[0], one[2]), View(colours[1], other[2]))
     baseline = float(np.linalg.norm(one[2].position - other[2].position))
-    roots = [root_of(x[1] * baseline) for x in (one, other)]
+    roots = [sqrt_inv_depth(x[1] * baseline) for x in (one, other)]
     return [
-        EvidencePair(evidence_planes(first, second), roots[0], baseline),
-        EvidencePair(evidence_planes(second, first), roots[1], baseline),
+        EvidencePair(completion_channels(first, second), roots[0], baseline),
+        EvidencePair(completion_channels(second, first), roots[1], baseline),
     ]
 
 

@@ -30,8 +30,8 @@ from torch import Tensor
 
 from omnisyn_cli.fusion import input_channels as plane
 from omnisyn_cli.fusion import warp_candidates as look
-from omnisyn_cli.fusion.residual import NetworkFuser
-from omnisyn_cli.fusion.warp_candidates import SecondLook
+from omnisyn_cli.fusion.residual import ResidualFuser
+from omnisyn_cli.fusion.warp_candidates import WarpCandidates
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import mean_over_sphere
 from omnisyn_cli.render.mesh import Cut
@@ -45,7 +45,7 @@ from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stacked, window_columns
 from omnisyn_cli.training.pool import TiltedConfig, as_told, held_askew, scene_path
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Rendering, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Layer, View
 
 __all__ = ["FusionPoolConfig", "make_fusion_scene"]
 
@@ -124,7 +124,7 @@ class FusionBatch:
     usual: Float[Tensor, " batch"]
 
 
-class _Recorder(NetworkFuser):
+class _Recorder(ResidualFuser):
     """Fuses by rules, and keeps what a network would be shown and what it would choose from.
 
     Args:
@@ -138,8 +138,8 @@ class _Recorder(NetworkFuser):
         self._kept = kept
         self.seen: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def correct(self, planes: np.ndarray, look: SecondLook, strength: np.ndarray, picture: np.ndarray) -> None:
-        """See :class:`omnisyn_cli.fusion.residual.NetworkFuser`; nothing is corrected."""
+    def correct(self, planes: np.ndarray, look: WarpCandidates, strength: np.ndarray, picture: np.ndarray) -> None:
+        """See :class:`omnisyn_cli.fusion.residual.ResidualFuser`; nothing is corrected."""
         pictures = [picture, *look.candidates(self.size)[..., :3]]
         self.seen.append((planes, np.concatenate([small_planes(each, self._kept) for each in pictures])))
 
@@ -157,7 +157,7 @@ class _Recording:
         self.recorders = [_Recorder(size, rows, kept) for rows in heights]
 
     def __call__(
-        self, first: Rendering, second: Rendering, t: float, out: np.ndarray | None = None,
+        self, first: Layer, second: Layer, t: float, out: np.ndarray | None = None,
         confidence: np.ndarray | None = None,
     ) -> np.ndarray:  # fmt: skip
         """See :class:`omnisyn_cli.types.Fuser`."""

@@ -25,8 +25,8 @@ from torch import Tensor, nn
 
 from omnisyn_cli.fusion import input_channels as plane
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.input_channels import fusion_planes
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown
+from omnisyn_cli.fusion.input_channels import fusion_input_channels
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork, PaperPrediction
@@ -174,7 +174,7 @@ def planes_between(
     planes = []
     for k, t in enumerate(share.tolist()):
         first, second = (view_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i) for i in range(2))
-        planes.append(fusion_planes(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
+        planes.append(fusion_input_channels(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
     return torch.stack(planes)
 
 
@@ -191,7 +191,7 @@ def view_between(
     confidence: Float[Tensor, "rows cols"],
     texture: Float[Tensor, "3 rows cols"],
     ahead: float,
-) -> Shown:
+) -> LayerArrays:
     """One panorama as it is seen, in the forward frame, from ``ahead`` baselines further on, at its own size."""
     surface = inverse_depth.detach().cpu().numpy()
     mesh = build_mesh(surface, confidence=confidence.cpu().numpy())
@@ -199,7 +199,7 @@ def view_between(
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
     weight = _weight(fragments, mesh).to(inverse_depth)
-    return Shown(shown.colour, weight, shown.inverse_depth, torch.as_tensor(pose.position).to(inverse_depth))
+    return LayerArrays(shown.colour, weight, shown.inverse_depth, torch.as_tensor(pose.position).to(inverse_depth))
 
 
 def _weight(fragments: Fragments, mesh: Mesh) -> Float[Tensor, "height width"]:

@@ -1,9 +1,8 @@
-"""What the depth network is told about its answers, and the figures it is judged by.
+"""The losses of depth networks, and the figures they are judged by.
 
-Targets are roots (the square root of inverse depth × baseline, see :mod:`omnisyn_cli.networks.depth`). In losses every
-mean over pixels is weighted by the sine of the polar angle, that is, by solid angle; figures count pixels. Targets may
-be NaN where the truth is not known (:func:`depth_loss`, :func:`paper_loss`, :func:`depth_scores`): nothing is taught or
-judged there.
+Targets are square roots of inverse depth × baseline. In losses every mean over pixels is weighted by the sine of the
+polar angle, that is, by solid angle; figures count pixels. Targets are NaN where the truth is not known: nothing is
+taught or judged there.
 """
 
 from collections.abc import Iterator
@@ -15,16 +14,11 @@ from torch.nn import functional
 
 from omnisyn_cli.geometry.sphere import row_weights
 from omnisyn_cli.networks.completion import CompletionPrediction
-from omnisyn_cli.networks.depth import DepthPrediction
-from omnisyn_cli.networks.doubt import ANSWERED, CONFIDENCE_PLANE, FACTORS, ROOT_PLANE
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
 
 STAGE_WEIGHT = 0.5
 """Weight of the coarse estimates together (the paper's 0.5 × low head)."""
-
-RELATIVE_FLOOR = 0.1
-"""Errors count more where the root is small: the weight is 1 + ¼ / (floor + root)."""
 
 GRADIENT_WEIGHT = 0.5
 CONFIDENCE_WEIGHT = 0.05
@@ -34,9 +28,6 @@ RIGHT_WITHIN = 1.1
 
 FARTHEST = 1e-3
 """Inverse depth × baseline below this is called infinitely far when confidence is judged."""
-
-CERTAIN = (0.001, 0.999)
-"""Confidences are taken for no less and no more where their surprise is judged."""
 
 SCORED_DEPTH = (1.0, 50.0)
 """Metres between which depth is scored (the paper's range)."""
@@ -62,23 +53,6 @@ def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "
     """Sine of the polar angle of every row, divided by its mean."""
     weights = row_weights(like.shape[-2])
     return torch.as_tensor(weights / weights.mean(), dtype=like.dtype, device=like.device)[:, None]
-
-
-def depth_loss(prediction: DepthPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
-    """Sum of all terms, a scalar: L1 of every stage, L1 of the final gradients, log-loss of the confidence.
-
-    Coarse estimates are compared with the target's own pixels (a mean across an edge would be on neither side).
-
-    Source: OmniSyn, section 3.6, in the root instead of inverse depth itself.
-    """
-    *coarse, final = prediction.roots
-    known, target = _known(target)
-    loss = _mean_of(_root_error(final, target), known) + GRADIENT_WEIGHT * _gradient_error(final, target, known)
-    for root in coarse:
-        stride = target.shape[-1] // root.shape[-1]
-        thin = (..., slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-        loss = loss + STAGE_WEIGHT / len(coarse) * _mean_of(_root_error(root, target[thin]), known[thin])
-    return loss + CONFIDENCE_WEIGHT * _mean_of(_doubt(prediction, target) * polar_weights(target), known)
 
 
 def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
@@ -139,59 +113,7 @@ def completion_loss(
     answer = _beyond_zero(root, target)
     told = (expected + answer + MODE_WEIGHT * surprise) * weight
     shape = GRADIENT_WEIGHT * _gradient_error(root, target, known) + EDGE_WEIGHT * _edge_error(root, target, known)
-    return told.mean() + shape + CONFIDENCE_WEIGHT * (_doubt(prediction, target) * area).mean()
-
-
-def doubt_loss(
-    logits: Float[Tensor, "batch 4 height width"],
-    planes: Float[Tensor, "batch planes height width"],
-    target: Float[Tensor, "batch 1 height width"],
-) -> Tensor:
-    """Log-loss of the probabilities of all of :data:`~omnisyn_cli.networks.doubt.FACTORS`, a scalar.
-
-    Args:
-        logits: of the doubting network.
-        planes: its input, with the map that it is asked about.
-        target: true roots; NaN where they are not known.
-    """
-    known, target = _known(target)
-    area = polar_weights(target) * known
-    surprise = functional.binary_cross_entropy_with_logits(logits, _within(planes, target), reduction="none")
-    return (surprise.mean(dim=1, keepdim=True) * area).sum() / area.sum()
-
-
-@torch.no_grad()
-def doubt_scores(
-    logits: Float[Tensor, "batch 4 height width"],
-    planes: Float[Tensor, "batch planes height width"],
-    target: Float[Tensor, "batch 1 height width"],
-) -> dict[str, float]:
-    """What the network knows that the confidence it was shown does not; means weigh pixels by solid angle.
-
-    Args:
-        logits: of the network.
-        planes: its input.
-        target: true roots; NaN where they are not known.
-
-    Returns:
-        ``surprise``, the log-loss of the probability that depth is within 10 %, and ``error``, its mean distance from
-        1 where depth is and from 0 elsewhere; ``surprise_before`` and ``error_before``, of the confidence in the input.
-    """
-    known, target = _known(target)
-    area, right = polar_weights(target) * known, _within(planes, target)[:, ANSWERED : ANSWERED + 1]
-    told, before = logits[:, ANSWERED : ANSWERED + 1].sigmoid(), planes[:, CONFIDENCE_PLANE : CONFIDENCE_PLANE + 1]
-    scores = {}
-    for confidence, when in ((told, ""), (before, "_before")):
-        surprise = functional.binary_cross_entropy(confidence.clamp(*CERTAIN), right, reduction="none")
-        scores[f"surprise{when}"] = float((surprise * area).sum() / area.sum())
-        scores[f"error{when}"] = float(((confidence - right).abs() * area).sum() / area.sum())
-    return scores
-
-
-def _within(planes: Tensor, target: Tensor) -> Tensor:
-    """``(batch, 4, height, width)`` 1 where the map is within each of :data:`FACTORS` of the truth, else 0."""
-    inverse_depth, truth = planes[:, ROOT_PLANE : ROOT_PLANE + 1].square(), target.square()
-    return torch.cat([_is_right(inverse_depth, truth, factor) for factor in FACTORS], dim=1)
+    return told.mean() + shape + CONFIDENCE_WEIGHT * (_confidence_loss(prediction, target) * area).mean()
 
 
 def _beside_silhouettes(target: Tensor) -> Tensor:
@@ -205,11 +127,6 @@ def _beside_silhouettes(target: Tensor) -> Tensor:
 def _beyond_zero(root: Tensor, target: Tensor) -> Tensor:
     """Absolute error; an estimate below zero is right where the target is zero."""
     return torch.where(target > 0, (root - target).abs(), root.clamp(min=0.0))
-
-
-def _root_error(root: Tensor, target: Tensor) -> Tensor:
-    """Weighted L1."""
-    return _beyond_zero(root, target) * (1.0 + 0.25 / (RELATIVE_FLOOR + target)) * polar_weights(target)
 
 
 def _gradient_error(root: Tensor, target: Tensor, known: Tensor) -> Tensor:
@@ -239,7 +156,7 @@ def _step_errors(root: Tensor, target: Tensor, known: Tensor) -> Iterator[tuple[
         yield error[..., kept, :], true_step.abs()[..., kept, :] >= JUMP, both_known[..., kept, :]
 
 
-def _doubt(prediction: DepthAnswer, target: Tensor) -> Tensor:
+def _confidence_loss(prediction: DepthAnswer, target: Tensor) -> Tensor:
     """Log-loss of the confidence, pixel by pixel."""
     right = _is_right(prediction.inverse_depth(), target.square())
     return functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")

@@ -21,7 +21,7 @@ from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions, turned_image
+from omnisyn_cli.geometry.sampling import sample_nearest, rotated_directions, rotated_image
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import read_photographs
@@ -250,8 +250,8 @@ def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
 
 def _turned(view: View, frame: Pose, size: tuple[int, int]) -> tuple[np.ndarray, Float[np.ndarray, "height width"]]:
     """Colours (uint8) and inverse depth of a panorama as a camera held like ``frame`` would have taken it."""
-    colours = turned_image(view.image, view.pose.rotation, frame.rotation, size)
-    directions = turned_directions(size, view.pose.rotation, frame.rotation)
+    colours = rotated_image(view.image, view.pose.rotation, frame.rotation, size)
+    directions = rotated_directions(size, view.pose.rotation, frame.rotation)
     return (colours * 255.0 + 0.5).astype(np.uint8), _known_inverse_depth(view, directions)
 
 

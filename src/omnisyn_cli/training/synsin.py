@@ -18,10 +18,10 @@ from torch.nn import Module
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions, turned_image
+from omnisyn_cli.geometry.sampling import sample_nearest, rotated_directions, rotated_image
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
-from omnisyn_cli.render.soft_points_torch import splat_torch
+from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, discriminator_loss, feature_loss
 from omnisyn_cli.training.data import PoolScene, load_scene
 from omnisyn_cli.training.losses import depth_scores, polar_weights, root_loss
@@ -84,10 +84,10 @@ def view_sample(
     own = np.eye(3)
 
     def colours(view: int) -> np.ndarray:
-        shown = turned_image(scene.images[view].astype(np.float32) / np.float32(255.0), own, held, size)
+        shown = rotated_image(scene.images[view].astype(np.float32) / np.float32(255.0), own, held, size)
         return np.ascontiguousarray(shown.transpose(2, 0, 1), np.float32)
 
-    directions = turned_directions(size, own, held)
+    directions = rotated_directions(size, own, held)
     roots = [np.sqrt(sample_nearest(scene.inverse_depth[view], directions))[None] for view in sources]
     along = scene.along.astype(np.float64)
     moved = [held.T @ np.array([0.0, along[view] - along[target], 0.0]) for view in sources]

@@ -80,7 +80,6 @@ class Task:
         is_repeated: whether held-out scenes are looked at again if there are fewer than asked for.
         pools: commands that make what it learns from, see :func:`omnisyn_cli.training.data.list_pool`.
         role: what it is for; None where that is the kind itself.
-        rate: learning rate unless told otherwise.
     """
 
     config: type[Any]
@@ -97,7 +96,6 @@ class Task:
     is_repeated: bool = True
     pools: tuple[str, ...] = ("pool",)
     role: str | None = None
-    rate: float = TrainConfig.rate
 
     def answer_of(self, network: Any, batch: Any) -> Any:
         """What a network says to a batch."""

@@ -1,12 +1,10 @@
 """All kinds of networks, and what each is taught."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
@@ -17,16 +15,6 @@ from omnisyn_cli.networks.completion import (
     CompletionPrediction,
     where_sure,
 )
-from omnisyn_cli.networks.depth import DepthNetwork
-from omnisyn_cli.networks.depth_config import VARIANTS, DepthConfig
-from omnisyn_cli.networks.doubt import (
-    ANSWERED,
-    CONFIDENCE_PLANE,
-    DOUBT_VARIANTS,
-    ROOT_PLANE,
-    DoubtConfig,
-    DoubtNetwork,
-)
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
@@ -34,7 +22,6 @@ from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNet
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import Batch, EvidenceBatch
-from omnisyn_cli.training.doubt_pool import draw_doubt, stored_doubt
 from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
@@ -43,9 +30,7 @@ from omnisyn_cli.training.triples import draw_pairs, draw_triples
 
 __all__ = ["TASKS", "kinds_for", "task_of"]
 
-NetworkConfig = (
-    DepthConfig | PaperConfig | CompletionConfig | DoubtConfig | FusionConfig | joint.JointConfig | SynSinConfig
-)
+NetworkConfig = PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 
 def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
@@ -67,36 +52,18 @@ def _completion_pictures(answer: CompletionPrediction, batch: EvidenceBatch) -> 
     return shown | {"filled": given["prediction"], "known": np.where(is_sure, given["truth"], np.float32(0.0))}
 
 
-def _doubt_pictures(logits: Tensor, batch: EvidenceBatch) -> dict[str, np.ndarray]:
-    """The map, with the probability that it is within 10 %, and the confidence that was shown, from black to white."""
-    planes, told = batch.planes[0], logits[0, ANSWERED].sigmoid()
-    given = depth_pictures(as_array(planes[:3]), as_array(planes[ROOT_PLANE]), as_array(batch.root[0, 0]))
-    confidences = {"confidence": told, "confidence_before": planes[CONFIDENCE_PLANE]}
-    return given | {name: np.stack([as_array(plane)] * 3, axis=-1) for name, plane in confidences.items()}
-
-
-_STEREO = Task(
-    DepthConfig,
-    VARIANTS,
-    DepthNetwork,
-    draw=lambda pool, rng, stage, network, varied: draw_pairs(
-        pool, rng, stage.batch, stage.size, network.frame, varied, network.config.greatest_root
-    ),
-    loss=lambda answer, batch: losses.depth_loss(answer, batch.root),
-    scores=lambda answer, batch: losses.depth_scores(answer, batch.root, batch.baseline),
-    pictures=_depth_pictures,
-)
-
 TASKS: Mapping[str, Task] = {
-    "depth": _STEREO,
-    "paper": replace(
-        _STEREO,
-        config=PaperConfig,
-        variants=PAPER_VARIANTS,
-        build=PaperNetwork,
+    "paper": Task(
+        PaperConfig,
+        PAPER_VARIANTS,
+        PaperNetwork,
+        draw=lambda pool, rng, stage, network, varied: draw_pairs(
+            pool, rng, stage.batch, stage.size, varied, network.config.greatest_root
+        ),
         loss=lambda answer, batch: losses.paper_loss(answer, batch.root),
+        scores=lambda answer, batch: losses.depth_scores(answer, batch.root, batch.baseline),
+        pictures=_depth_pictures,
         role="depth",
-        rate=1e-4,  # the authors'
     ),
     "completion": Task(
         CompletionConfig,
@@ -107,17 +74,6 @@ TASKS: Mapping[str, Task] = {
         scores=_completion_scores,
         pictures=_completion_pictures,
         pools=("pool", "evidence"),
-    ),
-    "doubt": Task(
-        DoubtConfig,
-        DOUBT_VARIANTS,
-        DoubtNetwork,
-        draw=lambda pool, rng, stage, *_: draw_doubt(pool, rng, stage.batch),
-        loss=lambda answer, batch: losses.doubt_loss(answer, batch.planes, batch.root),
-        scores=lambda answer, batch: losses.doubt_scores(answer, batch.planes, batch.root),
-        pictures=_doubt_pictures,
-        held_out=lambda path, turn, _: stored_doubt(path, turn),
-        pools=("doubt-pool",),
     ),
     "fusion": Task(
         FusionConfig,
@@ -136,7 +92,7 @@ TASKS: Mapping[str, Task] = {
         {},
         joint.JointNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_triples(
-            pool, rng, stage.batch, stage.size, network.depth.frame, varied, network.depth.config.greatest_root
+            pool, rng, stage.batch, stage.size, varied, network.depth.config.greatest_root
         ),
         answer=joint.joint_answer,
         loss=joint.joint_loss,

@@ -27,21 +27,20 @@ EDGE = 0.05
 """Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
 
 
-def exchanged_panoramas(x: Float[Tensor, "*batch height width"], frame: str) -> Float[Tensor, "*batch height width"]:
-    """Panoramas of a frame as they look when the roles of both cameras are exchanged; its own inverse.
+def exchanged_panoramas(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
+    """Panoramas of the forward frame as they look when the roles of both cameras are exchanged; its own inverse.
 
-    See :func:`omnisyn_cli.geometry.sweep.exchanged_in_epipole_frame` and ``exchanged_in_forward_frame``.
+    See :func:`omnisyn_cli.geometry.sweep.exchanged_in_forward_frame`.
     """
-    return x.flip((-2, -1)) if frame == "epipole" else x.roll(x.shape[-1] // 2, -1)
+    return x.roll(x.shape[-1] // 2, -1)
 
 
 def draw_pairs(
-    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int], frame: str,
+    pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
     augmentation: data.Augmentation | None = None, greatest_root: float = 2.0,
 ) -> data.Batch:  # fmt: skip
-    """Random pairs in a frame, see :func:`omnisyn_cli.training.data.draw_batch`."""
-    drawn = data.draw_batch(pool, rng, batch, (size[0], 2 * size[0]), augmentation, greatest_root)
-    return forward_batch(drawn, size) if frame == "forward" else drawn
+    """Random pairs in the forward frame, see :func:`omnisyn_cli.training.data.draw_batch`."""
+    return forward_batch(data.draw_batch(pool, rng, batch, (size[0], 2 * size[0]), augmentation, greatest_root), size)
 
 
 def forward_batch(batch: data.Batch, size: tuple[int, int]) -> data.Batch:
@@ -87,11 +86,11 @@ class Triples:
     """Pairs for one step, with the view between; everything has one size.
 
     Attributes:
-        first, second: ``(batch, 3, height, width)`` colours in [0, 1] for the depth network, in its frame.
+        first, second: ``(batch, 3, height, width)`` colours in [0, 1] for the depth network, in the forward frame.
         first_texture, second_texture: the same as they are shown.
         roots: ``(2, batch, 1, height, width)`` square roots of inverse depth × baseline of the first, and of the second
             as it looks with the roles of both exchanged; NaN where the truth is not known.
-        middle: ``(batch, 3, height, width)`` the view between, always in the forward frame.
+        middle: ``(batch, 3, height, width)`` the view between.
         share: ``(batch,)`` of the way from the first to the second that it was taken at.
         baseline: ``(batch,)`` metres.
     """
@@ -111,7 +110,6 @@ def draw_triples(
     rng: np.random.Generator,
     batch: int,
     size: tuple[int, int],
-    frame: str,
     augmentation: data.Augmentation | None = None,
     greatest_root: float = 2.0,
 ) -> Triples:
@@ -122,7 +120,6 @@ def draw_triples(
         rng: decides everything.
         batch: how many.
         size: of the depth network's images, of the renderings and of the truth; its height divides the pool's.
-        frame: of the depth network, ``epipole`` or ``forward``.
         augmentation: of colours; None leaves them as they are.
         greatest_root: of the true roots.
 
@@ -132,17 +129,16 @@ def draw_triples(
     whole = (size[0], 2 * size[0])
     drawn = [_draw(pool[rng.integers(len(pool))], rng, whole, augmentation) for _ in range(batch)]
     outer, roots, middle, share, baseline = (np.stack(column) for column in zip(*drawn, strict=True))
-    images = [data.as_tensor(outer[:, k]) for k in range(outer.shape[1])]
     roots = roots.swapaxes(0, 1).clip(max=greatest_root)
-    if frame == "forward":
-        images = [turned_colours(image, whole, size) for image in images]
-        roots = np.stack([[turned_roots(root, size) for root in one] for one in roots])
-    first, second, first_texture, second_texture = images
+    roots = np.stack([[turned_roots(root, size) for root in one] for one in roots])
+    first, second, first_texture, second_texture = (
+        turned_colours(data.as_tensor(outer[:, k]), whole, size) for k in range(outer.shape[1])
+    )
     root = torch.from_numpy(roots).unsqueeze(2)
     between = data.as_tensor(middle)
     return Triples(
         first, second, first_texture, second_texture,
-        roots=torch.stack([root[0], exchanged_panoramas(root[1], frame)]),
+        roots=torch.stack([root[0], exchanged_panoramas(root[1])]),
         middle=turned_colours(between, (between.shape[-2], between.shape[-1]), size),
         share=torch.from_numpy(share.astype(np.float32)),
         baseline=torch.from_numpy(baseline.astype(np.float32)),

@@ -63,7 +63,7 @@ def test_files_agree_with_those_of_the_processor(
 def test_only_cuda_by_name_and_what_a_gpu_does_open_one(tmp_path: Path, opened: list[GpuFrames]) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32))
     others = (
-        {"device": "auto"}, {"device": "cpu"}, {"renderer": "points"}, {"renderer": "two-pass"},
+        {"device": "auto"}, {"device": "cpu"}, {"renderer": "two-pass"},
         {"fallback": "crossfade"}, {"save_confidence": tmp_path / "confidence"},
     )  # fmt: skip
     for number, changes in enumerate(others):
@@ -77,7 +77,7 @@ def test_only_cuda_by_name_and_what_a_gpu_does_open_one(tmp_path: Path, opened: 
     [
         ({}, None),
         ({"adaptive": True}, r"every triangle is drawn, --adaptive changes nothing"),
-        ({"renderer": "points"}, r"on the processor: .*; this job has the renderer points$"),
+        ({"renderer": "two-pass"}, r"on the processor: .*; this job has the renderer two-pass$"),
         ({"fusion": "network"}, r"on the processor: .*; this job has the fusion network$"),
         ({"fallback": "crossfade", "renderer": "two-pass"}, r"has the renderer two-pass, cross-fades \(.*\)$"),
         ({"save_confidence": Path("map")}, r"has confidence maps \(--save-confidence\)$"),
@@ -113,11 +113,11 @@ def test_notes_follow_the_preset(tmp_path: Path) -> None:
 def test_a_gpu_fuses_by_rules_where_only_the_preset_has_a_network(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
     plan, asked, elsewhere = (
-        plan_interpolation(job_of(tmp_path, images, device="cuda", preset="accurate", **changes))
+        plan_interpolation(job_of(tmp_path, images, device="cuda", preset="balanced", **changes))
         for changes in ({}, {"fusion": "network"}, {"save_confidence": tmp_path / "map"})
     )
     assert (plan.recipe.is_on_gpu, plan.recipe.fusion) == (True, "geometric")
-    assert re.search(r"fuses by rules; --fusion network .* as preset accurate does$", plan.notes[0])
+    assert re.search(r"fuses by rules; --fusion network .* as preset balanced does$", plan.notes[0])
     assert (asked.recipe.is_on_gpu, asked.recipe.fusion) == (False, "network")
     assert (elsewhere.recipe.is_on_gpu, elsewhere.recipe.fusion) == (False, "network")
 
@@ -128,7 +128,7 @@ def test_other_methods_have_nothing_to_do_with_it(tmp_path: Path) -> None:
         assert not plan_interpolation(job_of(tmp_path, images, device="cuda", method=method)).recipe.is_on_gpu
 
 
-@pytest.mark.parametrize("more", [[], ["--dry-run"], ["--dry-run", "--renderer", "points", "--depth", "refined"]])
+@pytest.mark.parametrize("more", [[], ["--dry-run"], ["--dry-run", "--renderer", "two-pass", "--depth", "refined"]])
 def test_cuda_that_is_not_there_is_code_3_and_one_line(
     tmp_path: Path, more: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
