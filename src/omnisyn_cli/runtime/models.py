@@ -5,13 +5,13 @@
     version = 1
 
     [[models]]
-    name = "depth-fast"           # what `--model` takes
+    name = "depth-paper-narrow"   # what `--model` takes
     role = "depth"                # depth | fusion | …
-    variant = "fast"
-    file = "depth-fast.onnx"      # beside the manifest
+    variant = "paper-narrow"
+    file = "depth-paper-narrow.onnx"   # beside the manifest
     sha256 = "…"
     size = [256, 512]             # rows and columns of the images it takes
-    parameters = 1927384
+    parameters = 1428541
     training = "…"                # on what, for how long
     licence = "Apache-2.0"
 
