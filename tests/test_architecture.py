@@ -32,7 +32,7 @@ MOST_ENTRIES = 20
 
 TORCH = (
     "omnisyn_cli.networks", "omnisyn_cli.training", "omnisyn_cli.evaluation", "omnisyn_cli.synthesis.device",
-    "omnisyn_cli.render.rasterize_torch", "omnisyn_cli.render.soft_points_torch",
+    "omnisyn_cli.render.rasterize_torch", "omnisyn_cli.baselines.soft_points_torch",
 )  # fmt: skip
 """Modules that may import torch at their top."""
 

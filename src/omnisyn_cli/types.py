@@ -14,29 +14,30 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
 
 __all__ = [
-    "BELIEF",
-    "SPOT_PADDING",
-    "SPOT_TILE",
-    "UNSEEN",
+    "DEPTH_CONFIDENCE_GAIN",
+    "EDGE_PIXEL_MULTIPLE",
+    "EDGE_TILE_COLUMNS",
+    "MIN_VISIBLE_WEIGHT",
     "ColourStep",
     "DepthEstimate",
     "DepthEstimator",
+    "EdgePixels",
+    "EdgeSamples",
     "Fuser",
     "KnownDepth",
-    "Rendering",
-    "Samples",
-    "Spots",
+    "Layer",
+    "SourceSampler",
     "View",
-    "Witness",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-UNSEEN = np.float32(1e-4)
-"""A colour of less weight than this is none: alpha is interpolated, so beside a mask it is rarely exactly 0."""
+MIN_VISIBLE_WEIGHT = np.float32(1e-4)
+"""Colours of a lower weight count as unseen: alpha is interpolated, so beside a mask it is rarely exactly 0."""
 
-BELIEF = 4.0
-"""So many times its weight is a colour's depth believed, at most wholly: a quarter is enough, which cut edges have."""
+DEPTH_CONFIDENCE_GAIN = 4.0
+"""Confidence in the depth of a colour per unit of its weight, clipped to 1. Cut edges have a weight of a quarter, and
+their depth is right."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ class DepthEstimate:
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre, finite and >= 0; 0 is infinitely far.
         confidence: ``(height, width)`` in [0, 1]; 0 where the value is a guess.
-        sure: ``(rows, cols)`` where matching was sure, before anything was filled or measured again, at a size of its
-            own; None for what was not matched. Nothing but an evaluation looks at it.
+        stereo_valid: ``(rows, cols)`` True where stereo matching gave a valid disparity, before completion and
+            refinement, at a size of its own; None without matching. Only evaluation reads it.
     """
 
     inverse_depth: Float[np.ndarray, "height width"]
     confidence: Float[np.ndarray, "height width"]
-    sure: Bool[np.ndarray, "rows cols"] | None = None
+    stereo_valid: Bool[np.ndarray, "rows cols"] | None = None
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,8 @@ class View:
         pose: world-from-camera.
         mask: ``(height, width)``, True where the image may be used; ``None`` means everywhere.
         known_depth: depth that came with the panorama, at a resolution of its own; ``None`` if there is none.
-        is_cut_off: whether much of it was white before it was darkened to the exposure of another: what colour that
-            would have is unknown.
+        is_clipped: whether much of it was clipped at white before it was darkened to the exposure of another panorama.
+            The true colours there are unknown.
         samples: ``(height, width, 3)`` what ``image`` is 1/255 of, where it comes from samples of 8 bits.
     """
 
@@ -73,7 +74,7 @@ class View:
     pose: Pose
     mask: Bool[np.ndarray, "height width"] | None = None
     known_depth: DepthEstimate | None = None
-    is_cut_off: bool = False
+    is_clipped: bool = False
     samples: UInt8[np.ndarray, "height width 3"] | None = None
 
     def check_shape(self) -> None:
@@ -91,14 +92,14 @@ class DepthEstimator(Protocol):
         ...
 
 
-SPOT_TILE = 4
-"""Columns of pixels that :attr:`Spots.begins` counts together."""
+EDGE_TILE_COLUMNS = 4
+"""Columns of pixels that :attr:`EdgePixels.begins` counts together."""
 
-SPOT_PADDING = 2
+EDGE_PIXEL_MULTIPLE = 2
 """The spots of a row are filled up to a multiple of so many: kernels take the samples of two at a time."""
 
 
-class Spots(NamedTuple):
+class EdgePixels(NamedTuple):
     """Some pixels of some rows of a target, each with four samples: the pixels of a target of twice the size.
 
     Numbers of samples come as arrays ``(2, 2·spots, ...)``: the upper and the lower row of samples of every spot, and
@@ -107,7 +108,7 @@ class Spots(NamedTuple):
     Attributes:
         top: the row of the target that the first row is.
         cols: columns of the target, row after row, ascending in each; −1 fills rows up.
-        begins: for each row, the first spot at or after every :data:`SPOT_TILE` columns; last, that after the row.
+        begins: for each row, the first spot at or after every :data:`EDGE_TILE_COLUMNS` columns; last, that after the row.
         counts: how many spots of the row before each of these have samples that are to be found.
         inverse_depth: of all samples, 1/metre: negative where it is to be found, else what it is.
         sin_a: sines of the azimuths of the samples of a row, two for every spot.
@@ -123,12 +124,12 @@ class Spots(NamedTuple):
     cos_a: Float32[np.ndarray, " samples"]
 
 
-Samples = tuple[Float32[np.ndarray, "2 samples"], Float32[np.ndarray, "2 samples 4"]]
+EdgeSamples = tuple[Float32[np.ndarray, "2 samples"], Float32[np.ndarray, "2 samples 4"]]
 """Of spots: inverse depth, negative where nothing is seen, and RGB with weight."""
 
 
 @dataclass(frozen=True)
-class Witness:
+class SourceSampler:
     """What a view says about points that are supposed in front of a target, whatever its own depth says.
 
     Points are given as 1/metre from the target, in the directions of its pixels; negative where there is none.
@@ -149,7 +150,7 @@ class Witness:
 
 
 @dataclass(frozen=True)
-class Rendering:
+class Layer:
     """One view's surface as a target sees it; its colours are made when and where they are asked for.
 
     Arrays are numpy's, or torch's where it was made on a device.
@@ -159,7 +160,7 @@ class Rendering:
         colour_rows: called with a first row, the row after the last, and memory ``(rows, width, 4)`` that it writes:
             RGB and, last, the weight in a blend: 0 where nothing is seen, else up to 1, or a little more beside a mask,
             where interpolation overshoots. From any number of threads, until its renderer is called again.
-        colour_at: such colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
+        colour_grid: such colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
         target_from_source: the transform it was rendered with.
         held: all colours ``(height, width, 4)``, where they are there already.
         samples: inverse depth and colours of the samples of spots, in memory of their own; None where pixels have
@@ -169,20 +170,20 @@ class Rendering:
 
     inverse_depth: Float32[Array, "height width"]
     colour_rows: Callable[[int, int, Array], None]
-    colour_at: Callable[[np.ndarray, np.ndarray], Array]
+    colour_grid: Callable[[np.ndarray, np.ndarray], Array]
     target_from_source: Pose
     held: Float32[Array, "height width 4"] | None = None
-    samples: Callable[[Spots], Samples] | None = None
-    witness: Witness | None = None
+    samples: Callable[[EdgePixels], EdgeSamples] | None = None
+    source_sampler: SourceSampler | None = None
 
     @staticmethod
-    def of(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Rendering:
+    def from_arrays(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Layer:
         """One whose colours are there already."""
 
         def colour_rows(begin: int, end: int, out: Array) -> None:
             out[:] = colour[begin:end]
 
-        return Rendering(
+        return Layer(
             inverse_depth, colour_rows, lambda rows, cols: colour[rows].take(cols, axis=1), target_from_source, colour
         )
 
@@ -219,8 +220,8 @@ class Fuser(Protocol):
 
     def __call__(
         self,
-        first: Rendering,
-        second: Rendering,
+        first: Layer,
+        second: Layer,
         t: float,
         out: Shaped[np.ndarray, "height width 3"] | None = None,
         confidence: Float32[np.ndarray, "height width"] | None = None,

@@ -22,7 +22,7 @@ from confidence_samples import Judged, generated_views, judged, rank_correlation
 from omnisyn_cli.io import read_inverse_depth, read_panorama
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.synthesis.consistency import cross_check
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 

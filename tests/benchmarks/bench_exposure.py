@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.fusion.photometry.exposure_curve import linear_from_stored, stored_from_linear
+from omnisyn_cli.fusion.photometry.exposure_curve import srgb_to_linear, linear_to_srgb
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.render.mesh import Cut
@@ -32,7 +32,7 @@ from omnisyn_cli.types import DepthEstimator, View
 
 def exposed(image: np.ndarray, stops: float) -> np.ndarray:
     """A picture with more light, white cut off."""
-    return np.minimum(stored_from_linear(linear_from_stored(image) * 2.0**stops), 1.0).astype(np.float32)
+    return np.minimum(linear_to_srgb(srgb_to_linear(image) * 2.0**stops), 1.0).astype(np.float32)
 
 
 def read_views(folder: Path) -> list[View]:

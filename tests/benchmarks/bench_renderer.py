@@ -23,7 +23,7 @@ from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io.depth_files import read_inverse_depth
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.shade import Shader, make_trust
+from omnisyn_cli.render.shade import Shader, make_confidence_map
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
 
@@ -78,7 +78,7 @@ def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     rasterizer, shader, trust = (
         Rasterizer(size, threads=1),
         Shader(size, threads=1),
-        make_trust(mesh, texture),
+        make_confidence_map(mesh, texture),
     )
     return lambda: shader(rasterizer(mesh.blocks, POSE), trust, texture, POSE)
 
@@ -86,7 +86,7 @@ def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
     texture = make_texture(photograph(size))
-    (quads, kept), trust = simplify(mesh, -POSE.position, size[0], threads=1), make_trust(mesh, texture)
+    (quads, kept), trust = simplify(mesh, -POSE.position, size[0], threads=1), make_confidence_map(mesh, texture)
     print(f"{size[1]}×{size[0]}  {kept} of {mesh.face_count()} triangles kept")
     rasterizer, shader = Rasterizer(size, threads=1), Shader(size, threads=1)
     return lambda: shader(rasterizer(quads, POSE), trust, texture, POSE)

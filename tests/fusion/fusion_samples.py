@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from omnisyn_cli.types import Rendering, Witness
+from omnisyn_cli.types import Layer, SourceSampler
 
 
-def plain_witness(colour: float = 0.5) -> Witness:
+def plain_witness(colour: float = 0.5) -> SourceSampler:
     """A photograph of one colour, whose surface is wherever somebody supposes it."""
 
     def paint(points: np.ndarray, top: int, out: np.ndarray) -> None:
@@ -18,9 +18,9 @@ def plain_witness(colour: float = 0.5) -> Witness:
         paint(points, 0, out)
         return out
 
-    return Witness(paint, whole, lambda points, least: np.zeros_like(points))
+    return SourceSampler(paint, whole, lambda points, least: np.zeros_like(points))
 
 
-def asked(view: Rendering, colour: float = 0.5) -> Rendering:
+def asked(view: Layer, colour: float = 0.5) -> Layer:
     """With such a witness."""
-    return replace(view, witness=plain_witness(colour))
+    return replace(view, source_sampler=plain_witness(colour))

@@ -5,11 +5,11 @@ import pytest
 from fusion_samples import asked
 
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.ghost_grid import step_in_cells
-from omnisyn_cli.fusion.layer_pair import ROWS, BandRunner, Views
-from omnisyn_cli.fusion.residual import NetworkFuser
+from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
+from omnisyn_cli.fusion.layer_pair import ROWS, LayerPair, RowTileRunner
+from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 SIZES = [(1024, 2048), (901, 1799), (131, 261), (64, 128), (1, 2)]
 """Cells of some pixels and of all, even and odd, of many bands and of one."""
@@ -17,7 +17,7 @@ SIZES = [(1024, 2048), (901, 1799), (131, 261), (64, 128), (1, 2)]
 RED = (0.9, 0.1, 0.1)
 
 
-def rendering(seed: int, size: tuple[int, int], offset: float) -> Rendering:
+def rendering(seed: int, size: tuple[int, int], offset: float) -> Layer:
     """Smooth colours and distances, a trust that varies, a hole, and a red thing that is there for one view only."""
     rng, (height, width) = np.random.default_rng(seed), size
     row, col = np.mgrid[0:height, 0:width].astype(np.float32)
@@ -31,14 +31,14 @@ def rendering(seed: int, size: tuple[int, int], offset: float) -> Rendering:
     if seed == 1:
         colour[2 * height // 5 : 3 * height // 5, width // 7 : width // 4, :3] = RED
         colour[2 * height // 5 : 3 * height // 5, : width // 20, :3] = RED
-    return asked(Rendering.of(rho, colour, Pose(np.eye(3), np.array([0.0, 0.0, offset]))))
+    return asked(Layer.from_arrays(rho, colour, Pose(np.eye(3), np.array([0.0, 0.0, offset]))))
 
 
-def on_demand(view: Rendering) -> Rendering:
-    return asked(Rendering(view.inverse_depth, view.colour_rows, view.colour_at, view.target_from_source))
+def on_demand(view: Layer) -> Layer:
+    return asked(Layer(view.inverse_depth, view.colour_rows, view.colour_grid, view.target_from_source))
 
 
-def pair(size: tuple[int, int]) -> tuple[Rendering, Rendering]:
+def pair(size: tuple[int, int]) -> tuple[Layer, Layer]:
     return rendering(1, size, -0.5), rendering(2, size, 0.5)
 
 
@@ -46,7 +46,7 @@ def correct(planes: np.ndarray) -> np.ndarray:
     return np.full_like(planes[:4], 0.1)
 
 
-FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: NetworkFuser(size, correct, 128, None, threads)}
+FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: ResidualFuser(size, correct, 128, None, threads)}
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -79,7 +79,7 @@ def test_ghosts_are_suppressed_in_what_is_blended() -> None:
 def test_bands_cover_every_row_once_in_order_of_their_steps(height: int) -> None:
     size, seen, told = (height, 4), np.zeros(height, int), []
     first, second = (
-        Rendering.of(np.zeros(size, np.float32), np.full((*size, 4), k, np.float32), Pose.identity()) for k in (1, 2)
+        Layer.from_arrays(np.zeros(size, np.float32), np.full((*size, 4), k, np.float32), Pose.identity()) for k in (1, 2)
     )
 
     def double(a: np.ndarray, b: np.ndarray, top: int) -> None:
@@ -95,7 +95,7 @@ def test_bands_cover_every_row_once_in_order_of_their_steps(height: int) -> None
         assert (b == 4).all()
         assert a.shape == (bottom - top, 4, 4)
 
-    BandRunner(size, 3)(Views(first, second).then(double).then(None).then(add), use)
+    RowTileRunner(size, 3)(LayerPair(first, second).then(double).then(None).then(add), use)
     assert (seen == 1).all()
     assert sorted(told) == list(range(0, height, ROWS))
 
@@ -104,10 +104,10 @@ def test_what_nobody_sees_is_black_and_the_former_frame_does_not_show() -> None:
     size = SIZES[0]
     made, fuser = np.empty((*size, 3), np.uint8), GeometricFuser(size, threads=1)
     fuser(*pair(size), 0.5, made)
-    nothing = Rendering.of(np.full(size, -1, np.float32), np.zeros((*size, 4), np.float32), Pose.identity())
+    nothing = Layer.from_arrays(np.full(size, -1, np.float32), np.zeros((*size, 4), np.float32), Pose.identity())
     fuser(nothing, nothing, 0.5, made)
     assert not made.any()
 
 
 def test_small_cells_are_looked_at_wholly() -> None:
-    assert [step_in_cells((rows, 2 * rows)) for rows in (64, 896, 897, 1024, 2048)] == [1, 1, 2, 2, 4]
+    assert [ghost_sample_step((rows, 2 * rows)) for rows in (64, 896, 897, 1024, 2048)] == [1, 1, 2, 2, 4]

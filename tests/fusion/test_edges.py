@@ -8,14 +8,14 @@ from ball_samples import CENTRE, hits, inverse_depth
 
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.ghosts import Suppression
-from omnisyn_cli.fusion.layer_pair import Views
-from omnisyn_cli.fusion.pixel_classes import is_apart
-from omnisyn_cli.fusion.supersampling import CONTRAST, EdgeSampler
+from omnisyn_cli.fusion.ghosts import GhostSuppression
+from omnisyn_cli.fusion.layer_pair import LayerPair
+from omnisyn_cli.fusion.pixel_classes import is_other_surface
+from omnisyn_cli.fusion.supersampling import CONTRAST, EdgeSupersampler
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 SIZE = (64, 128)
 DOUBLE = (2 * SIZE[0], 2 * SIZE[1])
@@ -31,7 +31,7 @@ def image(place: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.where(np.isfinite(ball)[..., None], [0.9, 0.8, 0.7], stripes).astype(np.float32)
 
 
-def seen(size: tuple[int, int], target: np.ndarray = TARGET) -> list[Rendering]:
+def seen(size: tuple[int, int], target: np.ndarray = TARGET) -> list[Layer]:
     fine = (192, 384)
     drawn = [MeshRenderer(image(p, fine), None, inverse_depth(p, fine), None, size, threads=1) for p in PLACES]
     return [draw(Pose(np.eye(3), p - target)) for draw, p in zip(drawn, PLACES, strict=True)]
@@ -40,13 +40,13 @@ def seen(size: tuple[int, int], target: np.ndarray = TARGET) -> list[Rendering]:
 VIEWS, FINE_VIEWS = seen(SIZE), seen(DOUBLE)
 
 
-def fused(views: list[Rendering], size: tuple[int, int], t: float = 0.5, **options: object) -> np.ndarray:
+def fused(views: list[Layer], size: tuple[int, int], t: float = 0.5, **options: object) -> np.ndarray:
     fuser = GeometricFuser(size, threads=options.pop("threads", 1), **options)
     return fuser(*views, t).copy()
 
 
-def spots(picture: np.ndarray) -> np.ndarray:
-    return EdgeSampler(SIZE, 1).marked(Views(*VIEWS), picture) > 0
+def edge_pixels(picture: np.ndarray) -> np.ndarray:
+    return EdgeSupersampler(SIZE, 1).marked(LayerPair(*VIEWS), picture) > 0
 
 
 def halved(picture: np.ndarray) -> np.ndarray:
@@ -55,7 +55,7 @@ def halved(picture: np.ndarray) -> np.ndarray:
 
 def test_edges_are_the_means_of_twice_the_size_and_nothing_else_changes() -> None:
     with_edges, without = fused(VIEWS, SIZE), fused(VIEWS, SIZE, edges=False)
-    expected, there = halved(fused(FINE_VIEWS, DOUBLE, edges=False)), spots(without)
+    expected, there = halved(fused(FINE_VIEWS, DOUBLE, edges=False)), edge_pixels(without)
     assert 0.01 < there.mean() < 0.1
     np.testing.assert_array_equal(with_edges[~there], without[~there])
     found = np.abs(with_edges - expected).max(axis=-1)[there]
@@ -80,13 +80,13 @@ def test_spots_are_where_surfaces_jump_and_colours_differ() -> None:
             moved = np.roll(near, step, axis)
             if axis == 0:
                 moved[0 if step > 0 else -1] = near[0 if step > 0 else -1]
-            jumps |= is_apart(near, moved)
+            jumps |= is_other_surface(near, moved)
     levels = np.floor(
         255 * np.pad(np.pad(picture, ((0, 0), (1, 1), (0, 0)), "wrap"), ((1, 1), (0, 0), (0, 0)), "edge") + 0.5
     )
     around = np.stack([levels[i : i + SIZE[0], j : j + SIZE[1]] for i in range(3) for j in range(3)])
     contrast = np.ptp(around, axis=0).max(axis=-1)
-    np.testing.assert_array_equal(spots(picture), jumps & (contrast >= CONTRAST))
+    np.testing.assert_array_equal(edge_pixels(picture), jumps & (contrast >= CONTRAST))
 
 
 @pytest.mark.parametrize("t", [0.06, 0.5])
@@ -110,7 +110,7 @@ def test_samples_set_in_with_the_rule() -> None:
     """Half way between none and all of them, half of the change."""
     t = 0.05
     strictness = BlendRule.at(t, BlendOptions()).strictness
-    without, there = fused(VIEWS, SIZE, t, edges=False), spots(fused(VIEWS, SIZE, t, edges=False))
+    without, there = fused(VIEWS, SIZE, t, edges=False), edge_pixels(fused(VIEWS, SIZE, t, edges=False))
     every = halved(fused(FINE_VIEWS, DOUBLE, t, edges=False))
     expected = without + strictness * (every - without)
     assert strictness == pytest.approx(0.5)
@@ -126,16 +126,16 @@ def test_nothing_is_sampled_in_place_or_without_samples() -> None:
 
 def test_what_is_suppressed_is_suppressed_in_samples() -> None:
     """With the first view suppressed everywhere it is as if it saw nothing that the second sees."""
-    views = Views(*VIEWS)
+    views = LayerPair(*VIEWS)
     rule, cells = BlendRule.at(0.5, BlendOptions()), np.full((8, 16), -1.0, np.float32)
     fuser, out = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
-    fuser.paint(views.then(Suppression(cells, 8)), rule, out)
+    fuser.paint(views.then(GhostSuppression(cells, 8)), rule, out)
     fine = GeometricFuser(DOUBLE, threads=1, edges=False)
     expected = np.empty((*DOUBLE, 3), np.float32)
-    fine.paint(Views(*FINE_VIEWS).then(Suppression(cells, 16)), rule, expected)
+    fine.paint(LayerPair(*FINE_VIEWS).then(GhostSuppression(cells, 16)), rule, expected)
     plain = np.empty_like(out)
-    GeometricFuser(SIZE, threads=1, edges=False).paint(views.then(Suppression(cells, 8)), rule, plain)
-    there = spots(plain)
+    GeometricFuser(SIZE, threads=1, edges=False).paint(views.then(GhostSuppression(cells, 8)), rule, plain)
+    there = edge_pixels(plain)
     assert (np.abs(out - halved(expected)).max(axis=-1)[there] < 0.01).mean() > 0.9
 
 
@@ -146,8 +146,8 @@ def test_where_a_view_does_not_jump_its_samples_lie_on_its_plane() -> None:
     steps = np.where((np.arange(SIZE[1]) // 8 % 2 == 0)[None, :], 0.2, 0.5) * np.ones((SIZE[0], 1))
     steps[20:30, 40:60] = -1.0
     colour = np.random.default_rng(9).random((*SIZE, 4)).astype(np.float32)
-    first, second = (Rendering.of(rho.astype(np.float32), colour, Pose.identity()) for rho in (plane, steps))
-    sampler, views = EdgeSampler(SIZE, 1), Views(first, second)
+    first, second = (Layer.from_arrays(rho.astype(np.float32), colour, Pose.identity()) for rho in (plane, steps))
+    sampler, views = EdgeSupersampler(SIZE, 1), LayerPair(first, second)
     known, sought = sampler._spots(sampler.marked(views, colour[..., :3].copy()), views, 4, SIZE[0] - 3)
     rows = 4 + np.repeat(np.arange(len(known.begins)), np.diff([0, *known.begins[:, -1]]))
     inner = (known.cols > 0) & (known.cols < SIZE[1] - 1)

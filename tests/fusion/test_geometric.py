@@ -8,29 +8,29 @@ from hypothesis import strategies as st
 from omnisyn_cli.fusion.blend_rule import BlendOptions
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 SIZE = (16, 32)
 
 
 def rendering(
     seed: int = 0, inverse_depth: float | np.ndarray | None = None, offset: tuple[float, float, float] = (0, 0, 0)
-) -> Rendering:
+) -> Layer:
     """Random colours, all of full weight, at random distances from 2 m on unless told otherwise."""
     rng = np.random.default_rng(seed)
     colour = rng.random((*SIZE, 4), np.float32)
     colour[..., 3] = 1
     rho = rng.random(SIZE, np.float32) * 0.5 if inverse_depth is None else inverse_depth
-    return Rendering.of(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array(offset, float)))
+    return Layer.from_arrays(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array(offset, float)))
 
 
-def with_holes(whole: Rendering, holes: np.ndarray) -> Rendering:
+def with_holes(whole: Layer, holes: np.ndarray) -> Layer:
     """What a renderer gives where it sees nothing: negative inverse depth, all of the colour 0."""
     rho = np.where(holes, np.float32(-1), whole.inverse_depth)
-    return Rendering.of(rho, np.where(holes[..., None], np.float32(0), whole.colour), whole.target_from_source)
+    return Layer.from_arrays(rho, np.where(holes[..., None], np.float32(0), whole.colour), whole.target_from_source)
 
 
-def fuse(first: Rendering, second: Rendering, t: float, threads: int | None = 1) -> np.ndarray:
+def fuse(first: Layer, second: Layer, t: float, threads: int | None = 1) -> np.ndarray:
     return GeometricFuser(SIZE, threads=threads)(first, second, t).copy()
 
 
@@ -141,7 +141,7 @@ def test_turning_everything_by_columns_turns_the_result() -> None:
     """Where anything is seen; what fills the holes is tested by itself."""
     first, second = with_holes(rendering(1), half_seen(3)), with_holes(rendering(2), half_seen(4))
     rolled = [
-        Rendering.of(np.roll(r.inverse_depth, 5, axis=1), np.roll(r.colour, 5, axis=1), r.target_from_source)
+        Layer.from_arrays(np.roll(r.inverse_depth, 5, axis=1), np.roll(r.colour, 5, axis=1), r.target_from_source)
         for r in (first, second)
     ]
     seen = np.roll((first.inverse_depth >= 0) | (second.inverse_depth >= 0), 5, axis=1)

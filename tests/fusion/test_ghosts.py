@@ -12,10 +12,10 @@ from fusion_samples import asked
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
-from omnisyn_cli.fusion.residual import NetworkFuser
+from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 SIZE = (256, 512)
 RED = np.array([0.85, 0.1, 0.1], np.float32)
@@ -29,9 +29,9 @@ def wall(shift: float = 0.0) -> np.ndarray:
     return (0.5 + 0.25 * np.stack(waves, axis=-1)).astype(np.float32)
 
 
-def rendering(image: np.ndarray, rho: float | np.ndarray = 0.3, z: float = 0.0) -> Rendering:
+def rendering(image: np.ndarray, rho: float | np.ndarray = 0.3, z: float = 0.0) -> Layer:
     colour = np.dstack([image, np.ones(SIZE, np.float32)]).astype(np.float32)
-    return Rendering.of(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array([0.0, 0.0, z])))
+    return Layer.from_arrays(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.array([0.0, 0.0, z])))
 
 
 def ball(azimuth_col: int, radius: float = 0.16) -> np.ndarray:
@@ -52,7 +52,7 @@ def border(where: np.ndarray, reach: int) -> np.ndarray:
 
 
 def suppress(
-    first: Rendering, second: Rendering, t: float, blend: BlendOptions | None = None, ghosts: GhostOptions | None = None
+    first: Layer, second: Layer, t: float, blend: BlendOptions | None = None, ghosts: GhostOptions | None = None
 ) -> None:
     """Suppress ghosts in the colours of both, in two bands."""
     height = len(first.inverse_depth)
@@ -63,7 +63,7 @@ def suppress(
             step(first.colour[rows], second.colour[rows], rows.start)
 
 
-def fuse(first: Rendering, second: Rendering, t: float, threads: int | None = 1) -> np.ndarray:
+def fuse(first: Layer, second: Layer, t: float, threads: int | None = 1) -> np.ndarray:
     return GeometricFuser(SIZE, threads=threads)(first, second, t).copy()
 
 
@@ -133,7 +133,7 @@ def test_a_network_has_no_say_in_what_moved() -> None:
     def insist(planes: np.ndarray) -> np.ndarray:
         return np.full((4, *planes.shape[1:]), 0.2, np.float32)
 
-    fused = NetworkFuser(SIZE, insist, 128, threads=1)(asked(near), asked(far), 0.5)
+    fused = ResidualFuser(SIZE, insist, 128, threads=1)(asked(near), asked(far), 0.5)
     change = np.abs(fused - fuse(near, far, 0.5)).max(axis=-1)
     assert change[where].max() < 1e-5
     assert change[elsewhere].max() > 0.05
@@ -238,7 +238,7 @@ def test_any_size_works(size: tuple[int, int]) -> None:
     colour = [np.ones((*size, 4), np.float32) for _ in range(2)]
     for c in colour:
         c[..., :3] = rng.random((*size, 3))
-    views = [Rendering.of(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
+    views = [Layer.from_arrays(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
     suppress(views[0], views[1], 0.5, ghosts=GhostOptions(difference=0.01))
     assert all(np.isfinite(c).all() and (c >= 0).all() for c in colour)
 

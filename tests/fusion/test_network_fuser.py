@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 
 from omnisyn_cli.fusion import input_channels as plane
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.downsample_kernels import reduce_band
+from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.input_builder import PlaneMaker
-from omnisyn_cli.fusion.input_channels import PLANES, doubt_of
-from omnisyn_cli.fusion.layer_pair import BandRunner, Views
-from omnisyn_cli.fusion.residual import NetworkFuser, working_size
+from omnisyn_cli.fusion.input_builder import InputBuilder
+from omnisyn_cli.fusion.input_channels import PLANES, disagreement_mask
+from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.residual import ResidualFuser, working_size
 from omnisyn_cli.fusion.warp_candidates import FINER, LOOKS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 ROWS = 32
 """That the network looks at."""
@@ -37,7 +37,7 @@ def rendering(seed, size=SIZE, offset=(0.0, 0.0, 0.5), holes=0.2):
     blocks = rng.random((size[0] // 4, size[1] // 4)) < holes
     hole = np.kron(blocks, np.ones((4, 4), bool))
     colour[hole], rho[hole] = 0.0, -1.0
-    return asked(Rendering.of(rho, colour, Pose(np.eye(3), np.array(offset, float))))
+    return asked(Layer.from_arrays(rho, colour, Pose(np.eye(3), np.array(offset, float))))
 
 
 def pair(size=SIZE, holes=0.2):
@@ -45,8 +45,8 @@ def pair(size=SIZE, holes=0.2):
 
 
 def copy(view):
-    same = Rendering.of(view.inverse_depth.copy(), view.colour.copy(), view.target_from_source)
-    return replace(same, witness=view.witness)
+    same = Layer.from_arrays(view.inverse_depth.copy(), view.colour.copy(), view.target_from_source)
+    return replace(same, source_sampler=view.source_sampler)
 
 
 class Answers:
@@ -62,7 +62,7 @@ class Answers:
 
 def fuse(views, t, network, threads=1, rows=ROWS, options=None):
     size = views[0].inverse_depth.shape
-    return NetworkFuser(size, network, rows, options, threads)(*map(copy, views), t).copy()
+    return ResidualFuser(size, network, rows, options, threads)(*map(copy, views), t).copy()
 
 
 def geometric(views, t):
@@ -122,7 +122,7 @@ def test_turning_everything_by_columns_turns_the_result():
     turn, size = 10, (64, 128)  # taken close together: the geometric weights are the same in all directions
     views = rendering(1, size, (0.0, 0.0, 5e-5)), rendering(2, size, (0.0, 0.0, -5e-5))
     turned = [
-        asked(Rendering.of(*(np.roll(x, turn, 1) for x in (v.inverse_depth, v.colour)), v.target_from_source))
+        asked(Layer.from_arrays(*(np.roll(x, turn, 1) for x in (v.inverse_depth, v.colour)), v.target_from_source))
         for v in views
     ]
     shares = np.random.default_rng(0).uniform(0.0, 0.25, (4, 32, 64))
@@ -135,8 +135,8 @@ def test_turning_everything_by_columns_turns_the_result():
 def test_means_over_blocks_count_what_is_seen_by_its_worth():
     view = rendering(3, (40, 72), holes=0.4)
     coarse, rho = np.empty((12, 20, 4), np.float32), np.empty((12, 20), np.float32)
-    reduce_band(view.colour[:20], view.inverse_depth[:20], coarse, rho, 0, 40)
-    reduce_band(view.colour[20:], view.inverse_depth[20:], coarse, rho, 20, 40)
+    downsample_rows(view.colour[:20], view.inverse_depth[:20], coarse, rho, 0, 40)
+    downsample_rows(view.colour[20:], view.inverse_depth[20:], coarse, rho, 20, 40)
     for i in range(12):
         for j in range(20):
             block = np.s_[i * 40 // 12 : (i + 1) * 40 // 12, j * 72 // 20 : (j + 1) * 72 // 20]
@@ -155,9 +155,9 @@ def test_means_over_blocks_count_what_is_seen_by_its_worth():
 def test_of_large_blocks_every_second_row_and_column_is_enough_for_a_mean():
     view = rendering(4, (64, 128), holes=0.4)
     coarse, rho = np.empty((8, 16, 4), np.float32), np.empty((8, 16), np.float32)
-    reduce_band(view.colour, view.inverse_depth, coarse, rho, 0, 64)
+    downsample_rows(view.colour, view.inverse_depth, coarse, rho, 0, 64)
     some, some_rho = np.empty_like(coarse), np.empty_like(rho)
-    reduce_band(view.colour[::2, ::2].copy(), view.inverse_depth[::2, ::2].copy(), some, some_rho, 0, 32)
+    downsample_rows(view.colour[::2, ::2].copy(), view.inverse_depth[::2, ::2].copy(), some, some_rho, 0, 32)
     np.testing.assert_array_equal(coarse, some)
     np.testing.assert_array_equal(rho, some_rho)
 
@@ -165,15 +165,15 @@ def test_of_large_blocks_every_second_row_and_column_is_enough_for_a_mean():
 def enlarged(view):
     """Every pixel as a block, so that means over blocks are what it was."""
     rho, colour = (x.repeat(FINER, 0).repeat(FINER, 1) for x in (view.inverse_depth, view.colour))
-    return asked(Rendering.of(rho, colour, view.target_from_source))
+    return asked(Layer.from_arrays(rho, colour, view.target_from_source))
 
 
 def test_the_planes_are_what_they_are_said_to_be():
     """Written out in NumPy from the definitions, at the size of the renderings."""
     (first, second), t, size = pair((ROWS, 2 * ROWS)), 0.3, (ROWS, 2 * ROWS)
     finer = [enlarged(view) for view in (first, second)]
-    rule, witnesses = BlendRule.at(t, BlendOptions()), (first.witness, second.witness)
-    planes, _ = PlaneMaker(size, BandRunner(SIZE, 1))(Views(*finer), rule, witnesses)
+    rule, source_samplers = BlendRule.at(t, BlendOptions()), (first.source_sampler, second.source_sampler)
+    planes, _ = InputBuilder(size, RowTileRunner(SIZE, 1))(LayerPair(*finer), rule, source_samplers)
     a, b = seen((first, second))
     assert planes.shape == (PLANES + LOOKS, *size)
     directions = pixel_directions(*size)
@@ -199,7 +199,7 @@ def test_the_planes_are_what_they_are_said_to_be():
         np.testing.assert_allclose(planes[plane.ROOT + k], np.sqrt(rhos[k] * baseline), atol=1e-5)
     difference = np.sqrt(((first.colour - second.colour)[..., :3] ** 2).mean(-1))
     sure = a & b & (difference > 0.06)
-    doubt = doubt_of(np.where(a & b, gap, 0).astype(np.float32))
+    doubt = disagreement_mask(np.where(a & b, gap, 0).astype(np.float32))
     np.testing.assert_allclose(planes[plane.RELEVANCE][sure], doubt[sure], atol=1e-5)
     assert (planes[plane.RELEVANCE][~a & ~b] == 1).all()
     assert (planes[plane.RELEVANCE][a ^ b] == 0).all()
@@ -214,7 +214,7 @@ def test_doubt_is_where_distances_disagree_and_around_there():
     """Against the definition, column by column around the seam."""
     gap = np.zeros((32, 64), np.float32)
     gap[10, 62], gap[25, 30] = 3.0, -0.5
-    doubt = doubt_of(gap)
+    doubt = disagreement_mask(gap)
     near = np.zeros_like(gap)
     for row, col in ((10, 62), (25, 30)):
         for i in range(row - 4, row + 5):
@@ -223,13 +223,13 @@ def test_doubt_is_where_distances_disagree_and_around_there():
     wrapped = np.pad(np.pad(near, ((2, 2), (0, 0)), mode="edge"), ((0, 0), (2, 2)), mode="wrap")
     mean = sum(wrapped[i : i + 32, j : j + 64] for i in range(5) for j in range(5)) / 25
     np.testing.assert_allclose(doubt, mean, atol=1e-6)
-    np.testing.assert_array_equal(doubt_of(np.roll(gap, 7, axis=1)), np.roll(doubt, 7, axis=1))
+    np.testing.assert_array_equal(disagreement_mask(np.roll(gap, 7, axis=1)), np.roll(doubt, 7, axis=1))
 
 
 def test_the_network_is_not_asked_where_it_has_no_say():
     view = rendering(1, holes=0.0)
     same = asked(
-        Rendering.of(view.inverse_depth.copy(), view.colour.copy(), Pose(np.eye(3), np.array([0.0, 0.0, -0.5])))
+        Layer.from_arrays(view.inverse_depth.copy(), view.colour.copy(), Pose(np.eye(3), np.array([0.0, 0.0, -0.5])))
     )
     small = (32, 64)
     cases = {

@@ -5,16 +5,17 @@ import pytest
 import torch
 from test_network_fuser import copy, geometric, pair
 
+from omnisyn_cli.baselines import direct_fuser
+from omnisyn_cli.baselines.direct_fuser import MULTIPLE, DirectFuser
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.direct import MULTIPLE, PaintingFuser
-from omnisyn_cli.fusion.input_builder import reduced
-from omnisyn_cli.fusion.input_channels import PLANES, fusion_planes
-from omnisyn_cli.fusion.layer_pair import BandRunner, Views
+from omnisyn_cli.fusion.input_builder import downsampled_pair
+from omnisyn_cli.fusion.input_channels import PLANES, fusion_input_channels
+from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
 from omnisyn_cli.training.fusion_losses import inputs_of
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 
 class Painter:
@@ -30,18 +31,18 @@ class Painter:
 
 def paint(views, painter, t=0.5, threads=1):
     size = views[0].inverse_depth.shape
-    return PaintingFuser(size, painter, threads)(*map(copy, views), t).copy()
+    return DirectFuser(size, painter, threads)(*map(copy, views), t).copy()
 
 
 @pytest.mark.parametrize(("size", "most"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
 def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     """Against the planes that training takes from a pool, which another module makes."""
-    monkeypatch.setattr(direct, "MOST_ROWS", most)
+    monkeypatch.setattr(direct_fuser, "MOST_ROWS", most)
     views, painter = pair(size), Painter()
     paint(views, painter)
-    first, second = reduced(Views(*views), (64, 128), BandRunner(size, 1))
+    first, second = downsampled_pair(LayerPair(*views), (64, 128), RowTileRunner(size, 1))
     rule = BlendRule.at(0.5, BlendOptions())
-    recorded = fusion_planes(first, second, rule, 1.0, lambda image, weight: image)
+    recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
     assert len(recorded) == PLANES
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
     np.testing.assert_array_equal(painter.shown[0], expected)
@@ -62,7 +63,7 @@ def test_it_paints_from_the_first_frame_to_the_last():
 
 
 def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
-    monkeypatch.setattr(direct, "MOST_ROWS", 64)
+    monkeypatch.setattr(direct_fuser, "MOST_ROWS", 64)
     picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
     found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)))
     expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))
@@ -72,7 +73,7 @@ def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
 
 def test_from_one_place_views_are_cross_faded_without_the_network():
     first, second = pair((64, 128))
-    views = first, Rendering.of(second.inverse_depth, second.colour, first.target_from_source)
+    views = first, Layer.from_arrays(second.inverse_depth, second.colour, first.target_from_source)
     painter = Painter()
     np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
     assert painter.shown == []

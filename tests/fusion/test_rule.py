@@ -4,39 +4,39 @@ import numpy as np
 import pytest
 import torch
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.layer_pair import Views
+from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.types import UNSEEN, Rendering
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
 SIZE = (61, 1200)
 """More columns than are blended together."""
 
 
-def rendering(seed: int) -> Rendering:
+def rendering(seed: int) -> Layer:
     """Holes, masked pixels, weights around the least that counts, infinity, distances alike and far apart."""
     rng = np.random.default_rng(seed)
     colour = rng.uniform(-0.05, 1.2, (*SIZE, 4)).astype(np.float32)
     colour[..., 3] = np.clip(colour[..., 3], 0, 1) * (rng.random(SIZE) > 0.2)
     faint = rng.random(SIZE) < 0.1
-    colour[faint, 3] = UNSEEN * rng.choice(np.float32([0.5, 1.0, 1.001, 2.0]), faint.sum())
+    colour[faint, 3] = MIN_VISIBLE_WEIGHT * rng.choice(np.float32([0.5, 1.0, 1.001, 2.0]), faint.sum())
     rho = (0.3 + 0.02 * rng.standard_normal(SIZE)).clip(0.0) * (rng.random(SIZE) > 0.1)
     rho[rng.random(SIZE) < 0.1] *= 3
     hole = rng.random(SIZE) < 0.3
     colour[hole], rho[hole] = 0.0, -1.0
     offset = ((0.2, -0.1, 0.4), (-0.3, 0.2, -0.5))[seed]
-    return Rendering.of(rho.astype(np.float32), colour, Pose(np.eye(3), np.array(offset)))
+    return Layer.from_arrays(rho.astype(np.float32), colour, Pose(np.eye(3), np.array(offset)))
 
 
-def shown(view: Rendering) -> Shown:
+def shown(view: Layer) -> LayerArrays:
     offset = view.target_from_source.position.astype(np.float32)
-    return Shown(view.colour[..., :3], view.colour[..., 3], view.inverse_depth, offset)
+    return LayerArrays(view.colour[..., :3], view.colour[..., 3], view.inverse_depth, offset)
 
 
-def as_tensors(view: Shown) -> Shown:
-    return Shown(*(torch.from_numpy(np.ascontiguousarray(part)) for part in vars(view).values()))
+def as_tensors(view: LayerArrays) -> LayerArrays:
+    return LayerArrays(*(torch.from_numpy(np.ascontiguousarray(part)) for part in vars(view).values()))
 
 
 DIRECTIONS = pixel_directions(*SIZE).astype(np.float32)
@@ -51,7 +51,7 @@ def test_the_kernel_is_the_rule(t: float, options: BlendOptions) -> None:
     weights = view_weights(*views, DIRECTIONS, rule)
     expected, counts = blended(*views, weights)
     fuser, found = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
-    fuser.paint(Views(*VIEWS), rule, found)
+    fuser.paint(LayerPair(*VIEWS), rule, found)
     np.testing.assert_array_equal(fuser.is_seen > 0, counts > 0)
     seen = counts > 0
     assert 0.05 < 1 - seen.mean() < 0.5

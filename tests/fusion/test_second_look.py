@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fusion_samples import plain_witness
 
-from omnisyn_cli.fusion.blend_rule import Shown
+from omnisyn_cli.fusion.blend_rule import LayerArrays
 from omnisyn_cli.fusion.input_channels import PLANES
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
 from omnisyn_cli.fusion.warp_candidates import (
@@ -17,25 +17,25 @@ from omnisyn_cli.fusion.warp_candidates import (
     REACH,
     SUPPOSED,
     UNLIKE,
-    SecondLook,
-    second_look,
-    supposed_surfaces,
+    WarpCandidates,
+    depth_hypotheses,
+    make_warp_candidates,
 )
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.types import Rendering, Witness
+from omnisyn_cli.types import Layer, SourceSampler
 
 SIZE = (32, 64)
 
 
 def shown(rho, colour=0.5, size=SIZE):
     rho = np.broadcast_to(np.float32(rho), size).copy()
-    return Shown(np.full((*size, 3), colour, np.float32), (rho >= 0).astype(np.float32), rho, np.zeros(3, np.float32))
+    return LayerArrays(np.full((*size, 3), colour, np.float32), (rho >= 0).astype(np.float32), rho, np.zeros(3, np.float32))
 
 
 def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_and_over_the_seam():
     first, second = np.full(SIZE, 0.3), np.full(SIZE, -1.0)
     first[10, 63], second[20, 30] = 0.9, 0.1
-    farthest, nearest = supposed_surfaces(shown(first), shown(second))
+    farthest, nearest = depth_hypotheses(shown(first), shown(second))
     row, col = np.indices(SIZE)
     by_near = (np.abs(row - 10) <= REACH) & (np.abs((col - 63 + 32) % 64 - 32) <= REACH)
     by_far = (np.abs(row - 20) <= REACH) & (np.abs(col - 30) <= REACH)
@@ -44,7 +44,7 @@ def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_
 
 
 def test_where_nothing_is_seen_at_all_points_are_infinitely_far():
-    assert not supposed_surfaces(shown(-1.0), shown(-1.0)).any()
+    assert not depth_hypotheses(shown(-1.0), shown(-1.0)).any()
 
 
 def test_planes_say_what_the_photographs_show():
@@ -52,12 +52,12 @@ def test_planes_say_what_the_photographs_show():
     gaps = [
         lambda points, least, gap=gap: np.where(points >= 0, np.float32(gap), np.float32(0)) for gap in (-0.12, 0.5)
     ]
-    witnesses = [
-        Witness(plain.colour_rows, plain.colour, gap)
+    source_samplers = [
+        SourceSampler(plain.colour_rows, plain.colour, gap)
         for plain, gap in zip((plain_witness(0.25), plain_witness(0.75)), gaps, strict=True)
     ]
     half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
-    look = second_look(shown(half_seen), shown(0.4, colour=0.1), (witnesses[0], witnesses[1]), 4.0, threads=1)
+    look = make_warp_candidates(shown(half_seen), shown(0.4, colour=0.1), (source_samplers[0], source_samplers[1]), 4.0, threads=1)
     planes = look.planes
     assert planes.shape == (LOOKS, 16, 32)
 
@@ -87,11 +87,11 @@ def test_planes_say_what_the_photographs_show():
 def test_planes_are_means_over_blocks_of_what_is_seen(threads):
     rng = np.random.default_rng(0)
     colours, gaps = rng.random((2, *SIZE, 4), np.float32), rng.uniform(-0.3, 0.3, (2, *SIZE)).astype(np.float32)
-    witnesses = tuple(
-        Witness(lambda *_: None, lambda points, k=k: colours[k], lambda points, least, k=k: gaps[k]) for k in (0, 1)
+    source_samplers = tuple(
+        SourceSampler(lambda *_: None, lambda points, k=k: colours[k], lambda points, least, k=k: gaps[k]) for k in (0, 1)
     )
     first, second = shown(np.where(rng.random(SIZE) < 0.5, 0.2, -1.0)), shown(0.4)
-    planes = second_look(first, second, witnesses, 4.0, threads).planes
+    planes = make_warp_candidates(first, second, source_samplers, 4.0, threads).planes
 
     def means(values, counts=True):
         blocks = np.where(counts, values, 0.0).reshape(16, 2, 32, 2).sum(axis=(1, 3))
@@ -124,12 +124,12 @@ def test_points_are_those_of_the_supposed_surfaces_and_masked_photographs_have_n
     def hide(points, top, out):
         out[:] = 0.0
 
-    witnesses = tuple(Witness(paint, lambda points: points, lambda points, least: points) for paint in (tell, hide))
+    source_samplers = tuple(SourceSampler(paint, lambda points: points, lambda points, least: points) for paint in (tell, hide))
     shares = np.zeros((4, 32, 64), np.float32)
     shares[0, :16], shares[2, 16:], shares[3] = 0.5, 0.25, 0.5
     image = np.full((*size, 3), 0.5, np.float32)
     image = image if dtype == np.float32 else np.rint(255 * image).astype(np.uint8)
-    SecondLook(np.empty(0), supposed, witnesses).mix_in(shares, image, threads)
+    WarpCandidates(np.empty(0), supposed, source_samplers).mix_in(shares, image, threads)
     found = image if dtype == np.float32 else image / 255
     wide = supposed.repeat(2, 1).repeat(2, 2)[..., None]
     for rows, share, which in ((np.s_[:60], 0.5, 0), (np.s_[68:], 0.25, 1)):
@@ -144,10 +144,10 @@ def test_candidates_are_both_photographs_at_both_surfaces():
         def paint(points, top, out):
             out[..., :3], out[..., 3] = factor * points[..., None], 1.0
 
-        return Witness(paint, lambda points: points, lambda points, least: points)
+        return SourceSampler(paint, lambda points: points, lambda points, least: points)
 
     supposed = np.random.default_rng(0).random((2, 32, 64), np.float32)
-    found = SecondLook(np.empty(0), supposed, (tell(1.0), tell(2.0))).candidates((64, 128))
+    found = WarpCandidates(np.empty(0), supposed, (tell(1.0), tell(2.0))).candidates((64, 128))
     wide = supposed.repeat(2, 1).repeat(2, 2)
     for candidate, (surface, factor) in zip(found, ((0, 1), (0, 2), (1, 1), (1, 2)), strict=True):
         np.testing.assert_allclose(candidate[..., 0], factor * wide[surface], rtol=1e-6)
@@ -157,12 +157,12 @@ def test_photographs_are_asked_in_the_exposure_of_the_frame():
     """Candidates look as the rendering of the same view does, half way between two exposures."""
     colour = np.float32([0.5, 0.5, 0.5, 1.0]) * np.ones((*SIZE, 1), np.float32)
     views = [
-        replace(Rendering.of(np.zeros(SIZE, np.float32), colour, Pose.identity()), witness=plain_witness(0.5))
+        replace(Layer.from_arrays(np.zeros(SIZE, np.float32), colour, Pose.identity()), source_sampler=plain_witness(0.5))
         for _ in range(2)
     ]
     points, rows = np.zeros(SIZE, np.float32), np.empty((8, SIZE[1], 4), np.float32)
     for view in ExposureMatcher(ExposureCurve(np.ones((3, 6))))(*views, 0.5):
         assert abs(view.colour[0, 0, 0] - 0.5) > 0.05
-        np.testing.assert_allclose(view.witness.colour(points), view.colour, atol=1e-6)
-        view.witness.colour_rows(points[4:12], 4, rows)
+        np.testing.assert_allclose(view.source_sampler.colour(points), view.colour, atol=1e-6)
+        view.source_sampler.colour_rows(points[4:12], 4, rows)
         np.testing.assert_allclose(rows, view.colour[4:12], atol=1e-6)

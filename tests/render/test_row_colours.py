@@ -33,7 +33,7 @@ def test_rows_and_crossings_are_those_of_the_whole(name: str) -> None:
         seen.colour_rows(top, top + 7, out)
         np.testing.assert_allclose(out, colour[top : top + 7], atol=1e-6)
     which = np.array([0, 3, 4, 39]), np.array([1, 2, 50, 79])
-    np.testing.assert_allclose(seen.colour_at(*which), colour[np.ix_(*which)], atol=1e-6)
+    np.testing.assert_allclose(seen.colour_grid(*which), colour[np.ix_(*which)], atol=1e-6)
 
 
 def test_colours_on_demand_are_those_of_the_whole_shader() -> None:
@@ -64,5 +64,5 @@ def test_an_alpha_of_samples_is_that_of_numbers() -> None:
 def test_rows_that_are_infinitely_far_are_those_of_the_whole_sphere() -> None:
     shader, texture = Shader(SIZE, 1), make_texture(samples(30, 60))
     turn = Pose(random_pose(62, 0.0).rotation, np.zeros(3))
-    whole = shader.infinitely_far(texture, turn)
-    np.testing.assert_allclose(shader.far_rows(texture, turn, 5, 17), whole[5:17], atol=1e-6)
+    whole = shader.shade_at_infinity(texture, turn)
+    np.testing.assert_allclose(shader.rows_at_infinity(texture, turn, 5, 17), whole[5:17], atol=1e-6)

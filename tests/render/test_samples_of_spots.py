@@ -7,17 +7,17 @@ from render_samples import CUTS, POSES, rough, smooth
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.renderer import MeshRenderer
-from omnisyn_cli.types import SPOT_PADDING, SPOT_TILE, Spots
+from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, EdgePixels
 
 SIZE = (30, 61)
 """An odd number of columns: tiles and vectors end inside of rows."""
 
 
-def spots_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None = None) -> Spots:
+def spots_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None = None) -> EdgePixels:
     """Of the marked pixels of some rows; samples that are ``known`` (one for each pixel) are not to be found."""
     sin_table, cos_table = (table.astype(np.float32) for table in direction_tables(*(2 * n for n in marks.shape))[2:])
-    cols, edges = [], range(0, marks.shape[1] + SPOT_TILE, SPOT_TILE)
-    begins = np.empty((bottom - top, -(-marks.shape[1] // SPOT_TILE) + 1), np.int32)
+    cols, edges = [], range(0, marks.shape[1] + EDGE_TILE_COLUMNS, EDGE_TILE_COLUMNS)
+    begins = np.empty((bottom - top, -(-marks.shape[1] // EDGE_TILE_COLUMNS) + 1), np.int32)
     counts, is_sought = np.empty_like(begins), []
     for row in range(top, bottom):
         there = np.flatnonzero(marks[row])
@@ -26,19 +26,19 @@ def spots_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None 
         counts[row - top] = [sum(is_sought) + sought[: np.searchsorted(there, edge)].sum() for edge in edges][
             : begins.shape[1]
         ]
-        cols += [*there, *[-1] * (-len(there) % SPOT_PADDING)]
-        is_sought += [*sought, *[False] * (-len(there) % SPOT_PADDING)]
+        cols += [*there, *[-1] * (-len(there) % EDGE_PIXEL_MULTIPLE)]
+        is_sought += [*sought, *[False] * (-len(there) % EDGE_PIXEL_MULTIPLE)]
         begins[row - top, -1] = len(cols)
     cols = np.array(cols, np.int32)
     double = (2 * np.maximum(cols, 0)[:, None] + [0, 1]).ravel()
     start = np.full((2, len(double)), -1.0, np.float32)
-    return Spots(top, cols, begins, counts, start, sin_table[double], cos_table[double])
+    return EdgePixels(top, cols, begins, counts, start, sin_table[double], cos_table[double])
 
 
-def at_spots(image: np.ndarray, spots: Spots) -> np.ndarray:
+def at_spots(image: np.ndarray, edge_pixels: EdgePixels) -> np.ndarray:
     """What a picture of twice the size shows at the samples that are not padding: ``(2, samples, ...)``."""
-    rows = spots.top + np.repeat(np.arange(len(spots.begins)), np.diff([0, *spots.begins[:, -1]]))
-    cols = (2 * spots.cols[:, None] + [0, 1]).ravel()
+    rows = edge_pixels.top + np.repeat(np.arange(len(edge_pixels.begins)), np.diff([0, *edge_pixels.begins[:, -1]]))
+    cols = (2 * edge_pixels.cols[:, None] + [0, 1]).ravel()
     return np.stack([image[np.repeat(2 * rows + half, 2), cols] for half in range(2)])[:, cols >= 0]
 
 
@@ -60,11 +60,11 @@ def test_samples_are_the_pixels_of_twice_the_size(cut: str, pose: Pose) -> None:
     seen, fine = one(pose), two(pose)
     assert seen.samples is not None
     for share, (top, bottom) in ((1.0, (0, SIZE[0])), (0.2, (0, 11)), (0.1, (11, SIZE[0]))):
-        spots = spots_of(np.random.default_rng(6).random(SIZE) < share, top, bottom)
-        rho, colour = seen.samples(spots)
-        real = np.repeat(spots.cols >= 0, 2)
-        np.testing.assert_allclose(rho[:, real], at_spots(fine.inverse_depth, spots), rtol=2e-3, atol=2e-5)
-        expected = at_spots(fine.colour, spots)
+        edge_pixels = spots_of(np.random.default_rng(6).random(SIZE) < share, top, bottom)
+        rho, colour = seen.samples(edge_pixels)
+        real = np.repeat(edge_pixels.cols >= 0, 2)
+        np.testing.assert_allclose(rho[:, real], at_spots(fine.inverse_depth, edge_pixels), rtol=2e-3, atol=2e-5)
+        expected = at_spots(fine.colour, edge_pixels)
         near = np.abs(colour[:, real] - expected).max(axis=-1) < 5e-3
         assert near.mean() > 0.995, "a sample on the border of two quarters may have the trust of either"
 
@@ -73,10 +73,10 @@ def test_a_simplified_surface_has_the_samples_of_that_surface() -> None:
     one, two = renderers("whole", np.array([0.0, 0.0, -0.5]))
     pose, two._quads = Pose(np.eye(3), np.array([0.0, 0.0, 0.2])), one._quads
     seen, fine = one(pose), two(pose)
-    spots = spots_of(np.ones(SIZE, bool), 3, 20)
-    rho, _ = seen.samples(spots)
-    real = np.repeat(spots.cols >= 0, 2)
-    np.testing.assert_allclose(rho[:, real], at_spots(fine.inverse_depth, spots), rtol=2e-3)
+    edge_pixels = spots_of(np.ones(SIZE, bool), 3, 20)
+    rho, _ = seen.samples(edge_pixels)
+    real = np.repeat(edge_pixels.cols >= 0, 2)
+    np.testing.assert_allclose(rho[:, real], at_spots(fine.inverse_depth, edge_pixels), rtol=2e-3)
 
 
 def test_known_samples_stay_and_the_others_are_found() -> None:
@@ -85,13 +85,13 @@ def test_known_samples_stay_and_the_others_are_found() -> None:
     seen, fine = one(pose), two(pose)
     rng = np.random.default_rng(7)
     known = np.where(np.arange(SIZE[1]) < 32, 9.0, -1.0) * np.ones(SIZE)  # nearer than anything
-    spots = spots_of(rng.random(SIZE) < 0.5, 0, SIZE[0], known)
-    is_known = np.repeat((spots.cols >= 0) & (spots.cols < 32), 2)
-    spots.inverse_depth[:, is_known] = 9.0
-    rho, _ = seen.samples(spots)
+    edge_pixels = spots_of(rng.random(SIZE) < 0.5, 0, SIZE[0], known)
+    is_known = np.repeat((edge_pixels.cols >= 0) & (edge_pixels.cols < 32), 2)
+    edge_pixels.inverse_depth[:, is_known] = 9.0
+    rho, _ = seen.samples(edge_pixels)
     assert (rho[:, is_known] == 9.0).all()
-    real = np.repeat(spots.cols >= 32, 2)
+    real = np.repeat(edge_pixels.cols >= 32, 2)
     expected = np.full((2, len(real)), -1.0, np.float32)
-    expected[:, np.repeat(spots.cols >= 0, 2)] = at_spots(fine.inverse_depth, spots)
+    expected[:, np.repeat(edge_pixels.cols >= 0, 2)] = at_spots(fine.inverse_depth, edge_pixels)
     np.testing.assert_allclose(rho[:, real], expected[:, real], rtol=2e-3, atol=2e-5)
-    assert (spots.inverse_depth[:, real] == -1.0).all(), "spots are not changed"
+    assert (edge_pixels.inverse_depth[:, real] == -1.0).all(), "spots are not changed"

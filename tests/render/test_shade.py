@@ -130,7 +130,7 @@ def test_the_number_of_threads_changes_nothing(threads):
 
 def test_a_sky_at_infinity_only_turns():
     image, shader, rotation = noise(16, 32), Shader((24, 48)), turn(0.3, -0.2, 1.0)
-    found = shader.infinitely_far(make_texture(image), moved(5.0, -3.0, 2.0, rotation=rotation))
+    found = shader.shade_at_infinity(make_texture(image), moved(5.0, -3.0, 2.0, rotation=rotation))
     expected = sample_bicubic(image, pixel_directions(24, 48) @ rotation)
     np.testing.assert_allclose(found[..., :3], expected, atol=1e-4)
 

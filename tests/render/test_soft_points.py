@@ -7,10 +7,10 @@ import pytest
 import torch
 from render_samples import POSES, moved, random_pose, rough, smooth, sphere, turn
 
+from omnisyn_cli.baselines.soft_points import FLOOR, Cloud, even_points, list_visible, splat
+from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.soft_points import FLOOR, Cloud, even_points, list_visible, splat
-from omnisyn_cli.render.soft_points_torch import splat_torch
 
 
 def noise(height: int, width: int, channels: int = 3, seed: int = 50) -> np.ndarray:

@@ -17,7 +17,7 @@ from omnisyn_cli.render.surface_confidence import (
     IN_RIMS,
     LEAST,
     REACH,
-    trust_of_quarters,
+    quarter_confidence,
 )
 from omnisyn_cli.render.texture import make_texture
 
@@ -31,8 +31,8 @@ def test_is_the_least_confidence_of_the_corners_and_never_zero():
     confidence[1, 2], confidence[3, 5] = 0.5, 0.0
     expected = np.ones((3, 6, 4))
     expected[:2, 1:3], expected[2, 4:6] = 0.5, LEAST
-    np.testing.assert_allclose(trust_of_quarters(np.ones((4, 6)), whole(4, 6), confidence), expected)
-    nothing = trust_of_quarters(rough(8, 16), ~whole(8, 16), np.zeros((8, 16)))
+    np.testing.assert_allclose(quarter_confidence(np.ones((4, 6)), whole(4, 6), confidence), expected)
+    nothing = quarter_confidence(rough(8, 16), ~whole(8, 16), np.zeros((8, 16)))
     assert nothing.min() >= LEAST
 
 
@@ -71,7 +71,7 @@ def test_a_rim_lies_around_what_is_much_nearer_across_the_seam_but_not_beyond_th
         is_rim = (apart <= reach) & (apart > 0) & (times > least)
         corners = [is_rim[:-1], is_rim[1:], np.roll(is_rim, -1, axis=1)[:-1], np.roll(is_rim, -1, axis=1)[1:]]
         expected[np.any(corners, axis=0)] = trust
-    found = trust_of_quarters(rho, whole(40, 60))
+    found = quarter_confidence(rho, whole(40, 60))
     np.testing.assert_array_equal(found, np.repeat(expected[..., None], 4, axis=-1))
 
 

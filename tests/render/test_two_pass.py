@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from render_samples import WHOLE, moved, random_pose, rough, smooth, sphere, turn
 
+from omnisyn_cli.baselines.two_pass import rasterize_two_pass, triangles_without_caps
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.two_pass import rasterize_two_pass, triangles_without_caps
 
 
 def two_pass(rho: np.ndarray, pose: Pose, size: tuple[int, int], threads: int | None = None) -> Fragments:

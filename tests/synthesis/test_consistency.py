@@ -9,7 +9,7 @@ from confidence_samples import disturbed
 from omnisyn_cli.fusion.photometry import rough_curve
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-from omnisyn_cli.synthesis.consistency import cross_check, in_one_exposure, middle_of
+from omnisyn_cli.synthesis.consistency import cross_check, equalize_exposure, subsample_depth
 from omnisyn_cli.types import DepthEstimate, View
 from photometry_samples import exposed, in_eight_bits
 from synthesis_samples import hall_view, posed
@@ -53,14 +53,14 @@ def test_depth_made_smaller_stays_where_it_was(factor: int) -> None:
     """A ramp keeps its place to half a pixel of the larger map; an edge keeps both of its values."""
     rows, cols = 8 * factor, 16 * factor
     ramp = np.broadcast_to(np.arange(rows, dtype=np.float32)[:, None], (rows, cols))
-    found = middle_of(DepthEstimate(ramp, 0.5 * ramp), (8, 16))
+    found = subsample_depth(DepthEstimate(ramp, 0.5 * ramp), (8, 16))
     centres = (np.arange(8) + 0.5) * factor - 0.5
     assert np.abs(found.inverse_depth - centres[:, None]).max() <= 0.5
     np.testing.assert_array_equal(found.confidence, 0.5 * found.inverse_depth)
     edge = np.where(np.arange(cols) < cols // 2 + 1, np.float32(1.0), np.float32(0.25)) + np.zeros(
         (rows, 1), np.float32
     )
-    assert set(np.unique(middle_of(DepthEstimate(edge, edge), (8, 16)).inverse_depth)) == {0.25, 1.0}
+    assert set(np.unique(subsample_depth(DepthEstimate(edge, edge), (8, 16)).inverse_depth)) == {0.25, 1.0}
 
 
 @pytest.mark.parametrize("size", [(16, 32), (64, 128), (300, 600)])
@@ -104,14 +104,14 @@ def uneven() -> tuple[View, View]:
 
 def test_a_brighter_place_is_not_taken_for_another_exposure(uneven: tuple[View, View]) -> None:
     assert np.abs(rough_curve(*uneven).gain.mean()) > 0.25
-    assert all(a is b for a, b in zip(in_one_exposure(*uneven, 1), uneven, strict=True))
+    assert all(a is b for a, b in zip(equalize_exposure(*uneven, 1), uneven, strict=True))
 
 
 @pytest.mark.parametrize("stop", [1.0, -1.0])
 def test_another_exposure_is_found_where_places_differ_as_well(uneven: tuple[View, View], stop: float) -> None:
     first, second = uneven
     changed = replace(second, image=in_eight_bits(exposed(second.image, stop)))
-    alike = in_one_exposure(first, changed, 1)
+    alike = equalize_exposure(first, changed, 1)
     kept, dark = (0, 1) if stop > 0 else (1, 0)
     assert alike[kept] is (first, changed)[kept]
     expected = second.image if stop > 0 else exposed(first.image, stop)

@@ -13,7 +13,7 @@ from omnisyn_cli.synthesis.frames import Frame, synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import KnownDepth, Rendering
+from omnisyn_cli.types import KnownDepth, Layer
 from synthesis_samples import hall_view, posed, write_hall
 
 SIZE = (64, 128)
@@ -25,7 +25,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     found: list[float] = []
 
     class Counted(ExposureMatcher):
-        def __call__(self, first: Rendering, second: Rendering, t: float) -> tuple[Rendering, Rendering]:
+        def __call__(self, first: Layer, second: Layer, t: float) -> tuple[Layer, Layer]:
             found.append(t)
             return super().__call__(first, second, t)
 

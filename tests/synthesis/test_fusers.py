@@ -11,7 +11,7 @@ from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.residual import NetworkFuser
+from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.input_channels import PLANES
 from omnisyn_cli.fusion.warp_candidates import LOOKS
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -56,7 +56,7 @@ def frames(fuser):
 
 def test_a_fuser_has_the_name_that_it_was_asked_for(models):
     assert type(make_fuser("geometric", SIZE)) is GeometricFuser
-    assert type(make_fuser("network", SIZE, model=models["fresh"], device="cpu", threads=1)) is NetworkFuser
+    assert type(make_fuser("network", SIZE, model=models["fresh"], device="cpu", threads=1)) is ResidualFuser
     with pytest.raises(ValueError, match="geometric, network, painting"):
         make_fuser("magic", SIZE)
     with pytest.raises(InputError, match=r"nothing\.onnx"):

@@ -13,7 +13,7 @@ import pytest
 from interpolation_samples import job_of
 from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
@@ -121,7 +121,7 @@ def silhouettes(depths: list[np.ndarray]) -> np.ndarray:
     return cv2.dilate(found, np.ones((5, 5), np.uint8)) > 0
 
 
-def shown(shot: Shot, view: int, eye: Pose, rays: np.ndarray, rho: np.ndarray) -> Shown:
+def shown(shot: Shot, view: int, eye: Pose, rays: np.ndarray, rho: np.ndarray) -> LayerArrays:
     """What the photograph has where a surface is seen, weighted by the mesh's trust."""
     surface = shot.pair.surfaces[view]
     seen = eye.inverse() @ surface.view.pose
@@ -133,7 +133,7 @@ def shown(shot: Shot, view: int, eye: Pose, rays: np.ndarray, rho: np.ndarray) -
     quad = np.clip(np.floor(row).astype(int), 0, rows - 1), np.floor(col).astype(int) % cols
     trust = surface.mesh.trust[(*quad, 2 * down + right)]
     colour = sample_bilinear(image, directions)
-    return Shown(colour, np.where(rho >= 0, trust, 0.0), rho.astype(np.float64), np.asarray(seen.position))
+    return LayerArrays(colour, np.where(rho >= 0, trust, 0.0), rho.astype(np.float64), np.asarray(seen.position))
 
 
 def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:

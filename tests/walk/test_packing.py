@@ -17,7 +17,7 @@ from omnisyn_cli.interpolation.walk.packing import (
     trust_codes,
 )
 from omnisyn_cli.render.mesh import build_mesh
-from omnisyn_cli.render.shade import make_trust
+from omnisyn_cli.render.shade import make_confidence_map
 from omnisyn_cli.render.texture import make_texture
 
 
@@ -60,7 +60,7 @@ def test_trust_is_that_of_the_renderer() -> None:
     mesh = build_mesh(rho)
     codes = trust_codes(mesh)
     assert codes is not None
-    expected = make_trust(mesh, make_texture(np.zeros((16, 32, 3), np.float32))).values.reshape(32, 65)[1:-1, 1:]
+    expected = make_confidence_map(mesh, make_texture(np.zeros((16, 32, 3), np.float32))).values.reshape(32, 65)[1:-1, 1:]
     np.testing.assert_allclose((codes[1:-1] / 255.0) ** 2, expected, atol=0.004)
     assert trust_codes(build_mesh(np.full((16, 32), 0.2, np.float32))) is None
 

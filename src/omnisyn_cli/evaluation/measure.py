@@ -17,7 +17,7 @@ from omnisyn_cli.evaluation import metrics
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
-from omnisyn_cli.fusion.pixel_classes import pixel_kinds, silhouettes
+from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
 from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
@@ -126,7 +126,7 @@ def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
     shown = made.renderings(waypoint)
     if shown is None:
         return metrics.end_masks(size)
-    return {**pixel_kinds(*shown)._asdict(), "silhouette": silhouettes(*shown), **metrics.end_masks(size)}
+    return {**classify_pixels(*shown)._asdict(), "silhouette": silhouette_mask(*shown), **metrics.end_masks(size)}
 
 
 def _has_parallax(pair: LoadedPair) -> bool:
@@ -183,8 +183,8 @@ def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
     )
     plain, weighted = (metrics.depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
     doubt, reliability = metrics.confidence_metrics(estimate, confidence, truth)
-    if found.sure is not None:
-        sure = sample_nearest(found.sure.astype(np.float32), pixel_directions(*truth.shape))
+    if found.stereo_valid is not None:
+        sure = sample_nearest(found.stereo_valid.astype(np.float32), pixel_directions(*truth.shape))
         doubt |= metrics.unsure_metrics(estimate, truth, sure > 0)
     return DepthRecord(name, plain, weighted, doubt=doubt, reliability=reliability)
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.fusion.blend_rule import FAR_PREFERENCE, BlendRule
-from omnisyn_cli.types import BELIEF, UNSEEN, Rendering
+from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendRule
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, Layer
 
-__all__ = ["blend_band", "quantize_rows", "storing_in"]
+__all__ = ["blend_rows", "quantization_for", "quantize_rows"]
 
 RUN = 512
 """Pixels of a row that are blended together, an even number: what is found out stays in the nearest cache."""
@@ -24,7 +24,7 @@ MOST_GAP = np.float32(4.0)
 """Beyond it nothing is left of a hidden surface's weight that could be seen: e⁻¹⁶."""
 
 
-class Layer(NamedTuple):
+class LayerRows(NamedTuple):
     """Some rows of a rendering: ``(rows, width, 4)`` RGB and weight; inverse depth; where its view is, three numbers.
 
     The position is in the frame of the target.
@@ -52,7 +52,7 @@ class Tables(NamedTuple):
     cos_a: np.ndarray
 
 
-class Storing(NamedTuple):
+class Quantization(NamedTuple):
     """How numbers >= 0 become samples: at most ``most``, times ``scale``, plus ``half``; then cut off."""
 
     most: np.float32
@@ -65,14 +65,14 @@ def rule_of(rule: BlendRule) -> Rule:
     return Rule(np.float32(rule.t), np.float32(rule.disagreement), np.float32(rule.hidden))
 
 
-def storing_in(out: np.ndarray) -> Storing:
+def quantization_for(out: np.ndarray) -> Quantization:
     """Rounded to the levels of integers, unchanged as floating-point numbers."""
     if out.dtype.kind == "f":
-        return Storing(np.float32(np.finfo(np.float32).max), np.float32(1.0), np.float32(0.0))
-    return Storing(np.float32(1.0), np.float32(np.iinfo(out.dtype).max), np.float32(0.5))
+        return Quantization(np.float32(np.finfo(np.float32).max), np.float32(1.0), np.float32(0.0))
+    return Quantization(np.float32(1.0), np.float32(np.iinfo(out.dtype).max), np.float32(0.5))
 
 
-def offset_of(view: Rendering) -> tuple[np.float32, np.float32, np.float32]:
+def offset_of(view: Layer) -> tuple[np.float32, np.float32, np.float32]:
     """Position of a view in the frame of the target, as kernels take it."""
     x, y, z = np.asarray(view.target_from_source.position, np.float32)
     return x, y, z
@@ -126,10 +126,10 @@ def view_weights(weight_a, near_a, offset_a, weight_b, near_b, offset_b, x, y, z
     zero, one = np.float32(0.0), np.float32(1.0)
     a = weight_a * _nearness(near_a, x, y, z, offset_a)
     b = weight_b * _nearness(near_b, x, y, z, offset_b)
-    a = a if weight_a > UNSEEN else zero
-    b = b if weight_b > UNSEEN else zero
+    a = a if weight_a > MIN_VISIBLE_WEIGHT else zero
+    b = b if weight_b > MIN_VISIBLE_WEIGHT else zero
     gap = (near_a - near_b) / (max(near_a, near_b) * rule.disagreement + np.float32(1e-9))
-    believed = min(one, np.float32(BELIEF) * (weight_a if gap > zero else weight_b))
+    believed = min(one, np.float32(DEPTH_CONFIDENCE_GAIN) * (weight_a if gap > zero else weight_b))
     rest = one - believed * (one - max(_falling(gap), rule.hidden))
     is_both = min(a, b) > zero
     share_a = (one - rule.t) * (rest if gap < zero else one)
@@ -138,15 +138,15 @@ def view_weights(weight_a, near_a, offset_a, weight_b, near_b, offset_b, x, y, z
 
 
 @fast_kernel()
-def blend_band(first, second, rule, tables, storing, out, seen, coarse_colour, coarse_weight):
+def blend_rows(first, second, rule, tables, storing, out, seen, coarse_colour, coarse_weight):
     """Blend some rows of two renderings, store them, and join them in twos for the pyramid that fills holes.
 
     Args:
-        first: :class:`Layer` of the first view.
+        first: :class:`LayerRows` of the first view.
         second: of the second view.
         rule: :class:`Rule`.
         tables: :class:`Tables`.
-        storing: :class:`Storing`.
+        storing: :class:`Quantization`.
         out: ``(rows, width, 3)`` samples, written; of no meaning in holes. An odd number of rows ends the picture.
         seen: ``(rows, width)`` uint8, written: 0 in holes, else 1.
         coarse_colour: ``(half of rows, half of width, 3)``, written where there is weight, halves being rounded up.
@@ -164,8 +164,8 @@ def blend_band(first, second, rule, tables, storing, out, seen, coarse_colour, c
                     mixed[:] = np.float32(0.0)
                     continue
                 begin, end = row * width + left, row * width + right
-                a = Layer(first_flat[4 * begin : 4 * end], first.inverse_depth[row, left:right], first.offset)
-                b = Layer(second_flat[4 * begin : 4 * end], second.inverse_depth[row, left:right], second.offset)
+                a = LayerRows(first_flat[4 * begin : 4 * end], first.inverse_depth[row, left:right], first.offset)
+                b = LayerRows(second_flat[4 * begin : 4 * end], second.inverse_depth[row, left:right], second.offset)
                 some = Tables(
                     tables.sin_p[row:], tables.cos_p[row:], tables.sin_a[left:right], tables.cos_a[left:right]
                 )
@@ -180,40 +180,40 @@ def blend_band(first, second, rule, tables, storing, out, seen, coarse_colour, c
 
 
 @fast_kernel()
-def blend_spots(first, second, rule, tables, spots, share, storing, out):
+def blend_edge_pixels(first, second, rule, tables, edge_pixels, share, storing, out):
     """Give some pixels the means of their samples, blended one by one; samples that see nothing keep the pixel's own.
 
     Args:
-        first: :class:`Layer` of the first view: ``(2, samples, 4)`` and ``(2, samples)``.
+        first: :class:`LayerRows` of the first view: ``(2, samples, 4)`` and ``(2, samples)``.
         second: of the second view.
         rule: :class:`Rule`.
         tables: :class:`Tables`, of which those of rows: of all rows of a picture of twice the size.
-        spots: :class:`omnisyn_cli.types.Spots`.
+        spots: :class:`omnisyn_cli.types.EdgePixels`.
         share: of the mean; the rest is what the pixel was.
-        storing: :class:`Storing`.
+        storing: :class:`Quantization`.
         out: ``(height, width, 3)`` samples, changed.
     """
     upper, lower = np.empty(4 * RUN, np.float32), np.empty(4 * RUN, np.float32)
-    for row in range(len(spots.begins)):
-        begin, end = 2 * spots.begins[row, 0], 2 * spots.begins[row, -1]
+    for row in range(len(edge_pixels.begins)):
+        begin, end = 2 * edge_pixels.begins[row, 0], 2 * edge_pixels.begins[row, -1]
         for left in range(begin, end, RUN):
             right = min(left + RUN, end)
             for half, mixed in ((0, upper), (1, lower)):
-                double_row = 2 * (spots.top + row) + half
-                a = Layer(
+                double_row = 2 * (edge_pixels.top + row) + half
+                a = LayerRows(
                     first.colour[half, left:right].reshape(-1), first.inverse_depth[half, left:right], first.offset
                 )
-                b = Layer(
+                b = LayerRows(
                     second.colour[half, left:right].reshape(-1), second.inverse_depth[half, left:right], second.offset
                 )
                 some = Tables(
                     tables.sin_p[double_row:], tables.cos_p[double_row:],
-                    spots.sin_a[left:right], spots.cos_a[left:right],
+                    edge_pixels.sin_a[left:right], edge_pixels.cos_a[left:right],
                 )  # fmt: skip
                 _blend_run(a, b, rule, some, mixed)
             for at in range(left // 2, right // 2):
-                if spots.cols[at] >= 0:
-                    _store_mean(upper, lower, 2 * at - left, share, storing, out[spots.top + row, spots.cols[at]])
+                if edge_pixels.cols[at] >= 0:
+                    _store_mean(upper, lower, 2 * at - left, share, storing, out[edge_pixels.top + row, edge_pixels.cols[at]])
 
 
 @inlined(fastmath=True)
@@ -234,7 +234,7 @@ def _blend_run(first, second, rule, tables, mixed):
 
     Colours are flat, four numbers for each pixel: steps that are known make vectors possible.
     """
-    zero, one, far_preference = np.float32(0.0), np.float32(1.0), np.float32(FAR_PREFERENCE)
+    zero, one, far_preference = np.float32(0.0), np.float32(1.0), np.float32(FAR_WEIGHT_OFFSET)
     sine, y = tables.sin_p[0], tables.cos_p[0]
     a_colour, b_colour = first.colour, second.colour
     for col in range(len(first.inverse_depth)):

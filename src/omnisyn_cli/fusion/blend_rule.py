@@ -23,13 +23,13 @@ from typing import Any
 from array_api_compat import array_namespace
 from jaxtyping import Float
 
-from omnisyn_cli.types import BELIEF, UNSEEN
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
-__all__ = ["FAR_PREFERENCE", "BlendOptions", "BlendRule", "Shown", "blended", "view_weights"]
+__all__ = ["FAR_WEIGHT_OFFSET", "BlendOptions", "BlendRule", "LayerArrays", "blended", "view_weights"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-FAR_PREFERENCE = 0.01
+FAR_WEIGHT_OFFSET = 0.01
 """1/metre added before inverse depths are compared in a hole: what is a hundred metres away is as good as infinity."""
 
 
@@ -73,7 +73,7 @@ class BlendRule:
 
 
 @dataclass(frozen=True)
-class Shown:
+class LayerArrays:
     """What a target sees of one view, numpy arrays or torch tensors.
 
     Attributes:
@@ -96,11 +96,11 @@ class Shown:
     @property
     def is_seen(self) -> Array:
         """Where it shows something."""
-        return self.weight > float(UNSEEN)
+        return self.weight > float(MIN_VISIBLE_WEIGHT)
 
 
 def view_weights(
-    first: Shown, second: Shown, directions: Float[Array, "*pixels 3"], rule: BlendRule
+    first: LayerArrays, second: LayerArrays, directions: Float[Array, "*pixels 3"], rule: BlendRule
 ) -> tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]:
     """Weights of what two views show, not normalised; 0 for a view that shows nothing.
 
@@ -113,8 +113,8 @@ def view_weights(
     xp = array_namespace(first.weight)
     nothing, all_of_it = xp.zeros_like(first.weight), xp.ones_like(first.weight)
     a, b = (xp.where(view.is_seen, view.weight * _nearness(view, directions), nothing) for view in (first, second))
-    gap = difference_of_depth(first, second, rule.disagreement)
-    believed = xp.clip(BELIEF * xp.where(gap > 0.0, first.weight, second.weight), max=1.0)
+    gap = normalized_depth_gap(first, second, rule.disagreement)
+    believed = xp.clip(DEPTH_CONFIDENCE_GAIN * xp.where(gap > 0.0, first.weight, second.weight), max=1.0)
     rest = 1.0 - believed * (1.0 - xp.clip(xp.exp(-gap * gap), min=rule.hidden))
     is_both = first.is_seen & second.is_seen
     shared_a = (1.0 - rule.t) * a * xp.where(gap < 0.0, rest, all_of_it)
@@ -122,14 +122,14 @@ def view_weights(
     return xp.where(is_both, shared_a, a), xp.where(is_both, shared_b, b)
 
 
-def difference_of_depth(first: Shown, second: Shown, disagreement: float) -> Float[Array, "*pixels"]:
+def normalized_depth_gap(first: LayerArrays, second: LayerArrays, disagreement: float) -> Float[Array, "*pixels"]:
     """Difference of inverse depth in units of what counts as a disagreement; positive where the first is nearer."""
     xp = array_namespace(first.weight)
     near_a, near_b = first.near, second.near
     return (near_a - near_b) / (xp.maximum(near_a, near_b) * disagreement + 1e-9)
 
 
-def _nearness(view: Shown, directions: Float[Array, "*pixels 3"]) -> Float[Array, "*pixels"]:
+def _nearness(view: LayerArrays, directions: Float[Array, "*pixels 3"]) -> Float[Array, "*pixels"]:
     """(Distance from the target / distance from the source) of what is seen, cubed."""
     xp = array_namespace(view.weight)
     away = directions - view.near[..., None] * view.offset
@@ -138,7 +138,7 @@ def _nearness(view: Shown, directions: Float[Array, "*pixels 3"]) -> Float[Array
 
 
 def blended(
-    first: Shown, second: Shown, weights: tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]
+    first: LayerArrays, second: LayerArrays, weights: tuple[Float[Array, "*pixels"], Float[Array, "*pixels"]]
 ) -> tuple[Float[Array, "*pixels 3"], Float[Array, "*pixels"]]:
     """Weighted mean, never negative, and how much it counts for holes around it: 0 in holes, much where it is far.
 
@@ -155,5 +155,5 @@ def blended(
     smaller = xp.minimum(a, b) / xp.where(is_seen, total, xp.ones_like(a))
     share_a, share_b = xp.where(a < b, smaller, 1.0 - smaller), xp.where(a < b, 1.0 - smaller, smaller)
     mixed = xp.clip(share_a[..., None] * first.colour + share_b[..., None] * second.colour, min=0.0)
-    far = FAR_PREFERENCE / (share_a * first.near + share_b * second.near + FAR_PREFERENCE)
+    far = FAR_WEIGHT_OFFSET / (share_a * first.near + share_b * second.near + FAR_WEIGHT_OFFSET)
     return xp.where(is_seen[..., None], mixed, nothing[..., None]), xp.where(is_seen, far**4, nothing)

@@ -3,14 +3,14 @@
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 
 LOOKED_AT = 4
 """Rows and columns of a block that are enough for its mean."""
 
 
 @fast_kernel()
-def reduce_band(colour, rho, coarse, coarse_rho, top, height):
+def downsample_rows(colour, rho, coarse, coarse_rho, top, height):
     """Some rows of a rendering at a smaller size: means over blocks of what is seen, by its weight.
 
     Of large blocks every so many-th row and column is looked at, at least :data:`LOOKED_AT` of each.
@@ -38,14 +38,14 @@ def reduce_band(colour, rho, coarse, coarse_rho, top, height):
                 for col in range(left, right, across):
                     count += 1
                     weight = colour[row, col, 3]
-                    if weight > UNSEEN:
+                    if weight > MIN_VISIBLE_WEIGHT:
                         red += weight * colour[row, col, 0]
                         green += weight * colour[row, col, 1]
                         blue += weight * colour[row, col, 2]
                         near += weight * max(rho[row, col], zero)
                         total += weight
             weight = total / np.float32(count)
-            if weight > UNSEEN:
+            if weight > MIN_VISIBLE_WEIGHT:
                 coarse[i, j, 0] = min(one, max(zero, red / total))
                 coarse[i, j, 1] = min(one, max(zero, green / total))
                 coarse[i, j, 2] = min(one, max(zero, blue / total))

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.blend_kernels import stored, storing_in
+from omnisyn_cli.fusion.blend_kernels import quantization_for, stored
 
 __all__ = ["HoleFiller"]
 
@@ -74,7 +74,7 @@ class HoleFiller:
         self, coarse: tuple[np.ndarray, np.ndarray], fine: tuple[np.ndarray, np.ndarray], *, keeps_weight: bool
     ) -> None:
         with_holes = np.flatnonzero(fine[1].min(axis=1) <= 0)
-        self._run(_push_rows, with_holes, fine[1], *coarse, *fine, keeps_weight, storing_in(fine[0]))
+        self._run(_push_rows, with_holes, fine[1], *coarse, *fine, keeps_weight, quantization_for(fine[0]))
 
     def _run(self, kernel: Callable[..., None], rows: np.ndarray, written: np.ndarray, *arguments: Any) -> None:
         """A kernel over some rows of the level it writes."""

@@ -14,7 +14,7 @@ from jaxtyping import Num
 
 from omnisyn_cli.geometry.sampling import filter_across_seam
 
-__all__ = ["step_in_cells"]
+__all__ = ["ghost_sample_step"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -26,14 +26,14 @@ LEAST_CELL = 4
 SAMPLES_ALONG_CELL = 4
 
 
-def side_of_cells(size: tuple[int, int]) -> int:
+def ghost_cell_size(size: tuple[int, int]) -> int:
     """Pixels along the side of a cell of a picture of ``size = (height, width)``."""
     return max(LEAST_CELL, -(-size[0] // ROWS_OF_CELLS))
 
 
-def step_in_cells(size: tuple[int, int]) -> int:
+def ghost_sample_step(size: tuple[int, int]) -> int:
     """Every so many-th pixel of a row and of a column is looked at; 1 where cells are small: then all of them are."""
-    return max(1, side_of_cells(size) // SAMPLES_ALONG_CELL)
+    return max(1, ghost_cell_size(size) // SAMPLES_ALONG_CELL)
 
 
 def greatest_near(values: Num[Array, "rows cols *channels"], reach: int) -> Num[Array, "rows cols *channels"]:

@@ -3,11 +3,11 @@
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.types import UNSEEN
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 
 
 @fast_kernel()
-def gather_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
+def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
     """Sums over the pixels of each cell, for rows of cells ``begin`` to ``end``.
 
     Args:
@@ -28,9 +28,9 @@ def gather_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
                 sums[i, j, k] = np.float32(0.0)
             for row in range(i * cell, min((i + 1) * cell, height)):
                 for col in range(j * cell, min((j + 1) * cell, width)):
-                    if not first[row, col, 3] > UNSEEN:
-                        sums[i, j, 12] += np.float32(second[row, col, 3] > UNSEEN)
-                    elif not second[row, col, 3] > UNSEEN:
+                    if not first[row, col, 3] > MIN_VISIBLE_WEIGHT:
+                        sums[i, j, 12] += np.float32(second[row, col, 3] > MIN_VISIBLE_WEIGHT)
+                    elif not second[row, col, 3] > MIN_VISIBLE_WEIGHT:
                         sums[i, j, 11] += np.float32(1.0)
                     else:
                         sums[i, j, 0] += np.float32(1.0)
@@ -63,12 +63,12 @@ def suppress_rows(first, second, suppressed, cell, top):
 
 
 @fast_kernel()
-def suppress_spots(first, second, suppressed, cell, spots):
+def suppress_edge_samples(first, second, suppressed, cell, edge_pixels):
     """The same for the samples of spots, ``(2, samples, 4)`` of either view: each by where its spot is."""
-    for row in range(len(spots.begins)):
-        upper, lower, down = _rows_of_cells(suppressed, cell, spots.top + row)
-        for at in range(spots.begins[row, 0], spots.begins[row, -1]):
-            col = spots.cols[at]
+    for row in range(len(edge_pixels.begins)):
+        upper, lower, down = _rows_of_cells(suppressed, cell, edge_pixels.top + row)
+        for at in range(edge_pixels.begins[row, 0], edge_pixels.begins[row, -1]):
+            col = edge_pixels.cols[at]
             if col < 0 or _is_free(suppressed, upper, lower, col // cell):
                 continue
             value = _between(suppressed, cell, upper, lower, down, col)
@@ -101,7 +101,7 @@ def _between(suppressed, cell, upper, lower, down, col):
 @inlined()
 def _lessen(first, second, row, col, value):
     """Take weight from one view where both see something."""
-    if first[row, col, 3] > UNSEEN and second[row, col, 3] > UNSEEN:
+    if first[row, col, 3] > MIN_VISIBLE_WEIGHT and second[row, col, 3] > MIN_VISIBLE_WEIGHT:
         if value > np.float32(0.0):
             second[row, col, 3] *= np.float32(1.0) - value
         else:

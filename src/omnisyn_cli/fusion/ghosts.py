@@ -22,16 +22,16 @@ from array_api_compat import array_namespace, device, is_numpy_array
 from jaxtyping import Bool, Float32, Integer
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.blend_rule import BlendRule, Shown, view_weights
-from omnisyn_cli.fusion.ghost_grid import greatest_near, mean_near, side_of_cells, step_in_cells
-from omnisyn_cli.fusion.ghost_kernels import gather_cells, suppress_rows, suppress_spots
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, view_weights
+from omnisyn_cli.fusion.ghost_grid import ghost_cell_size, ghost_sample_step, greatest_near, mean_near
+from omnisyn_cli.fusion.ghost_kernels import accumulate_cells, suppress_edge_samples, suppress_rows
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.geometry.regions import connected_regions
-from omnisyn_cli.geometry.sampling import at_crossings
+from omnisyn_cli.geometry.sampling import grid_subsample
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.types import UNSEEN, Rendering, Spots
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, EdgePixels, Layer
 
-__all__ = ["GhostRemover", "Suppression", "is_in_place"]
+__all__ = ["GhostRemover", "GhostSuppression", "have_same_position"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -73,7 +73,7 @@ class GhostOptions:
 
 
 @dataclass(frozen=True)
-class Suppression:
+class GhostSuppression:
     """What takes weight away from the view that is not shown; a :data:`omnisyn_cli.types.ColourStep`.
 
     Attributes:
@@ -88,9 +88,9 @@ class Suppression:
         """In some rows of both views, see :func:`suppress`."""
         suppress(first, second, top, self.suppressed, self.cell)
 
-    def of_samples(self, first: Array, second: Array, spots: Spots) -> None:
+    def of_samples(self, first: Array, second: Array, edge_pixels: EdgePixels) -> None:
         """In the samples of spots, ``(2, samples, 4)`` of either view."""
-        suppress_spots(first, second, self.suppressed, self.cell, spots)
+        suppress_edge_samples(first, second, self.suppressed, self.cell, edge_pixels)
 
 
 class GhostRemover:
@@ -102,22 +102,22 @@ class GhostRemover:
         threads: at most this many; None is one per core.
 
     Attributes:
-        looks_everywhere: whether every pixel is looked at, and not only some of each cell.
-        looked_size: how many rows and columns are looked at.
+        is_full_resolution: whether every pixel is looked at, and not only some of each cell.
+        downsampled_size: how many rows and columns are looked at.
         along: pixels that are looked at along the side of a cell.
     """
 
     def __init__(self, size: tuple[int, int], options: GhostOptions | None = None, threads: int | None = None) -> None:
         self.size, self.threads, self.options = size, threads, options or GhostOptions()
-        self.cell, step = side_of_cells(size), step_in_cells(size)
-        self.looks_everywhere = step == 1
+        self.cell, step = ghost_cell_size(size), ghost_sample_step(size)
+        self.is_full_resolution = step == 1
         self.along = -(-self.cell // step)
         self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell % step == 0) for count in size)
-        self.looked_size = len(self._rows), len(self._cols)
+        self.downsampled_size = len(self._rows), len(self._cols)
         self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
         self._directions = pixel_directions(*self._grid).astype(np.float32)
 
-    def __call__(self, first: Rendering, second: Rendering, rule: BlendRule) -> Suppression | None:
+    def __call__(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
         """What suppresses ghosts in colours of both views; None where there are none.
 
         Args:
@@ -125,22 +125,22 @@ class GhostRemover:
             second: of the second view.
             rule: how they are blended.
         """
-        return self.among(self.looked_at(first), self.looked_at(second), rule)
+        return self.among(self.downsample(first), self.downsample(second), rule)
 
-    def looked_at(self, view: Rendering) -> Rendering:
+    def downsample(self, view: Layer) -> Layer:
         """The pixels of a rendering that are looked at, as a smaller one; the very same one where these are all."""
-        if self.looks_everywhere and view.held is not None:
+        if self.is_full_resolution and view.held is not None:
             return view
         xp, rho = array_namespace(view.inverse_depth), view.inverse_depth
         if is_numpy_array(rho):
-            near = at_crossings(rho, self._rows, self._cols)
+            near = grid_subsample(rho, self._rows, self._cols)
         else:
             rows, cols = (xp.asarray(index, device=device(rho)) for index in (self._rows, self._cols))
             near = xp.take(xp.take(rho, rows, axis=0), cols, axis=1)
-        return Rendering.of(near, view.colour_at(self._rows, self._cols), view.target_from_source)
+        return Layer.from_arrays(near, view.colour_grid(self._rows, self._cols), view.target_from_source)
 
-    def among(self, first: Rendering, second: Rendering, rule: BlendRule) -> Suppression | None:
-        """The same, given the pixels of both that are looked at (:meth:`looked_at`)."""
+    def among(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
+        """The same, given the pixels of both that are looked at (:meth:`downsample`)."""
         if self._reach < NEARBY:
             return None
         one, other, count, more = self._cells(first, second)
@@ -148,18 +148,18 @@ class GhostRemover:
         if not is_any(differs):
             return None
         preference = self._preference(one, other, rule, differs) + WHOLENESS * more
-        return Suppression(suppressed_cells(differs, preference), self.cell)
+        return GhostSuppression(suppressed_cells(differs, preference), self.cell)
 
     @property
     def _reach(self) -> int:
         return min(self.options.neighbourhood, *(count // 2 - 1 for count in self._grid))
 
-    def _cells(self, first: Rendering, second: Rendering) -> tuple[Shown, Shown, Array, Array]:
+    def _cells(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
         """Means over what both views see of each cell; how many pixels these are; what share more the first sees."""
         (a, a_rho), (b, b_rho) = ((view.colour, view.inverse_depth) for view in (first, second))
         if is_numpy_array(a):
             sums = np.empty((*self._grid, 13), np.float32)
-            gather = partial(gather_cells, a, a_rho, b, b_rho, self.along, sums)
+            gather = partial(accumulate_cells, a, a_rho, b, b_rho, self.along, sums)
             run_bands(gather, self._grid[0], self.threads)
         else:
             sums = self._gathered(a, a_rho, b, b_rho)
@@ -168,16 +168,16 @@ class GhostRemover:
         offsets = (xp.asarray(view.target_from_source.position, dtype=sums.dtype, device=device(sums))
                    for view in (first, second))  # fmt: skip
         shown = [
-            Shown(sums[..., k : k + 3] * share[..., None], sums[..., k + 3] * share, sums[..., rho] * share, offset)
+            LayerArrays(sums[..., k : k + 3] * share[..., None], sums[..., k + 3] * share, sums[..., rho] * share, offset)
             for k, rho, offset in zip((1, 5), (9, 10), offsets, strict=True)
         ]
         only_first, only_second = sums[..., 11], sums[..., 12]
         return *shown, count, (only_first - only_second) / xp.clip(count + only_first + only_second, min=1.0)
 
     def _gathered(self, first: Array, first_rho: Array, second: Array, second_rho: Array) -> Array:
-        """:func:`omnisyn_cli.fusion.ghost_kernels.gather_cells` by arrays."""
+        """:func:`omnisyn_cli.fusion.ghost_kernels.accumulate_cells` by arrays."""
         xp, (rows, cols) = array_namespace(first), (count * self.along for count in self._grid)
-        is_first, is_second = (colour[..., 3:] > float(UNSEEN) for colour in (first, second))
+        is_first, is_second = (colour[..., 3:] > float(MIN_VISIBLE_WEIGHT) for colour in (first, second))
         near = xp.clip(xp.stack([first_rho, second_rho], axis=-1), min=0.0)
         values = xp.concat([xp.ones_like(near[..., :1]), first, second, near], axis=-1)
         values = xp.where(is_first & is_second, values, xp.zeros_like(values))
@@ -187,7 +187,7 @@ class GhostRemover:
         whole[: values.shape[0], : values.shape[1]] = values
         return xp.sum(whole.reshape(self._grid[0], self.along, self._grid[1], self.along, -1), axis=(1, 3))
 
-    def _differing(self, first: Shown, second: Shown, count: Array) -> Bool[Array, "rows cols"]:
+    def _differing(self, first: LayerArrays, second: LayerArrays, count: Array) -> Bool[Array, "rows cols"]:
         """Cells of different things: not thin, and grown by what an opening took from their edges."""
         xp = array_namespace(count)
         one, plain = first.colour, first.colour - second.colour
@@ -201,7 +201,7 @@ class GhostRemover:
         return greatest_near(1 - rest, 2) > 0
 
     def _preference(
-        self, first: Shown, second: Shown, rule: BlendRule, wanted: Bool[Array, "rows cols"]
+        self, first: LayerArrays, second: LayerArrays, rule: BlendRule, wanted: Bool[Array, "rows cols"]
     ) -> Float32[Array, "rows cols"]:
         """log(weight of the first / weight of the second) in the blend of the wanted cells, which are few; else 0."""
         xp, cells = array_namespace(wanted), array_namespace(wanted).nonzero(wanted)
@@ -214,8 +214,8 @@ class GhostRemover:
         return preference
 
 
-def _of_cells(shown: Shown, cells: tuple[Array, ...]) -> Shown:
-    return Shown(shown.colour[cells], shown.weight[cells], shown.inverse_depth[cells], shown.offset)
+def _of_cells(shown: LayerArrays, cells: tuple[Array, ...]) -> LayerArrays:
+    return LayerArrays(shown.colour[cells], shown.weight[cells], shown.inverse_depth[cells], shown.offset)
 
 
 def is_any(mask: Bool[Array, "rows cols"]) -> bool:
@@ -223,7 +223,7 @@ def is_any(mask: Bool[Array, "rows cols"]) -> bool:
     return bool(mask.any())
 
 
-def is_in_place(first: Rendering, second: Rendering) -> bool:
+def have_same_position(first: Layer, second: Layer) -> bool:
     """Whether both views were taken from one place: then one picture turns into the other, and nothing is a ghost."""
     positions = (first.target_from_source.position, second.target_from_source.position)
     return np.allclose(*positions, rtol=0.0, atol=STILL)
@@ -248,7 +248,7 @@ def suppress(first: Array, second: Array, top: int, suppressed: Float32[Array, "
     above, below = suppressed[xp.clip(upper, min=0)], suppressed[xp.clip(lower, max=rows - 1)]
     line = above + down[:, None] * (below - above)
     value = line[:, left % cols] + across * (line[:, right % cols] - line[:, left % cols])
-    value = value * ((first[..., 3] > float(UNSEEN)) & (second[..., 3] > float(UNSEEN)))
+    value = value * ((first[..., 3] > float(MIN_VISIBLE_WEIGHT)) & (second[..., 3] > float(MIN_VISIBLE_WEIGHT)))
     first[..., 3] *= 1.0 + xp.clip(value, max=0.0)
     second[..., 3] *= 1.0 - xp.clip(value, min=0.0)
 

@@ -24,11 +24,11 @@ from typing import Any
 from array_api_compat import array_namespace, device
 from jaxtyping import Float, Float32
 
-from omnisyn_cli.fusion.blend_rule import BlendRule, Shown, blended, difference_of_depth, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blended, normalized_depth_gap, view_weights
 from omnisyn_cli.fusion.ghost_grid import greatest_near, mean_near
 from omnisyn_cli.geometry.sphere import pixel_directions
 
-__all__ = ["fusion_planes"]
+__all__ = ["fusion_input_channels"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -54,8 +54,8 @@ Fill = Callable[[Array, Array], Array]
 """Answers a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
 
 
-def fusion_planes(
-    first: Shown, second: Shown, rule: BlendRule, baseline: float, fill: Fill
+def fusion_input_channels(
+    first: LayerArrays, second: LayerArrays, rule: BlendRule, baseline: float, fill: Fill
 ) -> Float[Array, "planes height width"]:
     """All planes of what two views show.
 
@@ -71,7 +71,7 @@ def fusion_planes(
     one, is_both = xp.ones_like(like), xp.astype(both, like.dtype)
     holes = xp.astype(~(first.is_seen | second.is_seen), like.dtype)
     directions = xp.asarray(_directions(*like.shape), dtype=like.dtype, device=device(like))
-    gap = difference_of_depth(first, second, rule.disagreement) * is_both
+    gap = normalized_depth_gap(first, second, rule.disagreement) * is_both
     weights = view_weights(first, second, directions, rule)
     log_ratio = _log_ratio(*(xp.where(both, weight, one) for weight in weights))
     planes = [
@@ -80,18 +80,18 @@ def fusion_planes(
         *xp.moveaxis(fill(*blended(first, second, weights)), -1, 0),
         first.weight,
         second.weight,
-        *(root_of_inverse_depth(view.near * baseline) for view in (first, second)),
+        *(sqrt_inverse_depth(view.near * baseline) for view in (first, second)),
         xp.clip(log_ratio / GREATEST_LOG, min=-1.0, max=1.0),
         xp.clip(gap / GREATEST_GAP, min=-1.0, max=1.0),
         *(xp.astype(view.is_seen, like.dtype) for view in (first, second)),
-        is_both * doubt_of(gap) * _relevance(first.colour - second.colour) + holes,
+        is_both * disagreement_mask(gap) * _relevance(first.colour - second.colour) + holes,
         (2.0 * rule.t - 1.0) * one,
         directions[..., 1],
     ]
     return xp.stack(planes)
 
 
-def is_settled(planes: Float32[Array, "planes height width"]) -> bool:
+def needs_no_network(planes: Float32[Array, "planes height width"]) -> bool:
     """Whether there is nothing to decide: both views see everything, and nothing differs between them."""
     return bool(planes[SEEN : SEEN + 2].all()) and not bool(planes[RELEVANCE].any())
 
@@ -112,14 +112,14 @@ def _relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "heig
     return x * x * (3.0 - 2.0 * x)
 
 
-def root_of_inverse_depth(near: Float[Array, "*maps height width"]) -> Float[Array, "*maps height width"]:
+def sqrt_inverse_depth(near: Float[Array, "*maps height width"]) -> Float[Array, "*maps height width"]:
     """Square root of inverse depth × baseline, at most what the planes hold."""
     xp = array_namespace(near)
     above = xp.sqrt(xp.clip(near, min=LINEAR, max=GREATEST_ROOT**2))
     return xp.where(near < LINEAR, near / LINEAR**0.5, above)
 
 
-def doubt_of(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
+def disagreement_mask(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
     """Smooth, from 0 to 1: 1 where the views disagree about the distance, and around there; wraps at the seam.
 
     Where they agree, the one that was nearer shows it sharper, and a mixture would only blur it.

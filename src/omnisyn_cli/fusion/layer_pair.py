@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.ghosts import Suppression
-from omnisyn_cli.types import ColourStep, Rendering, Samples, Spots
+from omnisyn_cli.fusion.ghosts import GhostSuppression
+from omnisyn_cli.types import ColourStep, EdgePixels, EdgeSamples, Layer
 
-__all__ = ["ROWS", "Views"]
+__all__ = ["ROWS", "LayerPair"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -27,7 +27,7 @@ ROWS = 32
 
 
 @dataclass(frozen=True)
-class Views:
+class LayerPair:
     """Both renderings of a frame.
 
     Attributes:
@@ -36,11 +36,11 @@ class Views:
         steps: what changes or judges the colours of both before they are blended, in order.
     """
 
-    first: Rendering
-    second: Rendering
+    first: Layer
+    second: Layer
     steps: tuple[ColourStep, ...] = ()
 
-    def then(self, step: ColourStep | None) -> Views:
+    def then(self, step: ColourStep | None) -> LayerPair:
         """With one step more, if there is one."""
         return self if step is None else replace(self, steps=(*self.steps, step))
 
@@ -52,22 +52,22 @@ class Views:
             step(out[0], out[1], top)
 
     @property
-    def has_samples(self) -> bool:
+    def has_edge_samples(self) -> bool:
         """Whether pixels of both have samples."""
         return self.first.samples is not None and self.second.samples is not None
 
-    def samples(self, of_first: Spots, of_second: Spots) -> tuple[Samples, Samples]:
+    def samples(self, of_first: EdgePixels, of_second: EdgePixels) -> tuple[EdgeSamples, EdgeSamples]:
         """Of both, as they are blended; ValueError where there are none. The spots are the same ones."""
         if self.first.samples is None or self.second.samples is None:
-            raise ValueError("expected renderings with samples, got others; ask has_samples first")
+            raise ValueError("expected renderings with samples, got others; ask has_edge_samples first")
         first, second = self.first.samples(of_first), self.second.samples(of_second)
         for step in self.steps:
-            if isinstance(step, Suppression):
+            if isinstance(step, GhostSuppression):
                 step.of_samples(first[1], second[1], of_first)
         return first, second
 
 
-class BandRunner:
+class RowTileRunner:
     """Memory for the colours of bands, one for each thread, and of whole pictures; reused from frame to frame."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
@@ -76,7 +76,7 @@ class BandRunner:
         self._held: np.ndarray | None = None
 
     def __call__(
-        self, views: Views, use: Callable[[int, int, np.ndarray, np.ndarray], None], edges: Sequence[int] | None = None
+        self, views: LayerPair, use: Callable[[int, int, np.ndarray, np.ndarray], None], edges: Sequence[int] | None = None
     ) -> None:
         """Call ``use`` with first row, row after the last and both views' colours ``(rows, width, 4)``, for all bands.
 
@@ -97,7 +97,7 @@ class BandRunner:
 
         run_bands(some, len(between), self.threads)
 
-    def held(self, first: Rendering, second: Rendering) -> tuple[Rendering, Rendering]:
+    def held(self, first: Layer, second: Layer) -> tuple[Layer, Layer]:
         """Both with all of their colours at hand, for whoever looks at them more than once."""
         if first.held is not None and second.held is not None:
             return first, second
@@ -107,9 +107,9 @@ class BandRunner:
             run_bands(lambda begin, end: view.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
         one, other = (
             replace(
-                Rendering.of(view.inverse_depth, colour, view.target_from_source),
+                Layer.from_arrays(view.inverse_depth, colour, view.target_from_source),
                 samples=view.samples,
-                witness=view.witness,
+                source_sampler=view.source_sampler,
             )
             for view, colour in zip((first, second), self._held, strict=True)
         )

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 from array_api_compat import array_namespace
 from jaxtyping import Bool, Float
 
-from omnisyn_cli.types import UNSEEN, Rendering
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
-__all__ = ["DISAGREEMENT", "PixelKinds", "pixel_kinds", "silhouettes"]
+__all__ = ["DISAGREEMENT", "PixelClasses", "classify_pixels", "silhouette_mask"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -25,7 +25,7 @@ BESIDE = 2
 """Pixels from a jump of depth, across and along rows, up to which errors count as those of the silhouette."""
 
 
-class PixelKinds(NamedTuple):
+class PixelClasses(NamedTuple):
     """Where pixels of each kind are, ``(height, width)`` each: every pixel is of exactly one.
 
     Attributes:
@@ -41,7 +41,7 @@ class PixelKinds(NamedTuple):
     hole: Bool[Array, "height width"]
 
 
-def pixel_kinds(first: Rendering, second: Rendering) -> PixelKinds:
+def classify_pixels(first: Layer, second: Layer) -> PixelClasses:
     """The kinds of the pixels of a target that two views are seen from, of numpy's arrays or torch's.
 
     Args:
@@ -49,29 +49,29 @@ def pixel_kinds(first: Rendering, second: Rendering) -> PixelKinds:
         second: of the second view; of the same size.
     """
     (is_seen_a, near_a), (is_seen_b, near_b) = _shown(first), _shown(second)
-    both, apart = is_seen_a & is_seen_b, is_apart(near_a, near_b)
-    return PixelKinds(both & ~apart, both & apart, is_seen_a ^ is_seen_b, ~(is_seen_a | is_seen_b))
+    both, apart = is_seen_a & is_seen_b, is_other_surface(near_a, near_b)
+    return PixelClasses(both & ~apart, both & apart, is_seen_a ^ is_seen_b, ~(is_seen_a | is_seen_b))
 
 
-def silhouettes(first: Rendering, second: Rendering) -> Bool[Array, "height width"]:
+def silhouette_mask(first: Layer, second: Layer) -> Bool[Array, "height width"]:
     """Pixels at most :data:`BESIDE` pixels from where the nearer of both surfaces jumps; arguments as above."""
     near_a, near_b = _shown(first)[1], _shown(second)[1]
-    return beside_jumps(array_namespace(near_a).maximum(near_a, near_b), BESIDE)
+    return near_depth_edges(array_namespace(near_a).maximum(near_a, near_b), BESIDE)
 
 
-def _shown(view: Rendering) -> tuple[Bool[Array, "height width"], Float[Array, "height width"]]:
+def _shown(view: Layer) -> tuple[Bool[Array, "height width"], Float[Array, "height width"]]:
     """Where a view shows something, and its inverse depth, 0 where it shows nothing."""
-    xp, is_seen = array_namespace(view.inverse_depth), view.colour[..., 3] > float(UNSEEN)
+    xp, is_seen = array_namespace(view.inverse_depth), view.colour[..., 3] > float(MIN_VISIBLE_WEIGHT)
     return is_seen, xp.where(is_seen, xp.clip(view.inverse_depth, min=0.0), xp.zeros_like(view.inverse_depth))
 
 
-def is_apart(one: Float[Array, "*pixels"], other: Float[Array, "*pixels"]) -> Bool[Array, "*pixels"]:
+def is_other_surface(one: Float[Array, "*pixels"], other: Float[Array, "*pixels"]) -> Bool[Array, "*pixels"]:
     """Whether inverse depths, 1/metre and >= 0, are those of different surfaces."""
     xp = array_namespace(one)
     return xp.abs(one - other) > DISAGREEMENT * xp.clip(xp.maximum(one, other), min=FARTHEST)
 
 
-def beside_jumps(inverse_depth: Float[Array, "height width"], reach: int) -> Bool[Array, "height width"]:
+def near_depth_edges(inverse_depth: Float[Array, "height width"], reach: int) -> Bool[Array, "height width"]:
     """Pixels within the square of ``reach`` pixels around one that neighbours another surface; columns wrap, rows end.
 
     Args:
@@ -79,9 +79,9 @@ def beside_jumps(inverse_depth: Float[Array, "height width"], reach: int) -> Boo
         reach: 0 for the two pixels on both sides of a jump alone.
     """
     xp = array_namespace(inverse_depth)
-    across = is_apart(inverse_depth, xp.roll(inverse_depth, -1, axis=1))
+    across = is_other_surface(inverse_depth, xp.roll(inverse_depth, -1, axis=1))
     across = across | xp.roll(across, 1, axis=1)
-    down = is_apart(inverse_depth[:-1], inverse_depth[1:])
+    down = is_other_surface(inverse_depth[:-1], inverse_depth[1:])
     beyond = xp.zeros_like(across[:1])
     found = across | xp.concat([down, beyond]) | xp.concat([beyond, down])
     for _ in range(reach):

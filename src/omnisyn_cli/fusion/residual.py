@@ -18,15 +18,15 @@ from jaxtyping import Float32
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghost_grid import greatest_near
-from omnisyn_cli.fusion.ghosts import Suppression, is_in_place
-from omnisyn_cli.fusion.input_builder import PlaneMaker
-from omnisyn_cli.fusion.input_channels import is_settled
-from omnisyn_cli.fusion.layer_pair import BandRunner, Views
-from omnisyn_cli.fusion.warp_candidates import FINER, SecondLook
-from omnisyn_cli.geometry.sampling import greatest_of_parts
-from omnisyn_cli.types import Rendering, Witness
+from omnisyn_cli.fusion.ghosts import GhostSuppression, have_same_position
+from omnisyn_cli.fusion.input_builder import InputBuilder
+from omnisyn_cli.fusion.input_channels import needs_no_network
+from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.warp_candidates import FINER, WarpCandidates
+from omnisyn_cli.geometry.sampling import max_pool
+from omnisyn_cli.types import Layer, SourceSampler
 
-__all__ = ["NetworkFuser"]
+__all__ = ["ResidualFuser"]
 
 MULTIPLE = 32
 """It halves its input five times."""
@@ -35,12 +35,12 @@ LEAST_STRENGTH = 1e-6
 """So close to an end the correction could change no colour."""
 
 
-def undecided(suppression: Suppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
+def undecided(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
     """How far it is open which view is shown: 0 where one of them is suppressed and around there, 1 elsewhere."""
-    return np.asarray(1.0 - greatest_near(greatest_of_parts(np.abs(suppression.suppressed), size), 1), np.float32)
+    return np.asarray(1.0 - greatest_near(max_pool(np.abs(suppression.suppressed), size), 1), np.float32)
 
 
-class FusionCorrection(Protocol):
+class ResidualFusionNetwork(Protocol):
     """A trained fusion network, however it is run."""
 
     def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "4 height width"]:
@@ -66,7 +66,7 @@ def working_size(
     return (height, 2 * height) if height else None
 
 
-class NetworkFuser(GeometricFuser):
+class ResidualFuser(GeometricFuser):
     """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
     Args:
@@ -81,7 +81,7 @@ class NetworkFuser(GeometricFuser):
     def __init__(
         self,
         size: tuple[int, int],
-        correction: FusionCorrection,
+        correction: ResidualFusionNetwork,
         rows: int,
         options: BlendOptions | None = None,
         threads: int | None = None,
@@ -91,10 +91,10 @@ class NetworkFuser(GeometricFuser):
         super().__init__(size, options, threads, edges=edges)
         self._correction = correction
         small = working_size(size, rows)
-        self._planes = None if small is None else PlaneMaker(small, BandRunner(self._ghosts.looked_size, threads))
+        self._planes = None if small is None else InputBuilder(small, RowTileRunner(self._ghosts.downsampled_size, threads))
 
     def __call__(
-        self, first: Rendering, second: Rendering, t: float, out: Picture | None = None,
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None,
         confidence: Confidence | None = None,
     ) -> Picture:  # fmt: skip
         """The fused picture, every pixel of it filled, never negative; see :class:`omnisyn_cli.types.Fuser`.
@@ -103,16 +103,16 @@ class NetworkFuser(GeometricFuser):
             InputError: the network does not take the planes, or answers something else.
         """
         rule = BlendRule.at(t, self.options)
-        if self._planes is None or rule.strictness < LEAST_STRENGTH or is_in_place(first, second):
+        if self._planes is None or rule.strictness < LEAST_STRENGTH or have_same_position(first, second):
             return super().__call__(first, second, t, out, confidence)
-        if self._ghosts.looks_everywhere:
+        if self._ghosts.is_full_resolution:
             first, second = self.bands.held(first, second)
-        one, other = self._ghosts.looked_at(first), self._ghosts.looked_at(second)
+        one, other = self._ghosts.downsample(first), self._ghosts.downsample(second)
         suppression, out = self._ghosts.among(one, other, rule), self._memory(out)
         self.paint(self._judged(first, second, confidence).then(suppression), rule, out)
         among = None if suppression is None else replace(suppression, cell=self._ghosts.along)
-        planes, look = self._planes(Views(one, other).then(among), rule, _witnesses(first, second))
-        if not is_settled(planes):
+        planes, look = self._planes(LayerPair(one, other).then(among), rule, _source_samplers(first, second))
+        if not needs_no_network(planes):
             strength = np.full(planes.shape[1:], rule.strictness, np.float32)
             if suppression is not None:
                 strength *= undecided(suppression, strength.shape)
@@ -120,7 +120,7 @@ class NetworkFuser(GeometricFuser):
         return out
 
     def correct(
-        self, planes: Float32[np.ndarray, "planes height width"], look: SecondLook,
+        self, planes: Float32[np.ndarray, "planes height width"], look: WarpCandidates,
         strength: Float32[np.ndarray, "height width"], picture: Picture,
     ) -> None:  # fmt: skip
         """Mix candidates into a picture as the network wants it.
@@ -134,8 +134,8 @@ class NetworkFuser(GeometricFuser):
         look.mix_in(strength * self._correction(planes), picture, self.threads)
 
 
-def _witnesses(first: Rendering, second: Rendering) -> tuple[Witness, Witness]:
+def _source_samplers(first: Layer, second: Layer) -> tuple[SourceSampler, SourceSampler]:
     """Those of both."""
-    if first.witness is None or second.witness is None:
+    if first.source_sampler is None or second.source_sampler is None:
         raise ValueError("expected renderings that can be asked, got others; fuse them by rules")
-    return first.witness, second.witness
+    return first.source_sampler, second.source_sampler

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.blend_kernels import Layer, Tables, blend_spots, offset_of, rule_of, storing_in
+from omnisyn_cli.fusion.blend_kernels import LayerRows, Tables, blend_edge_pixels, offset_of, quantization_for, rule_of
 from omnisyn_cli.fusion.blend_rule import BlendRule
-from omnisyn_cli.fusion.ghosts import is_in_place
-from omnisyn_cli.fusion.layer_pair import Views
-from omnisyn_cli.fusion.supersampling_kernels import know_samples, list_spots, mark_edges
+from omnisyn_cli.fusion.ghosts import have_same_position
+from omnisyn_cli.fusion.layer_pair import LayerPair
+from omnisyn_cli.fusion.supersampling_kernels import list_edge_pixels, mark_edge_pixels, prefill_visibility
 from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.types import SPOT_PADDING, SPOT_TILE, Rendering, Spots
+from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, EdgePixels, Layer
 
 CONTRAST = 40
 """Levels of 8 bits: where all nine pixels are more alike than that, samples would look like their pixel."""
@@ -29,7 +29,7 @@ LEAST_SHARE = 1.0 / 512.0
 """Of samples, below which no level of 8 bits changes by them."""
 
 
-class EdgeSampler:
+class EdgeSupersampler:
     """Gives the pixels at edges of frames of one size the mean of their samples; reused from frame to frame.
 
     Args:
@@ -43,7 +43,7 @@ class EdgeSampler:
         self._tables = Tables(*(table.astype(np.float32) for table in double))
         self._marks = np.empty(size, np.uint8)
 
-    def __call__(self, views: Views, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
+    def __call__(self, views: LayerPair, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
         """Change a picture where it has edges: not at the ends of the way, where photographs are shown as they are.
 
         Args:
@@ -52,47 +52,47 @@ class EdgeSampler:
             out: the picture, numbers or samples of it.
         """
         height, _ = self.size
-        share, numbers, storing = np.float32(rule.strictness), rule_of(rule), storing_in(out)
-        if share < LEAST_SHARE or is_in_place(views.first, views.second):
+        share, numbers, storing = np.float32(rule.strictness), rule_of(rule), quantization_for(out)
+        if share < LEAST_SHARE or have_same_position(views.first, views.second):
             return
         marks = self.marked(views, out)
 
         def sample(begin: int, end: int) -> None:
             for top in range(begin * ROWS, min(end * ROWS, height), ROWS):
-                spots = self._spots(marks, views, top, min(top + ROWS, height))
-                if len(spots[0].cols) == 0:
+                edge_pixels = self._spots(marks, views, top, min(top + ROWS, height))
+                if len(edge_pixels[0].cols) == 0:
                     continue
-                (rho_a, colour_a), (rho_b, colour_b) = views.samples(*spots)
-                first = Layer(colour_a, rho_a, offset_of(views.first))
-                second = Layer(colour_b, rho_b, offset_of(views.second))
-                blend_spots(first, second, numbers, self._tables, spots[0], share, storing, out)
+                (rho_a, colour_a), (rho_b, colour_b) = views.samples(*edge_pixels)
+                first = LayerRows(colour_a, rho_a, offset_of(views.first))
+                second = LayerRows(colour_b, rho_b, offset_of(views.second))
+                blend_edge_pixels(first, second, numbers, self._tables, edge_pixels[0], share, storing, out)
 
         run_bands(sample, -(-height // ROWS), self.threads)
 
-    def marked(self, views: Views, picture: Shaped[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width"]:
-        """Not 0 at spots, see :func:`omnisyn_cli.fusion.supersampling_kernels.mark_edges`; the next call overwrites it."""
+    def marked(self, views: LayerPair, picture: Shaped[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width"]:
+        """Not 0 at spots, see :func:`omnisyn_cli.fusion.supersampling_kernels.mark_edge_pixels`; the next call overwrites it."""
         first, second = views.first.inverse_depth, views.second.inverse_depth
         scale = np.float32(255.0 if picture.dtype.kind == "f" else 255.0 / np.iinfo(picture.dtype).max)
         run_bands(
-            lambda begin, end: mark_edges(first, second, picture, scale, CONTRAST, self._marks, begin, end),
+            lambda begin, end: mark_edge_pixels(first, second, picture, scale, CONTRAST, self._marks, begin, end),
             self.size[0],
             self.threads,
         )
         return self._marks
 
     def _spots(
-        self, marks: UInt8[np.ndarray, "height width"], views: Views, top: int, bottom: int
-    ) -> tuple[Spots, Spots]:
+        self, marks: UInt8[np.ndarray, "height width"], views: LayerPair, top: int, bottom: int
+    ) -> tuple[EdgePixels, EdgePixels]:
         """Those of some rows: the same ones for both views, of each of which other samples are known."""
-        most = int(np.count_nonzero(marks[top:bottom])) + (SPOT_PADDING - 1) * (bottom - top)
-        begins = np.empty((bottom - top, -(-self.size[1] // SPOT_TILE) + 1), np.int32)
+        most = int(np.count_nonzero(marks[top:bottom])) + (EDGE_PIXEL_MULTIPLE - 1) * (bottom - top)
+        begins = np.empty((bottom - top, -(-self.size[1] // EDGE_TILE_COLUMNS) + 1), np.int32)
         cols, sin_a, cos_a = np.empty(most, np.int32), np.empty(2 * most, np.float32), np.empty(2 * most, np.float32)
-        count = list_spots(marks, top, begins, cols, self._tables.sin_a, self._tables.cos_a, sin_a, cos_a)
+        count = list_edge_pixels(marks, top, begins, cols, self._tables.sin_a, self._tables.cos_a, sin_a, cos_a)
         cols, sin_a, cos_a = cols[:count], sin_a[: 2 * count], cos_a[: 2 * count]
 
-        def of_view(view: Rendering, mark: int) -> Spots:
+        def of_view(view: Layer, mark: int) -> EdgePixels:
             counts, known = np.empty_like(begins), np.empty((2, 2 * count), np.float32)
-            know_samples(marks, np.uint8(mark), view.inverse_depth, top, begins, cols, counts, known)
-            return Spots(top, cols, begins, counts, known, sin_a, cos_a)
+            prefill_visibility(marks, np.uint8(mark), view.inverse_depth, top, begins, cols, counts, known)
+            return EdgePixels(top, cols, begins, counts, known, sin_a, cos_a)
 
         return of_view(views.first, 1), of_view(views.second, 2)

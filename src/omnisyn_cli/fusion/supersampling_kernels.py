@@ -5,14 +5,14 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.fusion.pixel_classes import DISAGREEMENT, FARTHEST
-from omnisyn_cli.types import SPOT_PADDING, SPOT_TILE
+from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS
 
 TOGETHER = 64
 """Pixels that are passed over together if none of them is marked."""
 
 
 @fast_kernel()
-def mark_edges(first, second, picture, scale, contrast, marks, begin, end):
+def mark_edge_pixels(first, second, picture, scale, contrast, marks, begin, end):
     """Mark pixels of rows ``begin`` to ``end`` beside a jump of either surface that can be told by their colours.
 
     Args:
@@ -46,14 +46,14 @@ def _mark_jumps(above, rho, below, marks, mark):
     last = len(rho) - 1
     for col in range(1, last):
         here = rho[col]
-        is_apart = _is_apart(here, rho[col - 1]) | _is_apart(here, rho[col + 1])
-        is_apart |= _is_apart(here, above[col]) | _is_apart(here, below[col])
-        marks[col] |= mark if is_apart else np.uint8(0)
+        is_other_surface = _is_apart(here, rho[col - 1]) | _is_apart(here, rho[col + 1])
+        is_other_surface |= _is_apart(here, above[col]) | _is_apart(here, below[col])
+        marks[col] |= mark if is_other_surface else np.uint8(0)
     for col in (0, last):
         here = rho[col]
-        is_apart = _is_apart(here, rho[col - 1]) | _is_apart(here, rho[0 if col == last else col + 1])
-        is_apart |= _is_apart(here, above[col]) | _is_apart(here, below[col])
-        marks[col] |= mark if is_apart else np.uint8(0)
+        is_other_surface = _is_apart(here, rho[col - 1]) | _is_apart(here, rho[0 if col == last else col + 1])
+        is_other_surface |= _is_apart(here, above[col]) | _is_apart(here, below[col])
+        marks[col] |= mark if is_other_surface else np.uint8(0)
 
 
 @fast_kernel()
@@ -66,7 +66,7 @@ def _is_any(marks, begin, end):
 
 @inlined(fastmath=True)
 def _is_apart(one, other):
-    """:func:`omnisyn_cli.fusion.pixel_classes.is_apart` of two pixels, what is not seen being infinitely far."""
+    """:func:`omnisyn_cli.fusion.pixel_classes.is_other_surface` of two pixels, what is not seen being infinitely far."""
     a, b = max(one, np.float32(0.0)), max(other, np.float32(0.0))
     return abs(a - b) > np.float32(DISAGREEMENT) * max(max(a, b), np.float32(FARTHEST))
 
@@ -88,8 +88,8 @@ def _stands_out(picture, scale, contrast, above, below, col):
 
 
 @fast_kernel()
-def list_spots(marks, top, begins, cols, sin_table, cos_table, sin_a, cos_a):
-    """Write :class:`omnisyn_cli.types.Spots` of the marked pixels of some rows; how many there are with padding.
+def list_edge_pixels(marks, top, begins, cols, sin_table, cos_table, sin_a, cos_a):
+    """Write :class:`omnisyn_cli.types.EdgePixels` of the marked pixels of some rows; how many there are with padding.
 
     Args:
         marks: ``(height, width)``.
@@ -106,15 +106,15 @@ def list_spots(marks, top, begins, cols, sin_table, cos_table, sin_a, cos_a):
         for left in range(0, width, TOGETHER):
             right = min(left + TOGETHER, width)
             if not _is_any(marks[top + row], left, right):
-                begins[row, left // SPOT_TILE : -(-right // SPOT_TILE)] = count
+                begins[row, left // EDGE_TILE_COLUMNS : -(-right // EDGE_TILE_COLUMNS)] = count
                 continue
             for col in range(left, right):
-                if col % SPOT_TILE == 0:
-                    begins[row, col // SPOT_TILE] = count
+                if col % EDGE_TILE_COLUMNS == 0:
+                    begins[row, col // EDGE_TILE_COLUMNS] = count
                 if marks[top + row, col]:
                     cols[count] = col
                     count += 1
-        while count % SPOT_PADDING != 0:
+        while count % EDGE_PIXEL_MULTIPLE != 0:
             cols[count] = -1
             count += 1
         begins[row, -1] = count
@@ -126,7 +126,7 @@ def list_spots(marks, top, begins, cols, sin_table, cos_table, sin_a, cos_a):
 
 
 @fast_kernel()
-def know_samples(marks, mark, rho, top, begins, cols, counts, inverse_depth):
+def prefill_visibility(marks, mark, rho, top, begins, cols, counts, inverse_depth):
     """Write what is known of the samples of a view: where it does not jump they lie on a plane with their pixels.
 
     Args:
@@ -134,7 +134,7 @@ def know_samples(marks, mark, rho, top, begins, cols, counts, inverse_depth):
         mark: which of them are jumps of this view's.
         rho: ``(height, width)`` its inverse depth.
         top: first row.
-        begins: see :class:`omnisyn_cli.types.Spots`.
+        begins: see :class:`omnisyn_cli.types.EdgePixels`.
         cols: likewise.
         counts: written.
         inverse_depth: ``(2, samples)``, written.
@@ -145,7 +145,7 @@ def know_samples(marks, mark, rho, top, begins, cols, counts, inverse_depth):
         above, below = max(here - 1, 0), min(here + 1, height - 1)
         for at in range(begins[row, 0], begins[row, tiles]):
             col = cols[at]
-            while col >= 0 and tile * SPOT_TILE <= col:
+            while col >= 0 and tile * EDGE_TILE_COLUMNS <= col:
                 counts[row, tile] = count
                 tile += 1
             left, right = (col - 1 if col > 0 else width - 1), (col + 1 if col < width - 1 else 0)

@@ -27,7 +27,7 @@ def _corners(values, row, j, height):
 
 
 @fast_kernel()
-def suppose_rows(supposed, share, top, height, points):
+def hypothesis_rows(supposed, share, top, height, points):
     """The points that are looked up in some rows; whether there are any.
 
     Args:
@@ -133,7 +133,7 @@ def _suppose(colours, nearer, roots, most, row, col, share, values):
 
 
 @fast_kernel()
-def average_looks(shown, seen, colours, nearer, roots, most, planes, begin, end):
+def average_candidates(shown, seen, colours, nearer, roots, most, planes, begin, end):
     """All planes of a second look, see :mod:`omnisyn_cli.fusion.warp_candidates`: means over blocks of pixels.
 
     Args:

@@ -3,7 +3,7 @@
 What a rendering shows is what its own depth makes of a photograph. Where that depth is wrong, mostly beside edges, the
 right colour is in none of the renderings, but it is in the photographs: they show every point somewhere. So for every
 pixel two surfaces are supposed, the nearest and the farthest one that either rendering shows around it, and both
-photographs are asked what they show there (:class:`omnisyn_cli.types.Witness`). That makes four more candidates for the
+photographs are asked what they show there (:class:`omnisyn_cli.types.SourceSampler`). That makes four more candidates for the
 colour of a pixel, also where only one view or none shows anything. What each photograph shows where the *other* view's
 surface is, and whether its own depth agrees, tells which of the renderings to believe.
 
@@ -25,15 +25,15 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.blend_kernels import Storing, storing_in
-from omnisyn_cli.fusion.blend_rule import BlendOptions, Shown
+from omnisyn_cli.fusion.blend_kernels import Quantization, quantization_for
+from omnisyn_cli.fusion.blend_rule import BlendOptions, LayerArrays
 from omnisyn_cli.fusion.ghost_grid import greatest_near
-from omnisyn_cli.fusion.input_channels import GREATEST_GAP, PLANES, root_of_inverse_depth
+from omnisyn_cli.fusion.input_channels import GREATEST_GAP, PLANES, sqrt_inverse_depth
 from omnisyn_cli.fusion.layer_pair import ROWS
-from omnisyn_cli.fusion.warp_candidate_kernels import add_rows, average_looks, join_rows, suppose_rows
-from omnisyn_cli.types import Witness
+from omnisyn_cli.fusion.warp_candidate_kernels import add_rows, average_candidates, hypothesis_rows, join_rows
+from omnisyn_cli.types import SourceSampler
 
-__all__ = ["CANDIDATES", "LOOKS", "SUPPOSED", "SecondLook"]
+__all__ = ["CANDIDATES", "LOOKS", "SUPPOSED", "WarpCandidates"]
 
 CONFRONTED, CANDIDATES, SUPPOSED, CONTRADICTED, UNLIKE = (PLANES + k for k in (0, 12, 24, 26, 30))
 LOOKS = 32
@@ -60,7 +60,7 @@ Picture = Shaped[np.ndarray, "height width 3"]
 
 
 @dataclass(frozen=True)
-class SecondLook:
+class WarpCandidates:
     """What both photographs show where surfaces are supposed.
 
     Attributes:
@@ -72,7 +72,7 @@ class SecondLook:
 
     planes: Float32[np.ndarray, "planes height width"]
     supposed: Float32[np.ndarray, "2 rows cols"]
-    witnesses: tuple[Witness, Witness]
+    source_samplers: tuple[SourceSampler, SourceSampler]
 
     def mix_in(self, shares: Float32[np.ndarray, "4 height width"], picture: Picture, threads: int | None) -> None:
         """Give candidates their share of a picture.
@@ -83,7 +83,7 @@ class SecondLook:
             picture: numbers or samples, changed.
             threads: at most this many.
         """
-        height, storing = len(picture), storing_in(picture)
+        height, storing = len(picture), quantization_for(picture)
         shares = shares * np.clip(shares / LEAST_SHARE - np.float32(1.0), 0.0, 1.0)
         per_row = shares.max(axis=(0, 2))
 
@@ -100,24 +100,24 @@ class SecondLook:
         """RGB and alpha of both photographs at the farthest surface, then at the nearest, for a frame of a size."""
         points, everywhere = np.empty(size, np.float32), np.ones((1, 1), np.float32)
         colours = np.empty((4, *size, 4), np.float32)
-        for k, (colour, witness) in enumerate(zip(colours, 2 * self.witnesses, strict=True)):
-            suppose_rows(self.supposed[k // 2], everywhere, 0, size[0], points)
-            witness.colour_rows(points, 0, colour)
+        for k, (colour, source_sampler) in enumerate(zip(colours, 2 * self.source_samplers, strict=True)):
+            hypothesis_rows(self.supposed[k // 2], everywhere, 0, size[0], points)
+            source_sampler.colour_rows(points, 0, colour)
         return colours
 
-    def _mix_rows(self, shares: np.ndarray, rows: Picture, top: int, height: int, storing: Storing) -> None:
+    def _mix_rows(self, shares: np.ndarray, rows: Picture, top: int, height: int, storing: Quantization) -> None:
         points, colour = np.empty(rows.shape[:2], np.float32), np.empty((*rows.shape[:2], 4), np.float32)
         total = np.zeros_like(colour)
-        for k, (share, witness) in enumerate(zip(shares, 2 * self.witnesses, strict=True)):
-            if suppose_rows(self.supposed[k // 2], share, top, height, points):
-                witness.colour_rows(points, top, colour)
+        for k, (share, source_sampler) in enumerate(zip(shares, 2 * self.source_samplers, strict=True)):
+            if hypothesis_rows(self.supposed[k // 2], share, top, height, points):
+                source_sampler.colour_rows(points, top, colour)
                 add_rows(share, colour, top, height, total)
         join_rows(total, storing, rows)
 
 
-def second_look(
-    first: Shown, second: Shown, witnesses: tuple[Witness, Witness], baseline: float, threads: int | None
-) -> SecondLook:
+def make_warp_candidates(
+    first: LayerArrays, second: LayerArrays, source_samplers: tuple[SourceSampler, SourceSampler], baseline: float, threads: int | None
+) -> WarpCandidates:
     """Ask both photographs.
 
     Args:
@@ -127,21 +127,21 @@ def second_look(
         baseline: how far apart both views are, in the unit that depth is measured in.
         threads: at most this many.
     """
-    supposed, shown = supposed_surfaces(first, second), (first.colour, second.colour)
+    supposed, shown = depth_hypotheses(first, second), (first.colour, second.colour)
     points = [*map(_points, (first, second)), *supposed.repeat(2, axis=0)]
-    asked = [*witnesses[::-1], *witnesses, *witnesses]
-    colours = np.stack([witness.colour(each) for witness, each in zip(asked, points, strict=True)])
+    asked = [*source_samplers[::-1], *source_samplers, *source_samplers]
+    colours = np.stack([source_sampler.colour(each) for source_sampler, each in zip(asked, points, strict=True)])
     least = LEAST / baseline
-    nearer = np.stack([witness.nearer(each, least) for witness, each in zip(asked, points, strict=True)])
-    roots, unit = root_of_inverse_depth(supposed * np.float32(baseline)), np.float32(MOST_NEARER)
+    nearer = np.stack([source_sampler.nearer(each, least) for source_sampler, each in zip(asked, points, strict=True)])
+    roots, unit = sqrt_inverse_depth(supposed * np.float32(baseline)), np.float32(MOST_NEARER)
     planes = np.empty((LOOKS, *(count // FINER for count in supposed.shape[1:])), np.float32)
     seen = np.stack(points[:2])
-    average = partial(average_looks, shown, seen, colours, nearer, roots, unit, planes)
+    average = partial(average_candidates, shown, seen, colours, nearer, roots, unit, planes)
     run_bands(average, planes.shape[1], threads)
-    return SecondLook(planes, supposed, witnesses)
+    return WarpCandidates(planes, supposed, source_samplers)
 
 
-def supposed_surfaces(first: Shown, second: Shown) -> Float32[np.ndarray, "2 rows cols"]:
+def depth_hypotheses(first: LayerArrays, second: LayerArrays) -> Float32[np.ndarray, "2 rows cols"]:
     """Inverse depth of the farthest and of the nearest surface that is seen around every pixel; 0 where none is."""
     seen = [_points(view) for view in (first, second)]
     nearest = greatest_near(np.maximum(*seen), REACH)
@@ -150,6 +150,6 @@ def supposed_surfaces(first: Shown, second: Shown) -> Float32[np.ndarray, "2 row
     return np.stack([np.minimum(farthest, nearest), nearest])
 
 
-def _points(view: Shown) -> Float32[np.ndarray, "rows cols"]:
+def _points(view: LayerArrays) -> Float32[np.ndarray, "rows cols"]:
     """Inverse depth of what a view shows; −1 where it shows nothing."""
     return np.asarray(np.where(view.is_seen, view.near, -1.0), np.float32)

@@ -23,13 +23,13 @@ from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import read_poses
-from omnisyn_cli.synthesis.consistency import in_one_exposure
+from omnisyn_cli.synthesis.consistency import equalize_exposure
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.making import make_estimator, make_method
 from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.synthesis.trajectory import Ease, Heading, plan_path
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 __all__ = [
     "PRESETS",
@@ -37,9 +37,9 @@ __all__ = [
     "DepthEstimator",
     "DepthSource",
     "Fuser",
+    "Layer",
     "Pose",
     "Recipe",
-    "Rendering",
     "View",
     "estimate_depth",
     "interpolate",
@@ -92,7 +92,7 @@ def estimate_depth(
     """
     recipe = _recipe(recipe)
     estimator = make_estimator(recipe.depth, device=recipe.device, threads=threads)
-    return estimator(*in_one_exposure(first, second, threads))
+    return estimator(*equalize_exposure(first, second, threads))
 
 
 def make_frames(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omnisyn_cli.fusion.ghost_grid import step_in_cells
+from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
 from omnisyn_cli.interpolation.job import InterpolationJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
@@ -100,8 +100,8 @@ def estimated_surface_memory(
         ImageError: a panorama is missing or unreadable.
     """
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
-    has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    panorama = NUMBERS + (3 if has_samples else NUMBERS)
+    has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
+    panorama = NUMBERS + (3 if has_edge_samples else NUMBERS)
     more = (panorama * largest + BETWEEN_PAIRS) if len(sources) > 2 else 0.0
     if joins_depth(recipe, len(sources)):
         more += panorama * largest + AHEAD * vertices
@@ -149,9 +149,9 @@ def estimated_memory(
         ImageError: a panorama is missing or unreadable.
     """
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
-    has_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    is_kept_as_samples = has_samples and recipe.renderer == "mesh"
-    kept = (3 if has_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
+    has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
+    is_kept_as_samples = has_edge_samples and recipe.renderer == "mesh"
+    kept = (3 if has_edge_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
     program = _bytes_of_program(recipe, depths)
     frames = _bytes_of_frames(job, recipe, size) + NUMBERS * largest
@@ -163,7 +163,7 @@ def estimated_memory(
     making, keeping = (
         table.get(recipe.renderer, MOST_PER_VERTEX) for table in (BYTES_PER_VERTEX, BYTES_PER_KEPT_VERTEX)
     )
-    ahead = (NUMBERS + (3 if has_samples else 0)) * largest + AHEAD * vertices + BETWEEN_PAIRS
+    ahead = (NUMBERS + (3 if has_edge_samples else 0)) * largest + AHEAD * vertices + BETWEEN_PAIRS
     texturing_surfaces = 2 * making * vertices + 2 * (NUMBERS + texturing) * largest
     frames += 2 * keeping * vertices
     more = ahead if joins_depth(recipe, len(sources)) else 0.0
@@ -181,7 +181,7 @@ def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int
     painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if recipe.fusion == "painting" else 0
     corrected = CORRECTING if recipe.fusion == "network" else 0
     seen = 4 if recipe.renderer == "mesh" else 8  # the others know which face it is, too
-    is_held = recipe.renderer != "mesh" or (recipe.fusion != "painting" and step_in_cells(size) == 1)
+    is_held = recipe.renderer != "mesh" or (recipe.fusion != "painting" and ghost_sample_step(size) == 1)
     is_judged = recipe.fallback == "crossfade" or recipe.confidence
     marked = 1 if recipe.edges and recipe.renderer == "mesh" and recipe.fusion != "painting" else 0
     frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING

@@ -181,7 +181,7 @@ class _PairKeeper:
         self.pairs[index] = confidence = pair.segment.check.confidence
         if pair.segment.triangles is not None:
             self.made.triangles[index] = pair.segment.triangles
-        self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
+        self.made.shade_at_infinity[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.segment.check)
         self._loader.forget_numbers(index)

@@ -7,7 +7,7 @@ from statistics import fmean
 from typing import Any
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion.confidence import LEAST_SCORE, PairConfidence
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 from omnisyn_cli.synthesis.recipe import OMNISYN
 
@@ -22,18 +22,18 @@ class Made:
         frames: how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``.
         triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the index of its
             first panorama; pairs without meshes are left out.
-        infinitely_far: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
+        shade_at_infinity: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
     """
 
     frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
     triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
-    infinitely_far: dict[int, float] = field(default_factory=dict)
+    shade_at_infinity: dict[int, float] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
         """As plain values."""
         triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
-        far = [{"first": index, "share": round(share, 4)} for index, share in self.infinitely_far.items()]
-        return {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
+        far = [{"first": index, "share": round(share, 4)} for index, share in self.shade_at_infinity.items()]
+        return {"frames_made": dict(self.frames), "triangles": triangles, "shade_at_infinity": far}
 
     def lines(self) -> Iterator[str]:
         """For people."""
@@ -41,8 +41,8 @@ class Made:
         drawn, every = (sum(counts[k] for counts in self.triangles.values()) for k in (0, 1))
         if every:
             yield f"triangles drawn: {drawn / 1e6:.2f} of {every / 1e6:.2f} million"
-        if self.infinitely_far:
-            yield f"infinitely far: {fmean(self.infinitely_far.values()):.0%} of the sphere"
+        if self.shade_at_infinity:
+            yield f"infinitely far: {fmean(self.shade_at_infinity.values()):.0%} of the sphere"
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ FADE = "show a cross-fade there (--fallback crossfade)"
 
 def warnings_about(plan: TourPlan, pairs: Mapping[int, PairConfidence], advice: str = FADE) -> list[str]:
     """A line for every pair, by the index of its first panorama, that scores too low to be relied on."""
-    return [warning_about(plan, index, pair, advice) for index, pair in pairs.items() if pair.score < LEAST_SCORE]
+    return [warning_about(plan, index, pair, advice) for index, pair in pairs.items() if pair.score < MIN_PAIR_SCORE]
 
 
 def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
     """Give up (InputError) on a pair that cannot be relied on, if that is what the plan wants then."""
-    if plan.recipe.fallback == "fail" and pair.score < LEAST_SCORE:
+    if plan.recipe.fallback == "fail" and pair.score < MIN_PAIR_SCORE:
         raise InputError(warning_about(plan, index, pair))
 
 
@@ -105,7 +105,7 @@ def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str 
     """What is wrong with a pair and what to do about it, in one line."""
     first, second = plan.job.images[index : index + 2]
     return (
-        f"{first.name} and {second.name}: expected a confidence of at least {LEAST_SCORE:g}, got {pair.score:.2f} "
+        f"{first.name} and {second.name}: expected a confidence of at least {MIN_PAIR_SCORE:g}, got {pair.score:.2f} "
         f"({pair.unseen:.0%} unseen, {pair.disagreement:.0%} in disagreement); check the poses, take panoramas that "
         f"are closer together, or {advice}"
     )

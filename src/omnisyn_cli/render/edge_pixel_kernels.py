@@ -22,58 +22,58 @@ from omnisyn_cli.render.draw_kernels import exact_corners, exact_quad, seen_exac
 from omnisyn_cli.render.quad_blocks import BLOCK, REMOVED
 from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, DRAWN, IN_FLOAT32, NOT_AT_ALL, plan_quads
 from omnisyn_cli.render.simd import LANES, load_halves, pair, splat, store_halves, where
-from omnisyn_cli.types import SPOT_TILE
+from omnisyn_cli.types import EDGE_TILE_COLUMNS
 
 HALF = LANES // 2
 """Samples of a row that are tested together, with those below them."""
 
 
 @kernel()
-def rasterize_spots(quads, boxes, pose, target, spots, out):
+def rasterize_edge_pixels(quads, boxes, pose, target, edge_pixels, out):
     """Inverse depth of the samples of spots, the upper row and then the lower one, negative where nothing is seen.
 
     Args:
         quads: the surface.
-        boxes: of its blocks in the target itself, see :func:`omnisyn_cli.render.raster_kernels.find_block_boxes`.
+        boxes: of its blocks in the target itself, see :func:`omnisyn_cli.render.raster_kernels.find_block_bounds`.
         pose: the target's frame from theirs.
         target: of twice the size; its image is not used.
-        spots: :class:`omnisyn_cli.types.Spots`.
+        spots: :class:`omnisyn_cli.types.EdgePixels`.
         out: that of the spots, changed.
     """
     width = target.width // 2
     block, found = np.empty((BLOCK_ROWS, MOST_POINTS), np.float32), np.empty((3 * BLOCK, 5), np.int64)
     for k in range(len(boxes)):
-        if not _is_any(spots, boxes[k, 0] - 1, boxes[k, 1] + 1, boxes[k, 2] - 1, boxes[k, 3] + 1, width):
+        if not _is_any(edge_pixels, boxes[k, 0] - 1, boxes[k, 1] + 1, boxes[k, 2] - 1, boxes[k, 3] + 1, width):
             continue
         codes, gaps = quads.codes[k], quads.gaps[BLOCK * k : BLOCK * (k + 1)]
         corners = place_block(quads, k, pose, target.scale, block)
         find_boxes(block, corners, gaps, target.rows[0], target.height, target.width)
-        count = _find(block, corners, codes, gaps, target, spots, found)
+        count = _find(block, corners, codes, gaps, target, edge_pixels, found)
         if count > 0:
             plan_quads(block, corners, codes, gaps, found[0, 0], found[count - 1, 0] + 1)
-            _draw(block, corners, codes, gaps, found, count, target, spots, out)
+            _draw(block, corners, codes, gaps, found, count, target, edge_pixels, out)
 
 
 @inlined()
-def _is_any(spots, row_first, row_last, col_first, col_last, width):
+def _is_any(edge_pixels, row_first, row_last, col_first, col_last, width):
     """Whether there are spots in a box, or beside it in its tiles; columns outside the image are wrapped."""
-    tiles = spots.counts.shape[1] - 1
+    tiles = edge_pixels.counts.shape[1] - 1
     begin, end = 0, tiles
     if col_first >= 0 and col_last < width:
-        begin, end = col_first // SPOT_TILE, col_last // SPOT_TILE + 1
-    for row in range(max(row_first - spots.top, 0), min(row_last - spots.top, len(spots.begins) - 1) + 1):
-        if spots.counts[row, end] > spots.counts[row, begin]:
+        begin, end = col_first // EDGE_TILE_COLUMNS, col_last // EDGE_TILE_COLUMNS + 1
+    for row in range(max(row_first - edge_pixels.top, 0), min(row_last - edge_pixels.top, len(edge_pixels.begins) - 1) + 1):
+        if edge_pixels.counts[row, end] > edge_pixels.counts[row, begin]:
             return True
     return False
 
 
 @kernel()
-def _find(block, corners, codes, gaps, target, spots, found):
+def _find(block, corners, codes, gaps, target, edge_pixels, found):
     """Write which quads of a block have spots in their boxes, and these; how many there are.
 
     Rows are those of the target of twice the size, columns of the target itself. Across the seam a quad has two boxes.
     """
-    width, top, bottom, count = target.width, 2 * spots.top, 2 * (spots.top + len(spots.begins)), 0
+    width, top, bottom, count = target.width, 2 * edge_pixels.top, 2 * (edge_pixels.top + len(edge_pixels.begins)), 0
     for k in range(BLOCK):
         if codes[k] & REMOVED or block[LAST_ROW, k] < top or block[FIRST_ROW, k] >= bottom:
             continue
@@ -82,20 +82,20 @@ def _find(block, corners, codes, gaps, target, spots, found):
         row_first, row_last = max(np.int64(block[FIRST_ROW, k]), top), min(np.int64(block[LAST_ROW, k]), bottom - 1)
         left, right = np.int64(block[FIRST_COL, k]), np.int64(block[LAST_COL, k])
         if left >= 0 and right < width:
-            count = _note(spots, k, row_first, row_last, left, right, found, count)
+            count = _note(edge_pixels, k, row_first, row_last, left, right, found, count)
             continue
         for turn in (-width, 0, width):
             begin, end = max(left + turn, 0), min(right + turn, width - 1)
-            count = _note(spots, k, row_first, row_last, begin, end, found, count)
+            count = _note(edge_pixels, k, row_first, row_last, begin, end, found, count)
     return count
 
 
 @inlined()
-def _note(spots, k, row_first, row_last, left, right, found, count):
+def _note(edge_pixels, k, row_first, row_last, left, right, found, count):
     """Write a box if there are spots in it."""
     if row_first > row_last or left > right:
         return count
-    if not _has_spots(spots, row_first >> 1, row_last >> 1, left >> 1, right >> 1):
+    if not _has_spots(edge_pixels, row_first >> 1, row_last >> 1, left >> 1, right >> 1):
         return count
     found[count, 0], found[count, 1], found[count, 2] = k, row_first, row_last
     found[count, 3], found[count, 4] = left >> 1, right >> 1
@@ -103,58 +103,58 @@ def _note(spots, k, row_first, row_last, left, right, found, count):
 
 
 @inlined()
-def _has_spots(spots, row_first, row_last, col_first, col_last):
+def _has_spots(edge_pixels, row_first, row_last, col_first, col_last):
     """Whether there are spots in a box inside the target, or beside it in its tiles."""
-    begin, end = col_first // SPOT_TILE, col_last // SPOT_TILE + 1
-    for row in range(row_first - spots.top, row_last - spots.top + 1):
-        if spots.counts[row, end] > spots.counts[row, begin]:
+    begin, end = col_first // EDGE_TILE_COLUMNS, col_last // EDGE_TILE_COLUMNS + 1
+    for row in range(row_first - edge_pixels.top, row_last - edge_pixels.top + 1):
+        if edge_pixels.counts[row, end] > edge_pixels.counts[row, begin]:
             return True
     return False
 
 
 @kernel()
-def _draw(block, corners, codes, gaps, found, count, target, spots, out):
+def _draw(block, corners, codes, gaps, found, count, target, edge_pixels, out):
     """The planned quads that were found."""
     for i in range(count):
         k, row_first, row_last, col_first, col_last = found[i]
         if block[DRAWN, k] == IN_FLOAT32:
-            _draw_in_float32(block, k, row_first, row_last, col_first, col_last, target, spots, out)
+            _draw_in_float32(block, k, row_first, row_last, col_first, col_last, target, edge_pixels, out)
         elif block[DRAWN, k] != NOT_AT_ALL:
             gap = np.float64(gaps[k]) if len(gaps) > 0 else 0.0
             quad = exact_quad(*exact_corners(block, corners, codes[k], k), gap)
-            _draw_in_float64(quad, row_first, row_last, col_first, col_last, target, spots, out)
+            _draw_in_float64(quad, row_first, row_last, col_first, col_last, target, edge_pixels, out)
 
 
 @inlined()
-def _range_of(spots, row, col_first, col_last):
+def _range_of(edge_pixels, row, col_first, col_last):
     """First spot, and the one after the last, of a row of the target between two columns, or beside them."""
-    at = row - spots.top
-    return spots.begins[at, col_first // SPOT_TILE], spots.begins[at, col_last // SPOT_TILE + 1]
+    at = row - edge_pixels.top
+    return edge_pixels.begins[at, col_first // EDGE_TILE_COLUMNS], edge_pixels.begins[at, col_last // EDGE_TILE_COLUMNS + 1]
 
 
 @inlined()
-def _draw_in_float32(block, k, row_first, row_last, col_first, col_last, target, spots, out):
+def _draw_in_float32(block, k, row_first, row_last, col_first, col_last, target, edge_pixels, out):
     """Two spots at a time, with both rows of their samples."""
     rows, zero, count = target.rows, splat(np.float32(0.0)), len(out) // 2
     for row in range(row_first // 2, row_last // 2 + 1):
-        begin, end = _range_of(spots, row, col_first, col_last)
+        begin, end = _range_of(edge_pixels, row, col_first, col_last)
         sp, y = pair(rows[0, 2 * row], rows[0, 2 * row + 1]), pair(rows[1, 2 * row], rows[1, 2 * row + 1])
         for at in range(2 * begin // HALF * HALF, 2 * end, HALF):
             below = count + at
-            x, z = sp * load_halves(spots.sin_a, at, at), zero - sp * load_halves(spots.cos_a, at, at)
+            x, z = sp * load_halves(edge_pixels.sin_a, at, at), zero - sp * load_halves(edge_pixels.cos_a, at, at)
             old = load_halves(out, at, below)
             seen, wins, _ = seen_on_rays(block, k, x, y, z, old)
             store_halves(out, at, below, where(wins, seen, old))
 
 
 @kernel()
-def _draw_in_float64(quad, row_first, row_last, col_first, col_last, target, spots, out):
+def _draw_in_float64(quad, row_first, row_last, col_first, col_last, target, edge_pixels, out):
     rows, cols = target.exact_rows, target.exact_cols
     for row in range(row_first, row_last + 1):
-        begin, end = _range_of(spots, row // 2, col_first, col_last)
+        begin, end = _range_of(edge_pixels, row // 2, col_first, col_last)
         sp, y = rows[0, row], rows[1, row]
         for at in range(2 * begin, 2 * end):
-            col = 2 * spots.cols[at // 2] + at % 2
+            col = 2 * edge_pixels.cols[at // 2] + at % 2
             if col >= 0:
                 seen, _ = seen_exactly(quad, sp * cols[0, col], y, sp * cols[1, col])
                 place = row % 2 * (len(out) // 2) + at

@@ -24,7 +24,7 @@ import numpy as np
 from array_api_compat import array_namespace, device
 from jaxtyping import Bool, Float, Integer, UInt8
 
-from omnisyn_cli.geometry.sampling import greatest_of_parts
+from omnisyn_cli.geometry.sampling import max_pool
 from omnisyn_cli.geometry.sphere import UP, direction_tables, pixel_directions
 from omnisyn_cli.render.quad_blocks import (
     BLOCK,
@@ -42,7 +42,7 @@ from omnisyn_cli.render.quad_blocks import (
     empty_blocks,
     put,
 )
-from omnisyn_cli.render.surface_confidence import trust_of_quarters
+from omnisyn_cli.render.surface_confidence import quarter_confidence
 
 __all__ = ["Cut", "Mesh", "build_mesh", "mask_of_vertices"]
 
@@ -307,7 +307,7 @@ def build_mesh(
     if mask is not None:
         quads |= _flag(REMOVED, ~_any_corner(mask))
         rho = np.where(mask, rho, np.float32(NO_SURFACE))
-    return Mesh(rho, quads, trust_of_quarters(rho, (quads & CUT_EDGES) != 0, confidence))
+    return Mesh(rho, quads, quarter_confidence(rho, (quads & CUT_EDGES) != 0, confidence))
 
 
 def _flag(bit: int, where: np.ndarray) -> np.ndarray:
@@ -320,7 +320,7 @@ def mask_of_vertices(
     """A photograph's mask at the size of a mesh: True where any pixel of a vertex may be used (alpha does the rest)."""
     if mask is None:
         return None
-    return greatest_of_parts(mask, size)
+    return max_pool(mask, size)
 
 
 def _any_corner(mask: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ NOTHING = -1
 
 
 @kernel()
-def find_block_boxes(quads, pose, target, boxes, begin, end):
+def find_block_bounds(quads, pose, target, boxes, begin, end):
     """First and last target row, first and last column that blocks ``begin`` to ``end`` can touch."""
     block = np.empty((BLOCK_ROWS, MOST_POINTS), np.float32)
     for k in range(begin, end):
@@ -56,7 +56,7 @@ def _range(first, last):
 def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
     """All quads in target rows ``begin`` to ``end``.
 
-    ``boxes`` are those of :func:`find_block_boxes`; they are written where all rows are drawn. Unless ``face`` is None
+    ``boxes`` are those of :func:`find_block_bounds`; they are written where all rows are drawn. Unless ``face`` is None
     it gets twice the place of the quad that is seen, plus one for its second triangle.
     """
     target.inverse_depth[begin * target.width : end * target.width] = -1.0

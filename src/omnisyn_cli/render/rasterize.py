@@ -17,11 +17,11 @@ from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
-from omnisyn_cli.render.edge_pixel_kernels import rasterize_spots
+from omnisyn_cli.render.edge_pixel_kernels import rasterize_edge_pixels
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import QuadBlocks
-from omnisyn_cli.render.raster_kernels import NOTHING, find_block_boxes, rasterize_blocks
-from omnisyn_cli.types import Spots
+from omnisyn_cli.render.raster_kernels import NOTHING, find_block_bounds, rasterize_blocks
+from omnisyn_cli.types import EdgePixels
 
 __all__ = ["NOTHING", "Fragments", "rasterize"]
 
@@ -72,7 +72,7 @@ class Rasterizer:
         pose, boxes = _rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
         if self.threads != 1:  # else one band takes everything: nothing has to be sorted into bands
             run_bands(
-                lambda begin, end: find_block_boxes(quads, pose, self._target, boxes, begin, end),
+                lambda begin, end: find_block_bounds(quads, pose, self._target, boxes, begin, end),
                 len(boxes),
                 self.threads,
             )
@@ -84,7 +84,7 @@ class Rasterizer:
         self._boxes = boxes
         return self._inverse_depth
 
-    def samples(self, quads: QuadBlocks, target_from_source: Pose, spots: Spots) -> Float32[np.ndarray, "2 samples"]:
+    def samples(self, quads: QuadBlocks, target_from_source: Pose, edge_pixels: EdgePixels) -> Float32[np.ndarray, "2 samples"]:
         """Inverse depth of the samples of spots, negative where nothing is seen, in the caller's thread.
 
         Args:
@@ -92,8 +92,8 @@ class Rasterizer:
             target_from_source: likewise.
             spots: of rows of the target.
         """
-        out = spots.inverse_depth.copy()
-        rasterize_spots(quads, self._boxes, _rows_of(target_from_source), self._of_samples, spots, out.reshape(-1))
+        out = edge_pixels.inverse_depth.copy()
+        rasterize_edge_pixels(quads, self._boxes, _rows_of(target_from_source), self._of_samples, edge_pixels, out.reshape(-1))
         return out
 
 

@@ -37,7 +37,7 @@ LEAST_SLOPE = 1e-4
 
 
 @dataclass(frozen=True)
-class Rendering:
+class TorchLayer:
     """What a target sees, on the device of the source and in its precision.
 
     Attributes:
@@ -58,7 +58,7 @@ def rasterize_torch(
     size: tuple[int, int],
     cut: Cut | None = None,
     mask: Bool[Tensor, "*batch rows cols"] | None = None,
-) -> Rendering:
+) -> TorchLayer:
     """One panorama, or a batch of them, seen from elsewhere.
 
     Args:
@@ -83,7 +83,7 @@ def rasterize_torch(
         )
         for k in range(len(inverse_depth))
     ]
-    return Rendering(
+    return TorchLayer(
         torch.stack([view.colour for view in views]),
         torch.stack([view.inverse_depth for view in views]),
         torch.stack([view.visibility for view in views]),
@@ -96,7 +96,7 @@ def render_fragments(
     inverse_depth: Float[Tensor, "rows cols"],
     colour: Float[Tensor, "image_rows image_cols channels"],
     target_from_source: Pose,
-) -> Rendering:
+) -> TorchLayer:
     """Inverse depth and colour of fragments as functions of ``inverse_depth`` and ``colour``.
 
     Args:
@@ -113,7 +113,7 @@ def render_fragments(
     directions = _source_directions(seen, rays, target_from_source)
     texels = sample_bilinear_at(colour, *_source_pixels(directions, (colour.shape[0], colour.shape[1])))
     where = torch.from_numpy(visible).to(inverse_depth.device)
-    return Rendering(
+    return TorchLayer(
         colour.new_zeros((height, width, colour.shape[-1])).masked_scatter(where[..., None], texels),
         inverse_depth.new_full((height, width), -1.0).masked_scatter(where, seen),
         where,

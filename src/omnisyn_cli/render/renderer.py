@@ -10,15 +10,15 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.baselines.two_pass import TwoPassRenderer
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
 from omnisyn_cli.render.rasterize import Rasterizer
-from omnisyn_cli.render.reprojection import AskedPanorama
-from omnisyn_cli.render.shade import Shader, make_trust
+from omnisyn_cli.render.reprojection import Reprojector
+from omnisyn_cli.render.shade import Shader, make_confidence_map
 from omnisyn_cli.render.simplify import simplify
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.two_pass import TwoPassRenderer
-from omnisyn_cli.types import Rendering, Samples, Spots
+from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer
 
 __all__ = ["MeshRenderer", "Renderer", "make_renderer"]
 
@@ -31,7 +31,7 @@ Way = Float[np.ndarray, " 3"]
 class Renderer(Protocol):
     """A panorama with its depth, ready to be seen from any number of places."""
 
-    def __call__(self, target_from_source: Pose) -> Rendering:
+    def __call__(self, target_from_source: Pose) -> Layer:
         """What the target sees, in buffers that the next call overwrites. Not to be called from two threads at once."""
         ...
 
@@ -56,25 +56,25 @@ class MeshRenderer:
     ) -> None:
         mesh = build_mesh(inverse_depth, cut, mask_of_vertices(mask, inverse_depth.shape), confidence)
         self._texture, self._shader = make_texture(image, mask), Shader(size, threads)
-        self._trust = make_trust(mesh, self._texture)
+        self._trust = make_confidence_map(mesh, self._texture)
         every = mesh.face_count()
         self._quads, drawn = (mesh.blocks, every) if way is None else simplify(mesh, way, size[0], threads=threads)
         self.triangles, self._rasterizer = (drawn, every), Rasterizer(size, threads)
-        self._asked = AskedPanorama(lambda: self._texture, inverse_depth, self._shader)
+        self._asked = Reprojector(lambda: self._texture, inverse_depth, self._shader)
 
-    def __call__(self, target_from_source: Pose) -> Rendering:
+    def __call__(self, target_from_source: Pose) -> Layer:
         """See :class:`Renderer`; colours are made as they are asked for."""
         seen = self._rasterizer(self._quads, target_from_source)
         what = (seen, self._trust, self._texture, target_from_source)
-        return Rendering(
-            seen, partial(self._shader.some_rows, *what), partial(self._shader.crossings, *what), target_from_source,
-            samples=partial(self._samples, target_from_source), witness=self._asked.seen_from(target_from_source),
+        return Layer(
+            seen, partial(self._shader.shade_rows_into, *what), partial(self._shader.shade_grid, *what), target_from_source,
+            samples=partial(self._samples, target_from_source), source_sampler=self._asked.seen_from(target_from_source),
         )  # fmt: skip
 
-    def _samples(self, target_from_source: Pose, spots: Spots) -> Samples:
+    def _samples(self, target_from_source: Pose, edge_pixels: EdgePixels) -> EdgeSamples:
         """Of spots of what was seen last."""
-        seen = self._rasterizer.samples(self._quads, target_from_source, spots)
-        return seen, self._shader.samples(seen, spots, self._trust, self._texture, target_from_source)
+        seen = self._rasterizer.samples(self._quads, target_from_source, edge_pixels)
+        return seen, self._shader.samples(seen, edge_pixels, self._trust, self._texture, target_from_source)
 
 
 RENDERERS: dict[str, Callable[..., Renderer]] = {

@@ -14,15 +14,15 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.render.reprojection_kernels import find_nearer
-from omnisyn_cli.render.shade import WHOLE_TRUST, Shader
+from omnisyn_cli.render.reprojection_kernels import measure_occlusion
+from omnisyn_cli.render.shade import FULL_CONFIDENCE, Shader
 from omnisyn_cli.render.texture import Texture
-from omnisyn_cli.types import Witness
+from omnisyn_cli.types import SourceSampler
 
-__all__ = ["AskedPanorama"]
+__all__ = ["Reprojector"]
 
 
-class AskedPanorama:
+class Reprojector:
     """A panorama with its depth, to be asked from any number of places.
 
     Args:
@@ -38,15 +38,15 @@ class AskedPanorama:
         self._inverse_depth = np.ascontiguousarray(inverse_depth, np.float32)
         self._coarse: Shader | None = None
 
-    def seen_from(self, target_from_source: Pose) -> Witness:
+    def seen_from(self, target_from_source: Pose) -> SourceSampler:
         """What it says to a target."""
 
         def colour_rows(inverse_depth: np.ndarray, top: int, out: np.ndarray) -> None:
-            self._shader.supposed_rows(inverse_depth, self._texture, target_from_source, top, out)
+            self._shader.sample_rows(inverse_depth, self._texture, target_from_source, top, out)
 
         def colour(inverse_depth: np.ndarray) -> Float32[np.ndarray, "height width 4"]:
             shader = self._shader_of(inverse_depth.shape)
-            return shader(inverse_depth, WHOLE_TRUST, self._texture, target_from_source).copy()
+            return shader(inverse_depth, FULL_CONFIDENCE, self._texture, target_from_source).copy()
 
         def nearer(inverse_depth: np.ndarray, least: float) -> Float32[np.ndarray, "height width"]:
             out = np.empty(inverse_depth.shape, np.float32)
@@ -56,7 +56,7 @@ class AskedPanorama:
                 for values in (target_from_source.rotation, target_from_source.position)
             )
             run_bands(
-                lambda begin, end: find_nearer(
+                lambda begin, end: measure_occlusion(
                     inverse_depth, *tables, rotation, position, self._inverse_depth, np.float32(least), out, begin, end
                 ),
                 len(out),
@@ -64,7 +64,7 @@ class AskedPanorama:
             )
             return out
 
-        return Witness(colour_rows, colour, nearer)
+        return SourceSampler(colour_rows, colour, nearer)
 
     @cached_property
     def _texture(self) -> Texture:

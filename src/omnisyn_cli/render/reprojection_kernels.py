@@ -11,7 +11,7 @@ from omnisyn_cli.render.trigonometry import atan2_fast
 
 
 @fast_kernel()
-def find_nearer(rho, sin_p, cos_p, sin_a, cos_a, rotation, t, surface, least, out, begin, end):
+def measure_occlusion(rho, sin_p, cos_p, sin_a, cos_a, rotation, t, surface, least, out, begin, end):
     """By how much a panorama's surface is nearer than points, for target rows ``begin`` to ``end``.
 
     Args:

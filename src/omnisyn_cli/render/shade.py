@@ -13,20 +13,20 @@ from jaxtyping import Float32, Integer
 
 from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import at_crossings
+from omnisyn_cli.geometry.sampling import grid_subsample
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.mesh import Mesh
-from omnisyn_cli.render.shade_kernels import shade_rows, shade_spots
+from omnisyn_cli.render.shade_kernels import shade_edge_pixels, shade_rows
 from omnisyn_cli.render.texture import CHANNELS, Texture, cubic_weights
-from omnisyn_cli.types import Spots
+from omnisyn_cli.types import EdgePixels
 
-__all__ = ["Shader", "TrustMap", "make_trust"]
+__all__ = ["ConfidenceMap", "Shader", "make_confidence_map"]
 
 InverseDepth = Float32[np.ndarray, "height width"]
 
 
 @dataclass(frozen=True)
-class TrustMap:
+class ConfidenceMap:
     """Trust in the quarters of the quads of a mesh, to be looked up by the texture coordinates of its panorama.
 
     Attributes:
@@ -39,7 +39,7 @@ class TrustMap:
     layout: Float32[np.ndarray, "5"]
 
 
-def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
+def make_confidence_map(mesh: Mesh, texture: Texture) -> ConfidenceMap:
     """Trust in a mesh, for its panorama; in the caps that of the quads beside them."""
     rows, cols, _ = mesh.trust.shape
     image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
@@ -51,10 +51,10 @@ def make_trust(mesh: Mesh, texture: Texture) -> TrustMap:
         mesh_scale, mesh_zero = (2.0 * number for number in pixel_scale(mesh.size)[axis : axis + 2])
         layout += [mesh_scale / scale, mesh_zero + 1.0 - zero * mesh_scale / scale]
     values = bordered.ravel() if (mesh.trust != 1.0).any() else bordered[:0].ravel()
-    return TrustMap(values.astype(np.float32, copy=False), np.array([*layout, bordered.shape[1]], np.float32))
+    return ConfidenceMap(values.astype(np.float32, copy=False), np.array([*layout, bordered.shape[1]], np.float32))
 
 
-WHOLE_TRUST = TrustMap(np.empty(0, np.float32), np.zeros(5, np.float32))
+FULL_CONFIDENCE = ConfidenceMap(np.empty(0, np.float32), np.zeros(5, np.float32))
 """In everything."""
 
 
@@ -67,7 +67,7 @@ class Shader:
         self._image = np.empty((*size, CHANNELS), np.float32)
 
     def __call__(
-        self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose
+        self, inverse_depth: InverseDepth, trust: ConfidenceMap, texture: Texture, target_from_source: Pose
     ) -> Float32[np.ndarray, "height width 4"]:
         """Colour and trust of a surface; see :func:`shade`. The next call overwrites the result.
 
@@ -85,8 +85,8 @@ class Shader:
         )
         return self._image
 
-    def some_rows(
-        self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose,
+    def shade_rows_into(
+        self, inverse_depth: InverseDepth, trust: ConfidenceMap, texture: Texture, target_from_source: Pose,
         begin: int, end: int, out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
         """Rows ``begin`` to ``end`` of what a call gives, into memory of the caller's, in the caller's thread.
@@ -104,7 +104,7 @@ class Shader:
         tables = (sin_p[begin:end], cos_p[begin:end], sin_a, cos_a)
         self._kernel(trust, texture, target_from_source)(inverse_depth[begin:end], tables, out, 0, end - begin)
 
-    def supposed_rows(
+    def sample_rows(
         self, inverse_depth: Float32[np.ndarray, "rows width"], texture: Texture, target_from_source: Pose, top: int,
         out: Float32[np.ndarray, "rows width 4"],
     ) -> None:  # fmt: skip
@@ -120,15 +120,15 @@ class Shader:
         sin_p, cos_p, sin_a, cos_a = self._tables
         rows = slice(top, top + len(out))
         tables = (sin_p[rows], cos_p[rows], sin_a, cos_a)
-        self._kernel(WHOLE_TRUST, texture, target_from_source)(inverse_depth, tables, out, 0, len(out))
+        self._kernel(FULL_CONFIDENCE, texture, target_from_source)(inverse_depth, tables, out, 0, len(out))
 
-    def crossings(
-        self, inverse_depth: InverseDepth, trust: TrustMap, texture: Texture, target_from_source: Pose,
+    def shade_grid(
+        self, inverse_depth: InverseDepth, trust: ConfidenceMap, texture: Texture, target_from_source: Pose,
         rows: Integer[np.ndarray, " rows"], cols: Integer[np.ndarray, " cols"],
     ) -> Float32[np.ndarray, "rows cols 4"]:  # fmt: skip
-        """What a call gives where some rows and columns cross; arguments as of :meth:`some_rows`."""
+        """What a call gives where some rows and columns cross; arguments as of :meth:`shade_rows_into`."""
         sin_p, cos_p, sin_a, cos_a = self._tables
-        some = at_crossings(inverse_depth, rows, cols)
+        some = grid_subsample(inverse_depth, rows, cols)
         tables = (sin_p[rows], cos_p[rows], sin_a[cols], cos_a[cols])
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
         shade_band = self._kernel(trust, texture, target_from_source)
@@ -136,7 +136,7 @@ class Shader:
         return out
 
     def samples(
-        self, inverse_depth: Float32[np.ndarray, "2 samples"], spots: Spots, trust: TrustMap, texture: Texture,
+        self, inverse_depth: Float32[np.ndarray, "2 samples"], edge_pixels: EdgePixels, trust: ConfidenceMap, texture: Texture,
         target_from_source: Pose,
     ) -> Float32[np.ndarray, "2 samples 4"]:  # fmt: skip
         """Colour and trust of the samples of spots, in the caller's thread.
@@ -152,7 +152,7 @@ class Shader:
         sin_p, cos_p = self._rows_of_samples
         rotation, translation, ratio = self._view(texture, target_from_source)
         source = (trust.values, trust.layout, *_as_kernels_take(texture))
-        shade_spots(inverse_depth, spots, *source, sin_p, cos_p, rotation, translation, ratio / np.float32(2.0), out)
+        shade_edge_pixels(inverse_depth, edge_pixels, *source, sin_p, cos_p, rotation, translation, ratio / np.float32(2.0), out)
         return out
 
     @cached_property
@@ -166,7 +166,7 @@ class Shader:
         translation = np.ascontiguousarray(target_from_source.position, np.float32)
         return rotation, translation, np.float32(texture.size[0] / self.size[0])
 
-    def _kernel(self, trust: TrustMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
+    def _kernel(self, trust: ConfidenceMap, texture: Texture, target_from_source: Pose) -> Callable[..., None]:
         """Takes inverse depth, direction tables, an image, first row and the row after the last."""
         rotation, translation, ratio = self._view(texture, target_from_source)
         source = (trust.values, trust.layout, *_as_kernels_take(texture))
@@ -178,17 +178,17 @@ class Shader:
 
         return band
 
-    def infinitely_far(self, texture: Texture, target_from_source: Pose) -> Float32[np.ndarray, "height width 4"]:
+    def shade_at_infinity(self, texture: Texture, target_from_source: Pose) -> Float32[np.ndarray, "height width 4"]:
         """The texture as a sphere of infinite radius: only the rotation matters. The next call overwrites it."""
-        return self(np.zeros(self.size, np.float32), WHOLE_TRUST, texture, target_from_source)
+        return self(np.zeros(self.size, np.float32), FULL_CONFIDENCE, texture, target_from_source)
 
-    def far_rows(
+    def rows_at_infinity(
         self, texture: Texture, target_from_source: Pose, begin: int, end: int
     ) -> Float32[np.ndarray, "rows width 4"]:
-        """Rows ``begin`` to ``end`` of :meth:`infinitely_far`, in memory of their own, in the caller's thread."""
+        """Rows ``begin`` to ``end`` of :meth:`shade_at_infinity`, in memory of their own, in the caller's thread."""
         sky = np.zeros((end - begin, self.size[1]), np.float32)
         out = np.empty((*sky.shape, CHANNELS), np.float32)
-        self.supposed_rows(sky, texture, target_from_source, begin, out)
+        self.sample_rows(sky, texture, target_from_source, begin, out)
         return out
 
 
@@ -217,4 +217,4 @@ def shade(
         threads: at most this many.
     """
     height, width = inverse_depth.shape
-    return Shader((height, width), threads)(inverse_depth, make_trust(mesh, texture), texture, target_from_source)
+    return Shader((height, width), threads)(inverse_depth, make_confidence_map(mesh, texture), texture, target_from_source)

@@ -72,21 +72,21 @@ def shade_rows(
 
 
 @fast_kernel()
-def shade_spots(
-    rho, spots, trust, trust_layout, texels, layout, weights, sin_p, cos_p, rotation, t, ratio, colour
+def shade_edge_pixels(
+    rho, edge_pixels, trust, trust_layout, texels, layout, weights, sin_p, cos_p, rotation, t, ratio, colour
 ):  # fmt: skip
     """The same for the samples of spots; ``sin_p`` and ``cos_p`` are of all rows of a target of twice the size."""
     source, view = (trust, trust_layout, texels, layout, weights), (rotation, t, ratio)
     room = _room_for_runs(layout, weights[1])
-    for row in range(len(spots.begins)):
-        begin, end = 2 * spots.begins[row, 0], 2 * spots.begins[row, -1]
+    for row in range(len(edge_pixels.begins)):
+        begin, end = 2 * edge_pixels.begins[row, 0], 2 * edge_pixels.begins[row, -1]
         for half in range(2):
-            flat, double_row = colour[half].reshape(-1), 2 * (spots.top + row) + half
+            flat, double_row = colour[half].reshape(-1), 2 * (edge_pixels.top + row) + half
             for left in range(begin, end, RUN):
                 right = min(left + RUN, end)
                 _shade_run(
-                    rho[half, left:right], source, sin_p[double_row], cos_p[double_row], spots.sin_a[left:right],
-                    spots.cos_a[left:right], view, room, flat, 4 * left,
+                    rho[half, left:right], source, sin_p[double_row], cos_p[double_row], edge_pixels.sin_a[left:right],
+                    edge_pixels.cos_a[left:right], view, room, flat, 4 * left,
                 )  # fmt: skip
 
 

@@ -155,13 +155,13 @@ def _rectangles(
 def _pieces(mesh: Mesh, marks: np.ndarray) -> list[Part]:
     """What is left of cut quads: halves of those cut straight across, quarters of the others; and the caps."""
     points, count = np.concatenate(list(mesh.pieces()), dtype=np.float32), 4 * len(mesh.cut_quads)
-    is_apart = marks.ravel()[mesh.cut_quads] == APART
+    is_other_surface = marks.ravel()[mesh.cut_quads] == APART
     kind = mesh.quads.ravel()[mesh.cut_quads] & CUT_EDGES
     quarters = points[:count].reshape(-1, 16, 4)
     place = _place(*np.divmod(mesh.cut_quads, mesh.size[1]), mesh.size[1])
-    groups = [(quarters[is_apart & (kind == code)][:, halves], place[is_apart & (kind == code)])
+    groups = [(quarters[is_other_surface & (kind == code)][:, halves], place[is_other_surface & (kind == code)])
               for code, halves in HALVES.items()]  # fmt: skip
-    others = is_apart & ~np.isin(kind, list(HALVES))
+    others = is_other_surface & ~np.isin(kind, list(HALVES))
     groups += [(quarters[others].reshape(-1, 4, 4, 4), place[others]), (points[None, count:], np.array([LAST]))]
     return [_part(group, at) for group, at in groups]
 

@@ -46,7 +46,7 @@ LEAST = 0.01
 """However little is known: where neither view knows anything both should count."""
 
 
-def trust_of_quarters(
+def quarter_confidence(
     inverse_depth: Float[np.ndarray, "height width"],
     is_cut: Bool[np.ndarray, "height-1 width"],
     confidence: Float[np.ndarray, "height width"] | None = None,

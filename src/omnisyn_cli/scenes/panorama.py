@@ -6,6 +6,7 @@ each row.
 
 import math
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,28 +19,52 @@ from omnisyn_cli.scenes.jit import kernel
 from omnisyn_cli.scenes.raycast import cast_rays, first_hit
 from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.shading import shade, tone
-from omnisyn_cli.scenes.world import SKY_ID, Scalar, pack_scene, photo_textures_of, seen_from
+from omnisyn_cli.scenes.world import SKY_ID, Scalar, pack_scene, seen_from
 
 EXPOSURE = int(Scalar.EXPOSURE)
 
+TILE_SIDES = (16, 4)
+"""Pixels along the side of a large and of a small tile; chosen by timing."""
+
+
+class RayTables(NamedTuple):
+    """Directions of the rays of a panorama, in the world.
+
+    Attributes:
+        sin_centre, cos_centre: of the polar angle of the pixel centres, by row.
+        horizon_centre: unit vectors on the horizon, by column of pixels.
+        sin_sample, cos_sample, horizon_sample: the same by row and column of samples.
+        up: unit vector to the zenith of the picture.
+        supersample: samples per pixel along each axis.
+    """
+
+    sin_centre: np.ndarray
+    cos_centre: np.ndarray
+    horizon_centre: np.ndarray
+    sin_sample: np.ndarray
+    cos_sample: np.ndarray
+    horizon_sample: np.ndarray
+    up: np.ndarray
+    supersample: int
+
 
 @kernel
-def _render_tile(world, photos, tables, samples, rows, columns, candidates, count, image, depth):  # type: ignore[no-untyped-def]
-    """Render the pixels of rows[0] to rows[1] - 1 and columns[0] to columns[1] - 1; only the listed shapes can show."""
-    sin_centre, cos_centre, horizon_centre, sin_sample, cos_sample, horizon, up = tables
+def _render_tile(world, photos, rays, rows, columns, candidates, count, output):  # type: ignore[no-untyped-def]
+    """Render the pixels of rows[0] to rows[1] - 1 and columns[0] to columns[1] - 1; only ``candidates`` can be hit."""
+    (image, depth), samples, up = output, rays.supersample, rays.up
     pixel = math.pi / (depth.shape[0] * samples)
     exposure = world.scalars[EXPOSURE]
-    hits, trace_rays = np.empty(samples * samples, np.int64), np.empty(samples * samples)
-    rays = np.empty((samples * samples, 3))
+    hits, distances = np.empty(samples * samples, np.int64), np.empty(samples * samples)
+    directions = np.empty((samples * samples, 3))
     for row in range(rows[0], rows[1]):
         for column in range(columns[0], columns[1]):
             is_uniform = True
             for sample in range(-1, samples * samples):  # -1: the centre of the pixel, for the depth
                 if sample < 0:
-                    sine, cosine, ahead, j = sin_centre[row], cos_centre[row], horizon_centre, column
+                    sine, cosine, ahead, j = rays.sin_centre[row], rays.cos_centre[row], rays.horizon_centre, column
                 else:
                     i, j = row * samples + sample // samples, column * samples + sample % samples
-                    sine, cosine, ahead = sin_sample[i], cos_sample[i], horizon
+                    sine, cosine, ahead = rays.sin_sample[i], rays.cos_sample[i], rays.horizon_sample
                 x = sine * ahead[j, 0] + cosine * up[0]
                 y = sine * ahead[j, 1] + cosine * up[1]
                 z = sine * ahead[j, 2] + cosine * up[2]
@@ -47,44 +72,33 @@ def _render_tile(world, photos, tables, samples, rows, columns, candidates, coun
                 if sample < 0:
                     depth[row, column] = np.inf if hit == SKY_ID else t
                 else:
-                    rays[sample, 0], rays[sample, 1], rays[sample, 2] = x, y, z
-                    trace_rays[sample], hits[sample] = t, hit
+                    directions[sample, 0], directions[sample, 1], directions[sample, 2] = x, y, z
+                    distances[sample], hits[sample] = t, hit
                     is_uniform = is_uniform and hit == hits[0]
-            red, green, blue, shaded = 0.0, 0.0, 0.0, 0
+            red, green, blue, tonal_material = 0.0, 0.0, 0.0, 0
             for sample in range(samples * samples):
                 # within one surface the textures are filtered already: every other sample will do
                 if is_uniform and (sample // samples + sample % samples) % 2 == 1:
                     continue
-                x, y, z = rays[sample, 0], rays[sample, 1], rays[sample, 2]
-                r, g, b = shade(world, photos, hits[sample], trace_rays[sample], x, y, z, pixel, sample)
+                direction = (directions[sample, 0], directions[sample, 1], directions[sample, 2])
+                r, g, b = shade(world, photos, hits[sample], distances[sample], direction, pixel, sample)
                 red += tone(r, exposure)
                 green += tone(g, exposure)
                 blue += tone(b, exposure)
-                shaded += 1
-            image[row, column, 0] = math.sqrt(red / shaded)
-            image[row, column, 1] = math.sqrt(green / shaded)
-            image[row, column, 2] = math.sqrt(blue / shaded)
+                tonal_material += 1
+            image[row, column, 0] = math.sqrt(red / tonal_material)
+            image[row, column, 1] = math.sqrt(green / tonal_material)
+            image[row, column, 2] = math.sqrt(blue / tonal_material)
 
 
 @kernel
-def render_tiles(world, photos, bounds, tables, samples, tiles, image, depth, begin, end):  # type: ignore[no-untyped-def]
-    """Render some bands of tiles.
+def render_tiles(world, photos, bounds, rays, tiles, output, begin, end):  # type: ignore[no-untyped-def]
+    """Render bands ``begin`` to ``end`` of large tiles.
 
-    Args:
-        world: the scene seen from one place.
-        papers: its photographs.
-        bounds: of its shapes.
-        tables: ``(sin_polar, cos_polar, horizon)`` of the pixel centres and the same of the samples, then ``up``.
-        samples: samples per pixel along each axis.
-        tiles: pixels along the side of a large and of a small tile; shapes are chosen for the former, then for the
-            latter.
-        image: (H, W, 3) float32 output in [0, 1].
-        depth: (H, W) float32 output, metres, inf for the sky.
-        begin: first band of large tiles.
-        end: one past the last.
+    Shapes are culled for each large tile, then for each small tile in it. ``output`` is the image, (H, W, 3) float32 in
+    [0, 1], and the depth, (H, W) float32 in metres, inf for the sky.
     """
-    sin_sample, cos_sample, horizon, up = tables[3], tables[4], tables[5], tables[6]
-    height, width = depth.shape
+    samples, (height, width) = rays.supersample, output[1].shape
     large, small = tiles
     coarse, fine = np.empty_like(bounds.order), np.empty_like(bounds.order)
     planes = np.zeros((4, 3))
@@ -92,22 +106,17 @@ def render_tiles(world, photos, bounds, tables, samples, tiles, image, depth, be
         for left in range(0, width, large):
             bottom, right = min(height, top + large), min(width, left + large)
             rows, columns = (top * samples, bottom * samples - 1), (left * samples, right * samples - 1)
-            tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
-            candidates = cull_tile(bounds, bounds.order, len(bounds.order), planes, coarse)
+            tile_planes(rays.sin_sample, rays.cos_sample, rays.horizon_sample, rays.up, rows, columns, planes)
+            coarse_count = cull_tile(bounds, bounds.order, len(bounds.order), planes, coarse)
             for row in range(top, bottom, small):
                 for column in range(left, right, small):
                     last_row, last_column = min(bottom, row + small), min(right, column + small)
-                    rows, columns = (
-                        (row * samples, last_row * samples - 1),
-                        (column * samples, last_column * samples - 1),
-                    )
-                    tile_planes(sin_sample, cos_sample, horizon, up, rows, columns, planes)
-                    count = cull_tile(bounds, coarse, candidates, planes, fine)
+                    rows = (row * samples, last_row * samples - 1)
+                    columns = (column * samples, last_column * samples - 1)
+                    tile_planes(rays.sin_sample, rays.cos_sample, rays.horizon_sample, rays.up, rows, columns, planes)
+                    count = cull_tile(bounds, coarse, coarse_count, planes, fine)
                     rows, columns = (row, last_row), (column, last_column)
-                    _render_tile(world, photos, tables, samples, rows, columns, fine, count, image, depth)
-
-
-_TILES = (16, 4)  # pixels; chosen by timing
+                    _render_tile(world, photos, rays, rows, columns, fine, count, output)
 
 
 def render_panorama(
@@ -157,14 +166,14 @@ def render_views(
     height, width = size
     if height < 1 or width < 1 or supersample < 1:
         raise ValueError(f"expected a positive size and supersample, got size {size} and supersample {supersample}")
-    tables = _ray_tables(np.asarray(rotation, dtype=np.float64), size, supersample)
+    rays = _ray_tables(np.asarray(rotation, dtype=np.float64), size, supersample)
     static = pack_scene(scene)
     images = np.empty((len(positions), height, width, 3), dtype=np.float32)
     depths = np.empty((len(positions), height, width), dtype=np.float32)
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
         world, bounds = seen_from(static, scene, position)
-        kernel = partial(render_tiles, world, photo_textures_of(scene), bounds, tables, supersample, _TILES, image, depth)
-        run_bands(kernel, -(-height // _TILES[0]), threads)
+        kernel = partial(render_tiles, world, scene.photo_textures, bounds, rays, TILE_SIDES, (image, depth))
+        run_bands(kernel, -(-height // TILE_SIDES[0]), threads)
     return images, depths
 
 
@@ -194,11 +203,11 @@ def _unrotated_tables(height: int, width: int) -> tuple[np.ndarray, np.ndarray, 
     return sin_polar, cos_polar, horizon
 
 
-def _ray_tables(rotation: Float[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> tuple[np.ndarray, ...]:
+def _ray_tables(rotation: Float[np.ndarray, "3 3"], size: tuple[int, int], supersample: int) -> RayTables:
     height, width = size
     up = rotation @ angles_to_direction(np.array(0.0), np.array(0.0))
     centres, samples = (
         (sine, cosine, np.ascontiguousarray(horizon @ rotation.T))
         for sine, cosine, horizon in (_unrotated_tables(height * k, width * k) for k in (1, supersample))
     )
-    return *centres, *samples, up
+    return RayTables(*centres, *samples, up, supersample)

@@ -19,14 +19,14 @@ from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import Renderer, make_renderer
-from omnisyn_cli.types import DepthEstimate, Rendering, View
+from omnisyn_cli.types import DepthEstimate, Layer, View
 
-__all__ = ["CHECK_SIZE", "SAME_PLACE", "CrossCheck", "in_one_exposure", "middle_of", "resized"]
+__all__ = ["CHECK_SIZE", "SAME_SURFACE_TOLERANCE", "CrossCheck", "equalize_exposure", "subsample_depth", "resized"]
 
 CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
 
-SAME_PLACE = 0.05
+SAME_SURFACE_TOLERANCE = 0.05
 """Relative difference of inverse depth up to which two pictures show the same place."""
 
 ROUGH_SIZE = (128, 256)
@@ -49,7 +49,7 @@ class CrossCheck:
     confidence: PairConfidence
 
 
-def in_one_exposure(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
+def equalize_exposure(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
     """Both views exposed alike, so that depth can be found in them; the very same views where they are.
 
     Where their brightness differs, depth at a small size, from nothing but what is brighter than its neighbours, tells
@@ -85,7 +85,7 @@ def cross_check(
 
 def _seen_across(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None
-) -> tuple[list[tuple[Rendering, Rendering]], tuple[View, View], list[Renderer]]:
+) -> tuple[list[tuple[Layer, Layer]], tuple[View, View], list[Renderer]]:
     """Each photograph beside the other one's surface as it is seen from there; both views, small; their renderers."""
     size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
 
@@ -103,10 +103,10 @@ def _reduced(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
     """A view at the size of the check, its depth with it."""
     image = resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
     mask = None if view.mask is None else resized(view.mask.astype(np.float32), size, cv2.INTER_AREA) > 0.99
-    return View(image, view.pose, mask, middle_of(depth, size))
+    return View(image, view.pose, mask, subsample_depth(depth, size))
 
 
-def middle_of(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
+def subsample_depth(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     """Depth that is larger at a smaller size: of the four pixels around the centre of a new one, the second farthest.
 
     A mean would lie between two surfaces, and always the same one of the four would move every edge to its side.
@@ -138,7 +138,7 @@ def _renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
     return make_renderer("mesh", view.image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads)
 
 
-def _crossed(here: View, renderer: Renderer, there: View) -> tuple[Rendering, Rendering]:
+def _crossed(here: View, renderer: Renderer, there: View) -> tuple[Layer, Layer]:
     """The photograph taken ``here``, and what the other view's surface looks like from here."""
     target_from_source = here.pose.inverse() @ there.pose
     other = _rendering(renderer, target_from_source)
@@ -151,16 +151,16 @@ def _crossed(here: View, renderer: Renderer, there: View) -> tuple[Rendering, Re
     if here.mask is not None:
         rho, weight = np.where(here.mask, rho, np.float32(-1.0)), weight * here.mask
     colour = np.dstack([here.image, weight]).astype(np.float32)
-    return Rendering.of(np.ascontiguousarray(rho), colour, Pose(np.eye(3), np.zeros(3))), other
+    return Layer.from_arrays(np.ascontiguousarray(rho), colour, Pose(np.eye(3), np.zeros(3))), other
 
 
-def _rendering(renderer: Renderer, target_from_source: Pose) -> Rendering:
+def _rendering(renderer: Renderer, target_from_source: Pose) -> Layer:
     """In memory of its own."""
     seen = renderer(target_from_source)
-    return Rendering.of(seen.inverse_depth.copy(), seen.colour, target_from_source)
+    return Layer.from_arrays(seen.inverse_depth.copy(), seen.colour, target_from_source)
 
 
-def _half_way(small: tuple[View, View], renderers: list[Renderer]) -> tuple[Rendering, Rendering]:
+def _half_way(small: tuple[View, View], renderers: list[Renderer]) -> tuple[Layer, Layer]:
     first, second = (view.pose for view in small)
     pose = Pose(slerp(first.rotation, second.rotation, 0.5), 0.5 * (first.position + second.position))
     found = []
@@ -170,7 +170,7 @@ def _half_way(small: tuple[View, View], renderers: list[Renderer]) -> tuple[Rend
     return found[0], found[1]
 
 
-def _curve(across: list[tuple[Rendering, Rendering]]) -> ExposureCurve:
+def _curve(across: list[tuple[Layer, Layer]]) -> ExposureCurve:
     """From all pixels of both photographs that the other view shows as well."""
     samples = [_same_places(own, other) for own, other in across]
     (a_own, a_other, a_weight), (b_own, b_other, b_weight) = samples
@@ -179,11 +179,11 @@ def _curve(across: list[tuple[Rendering, Rendering]]) -> ExposureCurve:
     )
 
 
-def _same_places(own: Rendering, other: Rendering) -> tuple[Float32[np.ndarray, "samples 3"], np.ndarray, np.ndarray]:
+def _same_places(own: Layer, other: Layer) -> tuple[Float32[np.ndarray, "samples 3"], np.ndarray, np.ndarray]:
     """Colours of the photograph and of the other view where both show the same place, and how much each counts."""
     size = own.inverse_depth.shape
     gap = np.abs(own.inverse_depth - other.inverse_depth)
     nearer = np.maximum(own.inverse_depth, other.inverse_depth)
     weight = solid_angles(*size) * np.minimum(own.colour[..., 3], other.colour[..., 3])
-    same = (gap <= SAME_PLACE * nearer) & (other.inverse_depth >= 0.0) & (own.inverse_depth >= 0.0) & (weight > 0.0)
+    same = (gap <= SAME_SURFACE_TOLERANCE * nearer) & (other.inverse_depth >= 0.0) & (own.inverse_depth >= 0.0) & (weight > 0.0)
     return own.colour[same][:, :3], np.clip(other.colour[same][:, :3], 0.0, 1.0), weight[same]

@@ -7,8 +7,8 @@ from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.layer_pair import ROWS
-from omnisyn_cli.fusion.confidence import doubtful_regions
-from omnisyn_cli.fusion.blend_kernels import storing_in
+from omnisyn_cli.fusion.confidence import low_confidence_regions
+from omnisyn_cli.fusion.blend_kernels import quantization_for
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
@@ -46,7 +46,7 @@ class CrossFade:
             pose: world-from-camera of the frame; only its orientation matters.
             t: share of the way, the share of the second photograph.
         """
-        doubt, storing = doubtful_regions(confidence), storing_in(image)
+        doubt, storing = low_confidence_regions(confidence), quantization_for(image)
         turns = [Pose(pose.rotation.T @ source.rotation, np.zeros(3)) for source in self._poses]
 
         def band(begin: int, end: int) -> None:
@@ -56,7 +56,7 @@ class CrossFade:
                 if here.any():
                     mixed *= 1.0 - here
                     for turn, texture, share in zip(turns, self._textures, (1.0 - t, t), strict=True):
-                        photograph = self._shader.far_rows(texture, turn, rows.start, rows.stop)[..., :3]
+                        photograph = self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)[..., :3]
                         mixed += np.float32(share) * here * np.maximum(photograph, 0.0)
                     image[rows] = np.minimum(mixed, storing.most) * storing.scale + storing.half
 

@@ -89,7 +89,7 @@ def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, thr
     def band(begin: int, end: int) -> None:
         for top in range(begin, end, ROWS):
             bottom = min(top + ROWS, end)
-            colour = shader.far_rows(texture, target_from_source, top, bottom)
+            colour = shader.rows_at_infinity(texture, target_from_source, top, bottom)
             quantize_rows(colour, np.float32(255.0), out[top:bottom], 0, bottom - top)
 
     run_bands(band, len(out), threads)
@@ -99,5 +99,5 @@ def turned_panorama(
     image: np.ndarray, target_from_source: Pose, size: tuple[int, int], threads: int | None = None
 ) -> Float32[np.ndarray, "height width 3"]:
     """A panorama seen from its own centre in another orientation and size; no surface is needed for that."""
-    colour = Shader(size, threads).infinitely_far(make_texture(image), target_from_source)[..., :3]
+    colour = Shader(size, threads).shade_at_infinity(make_texture(image), target_from_source)[..., :3]
     return np.asarray(np.maximum(colour, np.float32(0.0)))

@@ -20,7 +20,7 @@ from omnisyn_cli.types import DepthEstimator, Fuser, KnownDepth
 
 if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
-    from omnisyn_cli.runtime.synsin_sessions import SynSinSessions
+    from omnisyn_cli.baselines.synsin_sessions import SynSinSessions
     from omnisyn_cli.synthesis.device.pair import GpuFrames
     from omnisyn_cli.synthesis.methods import Method
 
@@ -58,12 +58,12 @@ def make_method(
         cross_fade=recipe.fallback == "crossfade", confidence=recipe.confidence, adaptive=recipe.adaptive,
     )  # fmt: skip
     if recipe.method in SYNSIN_SOURCES:
-        from omnisyn_cli.synthesis.synsin import SynSin
+        from omnisyn_cli.baselines.synsin import SynSin
 
         networks = open_synsin(device=recipe.device, threads=threads)
         return SynSin(networks, SYNSIN_SOURCES[recipe.method], options, clock)
     if recipe.method in ("crossfade", "flow"):
-        from omnisyn_cli.synthesis.fades import CrossFades, FlowFades
+        from omnisyn_cli.baselines.fades import CrossFades, FlowFades
 
         return (FlowFades if recipe.method == "flow" else CrossFades)(options, clock)
     device = _open_gpu(size) if recipe.is_on_gpu else None
@@ -91,17 +91,17 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
     if source.kind == "file":
         return KnownDepth()
     if source.kind == "network":
-        from omnisyn_cli.runtime.depth import LearnedDepthEstimator
+        from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 
         return LearnedDepthEstimator(_session(source.model, device, threads))
     if source.kind == "monocular":
-        from omnisyn_cli.runtime.synsin_sessions import MonocularDepthEstimator
+        from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator
 
         return MonocularDepthEstimator(_session(source.model, device, threads))
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
-    from omnisyn_cli.stereo.depth_sizes import coarse_rows
+    from omnisyn_cli.stereo.depth_sizes import matching_rows
 
-    coarse = coarse_rows(source.rows)
+    coarse = matching_rows(source.rows)
     matching = MatchingDepthEstimator(MatchingOptions(size=(coarse, 2 * coarse)), threads)
     if source.kind == "matching":
         return matching
@@ -142,12 +142,12 @@ def make_fuser(
 
     session = _session(model or FUSION_MODELS[name], device, threads)
     if name == "painting":
-        from omnisyn_cli.fusion.direct import PaintingFuser
+        from omnisyn_cli.baselines.direct_fuser import DirectFuser
 
-        return PaintingFuser(size, SessionPainter(session), threads=threads)
-    from omnisyn_cli.fusion.residual import NetworkFuser
+        return DirectFuser(size, SessionPainter(session), threads=threads)
+    from omnisyn_cli.fusion.residual import ResidualFuser
 
-    return NetworkFuser(size, SessionFusion(session), rows, threads=threads, edges=edges)
+    return ResidualFuser(size, SessionFusion(session), rows, threads=threads, edges=edges)
 
 
 def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:
@@ -156,7 +156,7 @@ def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSe
     Raises:
         InputError: one is not there, is of another kind, or cannot be used on that device.
     """
-    from omnisyn_cli.runtime.synsin_sessions import SynSinSessions
+    from omnisyn_cli.baselines.synsin_sessions import SynSinSessions
 
     return SynSinSessions(*(_session(model, device, threads) for model in SYNSIN_MODELS))
 

@@ -1,7 +1,7 @@
 """What makes frames: a :class:`Method` is made ready for a pair of views, the :class:`Pair` shows what lies between.
 
 The paper's method, the one of this program, is :class:`SurfaceMethod`; others to compare it with are
-:mod:`omnisyn_cli.synthesis.synsin` and :mod:`omnisyn_cli.synthesis.fades`.
+:mod:`omnisyn_cli.baselines.synsin` and :mod:`omnisyn_cli.baselines.fades`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from omnisyn_cli.synthesis.between import Frame, Fused, MemoryForFrames, fused
 from omnisyn_cli.synthesis.segments import Segment, SynthesisOptions, prepare_segment
 from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Rendering, View
+from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames
@@ -47,7 +47,7 @@ class Pair(Protocol):
         """1/metre of what is seen there, negative where that is unknown; None for pictures without geometry."""
         ...
 
-    def renderings(self, waypoint: Waypoint) -> tuple[Rendering, Rendering] | None:
+    def renderings(self, waypoint: Waypoint) -> tuple[Layer, Layer] | None:
         """What both views show there, in buffers that whatever is asked for next overwrites; None without geometry."""
         ...
 
@@ -130,9 +130,9 @@ class SurfacePair:
         seen = [self._rendering(waypoint, k).inverse_depth.copy() for k in views]
         return np.asarray(np.maximum(seen[0], seen[-1]))
 
-    def renderings(self, waypoint: Waypoint) -> tuple[Rendering, Rendering]:
+    def renderings(self, waypoint: Waypoint) -> tuple[Layer, Layer]:
         """See :class:`Pair`."""
         return self._rendering(waypoint, 0), self._rendering(waypoint, 1)
 
-    def _rendering(self, waypoint: Waypoint, view: int) -> Rendering:
+    def _rendering(self, waypoint: Waypoint, view: int) -> Layer:
         return self.segment.renderers[view](waypoint.pose.inverse() @ self.segment.poses[view])

@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.fusion.confidence import LEAST_SCORE
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
@@ -113,7 +113,7 @@ def prepare_segment(
             lambda: _renderer(first, second, depths[0], options), lambda: _renderer(second, first, depths[1], options)
         )
     cross_fade = None
-    if options.cross_fade and check.confidence.score < LEAST_SCORE:
+    if options.cross_fade and check.confidence.score < MIN_PAIR_SCORE:
         images = [usable_image(view, options) for view in views]
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]

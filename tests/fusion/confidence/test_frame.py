@@ -4,28 +4,28 @@ import numpy as np
 import pytest
 
 from confidence_samples import generated_views
-from omnisyn_cli.fusion.confidence import confidence_step, doubtful_regions
+from omnisyn_cli.fusion.confidence import confidence_step, low_confidence_regions
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
-from omnisyn_cli.types import KnownDepth, Rendering
+from omnisyn_cli.types import KnownDepth, Layer
 
 SIZE = (16, 32)
 
 
-def random_rendering(seed: int) -> Rendering:
+def random_rendering(seed: int) -> Layer:
     rng = np.random.default_rng(seed)
     colour = rng.random((*SIZE, 4), np.float32)
     colour[..., :3] = 0.5 + 0.1 * colour[..., :3]
     rho = (0.2 + 0.05 * rng.random(SIZE)).astype(np.float32)
     hole = rng.random(SIZE) < 0.3
     colour[hole], rho[hole] = 0, -1
-    return Rendering.of(rho, colour, Pose(np.eye(3), np.zeros(3)))
+    return Layer.from_arrays(rho, colour, Pose(np.eye(3), np.zeros(3)))
 
 
-def confidence_of(first: Rendering, second: Rendering) -> np.ndarray:
+def confidence_of(first: Layer, second: Layer) -> np.ndarray:
     """From two bands."""
     out = np.full(SIZE, np.nan, np.float32)
     judge = confidence_step(first.inverse_depth, second.inverse_depth, out)
@@ -62,11 +62,11 @@ def test_pixels_of_low_confidence_are_worse_than_those_of_high_confidence() -> N
 @pytest.mark.parametrize("size", [(16, 32), (64, 128), (100, 200), (256, 512)])
 def test_regions_are_smooth_and_cover_what_is_low(size: tuple[int, int]) -> None:
     confidence = np.ones(size, np.float32)
-    np.testing.assert_array_equal(doubtful_regions(confidence), 0)
-    np.testing.assert_array_equal(doubtful_regions(0 * confidence), 1)
+    np.testing.assert_array_equal(low_confidence_regions(confidence), 0)
+    np.testing.assert_array_equal(low_confidence_regions(0 * confidence), 1)
     half = size[1] // 2
     confidence[:, :half] = 0
-    doubt = doubtful_regions(confidence)
+    doubt = low_confidence_regions(confidence)
     assert (doubt[:, half // 2] == 1).all()
     assert (doubt[:, half + half // 2] == 0).all()
     assert ((doubt >= 0) & (doubt <= 1)).all()
@@ -75,11 +75,11 @@ def test_regions_are_smooth_and_cover_what_is_low(size: tuple[int, int]) -> None
 def test_regions_turn_with_the_panorama_across_the_seam() -> None:
     confidence = np.ones((64, 128), np.float32)
     confidence[20:40, 60:90] = 0.1
-    rolled = doubtful_regions(np.roll(confidence, 48, axis=1))
-    np.testing.assert_allclose(rolled, np.roll(doubtful_regions(confidence), 48, axis=1), atol=1e-5)
+    rolled = low_confidence_regions(np.roll(confidence, 48, axis=1))
+    np.testing.assert_allclose(rolled, np.roll(low_confidence_regions(confidence), 48, axis=1), atol=1e-5)
 
 
 def test_a_speck_is_no_region() -> None:
     confidence = np.ones((256, 512), np.float32)
     confidence[100:104, 200:204] = 0
-    np.testing.assert_array_equal(doubtful_regions(confidence), 0)
+    np.testing.assert_array_equal(low_confidence_regions(confidence), 0)

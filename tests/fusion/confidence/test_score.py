@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 
 from confidence_samples import generated_views, judged, rank_correlation
-from omnisyn_cli.fusion.confidence import LEAST_SCORE, assess_pair
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, assess_pair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.types import KnownDepth, Rendering
+from omnisyn_cli.types import KnownDepth, Layer
 
 SIZE = (32, 64)
 
 
 def rendering(
     value: float | np.ndarray = 0.5, rho: float | np.ndarray = 0.2, weight: float | np.ndarray = 1.0
-) -> Rendering:
+) -> Layer:
     colour = np.empty((*SIZE, 4), np.float32)
     colour[..., :3] = np.broadcast_to(np.asarray(value), SIZE)[..., None]
     colour[..., 3] = weight
-    return Rendering.of(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.zeros(3)))
+    return Layer.from_arrays(np.full(SIZE, rho, np.float32), colour, Pose(np.eye(3), np.zeros(3)))
 
 
 def test_scores_rank_pairs_like_their_true_frames_do() -> None:
@@ -30,7 +30,7 @@ def test_scores_rank_pairs_like_their_true_frames_do() -> None:
     found = [judged(str(k), *case[:1], KnownDepth(), *case[1:]) for k, case in enumerate(cases)]
     assert rank_correlation([f.score + 1e-3 * f.expected for f in found], [f.true for f in found]) > 0.7
     assert found[0].score > 0.6
-    assert found[5].score < LEAST_SCORE
+    assert found[5].score < MIN_PAIR_SCORE
 
 
 @pytest.mark.parametrize(("difference", "score"), [(0.0, 1.0), (10**-1.2, 0.5), (10**-0.5, 0.0)])

@@ -10,8 +10,8 @@ from omnisyn_cli.fusion.photometry.exposure_curve import (
     ExposureCurve,
     estimate_curve,
     estimate_gain,
-    linear_from_stored,
-    stored_from_linear,
+    linear_to_srgb,
+    srgb_to_linear,
 )
 from photometry_samples import exposed, in_eight_bits, linear
 from photometry_samples import stored as stored_by_definition
@@ -35,9 +35,9 @@ def looked_up(table: np.ndarray, image: np.ndarray) -> np.ndarray:
 @given(st.floats(0, 4))
 def test_light_and_stored_values_follow_the_standard_and_there_is_a_way_back(value: float) -> None:
     x = np.array([value])
-    np.testing.assert_allclose(linear_from_stored(x), linear(x), rtol=1e-9)
-    np.testing.assert_allclose(stored_from_linear(x), stored_by_definition(x), rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(stored_from_linear(linear_from_stored(x)), x, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(srgb_to_linear(x), linear(x), rtol=1e-9)
+    np.testing.assert_allclose(linear_to_srgb(x), stored_by_definition(x), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(linear_to_srgb(srgb_to_linear(x)), x, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("stops", [(1, 1, 1), (-1, -1, -1), (0.3, 0.3, 0.3), (0.4, 0.0, -0.3), (-2, -2.2, -1.9)])

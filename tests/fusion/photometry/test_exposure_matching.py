@@ -6,7 +6,7 @@ import pytest
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, rough_curve
 from omnisyn_cli.fusion.photometry.exposure_curve import KNOTS
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.types import Rendering, View
+from omnisyn_cli.types import Layer, View
 from photometry_samples import exposed, in_eight_bits
 
 SIZE = (32, 64)
@@ -18,9 +18,9 @@ def picture(seed: int = 0, most: float = 0.7) -> np.ndarray:
     return (np.random.default_rng(seed).random((*SIZE, 3)) * most).astype(np.float32)
 
 
-def rendering(image: np.ndarray, weight: float = 1.0) -> Rendering:
+def rendering(image: np.ndarray, weight: float = 1.0) -> Layer:
     colour = np.dstack([image, np.full(SIZE, weight, np.float32)]).astype(np.float32)
-    return Rendering.of(np.full(SIZE, 0.2, np.float32), colour, HERE)
+    return Layer.from_arrays(np.full(SIZE, 0.2, np.float32), colour, HERE)
 
 
 @pytest.mark.parametrize("t", [0.0, 0.25, 0.5, 1.0])
@@ -38,7 +38,7 @@ def test_colours_are_exposed_wherever_they_are_asked_for_and_the_rendering_is_le
     first.colour_rows(7, 12, out)
     np.testing.assert_array_equal(out, first.colour[7:12])
     rows, cols = np.array([0, 3, 31]), np.array([1, 2, 60])
-    np.testing.assert_array_equal(first.colour_at(rows, cols), first.colour[np.ix_(rows, cols)])
+    np.testing.assert_array_equal(first.colour_grid(rows, cols), first.colour[np.ix_(rows, cols)])
     np.testing.assert_array_equal(plain.colour[..., :3], image)
 
 
@@ -89,11 +89,11 @@ def test_before_depth_is_looked_for_pictures_are_exposed_alike(stop: float) -> N
 
 def test_a_picture_that_was_white_says_so_when_it_is_darkened() -> None:
     image = np.clip(picture(1) + 0.1, 0.0, 1.0)
-    assert not any(view.is_cut_off for view in alike(View(0.5 * image, HERE), View(0.7 * image, HERE)))
+    assert not any(view.is_clipped for view in alike(View(0.5 * image, HERE), View(0.7 * image, HERE)))
     bright = View(exposed(image, 2.0), HERE)
     assert (bright.image.max(-1) >= 1.0).mean() > 0.1
-    assert [view.is_cut_off for view in alike(View(image, HERE), bright)] == [False, True]
-    assert [view.is_cut_off for view in alike(bright, View(image, HERE))] == [True, False]
+    assert [view.is_clipped for view in alike(View(image, HERE), bright)] == [False, True]
+    assert [view.is_clipped for view in alike(bright, View(image, HERE))] == [True, False]
 
 
 def test_views_alike_are_handed_on_as_they_are_and_masks_are_obeyed() -> None:

@@ -29,11 +29,11 @@ LEAST_SHARE = 0.999
 
 WAYS = {"forward": (0.1, 0.05, -0.8), "vertical": (0.0, 0.9, 0.05)}
 
-Views = tuple[View, View]
+LayerPair = tuple[View, View]
 
 
 @pytest.fixture(scope="module", params=[("street", "forward"), ("room", "vertical")], ids="-".join)
-def views(request: pytest.FixtureRequest) -> Views:
+def views(request: pytest.FixtureRequest) -> LayerPair:
     """Cut meshes; the cameras are turned about all axes, and so is the target."""
     kind, way = request.param
     return pair_along(kind, WAYS[way], SIZE)
@@ -52,7 +52,7 @@ def with_ghost(view: View, towards: tuple[float, float, float]) -> View:
     return replace(view, image=np.where(where[..., None], np.float32([0.9, 0.05, 0.1]), view.image))
 
 
-def check(views: Views, t: float, size: tuple[int, int] = SIZE, curve: ExposureCurve = ALIKE) -> np.ndarray:
+def check(views: LayerPair, t: float, size: tuple[int, int] = SIZE, curve: ExposureCurve = ALIKE) -> np.ndarray:
     target = target_between(*views, t)
     found, expected = on_device(views, target, t, size, curve), on_processor(views, target, t, size, curve)
     assert share_within_a_level(found, expected) >= LEAST_SHARE
@@ -64,27 +64,27 @@ def check(views: Views, t: float, size: tuple[int, int] = SIZE, curve: ExposureC
 
 
 @pytest.mark.parametrize("t", [0.0, 0.004, 0.3, 0.5, 1.0])
-def test_frames_agree_along_the_way(views: Views, t: float) -> None:
+def test_frames_agree_along_the_way(views: LayerPair, t: float) -> None:
     check(views, t)
 
 
 @pytest.mark.parametrize("size", [(64, 128), (250, 500)], ids=["smaller", "larger"])
-def test_frames_of_another_size_agree(views: Views, size: tuple[int, int]) -> None:
+def test_frames_of_another_size_agree(views: LayerPair, size: tuple[int, int]) -> None:
     """Photographs are shrunk and magnified; 250 is no power of two, nor are most levels of its pyramid even."""
     check(views, 0.4, size)
 
 
-def test_frames_of_8_bit_samples_agree(views: Views) -> None:
+def test_frames_of_8_bit_samples_agree(views: LayerPair) -> None:
     check((in_8_bits(views[0]), in_8_bits(views[1])), 0.6)
 
 
-def test_frames_of_pictures_exposed_differently_agree(views: Views) -> None:
+def test_frames_of_pictures_exposed_differently_agree(views: LayerPair) -> None:
     expected = check(views, 0.3, curve=BRIGHTER)
     plain = on_processor(views, target_between(*views, 0.3), 0.3, SIZE)
     assert share_within_a_level(expected, plain) < 0.5
 
 
-def test_frames_with_masks_agree(views: Views) -> None:
+def test_frames_with_masks_agree(views: LayerPair) -> None:
     """Both leave out what is below, so that there is a hole to fill, and one leaves out something at its seam."""
     below = tuple(masked(view, (0.1, -1.0, 0.2)) for view in views)
     check((masked(views[0], (0.1, 0.2, 1.0)), views[1]), 0.5)
@@ -93,18 +93,18 @@ def test_frames_with_masks_agree(views: Views) -> None:
     assert share_within_a_level(expected, plain) < 0.98
 
 
-def test_frames_with_ghosts_agree(views: Views) -> None:
+def test_frames_with_ghosts_agree(views: LayerPair) -> None:
     haunted = (with_ghost(views[0], (0.5, 0.1, 1.0)), with_ghost(views[1], (-1.0, 0.1, -0.3)))
     expected = check(haunted, 0.4)
     assert share_within_a_level(expected, on_processor(views, target_between(*views, 0.4), 0.4, SIZE)) < 0.99
 
 
-def test_from_one_place_both_pictures_fade_into_each_other(views: Views) -> None:
+def test_from_one_place_both_pictures_fade_into_each_other(views: LayerPair) -> None:
     first, second = views
     check((first, replace(second, pose=Pose(second.pose.rotation, first.pose.position))), 0.5)
 
 
-def test_uncertain_depth_counts_less(views: Views) -> None:
+def test_uncertain_depth_counts_less(views: LayerPair) -> None:
     rng = np.random.default_rng(3)
     doubted = tuple(
         replace(view, known_depth=DepthEstimate(view.known_depth.inverse_depth, rng.random(SIZE, np.float32)))
@@ -113,7 +113,7 @@ def test_uncertain_depth_counts_less(views: Views) -> None:
     check((doubted[0], doubted[1]), 0.5)
 
 
-def test_samples_are_the_rounded_numbers(views: Views) -> None:
+def test_samples_are_the_rounded_numbers(views: LayerPair) -> None:
     target, pair = target_between(*views, 0.5), pair_on("cpu", views, SIZE, ALIKE)
     poses = [target.inverse() @ view.pose for view in views]
     numbers, samples = np.empty((*SIZE, 3), np.float32), np.empty((*SIZE, 3), np.uint8)
@@ -122,14 +122,14 @@ def test_samples_are_the_rounded_numbers(views: Views) -> None:
     np.testing.assert_array_equal(samples, np.floor(np.clip(numbers, 0, 1) * np.float32(255) + np.float32(0.5)))
 
 
-def test_how_much_is_done_at_a_time_changes_nothing(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_how_much_is_done_at_a_time_changes_nothing(views: LayerPair, monkeypatch: pytest.MonkeyPatch) -> None:
     target = target_between(*views, 0.5)
     whole = on_device(views, target, 0.5, SIZE, BRIGHTER)
     monkeypatch.setattr(frames, "PIXELS_AT_A_TIME", 7 * SIZE[1])
     np.testing.assert_array_equal(on_device(views, target, 0.5, SIZE, BRIGHTER), whole)
 
 
-def test_the_nearest_thing_in_the_last_frame_is_known(views: Views) -> None:
+def test_the_nearest_thing_in_the_last_frame_is_known(views: LayerPair) -> None:
     pair, target = pair_on("cpu", views, SIZE, ALIKE), target_between(*views, 0.5)
     assert pair.nearest == np.inf
     poses = [target.inverse() @ view.pose for view in views]

@@ -5,7 +5,7 @@ import pytest
 import torch
 from gpu_samples import BRIGHTER
 
-from omnisyn_cli.fusion.layer_pair import Views
+from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover
 from omnisyn_cli.fusion.photometry import ExposureMatcher
@@ -13,13 +13,13 @@ from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.synthesis.device.pictures import change_colours, fill_holes, samples_of
-from omnisyn_cli.types import Rendering
+from omnisyn_cli.types import Layer
 
 SIZE = (60, 120)
 OFFSETS = (np.array([0.2, -0.1, 0.4]), np.array([-0.3, 0.2, -0.5]))
 
 
-def rendering(seed: int) -> Rendering:
+def rendering(seed: int) -> Layer:
     """Any colours, some beyond [0, 1]; holes, masked pixels, infinity, weights of all sizes."""
     rng = np.random.default_rng(seed)
     colour = rng.uniform(-0.05, 1.2, (*SIZE, 4)).astype(np.float32)
@@ -27,17 +27,17 @@ def rendering(seed: int) -> Rendering:
     rho = (0.3 + 0.03 * rng.standard_normal(SIZE)).clip(0.0) * (rng.random(SIZE) > 0.1)
     hole = rng.random(SIZE) < 0.3
     colour[hole], rho[hole] = 0.0, -1.0
-    return Rendering.of(rho.astype(np.float32), colour, Pose(np.eye(3), OFFSETS[seed]))
+    return Layer.from_arrays(rho.astype(np.float32), colour, Pose(np.eye(3), OFFSETS[seed]))
 
 
-def on_device(view: Rendering) -> Rendering:
+def on_device(view: Layer) -> Layer:
     """In memory of its own."""
     colour = torch.tensor(view.colour)
 
     def colour_rows(begin: int, end: int, out: torch.Tensor) -> None:
         out[:] = colour[begin:end]
 
-    return Rendering(
+    return Layer(
         torch.tensor(view.inverse_depth), colour_rows, lambda rows, cols: colour[rows][:, cols],
         view.target_from_source, colour,
     )  # fmt: skip
@@ -93,9 +93,9 @@ def test_suppressing_ghosts(size: tuple[int, int], t: float) -> None:
         weight = np.float32(1.0) - np.float32(0.97) * ball(size, half, half, 0.3)
         rho = np.where(where, np.float32(0.4), np.float32(0.3)) * ~ball(size, 1, 5, 0.05)
         pose = Pose(np.eye(3), OFFSETS[end] * 0.02)
-        shown.append(Rendering.of(rho.astype(np.float32), np.dstack([colour, weight]).astype(np.float32), pose))
+        shown.append(Layer.from_arrays(rho.astype(np.float32), np.dstack([colour, weight]).astype(np.float32), pose))
     rule = BlendRule.at(t, BlendOptions())
-    there, here = Views(*map(on_device, shown)), Views(*shown)
+    there, here = LayerPair(*map(on_device, shown)), LayerPair(*shown)
     there = there.then(GhostRemover(size)(there.first, there.second, rule))
     here = here.then(GhostRemover(size, threads=1)(*shown, rule))
     colours, expected = torch.empty((2, *size, 4)), np.empty((2, *size, 4), np.float32)

@@ -8,7 +8,7 @@ from gpu_samples import CPU, POSES
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.rasterize import Fragments, rasterize
-from omnisyn_cli.render.shade import make_trust
+from omnisyn_cli.render.shade import make_confidence_map
 from omnisyn_cli.render.shade import shade as shade_by_kernels
 from omnisyn_cli.render.texture import Texture, make_texture
 from omnisyn_cli.synthesis.device.shading import shade, texture_on, trust_on
@@ -17,7 +17,7 @@ SIZE = (40, 80)
 
 
 def looked_up(fragments: Fragments, mesh: Mesh, texture: Texture, pose: str) -> np.ndarray:
-    trust = trust_on(make_trust(mesh, texture), CPU)
+    trust = trust_on(make_confidence_map(mesh, texture), CPU)
     rho = torch.from_numpy(fragments.inverse_depth)
     rays = torch.from_numpy(pixel_directions(*rho.shape).astype(np.float32))
     return shade(rho, trust, rays, texture_on(texture, CPU), POSES[pose], len(rho)).numpy()

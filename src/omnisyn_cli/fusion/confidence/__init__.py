@@ -1,6 +1,6 @@
 """How far a frame, and a clip, can be relied on, without knowing the truth."""
 
-from omnisyn_cli.fusion.confidence.frame_confidence import confidence_step, doubtful_regions
-from omnisyn_cli.fusion.confidence.pair_confidence import LEAST_SCORE, PairConfidence, assess_pair
+from omnisyn_cli.fusion.confidence.frame_confidence import confidence_step, low_confidence_regions
+from omnisyn_cli.fusion.confidence.pair_confidence import MIN_PAIR_SCORE, PairConfidence, assess_pair
 
-__all__ = ["LEAST_SCORE", "PairConfidence", "assess_pair", "confidence_step", "doubtful_regions"]
+__all__ = ["MIN_PAIR_SCORE", "PairConfidence", "assess_pair", "confidence_step", "low_confidence_regions"]

@@ -8,7 +8,7 @@ from jaxtyping import Float32
 
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.geometry.sampling import add_columns
-from omnisyn_cli.types import BELIEF, UNSEEN, ColourStep
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, ColourStep
 
 ALONE = np.float32(0.6)
 """Confidence of what only one view shows, however well its depth is known: nothing confirms it."""
@@ -62,8 +62,8 @@ def _confidence_rows(first, first_rho, second, second_rho, alone, apart, differi
     for row in range(out.shape[0]):
         for col in range(out.shape[1]):
             a, b = first[row, col, 3], second[row, col, 3]
-            believed = min(one, np.float32(BELIEF) * max(a, b))
-            if a > UNSEEN and b > UNSEEN:
+            believed = min(one, np.float32(DEPTH_CONFIDENCE_GAIN) * max(a, b))
+            if a > MIN_VISIBLE_WEIGHT and b > MIN_VISIBLE_WEIGHT:
                 near_a, near_b = max(first_rho[row, col], zero), max(second_rho[row, col], zero)
                 gap = (near_a - near_b) / (max(near_a, near_b) * apart + np.float32(1e-9))
                 squared = zero
@@ -72,13 +72,13 @@ def _confidence_rows(first, first_rho, second, second_rho, alone, apart, differi
                     squared += step * step
                 squared = squared / (np.float32(3.0) * differing * differing)
                 out[row, col] = believed * math.exp(-gap * gap - squared)
-            elif a > UNSEEN or b > UNSEEN:
+            elif a > MIN_VISIBLE_WEIGHT or b > MIN_VISIBLE_WEIGHT:
                 out[row, col] = believed * alone
             else:
                 out[row, col] = zero
 
 
-def doubtful_regions(
+def low_confidence_regions(
     confidence: Float32[np.ndarray, "height width"],
 ) -> Float32[np.ndarray, "height width"]:
     """Smooth weights in [0, 1]: 1 where all around a pixel confidence is low. Wraps at the seam."""

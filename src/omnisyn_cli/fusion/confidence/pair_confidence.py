@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.fusion.pixel_classes import pixel_kinds
+from omnisyn_cli.fusion.pixel_classes import classify_pixels
 from omnisyn_cli.geometry.sphere import solid_angles
-from omnisyn_cli.types import UNSEEN, Rendering
+from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
 __all__ = ["PairConfidence", "assess_pair"]
 
-LEAST_SCORE = 0.3
+MIN_PAIR_SCORE = 0.3
 """Below it a clip is not to be trusted: a plain cross-fade is about as close to the truth."""
 
 WORST, BEST = 12.0, 36.0
@@ -58,7 +58,7 @@ class PairConfidence:
         }
 
 
-def assess_pair(across: Sequence[tuple[Rendering, Rendering]], middle: tuple[Rendering, Rendering]) -> PairConfidence:
+def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:
     """Judge a pair; all renderings exposed alike, those of a tuple of one size.
 
     Args:
@@ -73,28 +73,28 @@ def assess_pair(across: Sequence[tuple[Rendering, Rendering]], middle: tuple[Ren
     return PairConfidence(score, expected, unseen, disagreement, inconsistency)
 
 
-def _mean_error(one: Rendering, other: Rendering) -> float:
+def _mean_error(one: Layer, other: Layer) -> float:
     """Mean square of what differs where both show something, over the sphere; 1 where there is nothing to compare."""
     weight = solid_angles(*one.inverse_depth.shape) * _seen(one) * _seen(other)
     total = float(weight.sum())
     return float((weight * _squared_difference(one, other)).sum()) / total if total > 0.0 else 1.0
 
 
-def _shares(one: Rendering, other: Rendering) -> tuple[float, float, float]:
+def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:
     """Unseen, disagreeing and inconsistent shares of the sphere."""
     weight = solid_angles(*one.inverse_depth.shape)
     weight /= weight.sum()
-    kinds = pixel_kinds(one, other)
+    kinds = classify_pixels(one, other)
     differs = _squared_difference(one, other) > INCONSISTENCY**2
     cases = (kinds.hole, kinds.disagree, kinds.agree & differs)
     unseen, disagreement, inconsistency = (float(weight[case].sum()) for case in cases)
     return unseen, disagreement, inconsistency
 
 
-def _seen(view: Rendering) -> np.ndarray:
-    return np.asarray(view.colour[..., 3] > UNSEEN)
+def _seen(view: Layer) -> np.ndarray:
+    return np.asarray(view.colour[..., 3] > MIN_VISIBLE_WEIGHT)
 
 
-def _squared_difference(one: Rendering, other: Rendering) -> Float[np.ndarray, "height width"]:
+def _squared_difference(one: Layer, other: Layer) -> Float[np.ndarray, "height width"]:
     a, b = (np.clip(view.colour[..., :3], 0.0, 1.0) for view in (one, other))
     return np.asarray(((a - b) ** 2).mean(axis=-1))

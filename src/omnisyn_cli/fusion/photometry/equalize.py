@@ -61,5 +61,5 @@ def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
 def _exposed(view: View, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
     run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
-    is_cut_off = bool((_samples(view).max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
-    return replace(view, image=image, samples=None, is_cut_off=is_cut_off)
+    is_clipped = bool((_samples(view).max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
+    return replace(view, image=image, samples=None, is_clipped=is_clipped)

@@ -95,7 +95,7 @@ class ExposureCurve:
         if share == 0.0 or self.is_identity:
             return np.tile(stored, (3, 1)).astype(np.float32)
         moved = _stops(stored) + share * self.gains_of(stored, of_second=of_second)
-        table = np.where(stored > 0.0, stored_from_linear(np.exp2(moved)), 0.0)
+        table = np.where(stored > 0.0, linear_to_srgb(np.exp2(moved)), 0.0)
         return np.asarray(np.minimum(table, 1.0), np.float32)
 
     def gains_of(self, stored: Float[np.ndarray, " values"], *, of_second: bool) -> Float[np.ndarray, "3 values"]:
@@ -107,7 +107,7 @@ class ExposureCurve:
 
 
 def _stops(stored: np.ndarray) -> np.ndarray:
-    return np.asarray(np.log2(np.maximum(linear_from_stored(stored), 1e-9)))
+    return np.asarray(np.log2(np.maximum(srgb_to_linear(stored), 1e-9)))
 
 
 def estimate_curve(
@@ -163,7 +163,7 @@ def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray
         before, after = np.quantile(first[:, k], QUANTILES), np.quantile(second[:, k], QUANTILES)
         usable = (np.minimum(before, after) > low) & (np.maximum(before, after) < high)
         if usable.any():
-            stops = [np.log2(linear_from_stored(x[usable])) for x in (before, after)]
+            stops = [np.log2(srgb_to_linear(x[usable])) for x in (before, after)]
             gain[k] = np.median(stops[1] - stops[0])  # the other way round exactly the opposite, as a quotient is not
     return ExposureCurve(gain if np.abs(gain).max() >= LEAST_ROUGH_GAIN else np.zeros_like(gain))
 
@@ -175,7 +175,7 @@ def _fit(first: np.ndarray, second: np.ndarray, weight: np.ndarray) -> _Fit:
     if float(weight[usable].sum()) <= LEAST_SAMPLES * float(weight.sum()):
         return nothing
     stored = [x[usable].astype(np.float64) for x in (first, second)]
-    before, after = (np.log2(linear_from_stored(x)) for x in stored)
+    before, after = (np.log2(srgb_to_linear(x)) for x in stored)
     visible = weight[usable] * (stored[0] + stored[1]) ** 2  # a stop changes a stored value in proportion to it
     levels, changes = 0.5 * (before + after), after - before
     level, median, share = _medians(levels, changes, visible / visible.sum())
@@ -227,14 +227,14 @@ def _monotone(gain: np.ndarray) -> Float[np.ndarray, "3 knots"]:
     return np.asarray(middle + (gain - middle) * min(1.0, 1.5 / max(steepest, 1e-12)))
 
 
-def linear_from_stored(value: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+def srgb_to_linear(value: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Light of stored values >= 0: 1 is white, brighter values go on along the same curve."""
     power = ((np.maximum(value, LINEAR_PART) + OFFSET) / (1.0 + OFFSET)) ** GAMMA
     return np.asarray(np.where(value <= LINEAR_PART, value / SLOPE, power))
 
 
-def stored_from_linear(light: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """The inverse of :func:`linear_from_stored`, for light >= 0."""
+def linear_to_srgb(light: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """The inverse of :func:`srgb_to_linear`, for light >= 0."""
     bright = LINEAR_PART / SLOPE
     power = (1.0 + OFFSET) * np.maximum(light, bright) ** (1.0 / GAMMA) - OFFSET
     return np.asarray(np.where(light <= bright, light * SLOPE, power))

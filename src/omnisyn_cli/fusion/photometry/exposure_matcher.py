@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, linear_from_stored
+from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, srgb_to_linear
 from omnisyn_cli.fusion.photometry.exposure_kernels import expose_rows
-from omnisyn_cli.types import Rendering, Samples, Spots, Witness
+from omnisyn_cli.types import EdgePixels, EdgeSamples, Layer, SourceSampler
 
 __all__ = ["CLIPPING", "MOST_LOSS"]
 
@@ -40,7 +40,7 @@ class ExposureMatcher:
     curve: ExposureCurve
     change: Callable[[np.ndarray, np.float32], Callable[[Array], None]] = _change_numbers
 
-    def __call__(self, first: Rendering, second: Rendering, t: float) -> tuple[Rendering, Rendering]:
+    def __call__(self, first: Layer, second: Layer, t: float) -> tuple[Layer, Layer]:
         """Both renderings as they look at a share ``t`` of the way.
 
         A highlight that was cut off in the brighter picture is only a lower bound: once it is darkened it weighs less
@@ -54,49 +54,49 @@ class ExposureMatcher:
         ]
         return exposed[0], exposed[1]
 
-    def _exposed(self, view: Rendering, table: np.ndarray) -> Rendering:
+    def _exposed(self, view: Layer, table: np.ndarray) -> Layer:
         """A rendering whose colours go through a table when they are made."""
-        change = self.change(table, loss_of_white(table))
+        change = self.change(table, clipped_weight_loss(table))
 
         def colour_rows(begin: int, end: int, out: Array) -> None:
             view.colour_rows(begin, end, out)
             change(out)
 
-        def colour_at(rows: np.ndarray, cols: np.ndarray) -> Array:
-            colour = view.colour_at(rows, cols)
+        def colour_grid(rows: np.ndarray, cols: np.ndarray) -> Array:
+            colour = view.colour_grid(rows, cols)
             change(colour)
             return colour
 
         return replace(
-            view, colour_rows=colour_rows, colour_at=colour_at, held=None,
+            view, colour_rows=colour_rows, colour_grid=colour_grid, held=None,
             samples=None if view.samples is None else partial(_samples, view.samples, change),
-            witness=None if view.witness is None else _exposed_witness(view.witness, change),
+            source_sampler=None if view.source_sampler is None else _exposed_sampler(view.source_sampler, change),
         )  # fmt: skip
 
 
-def _samples(of_view: Callable[[Spots], Samples], change: Callable[[Array], None], spots: Spots) -> Samples:
+def _samples(of_view: Callable[[EdgePixels], EdgeSamples], change: Callable[[Array], None], edge_pixels: EdgePixels) -> EdgeSamples:
     """Those of a view, exposed."""
-    inverse_depth, colour = of_view(spots)
+    inverse_depth, colour = of_view(edge_pixels)
     change(colour)
     return inverse_depth, colour
 
 
-def _exposed_witness(witness: Witness, change: Callable[[Array], None]) -> Witness:
+def _exposed_sampler(source_sampler: SourceSampler, change: Callable[[Array], None]) -> SourceSampler:
     """One whose colours are exposed."""
 
     def colour_rows(inverse_depth: np.ndarray, top: int, out: np.ndarray) -> None:
-        witness.colour_rows(inverse_depth, top, out)
+        source_sampler.colour_rows(inverse_depth, top, out)
         change(out)
 
     def colour(inverse_depth: np.ndarray) -> np.ndarray:
-        colours = witness.colour(inverse_depth)
+        colours = source_sampler.colour(inverse_depth)
         change(colours)
         return colours
 
-    return replace(witness, colour_rows=colour_rows, colour=colour)
+    return replace(source_sampler, colour_rows=colour_rows, colour=colour)
 
 
-def loss_of_white(table: Float[np.ndarray, "3 entries"]) -> np.float32:
+def clipped_weight_loss(table: Float[np.ndarray, "3 entries"]) -> np.float32:
     """Share of its weight that a white pixel loses when it goes through ``table``, see :meth:`ExposureCurve.table`."""
-    white = float(linear_from_stored(np.asarray(table[:, -1], np.float64)).min())
+    white = float(srgb_to_linear(np.asarray(table[:, -1], np.float64)).min())
     return np.float32(min(MOST_LOSS, 1.0 - white**4))

@@ -156,7 +156,7 @@ def ply_points(points: Points) -> np.ndarray:
 def ply_splats(points: Points) -> np.ndarray:
     """Vertices of a PLY file as the authors of 3D Gaussian splatting write it, with colours of degree 0.
 
-    Source: Kerbl et al., 3D Gaussian Splatting for Real-Time Radiance Field Rendering, 2023; their ``save_ply``.
+    Source: Kerbl et al., 3D Gaussian Splatting for Real-Time Radiance Field Layer, 2023; their ``save_ply``.
     """
     thin = THICKNESS * points.radius[:, 1:]
     return _structured({

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from omnisyn_cli.fusion.confidence import LEAST_SCORE
+from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING, MOST_LOSS
-from omnisyn_cli.fusion.blend_rule import FAR_PREFERENCE, BlendOptions
+from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
@@ -23,7 +23,7 @@ from omnisyn_cli.interpolation.walk.packing import (
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
-from omnisyn_cli.types import BELIEF, UNSEEN
+from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
 UP_AXIS = 1
 
@@ -35,12 +35,12 @@ USUAL_HEIGHT = 1.5
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
 RULES: Mapping[str, float] = {
-    "UNSEEN": float(UNSEEN),
-    "BELIEF": BELIEF,
+    "MIN_VISIBLE_WEIGHT": float(MIN_VISIBLE_WEIGHT),
+    "DEPTH_CONFIDENCE_GAIN": DEPTH_CONFIDENCE_GAIN,
     "DISAGREEMENT": BlendOptions.disagreement,
     "HIDDEN": BlendOptions.hidden,
     "ENDS": BlendOptions.ends,
-    "FAR_PREFERENCE": FAR_PREFERENCE,
+    "FAR_WEIGHT_OFFSET": FAR_WEIGHT_OFFSET,
     "FINER": float(FINER),
     "SPECIAL": float(SPECIAL),
     "CLIPPING": float(CLIPPING),
@@ -96,7 +96,7 @@ class WalkPacker:
         for surface in pair.surfaces:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
-        is_doubtful = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < LEAST_SCORE
+        is_doubtful = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
         surfaces = [self._surface(surface.mesh) for surface in pair.surfaces]
         self._pairs[pair.index] = {
             "isCrossFade": is_doubtful, "exposure": _gains(pair.check.curve), "surfaces": surfaces,

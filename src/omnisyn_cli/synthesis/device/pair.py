@@ -19,21 +19,21 @@ import torch
 from jaxtyping import Bool, Float32, Integer, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.layer_pair import Views
-from omnisyn_cli.fusion.ghosts import GhostRemover, is_in_place
+from omnisyn_cli.fusion.layer_pair import LayerPair
+from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, Shown, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
-from omnisyn_cli.render.shade import make_trust
+from omnisyn_cli.render.shade import make_confidence_map
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.synthesis.device.device import memory_of_device, open_device
 from omnisyn_cli.synthesis.device.pictures import change_colours, fill_holes, samples_of
 from omnisyn_cli.synthesis.device.quads import Quads, quads_of
 from omnisyn_cli.synthesis.device.raster import GpuRasterizer
 from omnisyn_cli.synthesis.device.shading import GpuTexture, GpuTrust, shade, texture_on, trust_on
-from omnisyn_cli.types import DepthEstimate, Rendering
+from omnisyn_cli.types import DepthEstimate, Layer
 
 PIXELS_AT_A_TIME = 1 << 20
 """Pixels that are coloured or blended together."""
@@ -77,7 +77,7 @@ class GpuFrames:
         mesh = build_mesh(depth.inverse_depth, cut, mask_of_vertices(mask, depth.inverse_depth.shape), depth.confidence)
         texture = make_texture(image, mask)
         with memory_of_device():
-            trust = trust_on(make_trust(mesh, texture), self.device)
+            trust = trust_on(make_confidence_map(mesh, texture), self.device)
             return GpuSurface(self, quads_of(mesh, self.device), trust, texture_on(texture, self.device))
 
     def pair(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve) -> GpuPair:
@@ -115,12 +115,12 @@ class GpuSurface:
     trust: GpuTrust
     texture: GpuTexture
 
-    def __call__(self, target_from_source: Pose) -> Rendering:
+    def __call__(self, target_from_source: Pose) -> Layer:
         """The rendering, on the host and in memory of its own."""
         seen = self.held(self.seen_from(target_from_source))
-        return Rendering.of(seen.inverse_depth.cpu().numpy(), seen.colour.cpu().numpy(), target_from_source)
+        return Layer.from_arrays(seen.inverse_depth.cpu().numpy(), seen.colour.cpu().numpy(), target_from_source)
 
-    def seen_from(self, target_from_source: Pose) -> Rendering:
+    def seen_from(self, target_from_source: Pose) -> Layer:
         """The rendering, on the device."""
         rho = self.frames.rasterizer(self.quads, target_from_source)
 
@@ -130,18 +130,18 @@ class GpuSurface:
         def colour_rows(begin: int, end: int, out: Tensor) -> None:
             out[:] = shaded(rho[begin:end], self.frames.rays(slice(begin, end)))
 
-        def colour_at(rows: np.ndarray, cols: np.ndarray) -> Tensor:
+        def colour_grid(rows: np.ndarray, cols: np.ndarray) -> Tensor:
             row, col = (torch.from_numpy(index).to(rho.device) for index in (rows, cols))
             return shaded(rho[row][:, col], self.frames.rays(row, col))
 
-        return Rendering(rho, colour_rows, colour_at, target_from_source)
+        return Layer(rho, colour_rows, colour_grid, target_from_source)
 
-    def held(self, seen: Rendering) -> Rendering:
+    def held(self, seen: Layer) -> Layer:
         """A rendering on the device with all of its colours at hand."""
         colour = torch.empty((*self.frames.size, 4), device=self.frames.device)
         for rows in self.frames.bands():
             seen.colour_rows(rows.start, rows.stop, colour[rows])
-        return Rendering.of(seen.inverse_depth, colour, seen.target_from_source)
+        return Layer.from_arrays(seen.inverse_depth, colour, seen.target_from_source)
 
 
 class GpuPair:
@@ -191,13 +191,13 @@ class GpuPair:
         image = self._fused(first, second, BlendRule.at(t, self._frames.options))
         torch.from_numpy(out).copy_(samples_of(image) if out.dtype == np.uint8 else image)
 
-    def _fused(self, first: Rendering, second: Rendering, rule: BlendRule) -> Float32[Tensor, "height width 3"]:
+    def _fused(self, first: Layer, second: Layer, rule: BlendRule) -> Float32[Tensor, "height width 3"]:
         """The picture, ghosts suppressed and holes filled, see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`."""
         frames = self._frames
-        if frames.ghosts.looks_everywhere:
+        if frames.ghosts.is_full_resolution:
             first, second = (surface.held(view) for surface, view in zip(self.surfaces, (first, second), strict=True))
-        suppression = None if is_in_place(first, second) else frames.ghosts(first, second, rule)
-        views = Views(first, second).then(suppression)
+        suppression = None if have_same_position(first, second) else frames.ghosts(first, second, rule)
+        views = LayerPair(first, second).then(suppression)
         image = torch.empty((*frames.size, 3), device=frames.device)
         weight = torch.empty(frames.size, device=frames.device)
         for rows in frames.bands():
@@ -210,6 +210,6 @@ class GpuPair:
         return image
 
 
-def _shown(view: Rendering, rows: slice, colour: Float32[Tensor, "rows width 4"]) -> Shown:
+def _shown(view: Layer, rows: slice, colour: Float32[Tensor, "rows width 4"]) -> LayerArrays:
     offset = torch.as_tensor(view.target_from_source.position).to(colour)
-    return Shown(colour[..., :3], colour[..., 3], view.inverse_depth[rows], offset)
+    return LayerArrays(colour[..., :3], colour[..., 3], view.inverse_depth[rows], offset)

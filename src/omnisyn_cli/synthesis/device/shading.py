@@ -12,7 +12,7 @@ from jaxtyping import Float32, Integer
 from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.shade import TrustMap
+from omnisyn_cli.render.shade import ConfidenceMap
 from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
 from omnisyn_cli.render.texture import Texture
 
@@ -42,7 +42,7 @@ class GpuTexture:
 
 @dataclass(frozen=True)
 class GpuTrust:
-    """A :class:`omnisyn_cli.render.shade.TrustMap` on a device.
+    """A :class:`omnisyn_cli.render.shade.ConfidenceMap` on a device.
 
     Attributes:
         values: of the quarters; empty where all of it is 1.
@@ -61,7 +61,7 @@ class GpuTrust:
         return self.values[i * self.stride + j]
 
 
-def trust_on(trust: TrustMap, device: torch.device) -> GpuTrust:
+def trust_on(trust: ConfidenceMap, device: torch.device) -> GpuTrust:
     """The same trust."""
     *place, stride = trust.layout.tolist()
     return GpuTrust(torch.from_numpy(trust.values).to(device), tuple(place), int(stride))

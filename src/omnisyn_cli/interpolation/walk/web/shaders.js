@@ -181,10 +181,10 @@ float nearness(float rho, vec3 ray, vec3 offset) {
 
 // The twin of omnisyn_cli.fusion.rule.view_weights.
 vec2 viewWeights(vec2 weight, vec2 near, vec3 ray) {
-  float a = weight.x > UNSEEN ? weight.x * nearness(near.x, ray, offset[0]) : 0.0;
-  float b = weight.y > UNSEEN ? weight.y * nearness(near.y, ray, offset[1]) : 0.0;
+  float a = weight.x > MIN_VISIBLE_WEIGHT ? weight.x * nearness(near.x, ray, offset[0]) : 0.0;
+  float b = weight.y > MIN_VISIBLE_WEIGHT ? weight.y * nearness(near.y, ray, offset[1]) : 0.0;
   float gap = (near.x - near.y) / (max(near.x, near.y) * rule.y + 1e-9);
-  float believed = min(1.0, BELIEF * (gap > 0.0 ? weight.x : weight.y));
+  float believed = min(1.0, DEPTH_CONFIDENCE_GAIN * (gap > 0.0 ? weight.x : weight.y));
   float rest = 1.0 - believed * (1.0 - max(exp(-min(gap * gap, 80.0)), rule.z));
   if (min(a, b) <= 0.0) return vec2(a, b);
   return vec2(a * (1.0 - rule.x) * (gap < 0.0 ? rest : 1.0), b * rule.x * (gap < 0.0 ? 1.0 : rest));
