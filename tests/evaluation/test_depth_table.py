@@ -20,9 +20,9 @@ from omnisyn_cli.evaluation.depth_table import (
     write_depth_tables,
 )
 from omnisyn_cli.scenes import generate_scene
-from omnisyn_cli.scenes.suite import SEEDS
-from omnisyn_cli.synthesis.presets import PRESETS
-from omnisyn_cli.synthesis.recipe import DepthSource
+from omnisyn_cli.scenes.suite import SUITE_SEEDS
+from omnisyn_cli.pipeline.presets import PRESETS
+from omnisyn_cli.pipeline.config import DepthSource
 from omnisyn_cli.types import DepthEstimate
 
 SIZE = (16, 32)
@@ -151,7 +151,7 @@ def test_a_method_that_breaks_does_not_end_the_others(tmp_path, guesses, monkeyp
 
 
 def test_seeds_of_training_are_refused_and_the_standard_scenes_are_others(tmp_path):
-    assert max(SEEDS) < LEAST_SEED <= FIRST_SEED
+    assert max(SUITE_SEEDS) < LEAST_SEED <= FIRST_SEED
     with pytest.raises(InputError, match="10,000,000"):
         run_depth_table(job(tmp_path / "report", methods="synsin", seed=LEAST_SEED - 1))
     with pytest.raises(InputError, match="twice as wide as high, got 16x16"):

@@ -6,13 +6,13 @@ from scene_samples import builder, clearance, oracle_distance, unit_directions
 
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import GENERATORS, generate_scene, sample_path
-from omnisyn_cli.scenes.materials import Column, Material
-from omnisyn_cli.scenes.panorama import distances
+from omnisyn_cli.scenes.materials import Material, MaterialColumn
+from omnisyn_cli.scenes.panorama import trace_rays
 from omnisyn_cli.scenes.scene import Shape, Walkway
 
 KINDS = sorted(GENERATORS)
 HARD = ("home", "jumble", "yard")
-OPEN = int(Column.OPEN)
+OPEN = int(MaterialColumn.PERFORATED)
 
 
 def frozen_bytes(scene):
@@ -40,7 +40,7 @@ def test_scenes_are_sound_and_cameras_stand_free(kind, seed):
     assert clearance(scene, positions).min() > 0.05
     directions = pixel_directions(12, 24).reshape(-1, 3)
     for position in positions:
-        distance, _ = distances(scene, position, directions)
+        distance, _ = trace_rays(scene, position, directions)
         assert distance.min() > 0.05
 
 
@@ -107,7 +107,7 @@ def test_paths_are_no_longer_than_three_times_the_distance_of_what_is_near(kind,
     scene = generate_scene(kind, seed)
     start, end = (pose.position for pose in sample_path(scene, seed, 2))
     directions = pixel_directions(8, 16).reshape(-1, 3)
-    near = min(np.quantile(distances(scene, place, directions)[0], 0.04) for place in (start, end))
+    near = min(np.quantile(trace_rays(scene, place, directions)[0], 0.04) for place in (start, end))
     assert 0.25 <= np.linalg.norm(end - start) <= 3.0 * near + 1e-9
     lows, highs = (np.array([getattr(walkway, name) for walkway in scene.walkways]) for name in ("low", "high"))
     assert np.any(np.all((end >= lows) & (end <= highs), axis=1, where=[True, False, True]))
@@ -133,7 +133,7 @@ def test_what_is_cast_is_what_every_surface_tried_one_by_one_gives(kind):
     )
     eye = sample_path(scene, 5, 1)[0].position
     directions = unit_directions(0, 40)
-    found, hits = distances(solid, eye, directions)
+    found, hits = trace_rays(solid, eye, directions)
     for direction, distance, hit in zip(directions, found, hits, strict=True):
         expected, shape = oracle_distance(solid, eye, direction)
         assert distance == pytest.approx(expected, rel=1e-6)
@@ -146,6 +146,6 @@ def test_things_are_near_the_way(kind):
     near = []
     for seed in range(8):
         scene = generate_scene(kind, seed)
-        distance, _ = distances(scene, sample_path(scene, seed, 1)[0].position, unit_directions(seed, 200))
+        distance, _ = trace_rays(scene, sample_path(scene, seed, 1)[0].position, unit_directions(seed, 200))
         near.append(np.quantile(distance, 0.1) < 2.0)
     assert np.mean(near) > 0.5

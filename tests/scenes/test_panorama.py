@@ -38,10 +38,10 @@ def test_turning_by_whole_columns_shifts_the_picture_across_the_seam(street, col
     scene, path = street
     turned = Pose(rotation_from_heading(2.0 * np.pi * columns / SIZE[1]) @ path[0].rotation, path[0].position)
     image, depth = render_panorama(scene, path[0], SIZE)
-    turned_image, turned_depth = render_panorama(scene, turned, SIZE)
+    rotated_image, turned_depth = render_panorama(scene, turned, SIZE)
     same = np.isclose(turned_depth, np.roll(depth, -columns, axis=1), rtol=1e-4)
     assert same.mean() > 0.999  # a ray may slip past an edge
-    assert np.abs(turned_image - np.roll(image, -columns, axis=1)).mean() < 2e-3
+    assert np.abs(rotated_image - np.roll(image, -columns, axis=1)).mean() < 2e-3
 
 
 def test_the_poles_see_one_point():

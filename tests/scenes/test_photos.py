@@ -13,11 +13,12 @@ from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import write_image
 from omnisyn_cli.scenes import generate_scene, pack_photos, render_panorama, sample_path
-from omnisyn_cli.scenes.materials import Column, Material, Pattern
-from omnisyn_cli.scenes.noise import cell_hash, lattice
-from omnisyn_cli.scenes.photos import Use, with_photos
-from omnisyn_cli.scenes.scene import Papering
+from omnisyn_cli.scenes.materials import Material, MaterialColumn, Pattern
+from omnisyn_cli.scenes.noise import cell_hash, noise_lattice
+from omnisyn_cli.scenes.photos import PhotoMapping, with_photos
+from omnisyn_cli.scenes.scene import PhotoTextures
 from omnisyn_cli.scenes.shading import FITTED, UNDER, photo_at
+from omnisyn_cli.scenes.textures import FacePoint
 from omnisyn_cli.training.data import load_scene
 from omnisyn_cli.training.pool import PoolConfig, render_to_pool
 
@@ -53,11 +54,9 @@ def folder(tmp_path):
 
 
 def looked_at(photos, use, *places, wide=2.0, half=(1.5, 1.0), footprint=1e-6, photo=1, patched=0.0, variation=3):
-    chosen = np.array([photo, use, wide, 17.0, patched])
-    table = lattice()
-    return np.array(
-        [photo_at(photos.texels, photos.levels, chosen, table, u, v, *half, footprint, variation) for u, v in places]
-    )
+    textures = PhotoTextures(photos.texels, photos.levels, np.array([[photo, use, wide, 17.0, patched]]))
+    points = [FacePoint(u, v, *half, 0.0, 0.0, 0.0, variation) for u, v in places]
+    return np.array([photo_at(textures, 0, noise_lattice(), point, footprint) for point in points])
 
 
 def bilinear(image, row, col):
@@ -83,7 +82,7 @@ def test_a_tiled_photograph_is_mirrored_at_its_edges_and_stands_upright(photos):
     height, width = image.shape[:2]
     texel = 2.0 / width
     places = np.random.default_rng(0).uniform(-2.5, 2.5, (60, 2))
-    found = looked_at(photos, Use.TILED, *places)
+    found = looked_at(photos, PhotoMapping.TILED, *places)
     across, up = 2 * width * cell_hash(3, 1, 17), 2 * height * cell_hash(3, 2, 17)
     row, col = np.mod(up - places[:, 1] / texel, 2 * height), np.mod(across + places[:, 0] / texel, 2 * width)
     expected = [bilinear(image, r - 0.5, c - 0.5) for r, c in zip(row, col, strict=True)]
@@ -108,23 +107,23 @@ def test_a_fitted_photograph_covers_its_face_once_and_is_cropped_to_it(photos):
 def test_a_wide_sample_sees_the_mean_light_of_a_photograph(photos):
     for photo, image in enumerate(photographs()):
         mean = np.square(image / 255.0).mean(axis=(0, 1))
-        found = looked_at(photos, Use.TILED, (0.3, 0.2), (5.0, -3.0), footprint=50.0, photo=photo)
+        found = looked_at(photos, PhotoMapping.TILED, (0.3, 0.2), (5.0, -3.0), footprint=50.0, photo=photo)
         np.testing.assert_allclose(found, np.stack([mean, mean]), atol=0.02)
 
 
 def test_detail_fades_with_the_footprint(photos):
     """The coarser a sample, the less it differs from its neighbours; nothing jumps between two mip levels."""
     places = np.random.default_rng(1).uniform(-3, 3, (200, 2))
-    spread = [looked_at(photos, Use.TILED, *places, footprint=f).std() for f in (0.01, 0.1, 0.3, 1.0, 4.0)]
+    spread = [looked_at(photos, PhotoMapping.TILED, *places, footprint=f).std() for f in (0.01, 0.1, 0.3, 1.0, 4.0)]
     assert np.all(np.diff(spread) < 0)
-    below, above = (looked_at(photos, Use.TILED, *places, footprint=2.0 / 45 * f) for f in (1.999, 2.001))
+    below, above = (looked_at(photos, PhotoMapping.TILED, *places, footprint=2.0 / 45 * f) for f in (1.999, 2.001))
     assert np.abs(above - below).max() < 2e-3
 
 
 def test_patches_of_the_ground_are_turned_and_join_smoothly(photos):
     """Somewhere the plain tiling, elsewhere another one; from step to step no more change than within one of them."""
     line = [(0.004 * k, 0.37) for k in range(4000)]
-    plain, patched = (looked_at(photos, Use.TILED, *line, footprint=0.2, patched=p) for p in (0.0, 1.0))
+    plain, patched = (looked_at(photos, PhotoMapping.TILED, *line, footprint=0.2, patched=p) for p in (0.0, 1.0))
     same = np.isclose(plain, patched).all(axis=1)
     assert 0.1 < same.mean() < 0.9
     steps = [np.abs(np.diff(x, axis=0)).max() for x in (plain, patched)]
@@ -142,7 +141,7 @@ def wall(pattern, **options):
 def papered(scene, photos, use, row, wide=1.0):
     chosen = np.full((len(scene.materials), 5), -1.0)
     chosen[row] = 1, use, wide, 5, 0
-    return replace(scene, papering=Papering(photos.texels, photos.levels, chosen))
+    return replace(scene, photo_textures=PhotoTextures(photos.texels, photos.levels, chosen))
 
 
 def test_shapes_and_depth_are_those_of_the_procedural_scene(photos):
@@ -157,7 +156,7 @@ def test_shapes_and_depth_are_those_of_the_procedural_scene(photos):
 
 def test_equal_seeds_and_photographs_make_equal_scenes(photos):
     one, same = (generate_scene("room", 4, pack_photos(photographs())) for _ in range(2))
-    np.testing.assert_array_equal(one.papering.chosen, same.papering.chosen)
+    np.testing.assert_array_equal(one.photo_textures.assignment, same.photo_textures.chosen)
     pose = sample_path(one, 4, 2)[0]
     pictures = [render_panorama(scene, pose, (24, 48), threads=1)[0].tobytes() for scene in (one, same)]
     assert pictures[0] == pictures[1]
@@ -169,18 +168,18 @@ def test_photographs_are_mixed_with_procedural_materials_and_used_for_everything
     photos, shares, used, wide = pack_photos(photographs(9)), [], set(), []
     for seed in range(12):
         scene = generate_scene("street" if seed % 2 else "room", seed)
-        chosen = with_photos(scene, photos, seed).papering.chosen
+        chosen = with_photos(scene, photos, seed).photo_textures.assignment
         is_photo = chosen[:, 0] >= 0
         shares.append(is_photo.mean())
-        patterns = scene.materials[is_photo, Column.PATTERN].astype(int)
+        patterns = scene.materials[is_photo, MaterialColumn.PATTERN].astype(int)
         used |= set(zip(patterns.tolist(), chosen[is_photo, 1].astype(int).tolist(), strict=True))
-        wide += chosen[is_photo & (chosen[:, 1] == Use.TILED), 2].tolist()
-        assert not (scene.materials[is_photo, Column.GLOW] > 0).any()
+        wide += chosen[is_photo & (chosen[:, 1] == PhotoMapping.TILED), 2].tolist()
+        assert not (scene.materials[is_photo, MaterialColumn.GLOW] > 0).any()
         assert set(np.unique(chosen[is_photo, 0])) <= set(range(9))
     assert 0.1 < min(shares) < max(shares) < 0.9
     expected = {Pattern.PLAIN, Pattern.FACADE, Pattern.ROAD, Pattern.PICTURE, Pattern.PLANKS, Pattern.TILES}
     assert expected <= {Pattern(pattern) for pattern, _ in used}
-    assert {use for _, use in used} == {int(use) for use in Use}
+    assert {use for _, use in used} == {int(use) for use in PhotoMapping}
     assert max(wide) > 4 * min(wide)
 
 
@@ -189,7 +188,7 @@ def test_windows_stay_where_a_photograph_lies_under_a_facade(photos):
     scene = wall(Pattern.FACADE, second=(0.0, 0.0, 0.9), cell=(1.0, 1.5), detail=0.2)
     looks = {
         use: render_panorama(scene if use is None else papered(scene, photos, use, 0), Pose.identity(), (64, 128))[0]
-        for use in (None, UNDER, Use.TILED)
+        for use in (None, UNDER, PhotoMapping.TILED)
     }
     plain = looks[None]
     glass = (plain[..., 2] > 2 * plain[..., 0] + 0.1) & (np.abs(np.arange(128) - 63.5) < 16)
@@ -197,7 +196,7 @@ def test_windows_stay_where_a_photograph_lies_under_a_facade(photos):
     assert np.abs(looks[UNDER] - plain)[glass].mean() < 0.05
     bare = plain[..., 0] > 2 * plain[..., 1] + 0.1
     assert np.abs(looks[UNDER] - plain)[bare].mean() > 0.1
-    assert np.abs(looks[Use.TILED] - plain)[glass].mean() > 0.15
+    assert np.abs(looks[PhotoMapping.TILED] - plain)[glass].mean() > 0.15
 
 
 def test_far_and_slanting_photographs_do_not_flicker():
@@ -207,7 +206,7 @@ def test_far_and_slanting_photographs_do_not_flicker():
     build = builder(ground=-1.6)
     build.ground_material = Material(Pattern.TILES, grain=0.0)
     scene = build.build("test")
-    scene = papered(scene, photos, Use.TILED, scene.ground_material, wide=2.0)
+    scene = papered(scene, photos, PhotoMapping.TILED, scene.ground_material, wide=2.0)
     rough, fine = (render_panorama(scene, Pose.identity(), (96, 192), supersample=s, threads=1)[0] for s in (1, 6))
     far = slice(50, 66)
     assert np.abs(rough - fine)[far].mean() < 0.03

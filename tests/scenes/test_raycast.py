@@ -7,10 +7,10 @@ from scene_samples import builder, one, oracle_distance, random_shapes, unit_dir
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import generate_scene, render_panorama, render_views, sample_path
-from omnisyn_cli.scenes.panorama import distances
+from omnisyn_cli.scenes.panorama import trace_rays
 from omnisyn_cli.scenes.raycast import is_shadowed
 from omnisyn_cli.scenes.scene import Shape
-from omnisyn_cli.scenes.world import pack, seen_from
+from omnisyn_cli.scenes.world import pack_scene, seen_from
 
 SIZE = (32, 64)
 ORIGIN = np.zeros(3)
@@ -43,7 +43,7 @@ def test_the_side_of_a_pole_is_a_circle():
     build = builder()
     build.pole((away, -5.0, 0.0), 10.0, radius, build.ground_material)
     sideways = np.array([[1.0, 0.0, 0.0], [math.cos(0.02), 0.0, math.sin(0.02)]])
-    distance, _ = distances(build.build("test"), ORIGIN, sideways)
+    distance, _ = trace_rays(build.build("test"), ORIGIN, sideways)
     expected = [away - radius, away * math.cos(0.02) - math.sqrt(radius**2 - (away * math.sin(0.02)) ** 2)]
     np.testing.assert_allclose(distance, expected, rtol=1e-12)
 
@@ -62,13 +62,13 @@ def test_a_rod_joins_its_ends():
     scene = build.build("test")
     for end in ((0.99, 0.997, -4.0), (-1.99, 0.003, -4.0)):
         towards = np.array([end]) / np.linalg.norm(end)
-        assert distances(scene, ORIGIN, towards)[0][0] == pytest.approx(np.linalg.norm(end), abs=0.06)
+        assert trace_rays(scene, ORIGIN, towards)[0][0] == pytest.approx(np.linalg.norm(end), abs=0.06)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_every_shape_agrees_with_the_oracle(seed):
     scene, directions = random_shapes(seed), unit_directions(seed, 500)
-    distance, hit = distances(scene, ORIGIN, directions)
+    distance, hit = trace_rays(scene, ORIGIN, directions)
     expected = [oracle_distance(scene, ORIGIN, direction) for direction in directions]
     np.testing.assert_allclose(distance, [d for d, _ in expected], rtol=1e-9)
     np.testing.assert_array_equal(hit, [k for _, k in expected])
@@ -78,7 +78,7 @@ def test_every_shape_agrees_with_the_oracle(seed):
 @pytest.mark.parametrize("size", [(1, 2), (3, 5), (33, 70), (64, 128)])
 def test_tiles_lose_nothing(size):
     scene, rotation = random_shapes(5), rotation_from_rotation_vector(np.array([0.4, -1.3, 0.7]))
-    expected, _ = distances(scene, ORIGIN, (pixel_directions(*size) @ rotation.T).reshape(-1, 3))
+    expected, _ = trace_rays(scene, ORIGIN, (pixel_directions(*size) @ rotation.T).reshape(-1, 3))
     np.testing.assert_allclose(depth_of(scene, ORIGIN, rotation, size).ravel(), expected, rtol=1e-6)
 
 
@@ -88,7 +88,7 @@ def test_depth_in_a_rotated_frame_is_that_along_the_rotated_rays(kind, seed):
     position = sample_path(scene, seed, 1)[0].position
     rotation = rotation_from_rotation_vector(np.array([1.2, 0.5, -0.8]))
     _, depth = render_views(scene, rotation, position[None], (48, 96), supersample=2)
-    expected, hit = distances(scene, position, (pixel_directions(48, 96) @ rotation.T).reshape(-1, 3))
+    expected, hit = trace_rays(scene, position, (pixel_directions(48, 96) @ rotation.T).reshape(-1, 3))
     np.testing.assert_allclose(depth.ravel(), expected, rtol=1e-6)
     assert (depth > 0).all()
     np.testing.assert_array_equal(np.isinf(depth.ravel()), hit == -2)
@@ -98,7 +98,7 @@ def test_a_point_is_shadowed_if_a_ray_to_the_sun_hits_something():
     scene = random_shapes(6, count=60)
     points = np.random.default_rng(7).uniform(-8, 8, (400, 3))
     points = points[[oracle_clear(scene, point) for point in points]]
-    packed = pack(scene)
+    packed = pack_scene(scene)
     world, _ = seen_from(packed, scene, ORIGIN)
     sun = np.array([0.0, 1.0, 0.0])
     shadowed = [bool(is_shadowed(world, *point, *sun)) for point in points]

@@ -15,7 +15,7 @@ from omnisyn_cli.evaluation.scene_files import suite_scenes, wide_scenes, write_
 from omnisyn_cli.io import read_depth
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.scenes import generate_scene
-from omnisyn_cli.scenes.suite import BASELINES, FRAMES, SEEDS, WIDE_SEEDS, suite_of, wide_walk
+from omnisyn_cli.scenes.suite import BASELINES, FRAMES_PER_WALK, SUITE_SEEDS, WIDE_SEEDS, suite_walks, wide_walk
 
 POSES_SHA256 = "c13f327442a7aa68c9116086252862149caf00cf1960164983f519322565bc01"
 
@@ -30,7 +30,7 @@ def walks():
 
 def test_every_kind_has_every_baseline_that_it_has_room_for(walks):
     assert [walk.name for walk in walks] == [
-        f"{kind}-{seed}-{baseline:g}m" for kind in ("street", "room") for seed in SEEDS for baseline in BASELINES
+        f"{kind}-{seed}-{baseline:g}m" for kind in ("street", "room") for seed in SUITE_SEEDS for baseline in BASELINES
     ]
     assert [walk.name for walk in walks if not walk.path] == ["room-9000002-6m"]
 
@@ -39,9 +39,9 @@ def test_a_walk_is_straight_even_free_and_as_long_as_its_name_says(walks):
     for walk in walks:
         if walk.path:
             positions = np.stack([pose.position for pose in walk.path])
-            assert len(positions) == FRAMES
+            assert len(positions) == FRAMES_PER_WALK
             steps = np.diff(positions, axis=0)
-            assert np.linalg.norm(steps, axis=1) == pytest.approx(walk.baseline / (FRAMES - 1), abs=3e-6)
+            assert np.linalg.norm(steps, axis=1) == pytest.approx(walk.baseline / (FRAMES_PER_WALK - 1), abs=3e-6)
             np.testing.assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=3e-6)
             assert clearance(generate_scene(walk.kind, walk.seed), positions).min() > 0.05
             assert all(np.array_equal(pose.rotation, walk.path[0].rotation) for pose in walk.path)
@@ -49,7 +49,7 @@ def test_a_walk_is_straight_even_free_and_as_long_as_its_name_says(walks):
 
 def test_all_baselines_of_a_scene_begin_at_one_place_and_go_one_way(walks):
     for kind in ("street", "room"):
-        for seed in SEEDS:
+        for seed in SUITE_SEEDS:
             ways = [walk.path for walk in walks if (walk.kind, walk.seed) == (kind, seed) and walk.path]
             assert len({way[0].position.tobytes() for way in ways}) == 1
             directions = np.stack([way[-1].position - way[0].position for way in ways])
@@ -60,7 +60,7 @@ def test_all_baselines_of_a_scene_begin_at_one_place_and_go_one_way(walks):
 def test_a_scene_without_room_has_no_way():
     narrow = generate_scene("room", 3)
     object.__setattr__(narrow, "half", np.full_like(narrow.half, 1e3))
-    assert [walk.path for walk in suite_of("room", 3, narrow)] == [()] * len(BASELINES)
+    assert [walk.path for walk in suite_walks("room", 3, narrow)] == [()] * len(BASELINES)
 
 
 def test_the_bytes_are_those_that_were_recorded(tmp_path, walks):
@@ -69,10 +69,11 @@ def test_the_bytes_are_those_that_were_recorded(tmp_path, walks):
     write_suite_scene(tmp_path, walk, (16, 32), threads=2)
     assert hashlib.sha256((tmp_path / "poses.json").read_bytes()).hexdigest() == POSES_SHA256
     depths = [
-        np.rint(1000 * np.nan_to_num(read_depth(tmp_path / f"{k:04d}_depth.exr"), posinf=0.0)) for k in range(FRAMES)
+        np.rint(1000 * np.nan_to_num(read_depth(tmp_path / f"{k:04d}_depth.exr"), posinf=0.0))
+        for k in range(FRAMES_PER_WALK)
     ]
     assert hashlib.sha256(np.stack(depths).astype("<i8").tobytes()).hexdigest() == DEPTH_SHA256
-    assert len(read_poses(tmp_path / "poses.json").panoramas) == FRAMES
+    assert len(read_poses(tmp_path / "poses.json").panoramas) == FRAMES_PER_WALK
 
 
 def test_the_wide_set_has_ten_walks_of_each_kind_of_many_lengths():
@@ -82,14 +83,14 @@ def test_the_wide_set_has_ten_walks_of_each_kind_of_many_lengths():
         lengths = [walk.baseline for walk in found if walk.kind == kind and walk.path]
         assert len(lengths) == 10
         assert max(lengths) > 1.5 * min(lengths)
-    assert not {walk.seed for walk in found} & set(SEEDS)
+    assert not {walk.seed for walk in found} & set(SUITE_SEEDS)
     for walk in found[::7]:
         positions = np.stack([pose.position for pose in walk.path])
         steps = np.diff(positions, axis=0)
-        assert len(positions) == FRAMES
-        assert np.linalg.norm(steps, axis=1) == pytest.approx(walk.baseline / (FRAMES - 1), abs=2e-3)
+        assert len(positions) == FRAMES_PER_WALK
+        assert np.linalg.norm(steps, axis=1) == pytest.approx(walk.baseline / (FRAMES_PER_WALK - 1), abs=2e-3)
         np.testing.assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=3e-6)
-        assert np.abs(steps[:, 1]).max() < 0.5 * walk.baseline / (FRAMES - 1), "none goes straight up"
+        assert np.abs(steps[:, 1]).max() < 0.5 * walk.baseline / (FRAMES_PER_WALK - 1), "none goes straight up"
 
 
 def test_a_scene_without_room_has_no_wide_walk():
@@ -101,7 +102,7 @@ def test_a_scene_without_room_has_no_wide_walk():
 @pytest.fixture
 def one_seed(monkeypatch):
     monkeypatch.setattr(suite_module, "SUPERSAMPLE", 1)
-    monkeypatch.setattr(suite_module.suite_scenes, "__defaults__", (("room",), SEEDS[1:]))
+    monkeypatch.setattr(suite_module.suite_scenes, "__defaults__", (("room",), SUITE_SEEDS[1:]))
 
 
 def make(*arguments):

@@ -9,29 +9,29 @@ from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
 from omnisyn_cli.scenes.suite import (
-    FRAMES,
-    SEEDS,
+    FRAMES_PER_WALK,
+    SUITE_SEEDS,
     STANDARD_KINDS,
     WIDE_SEEDS,
     SuiteScene,
-    suite_of,
+    suite_walks,
     wide_walk,
 )
 
 __all__ = ["depth_name", "suite_files", "suite_scenes", "wide_scenes", "write_scene", "write_suite_scene"]
 
-NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES))
+NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 """Of the panoramas of every scene of the standard set."""
 
 SUPERSAMPLE = 3
 """Samples per pixel along each axis of the standard set."""
 
 
-def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = SEEDS) -> Iterator[SuiteScene]:
+def suite_scenes(kinds: Sequence[str] = STANDARD_KINDS, seeds: Sequence[int] = SUITE_SEEDS) -> Iterator[SuiteScene]:
     """All walks of the standard set; those that a scene has no room for have an empty path."""
     for kind in kinds:
         for seed in seeds:
-            yield from suite_of(kind, seed, generate_scene(kind, seed))
+            yield from suite_walks(kind, seed, generate_scene(kind, seed))
 
 
 def wide_scenes(seeds: Mapping[str, Sequence[int]] = WIDE_SEEDS) -> Iterator[SuiteScene]:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes import palette, props
-from omnisyn_cli.scenes.materials import Material, Pattern, picked, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, random_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape
 
@@ -15,26 +15,18 @@ DARK_GLASS = Material(Pattern.PLAIN, (0.12, 0.14, 0.16), grain=0.1, gloss=1.0)
 def _facade(rng: np.random.Generator, floor: float, shop: bool) -> Material:
     is_brick = rng.random() < 0.3
     wall = pick(rng, palette.BRICK if is_brick else palette.PLASTER)
-    trim = pick(rng, palette.PLASTER) if rng.random() < 0.6 else palette.darker(wall, rng.uniform(0.6, 1.25))
+    trim = pick(rng, palette.PLASTER) if rng.random() < 0.6 else palette.scaled(wall, rng.uniform(0.6, 1.25))
     return Material(
-        Pattern.FACADE,
-        wall,
-        pick(rng, palette.GLASS, 0.1),
-        trim,
-        cell=(rng.uniform(1.7, 3.6), floor),
-        line=rng.uniform(0.05, 0.11),
-        grain=rng.uniform(0.04, 0.16),
-        grain_size=rng.uniform(0.8, 4.0),
-        detail=0.8 if shop else 0.2,
-        gloss=0.9,
-        seed=int(rng.integers(1, 10000)),
-    )
+        Pattern.FACADE, wall, pick(rng, palette.GLASS, 0.1), trim, cell=(rng.uniform(1.7, 3.6), floor),
+        line=rng.uniform(0.05, 0.11), grain=rng.uniform(0.04, 0.16), grain_size=rng.uniform(0.8, 4.0),
+        detail=0.8 if shop else 0.2, gloss=0.9, seed=int(rng.integers(1, 10000)),
+    )  # fmt: skip
 
 
 def _flank(rng: np.random.Generator, wall: palette.Colour) -> Material:
     if rng.random() < 0.3:
-        return shaded(Pattern.BRICK, wall, 0.85, 1.25, cell=(0.26, 0.085), line=0.012, grain=0.15)
-    return shaded(Pattern.PLAIN, wall, 0.75, grain=0.15, grain_size=2.5, detail=0.35)
+        return tonal_material(Pattern.BRICK, wall, 0.85, 1.25, cell=(0.26, 0.085), line=0.012, grain=0.15)
+    return tonal_material(Pattern.PLAIN, wall, 0.75, grain=0.15, grain_size=2.5, detail=0.35)
 
 
 def town_house(
@@ -63,7 +55,7 @@ def town_house(
     _block(build, base, (deep, tall, wide), side, front, roof)
     if not detailed:
         return
-    trim = shaded(Pattern.PLAIN, front.third, 0.85, grain=0.12)
+    trim = tonal_material(Pattern.PLAIN, front.third, 0.85, grain=0.12)
     _band(build, base, wide, tall, 0.25, trim, 0.28)
     if rng.random() < 0.6:
         _band(build, base, wide, floor - 0.05, 0.14, trim, rng.uniform(0.08, 0.3))
@@ -120,15 +112,9 @@ def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, fl
     rng = build.rng
     x, y, z = base
     door = Material(
-        Pattern.WINDOW,
-        (0.3, 0.2, 0.15),
-        pick(rng, palette.GLASS),
-        palette.darker(pick(rng, palette.WOOD), 0.8),
-        cell=(0.5, 0.9),
-        line=0.12,
-        gloss=0.5,
-        grain=0.1,
-    )
+        Pattern.WINDOW, (0.3, 0.2, 0.15), pick(rng, palette.GLASS), palette.scaled(pick(rng, palette.WOOD), 0.8),
+        cell=(0.5, 0.9), line=0.12, gloss=0.5, grain=0.1,
+    )  # fmt: skip
     at = z + rng.uniform(-0.35, 0.35) * wide
     build.add(Shape.BOX, (x, y + 1.1, at), (0.06, 1.1, 0.55), door)
     build.add(
@@ -140,7 +126,7 @@ def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, fl
     if not shop:
         return
     palettes = (palette.SIGN, palette.PLASTER, palette.SIGN)
-    board = picked(rng, Pattern.COLLAGE, palettes, cell=(1.2, 0.5), grain=0.05, detail=0.3)
+    board = random_material(rng, Pattern.COLLAGE, palettes, cell=(1.2, 0.5), grain=0.05, detail=0.3)
     build.add(Shape.BOX, (x - side * 0.06, y + floor - 0.45, z), (0.08, 0.28, 0.45 * wide), board)
     if rng.random() < 0.5:
         cloth = Material(
@@ -161,10 +147,10 @@ def _lean(build: SceneBuilder, centre: Point, half: Point, angle: float, materia
 def _pitched_roof(build: SceneBuilder, middle: Point, deep: float, wide: float, *, along_z: bool) -> None:
     """Add two tiled slabs that meet in a ridge along z (else along x), and nothing under them."""
     rng = build.rng
-    clay = palette.darker(pick(rng, palette.BRICK), rng.uniform(0.6, 1.0))
+    clay = palette.scaled(pick(rng, palette.BRICK), rng.uniform(0.6, 1.0))
     if rng.random() < 0.4:
         clay = (0.27, 0.27, 0.29)
-    tiles = shaded(Pattern.BRICK, clay, 0.8, 0.5, cell=(0.3, 0.25), line=0.03, grain=0.2)
+    tiles = tonal_material(Pattern.BRICK, clay, 0.8, 0.5, cell=(0.3, 0.25), line=0.03, grain=0.2)
     angle = rng.uniform(0.4, 0.75)
     span = 0.5 * (deep if along_z else wide) + 0.4
     run = 0.5 * span / math.cos(angle)
@@ -189,24 +175,16 @@ def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detail
     tall, deep = floor * int(rng.integers(3, 13)), rng.uniform(12, 20)
     wall = pick(rng, palette.CONCRETE if rng.random() < 0.6 else palette.PLASTER)
     front = Material(
-        Pattern.FACADE,
-        wall,
-        pick(rng, palette.GLASS, 0.1),
-        palette.darker(wall, rng.uniform(0.5, 1.2)),
-        cell=(rng.uniform(1.2, 4.0), floor),
-        line=rng.uniform(0.04, 0.1),
-        grain=0.06,
-        grain_size=3.0,
-        detail=rng.uniform(0, 1),
-        gloss=1.0,
-        seed=int(rng.integers(1, 10000)),
-    )
+        Pattern.FACADE, wall, pick(rng, palette.GLASS, 0.1), palette.scaled(wall, rng.uniform(0.5, 1.2)),
+        cell=(rng.uniform(1.2, 4.0), floor), line=rng.uniform(0.04, 0.1), grain=0.06, grain_size=3.0,
+        detail=rng.uniform(0, 1), gloss=1.0, seed=int(rng.integers(1, 10000)),
+    )  # fmt: skip
     x, y, z = base
     roof = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), grain=0.2)
     _block(build, base, (deep, tall, wide), side, front, roof)
     if not detailed:
         return
-    trim = Material(Pattern.PLAIN, palette.darker(wall, rng.uniform(0.7, 1.15)), grain=0.08)
+    trim = Material(Pattern.PLAIN, palette.scaled(wall, rng.uniform(0.7, 1.15)), grain=0.08)
     _band(build, base, wide, tall, 0.4, trim, 0.1)
     if rng.random() < 0.4:
         _pilasters(build, base, wide, tall, trim)

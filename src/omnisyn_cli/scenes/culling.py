@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 
 from omnisyn_cli.scenes.jit import kernel
 
-GRID = 96
+LIGHT_GRID_CELLS = 96
 """Cells of the light grid along each axis."""
 
 
 @kernel
-def _reach(shape, axes, k, x, y, z):  # type: ignore[no-untyped-def]
-    """How far a shape extends from its centre along (x, y, z); rows of ``axes`` are its scaled axes."""
+def _support(shape, axes, k, x, y, z):  # type: ignore[no-untyped-def]
+    """Support function: how far a shape extends from its centre along (x, y, z); rows of ``axes`` are scaled axes."""
     a = abs(axes[k, 0, 0] * x + axes[k, 0, 1] * y + axes[k, 0, 2] * z)
     b = abs(axes[k, 1, 0] * x + axes[k, 1, 1] * y + axes[k, 1, 2] * z)
     c = abs(axes[k, 2, 0] * x + axes[k, 2, 1] * y + axes[k, 2, 2] * z)
@@ -41,11 +41,8 @@ def tile_planes(sin_polar, cos_polar, horizon, up, rows, columns, planes):  # ty
     for p in range(4):
         planes[p, 0], planes[p, 1], planes[p, 2] = 0.0, 0.0, 0.0
     first, last = columns
-    x, y, z = (
-        horizon[first, 0] + horizon[last, 0],
-        horizon[first, 1] + horizon[last, 1],
-        horizon[first, 2] + horizon[last, 2],
-    )
+    x, y = horizon[first, 0] + horizon[last, 0], horizon[first, 1] + horizon[last, 1]
+    z = horizon[first, 2] + horizon[last, 2]
     length = math.sqrt(x * x + y * y + z * z)
     if length < 0.5 or last - first > 0.4 * len(horizon):
         return
@@ -66,8 +63,8 @@ def tile_planes(sin_polar, cos_polar, horizon, up, rows, columns, planes):  # ty
 
 
 @kernel
-def list_tile(bounds, candidates, candidate_count, planes, listed):  # type: ignore[no-untyped-def]
-    """Copy those of the first ``candidate_count`` candidates that may show in a tile to ``listed`` and count them.
+def cull_tile(bounds, candidates, candidate_count, planes, visible):  # type: ignore[no-untyped-def]
+    """Copy those of the first ``candidate_count`` candidates that may show in a tile to ``visible`` and count them.
 
     ``bounds`` is a :class:`omnisyn_cli.scenes.world.Bounds`, ``planes`` come from :func:`tile_planes`; the order stays.
     """
@@ -75,35 +72,35 @@ def list_tile(bounds, candidates, candidate_count, planes, listed):  # type: ign
     shape, offset, axes = bounds.shape, bounds.offset, bounds.axes
     for i in range(candidate_count):
         k = candidates[i]
-        seen = True
+        is_visible = True
         for p in range(4):
             x, y, z = planes[p, 0], planes[p, 1], planes[p, 2]
             height = offset[k, 0] * x + offset[k, 1] * y + offset[k, 2] * z
-            if height < -1e-7 and height < -_reach(shape[k], axes, k, x, y, z) - 1e-7:
-                seen = False
+            if height < -1e-7 and height < -_support(shape[k], axes, k, x, y, z) - 1e-7:
+                is_visible = False
                 break
-        if seen:
-            listed[count] = k
+        if is_visible:
+            visible[count] = k
             count += 1
     return count
 
 
 @kernel
 def _fill_grid(low: np.ndarray, high: np.ndarray, casters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    start = np.zeros(GRID * GRID + 1, dtype=np.int64)
+    start = np.zeros(LIGHT_GRID_CELLS * LIGHT_GRID_CELLS + 1, dtype=np.int64)
     for k in casters:
         for i in range(low[k, 0], high[k, 0] + 1):
             for j in range(low[k, 1], high[k, 1] + 1):
-                start[i * GRID + j + 1] += 1
-    for cell in range(GRID * GRID):
+                start[i * LIGHT_GRID_CELLS + j + 1] += 1
+    for cell in range(LIGHT_GRID_CELLS * LIGHT_GRID_CELLS):
         start[cell + 1] += start[cell]
     items = np.empty(start[-1], dtype=np.int64)
     filled = start[:-1].copy()
     for k in casters:
         for i in range(low[k, 0], high[k, 0] + 1):
             for j in range(low[k, 1], high[k, 1] + 1):
-                items[filled[i * GRID + j]] = k
-                filled[i * GRID + j] += 1
+                items[filled[i * LIGHT_GRID_CELLS + j]] = k
+                filled[i * LIGHT_GRID_CELLS + j] += 1
     return start, items
 
 
@@ -128,12 +125,13 @@ def light_grid(
         ``frame`` holds for each axis of the grid its origin in metres and the number of cells per metre.
     """
     if len(casters) == 0:
-        return np.zeros(GRID * GRID + 1, np.int64), np.zeros(0, np.int64), np.array([[0.0, 1.0], [0.0, 1.0]])
+        start = np.zeros(LIGHT_GRID_CELLS**2 + 1, np.int64)
+        return start, np.zeros(0, np.int64), np.array([[0.0, 1.0], [0.0, 1.0]])
     middle = centre @ across.T
     reach = np.abs(axes @ across.T).sum(axis=1) + margin
     low, high = middle - reach, middle + reach
     origin, end = low[casters].min(axis=0), high[casters].max(axis=0)
-    scale = (GRID - 1e-6) / (end - origin)
-    cells = [np.clip((edge - origin) * scale, 0, GRID - 1).astype(np.int64) for edge in (low, high)]
+    scale = (LIGHT_GRID_CELLS - 1e-6) / (end - origin)
+    cells = [np.clip((edge - origin) * scale, 0, LIGHT_GRID_CELLS - 1).astype(np.int64) for edge in (low, high)]
     start, items = _fill_grid(cells[0], cells[1], casters)
     return start, items, np.stack([origin, scale], axis=1)

@@ -6,30 +6,30 @@ from collections.abc import Callable
 import numpy as np
 
 from omnisyn_cli.scenes import furniture, goods, palette, props
-from omnisyn_cli.scenes.materials import Material, Pattern, picked
+from omnisyn_cli.scenes.materials import Material, Pattern, random_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
+from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder, Shape
 from omnisyn_cli.scenes.walls import Cell, Openings, wall_axes
 
-Thing = Callable[[Turned], None]
+FurnitureMaker = Callable[[LocalFrame], None]
 
-AT_HOME: tuple[Thing, ...] = (
+HOME_WALL_FURNITURE: tuple[FurnitureMaker, ...] = (
     furniture.cabinet, furniture.shelf, furniture.sofa, furniture.bed, furniture.plant, furniture.floor_lamp,
 )  # fmt: skip
 """What stands against the walls of a home."""
 
-AT_WORK: tuple[Thing, ...] = (
+OFFICE_WALL_FURNITURE: tuple[FurnitureMaker, ...] = (
     furniture.cabinet, furniture.shelf, furniture.shelf, furniture.screen, furniture.plant, furniture.table,
 )  # fmt: skip
 """What stands against the walls of an office."""
 
-LOW: tuple[Thing, ...] = (furniture.table, furniture.plant, furniture.armchair)
+WINDOW_FURNITURE: tuple[FurnitureMaker, ...] = (furniture.table, furniture.plant, furniture.armchair)
 """What stands before a window."""
 
-INWARD = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
+INWARD_YAW = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
 """Yaw of what looks away from a wall."""
 
-Taken = list[tuple[float, float, float]]
+OccupiedDisks = list[tuple[float, float, float]]
 """Places on the floor that are taken: x, z and radius, metres."""
 
 
@@ -43,26 +43,26 @@ def furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> No
         openings: windows and doors, to keep clear.
     """
     rng = build.rng
-    taken: Taken = []
+    occupied: OccupiedDisks = []
     size = (cell.high[0] - cell.low[0], cell.high[1] - cell.low[1])
     if rng.random() < (0.5 if use == "home" else 0.15):
         _rug(build, cell)
     for _ in range(int(rng.integers(6, 12) + size[0] * size[1] / 5.0)):
-        _against_wall(build, cell, use, openings, taken)
+        _place_against_wall(build, cell, use, openings, occupied)
     for _ in range(int(rng.uniform(0.1, 0.45) * (size[0] + size[1]))):
         _picture(build, cell, openings)
     middle = (0.5 * (cell.low[0] + cell.high[0]), 0.0, 0.5 * (cell.low[1] + cell.high[1]))
-    furniture.clutter(Turned(build, middle, 0.0), (0.5 * size[0], 0.5 * size[1]), 0.0, int(rng.integers(0, 9)))
+    furniture.clutter(LocalFrame(build, middle, 0.0), (0.5 * size[0], 0.5 * size[1]), 0.0, int(rng.integers(0, 9)))
     if use == "office" and min(size) > 4.0 and rng.random() < 0.6:
-        _rows_of_desks(build, cell, taken)
+        _rows_of_desks(build, cell, occupied)
     for _ in range(int(rng.integers(1, 4) + size[0] * size[1] / 9.0)):
-        _in_the_middle(build, cell, use, taken)
+        _place_on_floor(build, cell, use, occupied)
 
 
-def _is_free(taken: Taken, x: float, z: float, radius: float) -> bool:
-    if any(math.hypot(x - a, z - b) < radius + r for a, b, r in taken):
+def _is_free(occupied: OccupiedDisks, x: float, z: float, radius: float) -> bool:
+    if any(math.hypot(x - a, z - b) < radius + r for a, b, r in occupied):
         return False
-    taken.append((x, z, radius))
+    occupied.append((x, z, radius))
     return True
 
 
@@ -71,29 +71,29 @@ def _rug(build: SceneBuilder, cell: Cell) -> None:
     half = (rng.uniform(0.7, 1.4), 0.006, rng.uniform(0.6, 1.1))
     x = rng.uniform(cell.low[0] + 1.5, max(cell.low[0] + 1.51, cell.high[0] - 1.5))
     z = rng.uniform(cell.low[1] + 1.2, max(cell.low[1] + 1.21, cell.high[1] - 1.2))
-    weave = picked(rng, Pattern.RUG, [palette.CLOTH] * 3, cell=(0.3, 0.3), grain=0.12, grain_size=0.08)
+    weave = random_material(rng, Pattern.RUG, [palette.CLOTH] * 3, cell=(0.3, 0.3), grain=0.12, grain_size=0.08)
     build.add(
         Shape.BOX, (x, 0.006, z), half, weave, yaw=float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])), casts_shadow=False
     )
 
 
-def _against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Openings, taken: Taken) -> None:
+def _place_against_wall(build: SceneBuilder, cell: Cell, use: str, openings: Openings, occupied: OccupiedDisks) -> None:
     """Stand something against a wall, facing the room, and perhaps hang a picture over it."""
     rng = build.rng
     x, z, yaw, is_open = _wall_place(rng, cell, openings, 0.42)
     radius = 0.62
-    if is_open > 1 or not _is_free(taken, x, z, radius):
+    if is_open > 1 or not _is_free(occupied, x, z, radius):
         return
-    at = Turned(build, (x, 0.0, z), yaw)
-    choices = LOW if is_open else AT_HOME if use == "home" else AT_WORK
+    local = LocalFrame(build, (x, 0.0, z), yaw)
+    choices = WINDOW_FURNITURE if is_open else HOME_WALL_FURNITURE if use == "home" else OFFICE_WALL_FURNITURE
     if rng.random() < 0.12:
-        goods.carton_pile(at)
+        goods.carton_pile(local)
     else:
         thing = choices[rng.integers(len(choices))]
         if thing is furniture.bed:
-            at = Turned(build, at.place(0.0, 0.0, 0.7), yaw)
-            taken.append((at.base[0], at.base[2], 0.9))
-        thing(at)
+            local = LocalFrame(build, local.place(0.0, 0.0, 0.7), yaw)
+            occupied.append((local.base[0], local.base[2], 0.9))
+        thing(local)
     if rng.random() < 0.7:
         _picture(build, cell, openings)
 
@@ -108,7 +108,7 @@ def _wall_place(
     before = [o for o in openings[name] if o.start - 0.6 < (x if is_x else z) < o.end + 0.6]
     is_open = 0 if not before else (2 if before[0].bottom <= 0.0 else 1)
     x, z = (x, across) if is_x else (across, z)
-    return x, z, INWARD[name], is_open
+    return x, z, INWARD_YAW[name], is_open
 
 
 def _picture(build: SceneBuilder, cell: Cell, openings: Openings) -> None:
@@ -118,78 +118,65 @@ def _picture(build: SceneBuilder, cell: Cell, openings: Openings) -> None:
         return
     half = (rng.uniform(0.15, 0.55), rng.uniform(0.15, 0.45), 0.015)
     paint = Material(
-        Pattern.PICTURE,
-        pick(rng, palette.GLASS, 0.15),
-        pick(rng, palette.FOLIAGE, 0.15),
-        pick(rng, palette.WOOD),
-        cell=(0.25, 0.2),
-        line=rng.uniform(0.01, 0.04),
-        grain=0.04,
-        gloss=0.2,
-        seed=int(rng.integers(1, 1000)),
-    )
+        Pattern.PICTURE, pick(rng, palette.GLASS, 0.15), pick(rng, palette.FOLIAGE, 0.15), pick(rng, palette.WOOD),
+        cell=(0.25, 0.2), line=rng.uniform(0.01, 0.04), grain=0.04, gloss=0.2, seed=int(rng.integers(1, 1000)),
+    )  # fmt: skip
     if rng.random() < 0.35:
         paint = Material(
-            Pattern.COLLAGE,
-            pick(rng, palette.SIGN, 0.1),
-            pick(rng, palette.INTERIOR),
-            pick(rng, palette.SIGN, 0.1),
-            cell=(0.4, 0.3),
-            grain=0.04,
-            detail=0.8,
-            seed=int(rng.integers(1, 1000)),
-        )
+            Pattern.COLLAGE, pick(rng, palette.SIGN, 0.1), pick(rng, palette.INTERIOR), pick(rng, palette.SIGN, 0.1),
+            cell=(0.4, 0.3), grain=0.04, detail=0.8, seed=int(rng.integers(1, 1000)),
+        )  # fmt: skip
     build.add(Shape.BOX, (x, rng.uniform(1.3, 1.75), z), half, paint, yaw=yaw)
 
 
-def _rows_of_desks(build: SceneBuilder, cell: Cell, taken: Taken) -> None:
+def _rows_of_desks(build: SceneBuilder, cell: Cell, occupied: OccupiedDisks) -> None:
     rng = build.rng
     step = (rng.uniform(1.9, 2.6), rng.uniform(1.6, 2.4))
     seat = furniture.office_chair if rng.random() < 0.5 else furniture.chair
     for x in np.arange(cell.low[0] + 1.6, cell.high[0] - 1.4, step[0]):
         for z in np.arange(cell.low[1] + 1.5, cell.high[1] - 1.2, step[1]):
-            if rng.random() < 0.8 and _is_free(taken, float(x), float(z), 0.7):
-                furniture.table(Turned(build, (float(x), 0.0, float(z)), 0.0), (0.6, 0.35))
+            if rng.random() < 0.8 and _is_free(occupied, float(x), float(z), 0.7):
+                furniture.table(LocalFrame(build, (float(x), 0.0, float(z)), 0.0), (0.6, 0.35))
                 behind = (float(x) + rng.uniform(-0.2, 0.2), 0.0, float(z) + rng.uniform(0.4, 0.7))
-                seat(Turned(build, behind, math.pi + rng.uniform(-0.5, 0.5)))
+                seat(LocalFrame(build, behind, math.pi + rng.uniform(-0.5, 0.5)))
 
 
-def _in_the_middle(build: SceneBuilder, cell: Cell, use: str, taken: Taken) -> None:
+def _place_on_floor(build: SceneBuilder, cell: Cell, use: str, occupied: OccupiedDisks) -> None:
     """Stand a table with chairs, an armchair, a column or a person somewhere on the floor."""
     rng = build.rng
     low, high = cell.low, cell.high
     x, z = rng.uniform(low[0] + 0.9, high[0] - 0.9), rng.uniform(low[1] + 0.9, high[1] - 0.9)
     choice, yaw = rng.random(), rng.uniform(-math.pi, math.pi)
     base = (x, 0.0, z)
-    if choice < 0.45 and _is_free(taken, x, z, 1.15):
+    if choice < 0.45 and _is_free(occupied, x, z, 1.15):
         yaw = float(rng.choice([0.0, 0.5 * math.pi])) + rng.normal(0, 0.06)
         half = (rng.uniform(0.5, 0.9), rng.uniform(0.35, 0.5))
-        at = Turned(build, base, yaw)
-        furniture.table(at, half)
+        local = LocalFrame(build, base, yaw)
+        furniture.table(local, half)
         seat = furniture.office_chair if use == "office" and rng.random() < 0.5 else furniture.chair
         for side in (-1.0, 1.0):
             for place in (-0.5, 0.5):
                 if rng.random() < 0.7:
-                    spot = at.place(place * half[0], 0.0, side * (half[1] + rng.uniform(0.05, 0.3)))
-                    seat(Turned(build, spot, yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)))
-    elif choice < 0.6 and _is_free(taken, x, z, 0.55):
-        furniture.armchair(Turned(build, base, yaw))
-    elif choice < 0.7 and _is_free(taken, x, z, 0.4):
-        furniture.chair(Turned(build, base, yaw))
-    elif choice < 0.78 and _is_free(taken, x, z, 0.4):
+                    spot = local.place(place * half[0], 0.0, side * (half[1] + rng.uniform(0.05, 0.3)))
+                    seat(LocalFrame(build, spot, yaw + (math.pi if side > 0 else 0.0) + rng.normal(0, 0.25)))
+    elif choice < 0.6 and _is_free(occupied, x, z, 0.55):
+        furniture.armchair(LocalFrame(build, base, yaw))
+    elif choice < 0.7 and _is_free(occupied, x, z, 0.4):
+        furniture.chair(LocalFrame(build, base, yaw))
+    elif choice < 0.78 and _is_free(occupied, x, z, 0.4):
         props.person(build, base)
-    elif choice < 0.86 and _is_free(taken, x, z, 0.35):
-        goods.carton_pile(Turned(build, base, yaw))
-    elif choice < 0.93 and _is_free(taken, x, z, 0.4):
+    elif choice < 0.86 and _is_free(occupied, x, z, 0.35):
+        goods.carton_pile(LocalFrame(build, base, yaw))
+    elif choice < 0.93 and _is_free(occupied, x, z, 0.4):
         plaster = Material(Pattern.PLAIN, pick(rng, palette.INTERIOR), grain=0.08)
         if rng.random() < 0.5:
             build.pole(base, cell.tall, rng.uniform(0.1, 0.25), plaster)
         else:
             half_wide = rng.uniform(0.1, 0.25)
             build.add(Shape.BOX, (x, 0.5 * cell.tall, z), (half_wide, 0.5 * cell.tall, half_wide), plaster)
-    elif cell.tall > 2.6 and rng.random() < 0.6 and _is_free(taken, x, z, 1.4):
-        at = Turned(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
-        furniture.stairs(at, int(rng.integers(4, 12)))
+    elif cell.tall > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
+        local = LocalFrame(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
+        furniture.stairs(local, int(rng.integers(4, 12)))
 
 
 def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
@@ -206,12 +193,12 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
             bays = max(1, min(6, int((x1 - x0) * rng.uniform(0.25, 0.85) / 2.7)))
             span = 0.5 * bays * 2.7
             x = rng.uniform(x0 + span + 0.2, max(x0 + span + 0.21, x1 - span - 0.2))
-            goods.rack(Turned(build, (x, 0.0, z), 0.0), bays, rack_tall)
+            goods.rack(LocalFrame(build, (x, 0.0, z), 0.0), bays, rack_tall)
         elif roll < 0.9:
             for x in np.arange(x0 + 1.5, x1 - 1.5, rng.uniform(1.8, 4.5)):
                 if rng.random() < 0.6:
                     base = (float(x), 0.0, z + rng.uniform(-0.2, 0.4))
-                    goods.loaded_pallet(Turned(build, base, rng.normal(0, 0.1)))
+                    goods.loaded_pallet(LocalFrame(build, base, rng.normal(0, 0.1)))
         _marking(build, cell, z + 0.9)
         z += aisle * rng.uniform(0.8, 1.2)
     for _ in range(int(rng.integers(2, 7))):
@@ -219,9 +206,9 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
         if rng.random() < 0.5:
             yaw = rng.uniform(0, math.pi)
             thing = goods.loaded_pallet if rng.random() < 0.6 else goods.carton_pile
-            thing(Turned(build, (x, 0.0, z), yaw))
+            thing(LocalFrame(build, (x, 0.0, z), yaw))
         else:
-            furniture.table(Turned(build, (x, 0.0, z), rng.uniform(0, math.pi)), (0.9, 0.4))
+            furniture.table(LocalFrame(build, (x, 0.0, z), rng.uniform(0, math.pi)), (0.9, 0.4))
     if rng.random() < 0.5:
         _columns(build, cell)
 

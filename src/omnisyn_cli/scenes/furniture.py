@@ -6,11 +6,11 @@ import numpy as np
 
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.goods import CARTON
-from omnisyn_cli.scenes.materials import Material, Pattern, grown, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, plant_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Turned
+from omnisyn_cli.scenes.scene import LocalFrame
 
-BLACK = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
+BLACK_PLASTIC = Material(Pattern.PLAIN, (0.08, 0.08, 0.085), (0.11, 0.11, 0.11), grain=0.08, gloss=0.15)
 CHROME = Material(Pattern.PLAIN, (0.55, 0.56, 0.57), (0.45, 0.46, 0.46), grain=0.05, gloss=0.7)
 
 
@@ -18,257 +18,235 @@ def wood(rng: np.random.Generator, plank: float = 0.5) -> Material:
     """Draw a varnished or painted board."""
     if rng.random() < 0.3:
         paint = pick(rng, palette.INTERIOR)
-        return shaded(Pattern.PLAIN, paint, 0.9, grain=0.05, gloss=0.15, seed=int(rng.integers(1, 1000)))
+        return tonal_material(Pattern.PLAIN, paint, 0.9, grain=0.05, gloss=0.15, seed=int(rng.integers(1, 1000)))
     tone = pick(rng, palette.WOOD)
-    return shaded(
-        Pattern.PLANKS,
-        tone,
-        0.8,
-        0.5,
-        cell=(2.0, plank),
-        line=0.004,
-        grain=0.05,
-        gloss=0.2,
+    return tonal_material(
+        Pattern.PLANKS, tone, 0.8, 0.5, cell=(2.0, plank), line=0.004, grain=0.05, gloss=0.2,
         seed=int(rng.integers(1, 1000)),
-    )
+    )  # fmt: skip
 
 
 def _cloth(rng: np.random.Generator) -> Material:
     tone = pick(rng, palette.CLOTH, 0.08)
     if rng.random() < 0.25:
         return Material(
-            Pattern.WALLPAPER, tone, palette.darker(tone, 1.3), pick(rng, palette.CLOTH), cell=(0.15, 0.15), grain=0.1
-        )
-    return shaded(Pattern.PLAIN, tone, 0.85, grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000)))
+            Pattern.WALLPAPER, tone, palette.scaled(tone, 1.3), pick(rng, palette.CLOTH), cell=(0.15, 0.15), grain=0.1,
+        )  # fmt: skip
+    return tonal_material(Pattern.PLAIN, tone, 0.85, grain=0.14, grain_size=0.25, seed=int(rng.integers(1, 1000)))
 
 
-def table(at: Turned, size: tuple[float, float] | None = None) -> None:
+def table(local: LocalFrame, size: tuple[float, float] | None = None) -> None:
     """Add a table with four legs, trestles or one column, and things on it."""
-    rng = at.build.rng
+    rng = local.build.rng
     wide, deep = size or (rng.uniform(0.4, 1.0), rng.uniform(0.3, 0.5))
     tall = rng.uniform(0.42, 0.55) if rng.random() < 0.25 else rng.uniform(0.7, 0.78)
     top = wood(rng, 0.2)
-    leg = top if rng.random() < 0.5 else (BLACK if rng.random() < 0.5 else CHROME)
-    at.box((0.0, tall - 0.02, 0.0), (wide, 0.02, deep), top)
+    leg = top if rng.random() < 0.5 else (BLACK_PLASTIC if rng.random() < 0.5 else CHROME)
+    local.box((0.0, tall - 0.02, 0.0), (wide, 0.02, deep), top)
     thickness = rng.uniform(0.012, 0.035)
     for x in (-wide + 0.06, wide - 0.06):
         for z in (-deep + 0.06, deep - 0.06):
-            at.rod((x, 0.0, z), (x, tall - 0.03, z), thickness, leg)
+            local.rod((x, 0.0, z), (x, tall - 0.03, z), thickness, leg)
     if rng.random() < 0.5:
         for z in (-deep + 0.06, deep - 0.06):
-            at.box((0.0, tall - 0.08, z), (wide - 0.06, 0.035, 0.01), leg)
-    clutter(at, (wide, deep), tall, int(rng.integers(0, 5)))
+            local.box((0.0, tall - 0.08, z), (wide - 0.06, 0.035, 0.01), leg)
+    clutter(local, (wide, deep), tall, int(rng.integers(0, 5)))
 
 
-def clutter(at: Turned, half: tuple[float, float], height: float, count: int) -> None:
+def clutter(local: LocalFrame, half: tuple[float, float], height: float, count: int) -> None:
     """Put small things on a board or floor of half sizes ``half``: boxes, books, cups, bottles, balls."""
-    rng = at.build.rng
+    rng = local.build.rng
     for _ in range(count):
         x, z = rng.uniform(-0.85, 0.85) * half[0], rng.uniform(-0.75, 0.75) * half[1]
         colour = pick(rng, palette.SIGN if rng.random() < 0.3 else palette.CLOTH, 0.1)
         stuff = Material(
             Pattern.COLLAGE, colour, pick(rng, palette.INTERIOR), pick(rng, palette.SIGN), cell=(0.1, 0.06), grain=0.05
         )
-        plain = shaded(Pattern.PLAIN, colour, 0.9, grain=0.05, gloss=0.3)
+        plain = tonal_material(Pattern.PLAIN, colour, 0.9, grain=0.05, gloss=0.3)
         kind = rng.random()
         if kind < 0.5:
             size = (rng.uniform(0.05, 0.17), rng.uniform(0.01, 0.12), rng.uniform(0.05, 0.13))
-            at.box((x, height + size[1], z), size, stuff, turn=rng.uniform(0.0, math.pi))
+            local.box((x, height + size[1], z), size, stuff, turn=rng.uniform(0.0, math.pi))
         elif kind < 0.85:
             tall = rng.uniform(0.08, 0.3)
-            at.rod((x, height, z), (x, height + tall, z), rng.uniform(0.03, 0.05), plain)
+            local.rod((x, height, z), (x, height + tall, z), rng.uniform(0.03, 0.05), plain)
         else:
             radius = rng.uniform(0.05, 0.12)
-            at.ellipsoid((x, height + radius, z), (radius, radius, radius), plain)
+            local.ellipsoid((x, height + radius, z), (radius, radius, radius), plain)
 
 
-def chair(at: Turned) -> None:
+def chair(local: LocalFrame) -> None:
     """Add a chair with four thin legs, a seat and a back of slats or one board."""
-    rng = at.build.rng
+    rng = local.build.rng
     body = wood(rng, 0.1)
     leg = body if rng.random() < 0.6 else CHROME
     seat = _cloth(rng) if rng.random() < 0.5 else body
     half, tall = rng.uniform(0.19, 0.24), rng.uniform(0.42, 0.48)
     top = tall + rng.uniform(0.35, 0.55)
-    at.box((0.0, tall, 0.0), (half, rng.uniform(0.015, 0.04), half), seat)
+    local.box((0.0, tall, 0.0), (half, rng.uniform(0.015, 0.04), half), seat)
     for x in (-half + 0.03, half - 0.03):
-        at.rod((x, 0.0, half - 0.03), (x, tall, half - 0.03), 0.016, leg)
-        at.rod((x, 0.0, -half + 0.02), (x, top, -half - 0.03), 0.016, leg)
+        local.rod((x, 0.0, half - 0.03), (x, tall, half - 0.03), 0.016, leg)
+        local.rod((x, 0.0, -half + 0.02), (x, top, -half - 0.03), 0.016, leg)
     if rng.random() < 0.5:
-        at.box((0.0, 0.5 * (tall + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - tall) - 0.02, 0.012), seat)
+        local.box((0.0, 0.5 * (tall + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - tall) - 0.02, 0.012), seat)
     else:
         for share in (0.35, 0.65, 0.95):
-            at.box((0.0, tall + share * (top - tall), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
+            local.box((0.0, tall + share * (top - tall), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
 
 
-def office_chair(at: Turned) -> None:
+def office_chair(local: LocalFrame) -> None:
     """Add a swivel chair on a star of five feet."""
-    rng = at.build.rng
+    rng = local.build.rng
     cloth = _cloth(rng)
     for k in range(5):
         angle = 2.0 * math.pi * k / 5
-        at.rod((0.0, 0.09, 0.0), (0.3 * math.cos(angle), 0.05, 0.3 * math.sin(angle)), 0.022, BLACK)
-    at.rod((0.0, 0.05, 0.0), (0.0, 0.45, 0.0), 0.028, CHROME)
-    at.box((0.0, 0.48, 0.0), (0.23, 0.04, 0.23), cloth)
-    at.box((0.0, 0.82, -0.24), (0.21, 0.26, 0.03), cloth)
+        local.rod((0.0, 0.09, 0.0), (0.3 * math.cos(angle), 0.05, 0.3 * math.sin(angle)), 0.022, BLACK_PLASTIC)
+    local.rod((0.0, 0.05, 0.0), (0.0, 0.45, 0.0), 0.028, CHROME)
+    local.box((0.0, 0.48, 0.0), (0.23, 0.04, 0.23), cloth)
+    local.box((0.0, 0.82, -0.24), (0.21, 0.26, 0.03), cloth)
     for x in (-0.27, 0.27):
-        at.box((x, 0.68, 0.0), (0.025, 0.015, 0.15), BLACK)
-        at.rod((x, 0.5, -0.05), (x, 0.67, -0.05), 0.014, BLACK)
+        local.box((x, 0.68, 0.0), (0.025, 0.015, 0.15), BLACK_PLASTIC)
+        local.rod((x, 0.5, -0.05), (x, 0.67, -0.05), 0.014, BLACK_PLASTIC)
 
 
-def sofa(at: Turned) -> None:
+def sofa(local: LocalFrame) -> None:
     """Add a sofa with cushions."""
-    rng = at.build.rng
+    rng = local.build.rng
     cloth = _cloth(rng)
     wide = rng.uniform(0.65, 1.15)
-    at.box((0.0, 0.22, 0.0), (wide, 0.14, 0.42), cloth)
-    at.box((0.0, 0.55, -0.36), (wide, 0.27, 0.09), cloth, tint=0.95)
+    local.box((0.0, 0.22, 0.0), (wide, 0.14, 0.42), cloth)
+    local.box((0.0, 0.55, -0.36), (wide, 0.27, 0.09), cloth, tint=0.95)
     for x in (-wide - 0.07, wide + 0.07):
-        at.box((x, 0.32, 0.0), (0.09, 0.28, 0.44), cloth, tint=0.9)
+        local.box((x, 0.32, 0.0), (0.09, 0.28, 0.44), cloth, tint=0.9)
     seats = 2 if wide < 0.9 else 3
     for k in range(seats):
         x = (2 * k + 1 - seats) / seats * wide
-        at.box((x, 0.42, 0.04), (wide / seats - 0.01, 0.07, 0.36), cloth, tint=1.06)
+        local.box((x, 0.42, 0.04), (wide / seats - 0.01, 0.07, 0.36), cloth, tint=1.06)
     for _ in range(int(rng.integers(0, 3))):
-        at.ellipsoid((rng.uniform(-0.8, 0.8) * wide, 0.62, -0.18), (0.2, 0.18, 0.09), _cloth(rng))
+        local.ellipsoid((rng.uniform(-0.8, 0.8) * wide, 0.62, -0.18), (0.2, 0.18, 0.09), _cloth(rng))
 
 
-def armchair(at: Turned) -> None:
+def armchair(local: LocalFrame) -> None:
     """Add an armchair."""
-    cloth = _cloth(at.build.rng)
-    at.box((0.0, 0.25, 0.0), (0.3, 0.16, 0.34), cloth)
-    at.box((0.0, 0.6, -0.32), (0.34, 0.34, 0.08), cloth, tint=0.95)
+    cloth = _cloth(local.build.rng)
+    local.box((0.0, 0.25, 0.0), (0.3, 0.16, 0.34), cloth)
+    local.box((0.0, 0.6, -0.32), (0.34, 0.34, 0.08), cloth, tint=0.95)
     for x in (-0.36, 0.36):
-        at.box((x, 0.34, 0.0), (0.07, 0.26, 0.36), cloth, tint=0.9)
+        local.box((x, 0.34, 0.0), (0.07, 0.26, 0.36), cloth, tint=0.9)
 
 
-def bed(at: Turned) -> None:
+def bed(local: LocalFrame) -> None:
     """Add a bed with its head at the back."""
-    rng = at.build.rng
-    frame, cover = wood(rng, 0.2), _cloth(rng)
+    rng = local.build.rng
+    bedstead, cover = wood(rng, 0.2), _cloth(rng)
     wide = rng.uniform(0.45, 0.9)
     white = Material(Pattern.PLAIN, (0.87, 0.86, 0.83), (0.8, 0.79, 0.76), grain=0.06, grain_size=0.3)
-    at.box((0.0, 0.2, 0.0), (wide, 0.1, 1.0), frame)
-    at.box((0.0, 0.38, 0.0), (wide - 0.02, 0.1, 0.97), white)
-    at.box((0.0, 0.41, 0.22), (wide + 0.01, 0.1, 0.78), cover)
-    at.box((0.0, 0.55, -1.02), (wide, 0.45, 0.03), frame)
+    local.box((0.0, 0.2, 0.0), (wide, 0.1, 1.0), bedstead)
+    local.box((0.0, 0.38, 0.0), (wide - 0.02, 0.1, 0.97), white)
+    local.box((0.0, 0.41, 0.22), (wide + 0.01, 0.1, 0.78), cover)
+    local.box((0.0, 0.55, -1.02), (wide, 0.45, 0.03), bedstead)
     for x in (-0.5 * wide, 0.5 * wide) if wide > 0.6 else (0.0,):
-        at.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
+        local.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
 
 
-def cabinet(at: Turned) -> None:
+def cabinet(local: LocalFrame) -> None:
     """Add a cupboard or chest with doors or drawers."""
-    rng = at.build.rng
+    rng = local.build.rng
     wide, height, deep = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
-    face = shaded(
-        Pattern.TILES,
-        tone,
-        0.93,
-        0.35,
-        cell=(wide / max(1, round(wide / 0.4)), height / int(rng.integers(1, 5))),
-        line=0.012,
-        grain=0.08,
-        gloss=0.15,
-    )
-    at.box((0.0, 0.5 * height, 0.0), (wide, 0.5 * height, deep), face, cap=wood(rng, 0.3))
+    face = tonal_material(
+        Pattern.TILES, tone, 0.93, 0.35, cell=(wide / max(1, round(wide / 0.4)), height / int(rng.integers(1, 5))),
+        line=0.012, grain=0.08, gloss=0.15,
+    )  # fmt: skip
+    local.box((0.0, 0.5 * height, 0.0), (wide, 0.5 * height, deep), face, cap=wood(rng, 0.3))
     if height < 1.3:
-        clutter(at, (wide, deep), height, int(rng.integers(0, 4)))
+        clutter(local, (wide, deep), height, int(rng.integers(0, 4)))
 
 
-def shelf(at: Turned) -> None:
+def shelf(local: LocalFrame) -> None:
     """Add an open shelf with books and boxes."""
-    rng = at.build.rng
+    rng = local.build.rng
     board = wood(rng, 0.3)
     wide, tall, deep = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.2), rng.uniform(0.13, 0.2)
     rows = max(2, int(tall / rng.uniform(0.3, 0.42)))
     for x in (-wide, wide):
-        at.box((x, 0.5 * tall, 0.0), (0.012, 0.5 * tall, deep), board)
+        local.box((x, 0.5 * tall, 0.0), (0.012, 0.5 * tall, deep), board)
     if rng.random() < 0.7:
-        at.box((0.0, 0.5 * tall, -deep), (wide, 0.5 * tall, 0.008), board, tint=0.8)
+        local.box((0.0, 0.5 * tall, -deep), (wide, 0.5 * tall, 0.008), board, tint=0.8)
     for row in range(rows + 1):
         y = 0.02 + row * (tall - 0.04) / rows
-        at.box((0.0, y, 0.0), (wide, 0.012, deep), board)
+        local.box((0.0, y, 0.0), (wide, 0.012, deep), board)
         if row < rows and rng.random() < 0.8:
-            _shelf_row(at, y + 0.012, (tall - 0.04) / rows - 0.05, wide, deep)
+            _shelf_row(local, y + 0.012, (tall - 0.04) / rows - 0.05, wide, deep)
 
 
-def _shelf_row(at: Turned, y: float, room: float, wide: float, deep: float) -> None:
-    rng = at.build.rng
+def _shelf_row(local: LocalFrame, y: float, room: float, wide: float, deep: float) -> None:
+    rng = local.build.rng
     if rng.random() < 0.7:
         books = Material(
-            Pattern.BOOKS,
-            pick(rng, palette.CLOTH, 0.1),
-            pick(rng, palette.SIGN, 0.1),
-            pick(rng, palette.INTERIOR),
-            cell=(rng.uniform(0.025, 0.05), 1.0),
-            grain=0.03,
-            seed=int(rng.integers(1, 1000)),
-        )
+            Pattern.BOOKS, pick(rng, palette.CLOTH, 0.1), pick(rng, palette.SIGN, 0.1), pick(rng, palette.INTERIOR),
+            cell=(rng.uniform(0.025, 0.05), 1.0), grain=0.03, seed=int(rng.integers(1, 1000)),
+        )  # fmt: skip
         share = rng.uniform(0.4, 0.95)
         half = (share * wide, 0.45 * room, 0.6 * deep)
-        at.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * wide * 0.9, y + half[1], 0.0), half, books)
+        local.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * wide * 0.9, y + half[1], 0.0), half, books)
     else:
         for x in (-0.5, 0.45):
             half = (rng.uniform(0.2, 0.4) * wide, rng.uniform(0.2, 0.45) * room, 0.75 * deep)
-            at.box((x * wide, y + half[1], 0.0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
+            local.box((x * wide, y + half[1], 0.0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
 
 
-def floor_lamp(at: Turned) -> None:
+def floor_lamp(local: LocalFrame) -> None:
     """Add a lamp on a thin stand with a glowing shade."""
-    rng = at.build.rng
+    rng = local.build.rng
     tall = rng.uniform(1.3, 1.8)
     shade = Material(Pattern.PLAIN, (0.93, 0.84, 0.66), grain=0.03, glow=rng.uniform(0.3, 1.4))
-    at.rod((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), 0.15, BLACK)
-    at.rod((0.0, 0.0, 0.0), (0.0, tall, 0.0), 0.013, BLACK)
+    local.rod((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), 0.15, BLACK_PLASTIC)
+    local.rod((0.0, 0.0, 0.0), (0.0, tall, 0.0), 0.013, BLACK_PLASTIC)
     if rng.random() < 0.5:
-        at.rod((0.0, tall - 0.05, 0.0), (0.0, tall + 0.22, 0.0), 0.17, shade)
+        local.rod((0.0, tall - 0.05, 0.0), (0.0, tall + 0.22, 0.0), 0.17, shade)
     else:
-        at.ellipsoid((0.0, tall + 0.1, 0.0), (0.16, 0.16, 0.16), shade)
+        local.ellipsoid((0.0, tall + 0.1, 0.0), (0.16, 0.16, 0.16), shade)
 
 
-def plant(at: Turned) -> None:
+def plant(local: LocalFrame) -> None:
     """Add a pot plant."""
-    rng = at.build.rng
+    rng = local.build.rng
     clay = pick(rng, palette.BRICK)
-    at.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, shaded(Pattern.PLAIN, clay, 0.9, grain=0.1))
+    local.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, tonal_material(Pattern.PLAIN, clay, 0.9, grain=0.1))
     green = pick(rng, palette.FOLIAGE)
-    leaves = grown(Pattern.LEAVES, green, 0.6, 1.3, cell=(0.1, 0.1), detail=0.75)
+    leaves = plant_material(Pattern.LEAVES, green, 0.6, 1.3, cell=(0.1, 0.1), detail=0.75)
     tall = rng.uniform(0.3, 0.8)
-    at.rod((0.0, 0.3, 0.0), (0.0, 0.4 + tall, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
+    local.rod((0.0, 0.3, 0.0), (0.0, 0.4 + tall, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
     for _ in range(int(rng.integers(2, 5))):
         size = rng.uniform(0.14, 0.32)
         centre = (rng.uniform(-0.15, 0.15), 0.35 + tall * rng.uniform(0.4, 1.0), rng.uniform(-0.15, 0.15))
-        at.ellipsoid(centre, (size, 1.2 * size, size), leaves)
+        local.ellipsoid(centre, (size, 1.2 * size, size), leaves)
 
 
-def screen(at: Turned) -> None:
+def screen(local: LocalFrame) -> None:
     """Add a standing screen or whiteboard."""
-    rng = at.build.rng
+    rng = local.build.rng
     wide, tall = rng.uniform(0.4, 0.8), rng.uniform(1.3, 1.8)
     board = Material(
-        Pattern.WINDOW,
-        (0.8, 0.8, 0.8),
-        pick(rng, palette.INTERIOR),
-        (0.5, 0.5, 0.5),
-        cell=(9.0, 0.62),
-        line=0.03,
-        grain=0.05,
-        gloss=0.2,
-    )
-    at.box((0.0, 0.5 * tall + 0.08, 0.0), (wide, 0.5 * tall - 0.04, 0.02), board)
+        Pattern.WINDOW, (0.8, 0.8, 0.8), pick(rng, palette.INTERIOR), (0.5, 0.5, 0.5), cell=(9.0, 0.62), line=0.03,
+        grain=0.05, gloss=0.2,
+    )  # fmt: skip
+    local.box((0.0, 0.5 * tall + 0.08, 0.0), (wide, 0.5 * tall - 0.04, 0.02), board)
     for x in (-wide, wide):
-        at.rod((x, 0.0, 0.0), (x, tall, 0.0), 0.02, CHROME)
-        at.rod((x, 0.03, -0.25), (x, 0.03, 0.25), 0.018, CHROME)
+        local.rod((x, 0.0, 0.0), (x, tall, 0.0), 0.02, CHROME)
+        local.rod((x, 0.03, -0.25), (x, 0.03, 0.25), 0.018, CHROME)
 
 
-def stairs(at: Turned, steps: int) -> None:
+def stairs(local: LocalFrame, steps: int) -> None:
     """Add a flight of steps with a railing; it climbs along the local −z axis."""
-    rng = at.build.rng
+    rng = local.build.rng
     tread, rail = wood(rng, 0.3), CHROME
     wide, rise, run = rng.uniform(0.45, 0.7), 0.175, 0.28
     for k in range(steps):
-        at.box((0.0, 0.5 * rise * (k + 1), -run * k), (wide, 0.5 * rise * (k + 1), 0.5 * run), tread)
+        local.box((0.0, 0.5 * rise * (k + 1), -run * k), (wide, 0.5 * rise * (k + 1), 0.5 * run), tread)
         if k % 2 == 0:
-            at.rod((wide - 0.05, rise * (k + 1), -run * k), (wide - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail)
-    at.rod((wide - 0.05, rise + 0.9, 0.0), (wide - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)
+            local.rod(
+                (wide - 0.05, rise * (k + 1), -run * k), (wide - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail
+            )
+    local.rod((wide - 0.05, rise + 0.9, 0.0), (wide - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)

@@ -5,33 +5,33 @@ import numpy as np
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, Turned
+from omnisyn_cli.scenes.scene import LocalFrame, Point
 
 CARTON = Material(
     Pattern.CARTON, (0.62, 0.47, 0.31), (0.74, 0.63, 0.46), (0.88, 0.87, 0.84), grain=0.08, grain_size=0.4, seed=3
 )
 
 
-def carton_pile(at: Turned) -> None:
+def carton_pile(local: LocalFrame) -> None:
     """Add a few cartons, one on the other."""
-    rng = at.build.rng
+    rng = local.build.rng
     height = 0.0
     for _ in range(int(rng.integers(1, 4))):
         half = (rng.uniform(0.15, 0.32), rng.uniform(0.1, 0.24), rng.uniform(0.15, 0.28))
         centre = (rng.uniform(-0.04, 0.04), height + half[1], 0.0)
-        at.box(centre, half, CARTON, tint=rng.uniform(0.8, 1.15), turn=rng.uniform(-0.2, 0.2))
+        local.box(centre, half, CARTON, tint=rng.uniform(0.8, 1.15), turn=rng.uniform(-0.2, 0.2))
         height += 2.0 * half[1]
 
 
-def loaded_pallet(at: Turned) -> None:
+def loaded_pallet(local: LocalFrame) -> None:
     """Add a pallet with equal cartons in layers."""
-    rng = at.build.rng
+    rng = local.build.rng
     pallet = Material(
         Pattern.PLANKS, (0.66, 0.54, 0.38), (0.55, 0.44, 0.3), (0.2, 0.15, 0.1), cell=(2.0, 0.14), line=0.04
     )
-    at.box((0.0, 0.13, 0.0), (0.6, 0.015, 0.5), pallet)
+    local.box((0.0, 0.13, 0.0), (0.6, 0.015, 0.5), pallet)
     for x in (-0.52, 0.0, 0.52):
-        at.box((x, 0.06, 0.0), (0.06, 0.06, 0.5), pallet)
+        local.box((x, 0.06, 0.0), (0.06, 0.06, 0.5), pallet)
     half = (0.58 / int(rng.integers(1, 4)), rng.uniform(0.12, 0.25), 0.48 / int(rng.integers(1, 3)))
     columns, rows = round(0.58 / half[0]), round(0.48 / half[2])
     layers = int(rng.integers(1, 5 if columns * rows < 4 else 4))
@@ -45,12 +45,12 @@ def loaded_pallet(at: Turned) -> None:
                         (2 * j + 1 - rows) * half[2],
                     )
                     size = (half[0] - 0.006, half[1] - 0.003, half[2] - 0.006)
-                    at.box(centre, size, CARTON, tint=rng.uniform(0.85, 1.1))
+                    local.box(centre, size, CARTON, tint=rng.uniform(0.85, 1.1))
 
 
-def rack(at: Turned, bays: int, tall: float) -> None:
+def rack(local: LocalFrame, bays: int, tall: float) -> None:
     """Add a pallet rack: frames, beams, loads; it stretches along the local x axis, its middle at the base."""
-    rng = at.build.rng
+    rng = local.build.rng
     upright = Material(
         Pattern.PLAIN, pick(rng, ((0.12, 0.2, 0.42), (0.2, 0.2, 0.2), (0.2, 0.3, 0.25))), grain=0.06, gloss=0.1
     )
@@ -62,23 +62,23 @@ def rack(at: Turned, bays: int, tall: float) -> None:
     for k in range(bays + 1):
         x = (k - 0.5 * bays) * bay
         for z in (-deep, deep):
-            at.box((x, 0.5 * tall, z), (0.045, 0.5 * tall, 0.04), upright)
+            local.box((x, 0.5 * tall, z), (0.045, 0.5 * tall, 0.04), upright)
         for y in np.arange(0.4, tall - 0.7, 1.1):
-            at.rod((x, y, -deep), (x, y + 0.7, deep), 0.018, upright)
+            local.rod((x, y, -deep), (x, y + 0.7, deep), 0.018, upright)
     for level in range(levels + 1):
         y = 0.12 + level * (tall - 0.3) / max(1, levels) if level else 0.0
         if level:
             for z in (-deep, deep):
-                at.box((0.0, y, z), (0.5 * bays * bay, 0.06, 0.025), beam)
-            at.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
+                local.box((0.0, y, z), (0.5 * bays * bay, 0.06, 0.025), beam)
+            local.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
         for k in range(bays):
             if rng.random() < 0.8:
                 base = ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0)
-                _load(at, base, 0.42 * bay, deep, tall / (levels + 1))
+                _load(local, base, 0.42 * bay, deep, tall / (levels + 1))
 
 
-def _load(at: Turned, base: Point, wide: float, deep: float, room: float) -> None:
-    rng = at.build.rng
+def _load(local: LocalFrame, base: Point, wide: float, deep: float, room: float) -> None:
+    rng = local.build.rng
     pieces = int(rng.integers(1, 4))
     for k in range(pieces):
         half = (
@@ -93,4 +93,4 @@ def _load(at: Turned, base: Point, wide: float, deep: float, room: float) -> Non
             goods = Material(
                 Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.INTERIOR), grain=0.12, gloss=0.2
             )
-        at.box((x, base[1] + half[1], base[2]), half, goods, tint=rng.uniform(0.8, 1.15))
+        local.box((x, base[1] + half[1], base[2]), half, goods, tint=rng.uniform(0.8, 1.15))

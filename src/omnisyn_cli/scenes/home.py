@@ -7,23 +7,24 @@ import numpy as np
 
 from omnisyn_cli.scenes import furniture, obstacles, palette, props
 from omnisyn_cli.scenes.daylight import daylight, sun_at
-from omnisyn_cli.scenes.finishes import any_finish, faint_finish
+from omnisyn_cli.scenes.finishes import low_texture_finish, random_finish
 from omnisyn_cli.scenes.furnishing import furnish
 from omnisyn_cli.scenes.materials import Material, Pattern
-from omnisyn_cli.scenes.obstacles import Space, Way
+from omnisyn_cli.scenes.obstacles import CameraPath, Enclosure
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Shape, Turned, Walkway
-from omnisyn_cli.scenes.walls import Cell, Opening, Openings, enclose
+from omnisyn_cli.scenes.scene import Lighting, LocalFrame, Scene, SceneBuilder, Shape, Walkway
+from omnisyn_cli.scenes.walls import Cell, Opening, Openings, add_room_shell
 
-NEAR_THE_WAY = (
+PATH_FURNITURE = (
     furniture.bed, furniture.table, furniture.chair, furniture.chair, furniture.armchair, furniture.sofa,
-    furniture.cabinet, furniture.office_chair, furniture.plant, furniture.floor_lamp, furniture.shelf, obstacles.unit,
+    furniture.cabinet, furniture.office_chair, furniture.plant, furniture.floor_lamp, furniture.shelf,
+    obstacles.kitchen_unit,
 )  # fmt: skip
 
-BASELINES = (0.25, 8.0)
+BASELINE_RANGE = (0.25, 8.0)
 """Metres."""
 
-NEARNESS = 3.0
+MAX_BASELINE_IN_DEPTHS = 3.0
 """Longest baseline in distances of the nearest thing."""
 
 Grid = dict[tuple[int, int], tuple[Cell, Openings]]
@@ -35,19 +36,19 @@ def home(seed: int) -> Scene:
     rng = np.random.default_rng([17, seed])
     build = SceneBuilder(rng, lighting=indoor_light(rng))
     build.ground = (0.0, 1.0, 0.0, -0.3)
-    build.ground_material = any_finish(rng, 3.0)
-    rooms = _plan(rng)
+    build.ground_material = random_finish(rng, 3.0)
+    rooms = _floor_plan(rng)
     visited = list(rooms)[rng.integers(len(rooms))]
     for place, (cell, openings) in rooms.items():
         use = "office" if rng.random() < 0.2 else "home"
-        enclose(build, cell, openings, use, casts_shadow=False, finish=faint_finish)
+        add_room_shell(build, cell, openings, use, casts_shadow=False, finish=low_texture_finish)
         near = abs(place[0] - visited[0]) + abs(place[1] - visited[1])
         if near < 2:  # what is farther shows through doors of doors
             furnish(build, cell, use, openings)
-            _stay_in(build, cell)
+            _add_room_walkway(build, cell)
         if near == 0:
-            _close_by(build, cell)
-    _outside(build)
+            _add_obstacles(build, cell)
+    _add_outdoors(build)
     return build.build("home")
 
 
@@ -71,7 +72,7 @@ def indoor_light(rng: np.random.Generator) -> Lighting:
     )
 
 
-def _plan(rng: np.random.Generator) -> Grid:
+def _floor_plan(rng: np.random.Generator) -> Grid:
     """Two to six rooms on a grid, most neighbours joined by a door, most outer walls with windows."""
     columns, rows = int(rng.integers(1, 4)), int(rng.integers(1, 3))
     tall = rng.uniform(2.3, 3.1)
@@ -121,69 +122,70 @@ def _windows(rng: np.random.Generator, low: float, high: float, tall: float) -> 
     ]
 
 
-def _stay_in(build: SceneBuilder, cell: Cell) -> None:
+def _add_room_walkway(build: SceneBuilder, cell: Cell) -> None:
     """Let cameras stand anywhere in a room."""
     level = build.ground[3]
     low = (cell.low[0] + 0.4, build.rng.uniform(0.6, 1.3) - level, cell.low[1] + 0.4)
     high = (cell.high[0] - 0.4, min(2.1, cell.tall - 0.3) - level, cell.high[1] - 0.4)
-    build.walkways.append(Walkway(low, high, (0.0, 0.0), BASELINES, 0.2, NEARNESS, 0.12))
+    build.walkways.append(Walkway(low, high, (0.0, 0.0), BASELINE_RANGE, 0.2, MAX_BASELINE_IN_DEPTHS, 0.12))
 
 
-def _close_by(build: SceneBuilder, cell: Cell) -> None:
+def _add_obstacles(build: SceneBuilder, cell: Cell) -> None:
     """Put things next to a way through a room: furniture, lamps, somebody, and in half of the rooms shapes adrift."""
     rng = build.rng
-    space = _space(rng, cell)
+    enclosure = _draw_enclosure(rng, cell)
     for _ in range(int(rng.integers(2, 7))):
-        place = space.floor_place(rng, 0.5, 0.9)
+        place = enclosure.sample_floor_point(rng, 0.5, 0.9)
         if place is not None:
-            NEAR_THE_WAY[rng.integers(len(NEAR_THE_WAY))](Turned(build, place, rng.uniform(-math.pi, math.pi)))
-    for thing, chance in ((_hang, 0.5), (_stand_by, 0.35), (_dark_door, 0.4)):
+            add_item = PATH_FURNITURE[rng.integers(len(PATH_FURNITURE))]
+            add_item(LocalFrame(build, place, rng.uniform(-math.pi, math.pi)))
+    for thing, chance in ((_add_chandelier, 0.5), (_add_person_or_tripod, 0.35), (_add_dark_doorway, 0.4)):
         if rng.random() < chance:
-            thing(build, space)
+            thing(build, enclosure)
     if rng.random() < 0.5:
-        obstacles.adrift(build, space, int(rng.integers(10, 31)), 0.35)
+        obstacles.floating_shapes(build, enclosure, int(rng.integers(10, 31)), 0.35)
     for add, chance in ((obstacles.bars, 0.2), (obstacles.platform, 0.3), (obstacles.arch, 0.15)):
         if rng.random() < chance:
-            add(build, space)
-    obstacles.wires(build, space, int(rng.integers(0, 4)))
-    obstacles.blocks(build, space, int(rng.integers(0, 5)), 0.3)
-    build.walkways.extend([space.way.walkway(build.ground[3], BASELINES, NEARNESS)] * 4)
+            add(build, enclosure)
+    obstacles.wires(build, enclosure, int(rng.integers(0, 4)))
+    obstacles.blocks(build, enclosure, int(rng.integers(0, 5)), 0.3)
+    build.walkways.extend([enclosure.path.walkway(build.ground[3], BASELINE_RANGE, MAX_BASELINE_IN_DEPTHS)] * 4)
 
 
-def _space(rng: np.random.Generator, cell: Cell) -> Space:
+def _draw_enclosure(rng: np.random.Generator, cell: Cell) -> Enclosure:
     """A room, and a way through it at the height of a camera."""
     low, high = (cell.low[0] + 0.15, 0.0, cell.low[1] + 0.15), (cell.high[0] - 0.15, cell.tall, cell.high[1] - 0.15)
     ends = [(rng.uniform(low[0] + 0.4, high[0] - 0.4), rng.uniform(1.0, 1.8), rng.uniform(low[2] + 0.4, high[2] - 0.4))
             for _ in range(2)]  # fmt: skip
-    return Space(low, high, Way(ends[0], ends[1], rng.uniform(0.25, 0.7)))
+    return Enclosure(low, high, CameraPath(ends[0], ends[1], rng.uniform(0.25, 0.7)))
 
 
-def _hang(build: SceneBuilder, space: Space) -> None:
+def _add_chandelier(build: SceneBuilder, enclosure: Enclosure) -> None:
     """Hang a chandelier beside the way."""
-    x, _, z = space.drawn(build.rng)
+    x, _, z = enclosure.sample_point(build.rng)
     drop = build.rng.uniform(0.3, 1.0)
-    if space.way.is_clear_of((x, space.high[1] - drop, z), 0.5):
-        obstacles.chandelier(build, (x, space.high[1], z), drop)
+    if enclosure.path.is_clear_of((x, enclosure.high[1] - drop, z), 0.5):
+        obstacles.chandelier(build, (x, enclosure.high[1], z), drop)
 
 
-def _stand_by(build: SceneBuilder, space: Space) -> None:
+def _add_person_or_tripod(build: SceneBuilder, enclosure: Enclosure) -> None:
     """Somebody, or a tripod."""
-    place = space.floor_place(build.rng, 0.3, 1.9)
+    place = enclosure.sample_floor_point(build.rng, 0.3, 1.9)
     if place is not None and build.rng.random() < 0.6:
         props.person(build, place)
     elif place is not None:
         obstacles.tripod(build, place, build.rng.uniform(1.0, 1.6))
 
 
-def _dark_door(build: SceneBuilder, space: Space) -> None:
+def _add_dark_doorway(build: SceneBuilder, enclosure: Enclosure) -> None:
     """A doorway into the dark, in a wall along x."""
     rng = build.rng
-    x = rng.uniform(space.low[0] + 0.3, space.high[0] - 0.3)
-    z = space.low[2] - 0.08 if rng.random() < 0.5 else space.high[2] + 0.08
-    build.add(Shape.BOX, (x, 1.0, z), (0.42, 1.0, 0.012), obstacles.BLACK)
+    x = rng.uniform(enclosure.low[0] + 0.3, enclosure.high[0] - 0.3)
+    z = enclosure.low[2] - 0.08 if rng.random() < 0.5 else enclosure.high[2] + 0.08
+    build.add(Shape.BOX, (x, 1.0, z), (0.42, 1.0, 0.012), obstacles.DARK_GAP_MATERIAL)
 
 
-def _outside(build: SceneBuilder) -> None:
+def _add_outdoors(build: SceneBuilder) -> None:
     """What is seen through the windows."""
     rng = build.rng
     for _ in range(int(rng.integers(3, 9))):
@@ -194,8 +196,8 @@ def _outside(build: SceneBuilder) -> None:
         else:
             tone = pick(rng, palette.PLASTER)
             front = Material(
-                Pattern.FACADE, tone, pick(rng, palette.GLASS), palette.darker(tone, 0.7), cell=(2.5, 3.0), line=0.08
-            )
+                Pattern.FACADE, tone, pick(rng, palette.GLASS), palette.scaled(tone, 0.7), cell=(2.5, 3.0), line=0.08,
+            )  # fmt: skip
             tall = rng.uniform(3, 8)
             half = (rng.uniform(3, 8), tall, rng.uniform(3, 8))
             build.add(Shape.BOX, (base[0] * 1.3, base[1] + tall, base[2] * 1.3), half, front, yaw=angle)

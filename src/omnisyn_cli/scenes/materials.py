@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.scenes.palette import Colour, Palette, darker, pick
+from omnisyn_cli.scenes.palette import Colour, Palette, pick, scaled
 
 
 class Pattern(IntEnum):
@@ -37,7 +37,7 @@ class Pattern(IntEnum):
     MESH = 20  # open lattice
 
 
-class Column(IntEnum):
+class MaterialColumn(IntEnum):
     """Columns of a packed material."""
 
     PATTERN = 0
@@ -53,7 +53,7 @@ class Column(IntEnum):
     GLOSS = 16
     GLOW = 17
     SEED = 18
-    OPEN = 19
+    PERFORATED = 19
     COUNT = 20
 
 
@@ -88,29 +88,33 @@ class Material:
     seed: int = 1
 
 
-def shaded(pattern: Pattern, tone: Colour, second: float, third: float | None = None, **look: Any) -> Material:
-    """A material of one colour: its second and third are that colour made darker by a factor, the rest is ``look``."""
+def tonal_material(
+    pattern: Pattern, tone: Colour, second: float, third: float | None = None, **properties: Any
+) -> Material:
+    """A material of one colour: its second and third are that colour times a factor; ``properties`` is the rest."""
     if third is not None:
-        look["third"] = darker(tone, third)
-    return Material(pattern, tone, darker(tone, second), **look)
+        properties["third"] = scaled(tone, third)
+    return Material(pattern, tone, scaled(tone, second), **properties)
 
 
-def grown(pattern: Pattern, green: Colour, first: float, second: float, **look: Any) -> Material:
-    """What grows: its first and second colour are a green made darker by a factor, the rest is ``look``."""
-    return Material(pattern, darker(green, first), darker(green, second), **look)
+def plant_material(pattern: Pattern, green: Colour, first: float, second: float, **properties: Any) -> Material:
+    """What grows: its first and second colour are a green times a factor; ``properties`` is the rest."""
+    return Material(pattern, scaled(green, first), scaled(green, second), **properties)
 
 
-def picked(rng: np.random.Generator, pattern: Pattern, palettes: Sequence[Palette], **look: Any) -> Material:
-    """A material whose colours are picked from a palette each and whose seed is drawn; the rest is ``look``."""
-    look |= zip(("first", "second", "third"), [pick(rng, palette) for palette in palettes], strict=False)
-    return Material(pattern, seed=int(rng.integers(1, 1000)), **look)
+def random_material(
+    rng: np.random.Generator, pattern: Pattern, palettes: Sequence[Palette], **properties: Any
+) -> Material:
+    """A material whose colours are picked from a palette each and whose seed is drawn; the rest is ``properties``."""
+    properties |= zip(("first", "second", "third"), [pick(rng, palette) for palette in palettes], strict=False)
+    return Material(pattern, seed=int(rng.integers(1, 1000)), **properties)
 
 
-_OPEN = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
+_PERFORATED_PATTERNS = (Pattern.LEAVES, Pattern.BARS, Pattern.MESH)
 
 
 def pack_materials(materials: Sequence[Material]) -> Float[np.ndarray, "m p"]:
-    """Return one row per material, with linear colours, laid out as :class:`Column` says."""
+    """Return one row per material, with linear colours, laid out as :class:`MaterialColumn` says."""
     rows = [
         (
             m.pattern,
@@ -123,8 +127,8 @@ def pack_materials(materials: Sequence[Material]) -> Float[np.ndarray, "m p"]:
             m.gloss,
             m.glow,
             m.seed,
-            m.pattern in _OPEN,
+            m.pattern in _PERFORATED_PATTERNS,
         )
         for m in materials
     ]
-    return np.array(rows, dtype=np.float64).reshape(-1, int(Column.COUNT))
+    return np.array(rows, dtype=np.float64).reshape(-1, int(MaterialColumn.COUNT))

@@ -64,7 +64,7 @@ def _bounded(channel: float) -> float:
     return min(0.97, max(0.02, channel))
 
 
-def darker(colour: Colour, factor: float) -> Colour:
+def scaled(colour: Colour, factor: float) -> Colour:
     """Scale a colour; above 1 it gets lighter."""
     return min(0.97, colour[0] * factor), min(0.97, colour[1] * factor), min(0.97, colour[2] * factor)
 

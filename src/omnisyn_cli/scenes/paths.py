@@ -7,13 +7,22 @@ from jaxtyping import Float
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.scenes.panorama import distances
+from omnisyn_cli.scenes.panorama import trace_rays
 from omnisyn_cli.scenes.scene import Scene, Walkway
 
-_ATTEMPTS = 400
-_HIGHEST_CLIMB = 2.0  # metres, of a path that goes straight up, unless more is asked for
-_SHORTER = 0.985  # factor on a baseline at every attempt, where it may be shortened
-_LOOK, _NEAR = (8, 16), 0.04  # rays cast, and the quantile of their lengths that is called the distance of what is near
+_MAX_ATTEMPTS = 400
+
+_MAX_CLIMB = 2.0
+"""Metres of a path that goes straight up, unless more is asked for."""
+
+_BASELINE_DECAY = 0.985
+"""Factor on a baseline at every attempt, where it may be shortened: about a fifth is left after a hundred."""
+
+_PROBE_SIZE, _NEAR_QUANTILE = (8, 16), 0.04
+"""Rows and columns of the rays cast from an end, and the quantile of their lengths that counts as the nearest depth.
+
+A quantile instead of the minimum: one twig beside the camera does not shorten the path.
+"""
 
 
 def sample_path(
@@ -41,63 +50,63 @@ def sample_path(
     rng = np.random.default_rng([11, seed])
     heading = rng.uniform(-math.pi, math.pi)
     share = np.random.default_rng([12, seed]).random()
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(_MAX_ATTEMPTS):
         walkway = scene.walkways[rng.integers(len(scene.walkways))]
-        keep = walkway.clearance * max(0.3, 1.0 - attempt / _ATTEMPTS)
-        length = baseline if baseline is not None else _usual_length(rng, walkway, attempt, share)
-        if baseline is None and attempt > _ATTEMPTS // 2:
+        clearance = walkway.clearance * max(0.3, 1.0 - attempt / _MAX_ATTEMPTS)
+        length = baseline if baseline is not None else _draw_baseline(rng, walkway, attempt, share)
+        if baseline is None and attempt > _MAX_ATTEMPTS // 2:
             length = walkway.baselines[0]
         is_upright = rng.random() < vertical
         if is_upright and baseline is None:
-            length = min(length, _HIGHEST_CLIMB)
-        start, end = _line(rng, scene, walkway, length, upright=is_upright, strict=attempt < _ATTEMPTS // 2)
-        if _is_free(scene, start, end, keep) and _may_end(scene, walkway, end):
-            if baseline is None and _is_too_near(scene, walkway, start, end):
+            length = min(length, _MAX_CLIMB)
+        start, end = _draw_segment(rng, scene, walkway, length, upright=is_upright, strict=attempt < _MAX_ATTEMPTS // 2)
+        if _is_free(scene, start, end, clearance) and _is_allowed_end(scene, walkway, end):
+            if baseline is None and _is_too_long(scene, walkway, start, end):
                 continue
             shares = np.linspace(0.0, 1.0, frames)[:, None]
-            return [Pose(_attitude(rng, heading, tilt), position) for position in start + shares * (end - start)]
+            return [Pose(_draw_rotation(rng, heading, tilt), position) for position in start + shares * (end - start)]
     raise ValueError(
-        f"expected room for a path of {frames} frames, found none in {_ATTEMPTS} attempts: try a shorter baseline"
+        f"expected room for a path of {frames} frames, found none in {_MAX_ATTEMPTS} attempts: try a shorter baseline"
     )
 
 
-def _usual_length(rng: np.random.Generator, walkway: Walkway, attempt: int, share: float) -> float:
+def _draw_baseline(rng: np.random.Generator, walkway: Walkway, attempt: int, share: float) -> float:
     """Of an attempt; ``share`` says where between the shortest and the longest it begins."""
     low, high = walkway.baselines
-    if walkway.nearness is None:
+    if walkway.max_baseline_in_depths is None:
         return rng.uniform(low, high)
-    return max(low, low * math.exp(share * math.log(high / low)) * math.exp(attempt * math.log(_SHORTER)))
+    return max(low, low * math.exp(share * math.log(high / low)) * math.exp(attempt * math.log(_BASELINE_DECAY)))
 
 
-def _is_too_near(scene: Scene, walkway: Walkway, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> bool:
+def _is_too_long(scene: Scene, walkway: Walkway, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> bool:
     """Whether a path is too long for what is beside its ends."""
-    if walkway.nearness is None:
+    if walkway.max_baseline_in_depths is None:
         return False
-    directions = pixel_directions(*_LOOK).reshape(-1, 3)
-    nearest = min(float(np.quantile(distances(scene, place, directions)[0], _NEAR)) for place in (start, end))
-    return float(np.linalg.norm(end - start)) > walkway.nearness * nearest
+    directions = pixel_directions(*_PROBE_SIZE).reshape(-1, 3)
+    nearest = min(float(np.quantile(trace_rays(scene, place, directions)[0], _NEAR_QUANTILE)) for place in (start, end))
+    return float(np.linalg.norm(end - start)) > walkway.max_baseline_in_depths * nearest
 
 
-def _is_free(scene: Scene, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], keep: float) -> bool:
-    """Whether a segment stays out of every shape's box, grown by ``keep`` on all sides, and above the ground."""
-    if min(start @ scene.ground[:3], end @ scene.ground[:3]) < scene.ground[3] + keep:
+def _is_free(scene: Scene, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], clearance: float) -> bool:
+    """Whether a segment stays out of every shape's box, grown by ``clearance`` on all sides, and above the ground."""
+    if min(start @ scene.ground[:3], end @ scene.ground[:3]) < scene.ground[3] + clearance:
         return False
     local = np.einsum("nji,nj->ni", scene.rotation, start - scene.centre)
     step = np.einsum("nji,j->ni", scene.rotation, end - start)
     step = np.where(np.abs(step) < 1e-12, 1e-12, step)
-    middle, reach = -local / step, (scene.half + keep) / np.abs(step)
+    middle, reach = -local / step, (scene.half + clearance) / np.abs(step)
     enters, leaves = (middle - reach).max(axis=1), (middle + reach).min(axis=1)
     return not np.any((enters < leaves) & (leaves > 0.0) & (enters < 1.0))
 
 
-def _may_end(scene: Scene, walkway: Walkway, point: Float[np.ndarray, "3"]) -> bool:
+def _is_allowed_end(scene: Scene, walkway: Walkway, point: Float[np.ndarray, "3"]) -> bool:
     """Whether a point lies over a walkway, rather than beyond a window; streets go on."""
-    goes_on = any(walkway.heading) and walkway.nearness is None
+    goes_on = any(walkway.heading) and walkway.max_baseline_in_depths is None
     over = (w.low[0] <= point[0] <= w.high[0] and w.low[2] <= point[2] <= w.high[2] for w in scene.walkways)
     return goes_on or any(over)
 
 
-def _line(
+def _draw_segment(
     rng: np.random.Generator, scene: Scene, walkway: Walkway, length: float, *, upright: bool, strict: bool
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Both ends of a candidate; heights count from the ground."""
@@ -122,7 +131,7 @@ def _line(
     return start, end
 
 
-def _attitude(rng: np.random.Generator, heading: float, tilt: float) -> Float[np.ndarray, "3 3"]:
+def _draw_rotation(rng: np.random.Generator, heading: float, tilt: float) -> Float[np.ndarray, "3 3"]:
     if tilt <= 0.0:
         return rotation_from_heading(heading)
     return rotation_from_heading(rng.uniform(-math.pi, math.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))

@@ -13,51 +13,51 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int64, UInt8
 
-from omnisyn_cli.scenes.materials import Column, Pattern
-from omnisyn_cli.scenes.scene import Papering, Scene
+from omnisyn_cli.scenes.materials import MaterialColumn, Pattern
+from omnisyn_cli.scenes.scene import PhotoTextures, Scene
 
-LEVELS = 12
-"""Mip levels that there is room for; the last of a photograph is repeated."""
+MIP_LEVELS = 12
+"""Levels that there is room for (textures up to 2¹¹ pixels); the last of a photograph is repeated."""
 
-SHARES = (0.3, 0.9)
-"""Of a scene's materials that become photographs, between which a scene draws its own."""
+PHOTO_SHARE_RANGE = (0.3, 0.9)
+"""Share of a scene's materials that become photographs: each scene draws its own in this range."""
 
-PICTURES = 0.85
-"""Share of the pictures on walls that do at least."""
+MIN_PICTURE_SHARE = 0.85
+"""Share of the pictures on walls that become photographs at least; chosen by eye."""
 
-GLASSY = 0.8
-"""Gloss from which on a plain material is glass or a screen, and stays."""
+GLASS_MIN_GLOSS = 0.8
+"""Gloss from which on a plain material is glass or a screen and keeps its colour."""
 
 
-class Use(IntEnum):
-    """How a photograph lies on a face."""
+class PhotoMapping(IntEnum):
+    """How a photograph is mapped onto a face."""
 
     TILED = 0  # mirrored at its edges, instead of the pattern
     UNDER = 1  # tiled, under the pattern: its second and third colour stay (windows, road markings)
     FITTED = 2  # once, cropped to the face; the pattern's third colour stays (a frame)
 
 
-SIZES: Mapping[Pattern, tuple[tuple[Use, ...], float, float]] = {
-    Pattern.PLAIN: ((Use.TILED,), 0.4, 4.0),
-    Pattern.BRICK: ((Use.TILED,), 0.8, 5.0),
-    Pattern.TILES: ((Use.TILED,), 0.6, 4.0),
-    Pattern.CHECKER: ((Use.TILED,), 0.6, 4.0),
-    Pattern.PLANKS: ((Use.TILED,), 0.5, 3.0),
-    Pattern.FACADE: ((Use.TILED, Use.UNDER), 3.0, 14.0),
-    Pattern.STRIPES: ((Use.TILED,), 0.5, 3.0),
-    Pattern.COLLAGE: ((Use.FITTED,), 1.0, 1.0),
-    Pattern.ROAD: ((Use.UNDER,), 1.5, 8.0),
-    Pattern.GRASS: ((Use.TILED,), 1.0, 8.0),
-    Pattern.WALLPAPER: ((Use.TILED,), 0.5, 3.5),
-    Pattern.PANELS: ((Use.UNDER,), 0.6, 3.0),
-    Pattern.RIBS: ((Use.TILED,), 0.8, 4.0),
-    Pattern.CARTON: ((Use.UNDER,), 0.3, 1.0),
-    Pattern.PICTURE: ((Use.FITTED,), 1.0, 1.0),
-    Pattern.RUG: ((Use.FITTED, Use.TILED), 0.5, 2.0),
+PHOTO_PLACEMENTS: Mapping[Pattern, tuple[tuple[PhotoMapping, ...], float, float]] = {
+    Pattern.PLAIN: ((PhotoMapping.TILED,), 0.4, 4.0),
+    Pattern.BRICK: ((PhotoMapping.TILED,), 0.8, 5.0),
+    Pattern.TILES: ((PhotoMapping.TILED,), 0.6, 4.0),
+    Pattern.CHECKER: ((PhotoMapping.TILED,), 0.6, 4.0),
+    Pattern.PLANKS: ((PhotoMapping.TILED,), 0.5, 3.0),
+    Pattern.FACADE: ((PhotoMapping.TILED, PhotoMapping.UNDER), 3.0, 14.0),
+    Pattern.STRIPES: ((PhotoMapping.TILED,), 0.5, 3.0),
+    Pattern.COLLAGE: ((PhotoMapping.FITTED,), 1.0, 1.0),
+    Pattern.ROAD: ((PhotoMapping.UNDER,), 1.5, 8.0),
+    Pattern.GRASS: ((PhotoMapping.TILED,), 1.0, 8.0),
+    Pattern.WALLPAPER: ((PhotoMapping.TILED,), 0.5, 3.5),
+    Pattern.PANELS: ((PhotoMapping.UNDER,), 0.6, 3.0),
+    Pattern.RIBS: ((PhotoMapping.TILED,), 0.8, 4.0),
+    Pattern.CARTON: ((PhotoMapping.UNDER,), 0.3, 1.0),
+    Pattern.PICTURE: ((PhotoMapping.FITTED,), 1.0, 1.0),
+    Pattern.RUG: ((PhotoMapping.FITTED, PhotoMapping.TILED), 0.5, 2.0),
 }
-"""Of a pattern: uses, one of which is drawn, and the least and the greatest width of a photograph in metres."""
+"""By pattern: mappings, one of which is drawn, and the range of a photograph's width in metres, chosen by eye."""
 
-GROUND = (Pattern.ROAD, Pattern.GRASS)
+GROUND_PATTERNS = (Pattern.ROAD, Pattern.GRASS)
 """Patterns that lie on the ground whatever they belong to."""
 
 
@@ -89,14 +89,14 @@ def pack_photos(images: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Photos
             texels.append(level.reshape(-1, 3))
             rows.append((first, level.shape[0], level.shape[1]))
             first += level.shape[0] * level.shape[1]
-        levels.append([*rows, *[rows[-1]] * (LEVELS - len(rows))])
+        levels.append([*rows, *[rows[-1]] * (MIP_LEVELS - len(rows))])
     return Photos(np.concatenate(texels), np.array(levels, np.int64))
 
 
 def _mip_levels(image: UInt8[np.ndarray, "height width 3"]) -> list[np.ndarray]:
     light = np.square(image.astype(np.float32) / np.float32(255.0))
     levels = [image]
-    while max(light.shape[:2]) > 1 and len(levels) < LEVELS:
+    while max(light.shape[:2]) > 1 and len(levels) < MIP_LEVELS:
         size = (max(1, light.shape[1] // 2), max(1, light.shape[0] // 2))
         light = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA)).reshape(size[1], size[0], 3)
         levels.append(np.rint(np.sqrt(light) * 255.0).astype(np.uint8))
@@ -106,23 +106,29 @@ def _mip_levels(image: UInt8[np.ndarray, "height width 3"]) -> list[np.ndarray]:
 def with_photos(scene: Scene, photos: Photos, seed: int) -> Scene:
     """A scene some of whose materials are photographs, by chance; equal arguments give equal scenes."""
     rng = np.random.default_rng([41, seed])
-    share = rng.uniform(*SHARES)
-    chosen = np.zeros((len(scene.materials), 5))
-    chosen[:, 0] = -1.0
+    share = rng.uniform(*PHOTO_SHARE_RANGE)
+    assignment = np.zeros((len(scene.materials), 5))
+    assignment[:, 0] = -1.0
     for row, material in enumerate(scene.materials):
-        pattern = Pattern(int(material[Column.PATTERN]))
-        chance, photo, numbers = rng.random(), int(rng.integers(len(photos.levels))), rng.random(3)
-        likely = max(share, PICTURES) if pattern == Pattern.PICTURE else share
-        if pattern not in SIZES or chance > likely or _shines(material):
+        pattern = Pattern(int(material[MaterialColumn.PATTERN]))
+        chance, photo, draws = rng.random(), int(rng.integers(len(photos.levels))), rng.random(3)
+        wanted_share = max(share, MIN_PICTURE_SHARE) if pattern == Pattern.PICTURE else share
+        if pattern not in PHOTO_PLACEMENTS or chance > wanted_share or _is_glass_or_lamp(material):
             continue
-        uses, least, greatest = SIZES[pattern]
-        use = uses[int(numbers[0] * len(uses))]
-        wide = least * math.exp(numbers[1] * math.log(greatest / least))
-        chosen[row] = photo, use, wide, 1 + int(numbers[2] * 1e4), row == scene.ground_material or pattern in GROUND
-    return replace(scene, papering=Papering(photos.texels, photos.levels, chosen))
+        mappings, min_width, max_width = PHOTO_PLACEMENTS[pattern]
+        mapping = mappings[int(draws[0] * len(mappings))]
+        width = min_width * math.exp(draws[1] * math.log(max_width / min_width))
+        assignment[row] = (
+            photo,
+            mapping,
+            width,
+            1 + int(draws[2] * 1e4),
+            row == scene.ground_material or pattern in GROUND_PATTERNS,
+        )
+    return replace(scene, photo_textures=PhotoTextures(photos.texels, photos.levels, assignment))
 
 
-def _shines(material: Float[np.ndarray, " columns"]) -> bool:
+def _is_glass_or_lamp(material: Float[np.ndarray, " columns"]) -> bool:
     """Whether a plain material is a lamp, glass or a screen."""
-    is_glass = material[Column.GLOSS] >= GLASSY and material[Column.PATTERN] == Pattern.PLAIN
-    return bool(is_glass or material[Column.GLOW] > 0.0)
+    is_glass = material[MaterialColumn.GLOSS] >= GLASS_MIN_GLOSS and material[MaterialColumn.PATTERN] == Pattern.PLAIN
+    return bool(is_glass or material[MaterialColumn.GLOW] > 0.0)

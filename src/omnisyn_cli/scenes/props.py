@@ -6,9 +6,9 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, grown, picked, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, plant_material, random_material, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import Point, SceneBuilder, Shape, Turned
+from omnisyn_cli.scenes.scene import LocalFrame, Point, SceneBuilder, Shape
 
 BARK = Material(Pattern.PLAIN, (0.34, 0.27, 0.21), (0.22, 0.18, 0.15), grain=0.5, grain_size=0.25)
 TYRE = Material(Pattern.PLAIN, (0.10, 0.10, 0.10), (0.07, 0.07, 0.07), grain=0.1)
@@ -21,7 +21,7 @@ TAIL_LIGHT = Material(Pattern.PLAIN, (0.50, 0.05, 0.05), gloss=0.6, grain=0.0)
 def _leaves(rng: np.random.Generator, openness: float, size: float) -> Material:
     green = pick(rng, palette.FOLIAGE, 0.08)
     seed = int(rng.integers(1, 1000))
-    return grown(Pattern.LEAVES, green, 0.62, 1.3, cell=(size, size), detail=openness, seed=seed)
+    return plant_material(Pattern.LEAVES, green, 0.62, 1.3, cell=(size, size), detail=openness, seed=seed)
 
 
 def tree(build: SceneBuilder, base: Point, height: float) -> None:
@@ -99,7 +99,7 @@ def sign(build: SceneBuilder, base: Point, yaw: float) -> None:
     build.pole(base, height, 0.032, Material(Pattern.PLAIN, (0.55, 0.56, 0.56), grain=0.06, gloss=0.2))
     for level in range(int(rng.integers(1, 3))):
         look = {"third": (0.92, 0.92, 0.9), "cell": (0.5, 0.3), "grain": 0.03, "gloss": 0.15, "detail": 0.6}
-        face = picked(rng, Pattern.COLLAGE, [palette.SIGN] * 2, **look)
+        face = random_material(rng, Pattern.COLLAGE, [palette.SIGN] * 2, **look)
         half = (rng.uniform(0.2, 0.45), rng.uniform(0.18, 0.35), 0.012)
         build.add(Shape.BOX, (x, y + height - half[1] - 0.75 * level, z), half, face, yaw=yaw)
 
@@ -113,65 +113,59 @@ def bollard(build: SceneBuilder, base: Point) -> None:
 def waste_bin(build: SceneBuilder, base: Point) -> None:
     """Add a round bin or a wheeled box."""
     rng = build.rng
-    paint = Material(Pattern.PLAIN, palette.darker(pick(rng, palette.SIGN), 0.6), grain=0.12, gloss=0.1)
+    paint = Material(Pattern.PLAIN, palette.scaled(pick(rng, palette.SIGN), 0.6), grain=0.12, gloss=0.1)
     if rng.random() < 0.5:
         build.pole(base, rng.uniform(0.8, 1.1), 0.25, paint)
     else:
         build.add(Shape.BOX, (base[0], base[1] + 0.55, base[2]), (0.3, 0.5, 0.35), paint, yaw=rng.uniform(-0.4, 0.4))
 
 
-def bench(at: Turned) -> None:
+def bench(local: LocalFrame) -> None:
     """Add a bench of slats on two iron legs."""
     wood = Material(
         Pattern.PLANKS, (0.50, 0.36, 0.24), (0.42, 0.29, 0.2), (0.1, 0.08, 0.06), cell=(3.0, 0.1), line=0.02
     )
     iron = Material(Pattern.PLAIN, (0.15, 0.15, 0.15), grain=0.05)
-    at.box((0.0, 0.44, 0.0), (0.8, 0.025, 0.22), wood)
-    at.box((0.0, 0.75, -0.24), (0.8, 0.2, 0.02), wood)
+    local.box((0.0, 0.44, 0.0), (0.8, 0.025, 0.22), wood)
+    local.box((0.0, 0.75, -0.24), (0.8, 0.2, 0.02), wood)
     for side in (-0.65, 0.65):
-        at.box((side, 0.21, 0.0), (0.03, 0.21, 0.2), iron)
+        local.box((side, 0.21, 0.0), (0.03, 0.21, 0.2), iron)
 
 
-def car(at: Turned) -> None:
+def car(local: LocalFrame) -> None:
     """Add a car: body, cabin of glass, bumpers, wheels and lights; its nose points along the local −z."""
-    rng = at.build.rng
+    rng = local.build.rng
     paint = pick(rng, palette.CAR)
-    body = shaded(Pattern.PLAIN, paint, 0.9, grain=0.02, gloss=0.5, grain_size=2.0)
+    body = tonal_material(Pattern.PLAIN, paint, 0.9, grain=0.02, gloss=0.5, grain_size=2.0)
     dark = Material(Pattern.PLAIN, (0.09, 0.09, 0.1), grain=0.05, gloss=0.2)
     glass = Material(
-        Pattern.WINDOW,
-        paint,
-        (0.10, 0.12, 0.14),
-        palette.darker(paint, 0.5),
-        cell=(1.15, 9.0),
-        line=0.06,
-        gloss=1.0,
+        Pattern.WINDOW, paint, (0.10, 0.12, 0.14), palette.scaled(paint, 0.5), cell=(1.15, 9.0), line=0.06, gloss=1.0,
         grain=0.02,
-    )
+    )  # fmt: skip
     screen = Material(Pattern.PLAIN, (0.1, 0.12, 0.14), grain=0.03, gloss=0.9)
     is_van = rng.random() < 0.2
     length, width = rng.uniform(3.7, 4.7), rng.uniform(0.83, 0.95)
     waist, roof = (1.0, rng.uniform(1.9, 2.2)) if is_van else (rng.uniform(0.82, 0.95), rng.uniform(1.4, 1.65))
     half = 0.5 * length
-    at.box((0.0, 0.5 * (waist + 0.28), 0.0), (width, 0.5 * (waist - 0.28), half), body)
-    at.box((0.0, 0.32, 0.0), (width - 0.05, 0.14, half + 0.06), dark)
+    local.box((0.0, 0.5 * (waist + 0.28), 0.0), (width, 0.5 * (waist - 0.28), half), body)
+    local.box((0.0, 0.32, 0.0), (width - 0.05, 0.14, half + 0.06), dark)
     back = 0.0 if is_van else 0.12 * length
     cabin = 0.45 * length if is_van else 0.27 * length
     middle = 0.5 * (waist + roof)
-    at.box((0.0, middle - 0.03, back), (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, cap=dark)
-    at.box((0.0, roof - 0.04, back), (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
+    local.box((0.0, middle - 0.03, back), (width - 0.1, 0.5 * (roof - waist) - 0.03, cabin), glass, cap=dark)
+    local.box((0.0, roof - 0.04, back), (width - 0.12, 0.045, cabin - (0.0 if is_van else 0.16)), body)
     if not is_van:  # raked windscreens, front and back
         for end, lean in ((back - cabin - 0.05, 0.95), (back + cabin + 0.02, -0.7)):
             rake = rotation_from_rotation_vector(np.array([lean, 0.0, 0.0]))
-            turned = rotation_from_rotation_vector(np.array([0.0, at.yaw, 0.0])) @ rake
+            turned = rotation_from_rotation_vector(np.array([0.0, local.yaw, 0.0])) @ rake
             size = (width - 0.13, 0.5 * (roof - waist) / math.cos(lean) - 0.05, 0.02)
-            at.build.add(Shape.BOX, at.place(0.0, middle - 0.02, end), size, screen, rotation=turned)
+            local.build.add(Shape.BOX, local.place(0.0, middle - 0.02, end), size, screen, rotation=turned)
     for z in (-0.62 * half, 0.62 * half):
-        at.rod((-width - 0.01, 0.31, z), (width + 0.01, 0.31, z), 0.31, TYRE)
-        at.rod((-width - 0.02, 0.31, z), (width + 0.02, 0.31, z), 0.18, RIM)
+        local.rod((-width - 0.01, 0.31, z), (width + 0.01, 0.31, z), 0.31, TYRE)
+        local.rod((-width - 0.02, 0.31, z), (width + 0.02, 0.31, z), 0.18, RIM)
     for x in (-0.72 * width, 0.72 * width):
-        at.box((x, 0.68, -half), (0.16, 0.07, 0.02), HEADLIGHT)
-        at.box((x, 0.72, half), (0.14, 0.08, 0.02), TAIL_LIGHT)
+        local.box((x, 0.68, -half), (0.16, 0.07, 0.02), HEADLIGHT)
+        local.box((x, 0.72, half), (0.14, 0.08, 0.02), TAIL_LIGHT)
 
 
 def person(build: SceneBuilder, base: Point) -> None:
@@ -182,7 +176,7 @@ def person(build: SceneBuilder, base: Point) -> None:
     coat = Material(
         Pattern.PLAIN, pick(rng, palette.CLOTH), pick(rng, palette.CLOTH), grain=0.25, grain_size=0.3, detail=0.2
     )
-    trousers = Material(Pattern.PLAIN, palette.darker(pick(rng, palette.CLOTH), 0.6), grain=0.2)
+    trousers = Material(Pattern.PLAIN, palette.scaled(pick(rng, palette.CLOTH), 0.6), grain=0.2)
     yaw, stride = rng.uniform(0, math.pi), rng.uniform(0.02, 0.25)
     c, s = math.cos(yaw), math.sin(yaw)
     hip, neck = 0.5 * height, 0.84 * height
@@ -194,5 +188,5 @@ def person(build: SceneBuilder, base: Point) -> None:
         build.rod(hand, shoulder, 0.05, coat)
     build.add(Shape.ELLIPSOID, (x, y + 0.5 * (hip + neck), z), (0.2, 0.32, 0.2), coat, yaw=yaw)
     build.ball((x, y + height - 0.12, z), 0.115, SKIN)
-    hair = Material(Pattern.PLAIN, palette.darker(pick(rng, palette.WOOD), 0.6), grain=0.3, grain_size=0.1)
+    hair = Material(Pattern.PLAIN, palette.scaled(pick(rng, palette.WOOD), 0.6), grain=0.3, grain_size=0.1)
     build.ball((x, y + height - 0.095, z - 0.015), 0.117, hair)

@@ -9,114 +9,120 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.scenes.culling import GRID
+from omnisyn_cli.scenes.culling import LIGHT_GRID_CELLS
 from omnisyn_cli.scenes.jit import inlined, kernel
-from omnisyn_cli.scenes.textures import is_hole
-from omnisyn_cli.scenes.world import GROUND, SKY, Kind, Packed, Scalar
+from omnisyn_cli.scenes.textures import FacePoint, is_hole
+from omnisyn_cli.scenes.world import GROUND_ID, SKY_ID, AttributeColumn, Scalar, ShapeColumn
 
-MISS = 1e30
-_NEAR = 1e-5
-_TINY = 1e-12
+MISS_DISTANCE = 1e30
+"""Instead of a distance, where a ray hits nothing."""
+
+_MIN_HIT_DISTANCE = 1e-5
+"""Metres; a hit nearer than this is the surface that the ray starts on."""
+
+_MIN_DIRECTION = 1e-12
+"""Components of directions are at least so large, so that divisions stay finite."""
 
 
 @inlined
-def _enter_box(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
-    dx = dx if abs(dx) > _TINY else _TINY
-    dy = dy if abs(dy) > _TINY else _TINY
-    dz = dz if abs(dz) > _TINY else _TINY
+def _intersect_box(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+    dx = dx if abs(dx) > _MIN_DIRECTION else _MIN_DIRECTION
+    dy = dy if abs(dy) > _MIN_DIRECTION else _MIN_DIRECTION
+    dz = dz if abs(dz) > _MIN_DIRECTION else _MIN_DIRECTION
     ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
     ax, ay, az = abs(ix), abs(iy), abs(iz)
     mx, my, mz = -ox * ix, -oy * iy, -oz * iz
     enters = max(mx - ax, my - ay, mz - az)
     leaves = min(mx + ax, my + ay, mz + az)
-    return enters if enters < leaves and enters > _NEAR else MISS
+    return enters if enters < leaves and enters > _MIN_HIT_DISTANCE else MISS_DISTANCE
 
 
 @inlined
-def _enter_ellipsoid(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+def _intersect_ellipsoid(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     a = dx * dx + dy * dy + dz * dz
     b = ox * dx + oy * dy + oz * dz
     c = ox * ox + oy * oy + oz * oz - 1.0
     q = b * b - a * c
     if q <= 0.0 or b >= 0.0:
-        return MISS
+        return MISS_DISTANCE
     t = (-b - math.sqrt(q)) / a
-    return t if t > _NEAR else MISS
+    return t if t > _MIN_HIT_DISTANCE else MISS_DISTANCE
 
 
 @inlined
-def leave_ellipsoid(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """Return the distance at which a ray comes out of the unit sphere, for leaves that are seen from behind."""
+def exit_ellipsoid(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Distance at which a ray leaves the unit sphere, for leaves that are seen from behind."""
     a = dx * dx + dy * dy + dz * dz
     b = ox * dx + oy * dy + oz * dz
     q = b * b - a * (ox * ox + oy * oy + oz * oz - 1.0)
     if q <= 0.0:
-        return MISS
+        return MISS_DISTANCE
     t = (-b + math.sqrt(q)) / a
-    return t if t > _NEAR else MISS
+    return t if t > _MIN_HIT_DISTANCE else MISS_DISTANCE
 
 
 @inlined
-def _enter_cylinder(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+def _intersect_cylinder(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     a = dx * dx + dz * dz
-    a = a if a > _TINY else _TINY
+    a = a if a > _MIN_DIRECTION else _MIN_DIRECTION
     b = ox * dx + oz * dz
     q = b * b - a * (ox * ox + oz * oz - 1.0)
     if q <= 0.0:
-        return MISS
+        return MISS_DISTANCE
     root = math.sqrt(q)
-    dy = dy if abs(dy) > _TINY else _TINY
+    dy = dy if abs(dy) > _MIN_DIRECTION else _MIN_DIRECTION
     middle, reach = -oy / dy, abs(1.0 / dy)
     enters = max((-b - root) / a, middle - reach)
     leaves = min((-b + root) / a, middle + reach)
-    return enters if enters < leaves and enters > _NEAR else MISS
+    return enters if enters < leaves and enters > _MIN_HIT_DISTANCE else MISS_DISTANCE
 
 
 @kernel
-def _enter_cone(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+def _intersect_cone(ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
     # x² + z² = ((1 - y) / 2)² between y = -1 (the base, radius 1) and y = 1 (the tip)
     h, k = 0.5 * (1.0 - oy), -0.5 * dy
     a = dx * dx + dz * dz - k * k
     b = ox * dx + oz * dz - h * k
     c = ox * ox + oz * oz - h * h
-    best = MISS
-    if abs(dy) > _TINY:  # through the base, from below
+    best = MISS_DISTANCE
+    if abs(dy) > _MIN_DIRECTION:  # through the base, from below
         t = (-1.0 - oy) / dy
         x, z = ox + t * dx, oz + t * dz
-        if t > _NEAR and dy > 0.0 and x * x + z * z < 1.0:
+        if t > _MIN_HIT_DISTANCE and dy > 0.0 and x * x + z * z < 1.0:
             best = t
     q = b * b - a * c
-    if q > 0.0 and abs(a) > _TINY:
+    if q > 0.0 and abs(a) > _MIN_DIRECTION:
         root = math.sqrt(q)
         for sign in (-1.0, 1.0):
             t = (-b + sign * root) / a
             y = oy + t * dy
             # outward normal · direction < 0: the ray enters here
-            if t > _NEAR and t < best and y > -1.0 and y < 1.0 and a * t + b < 0.0:
+            if t > _MIN_HIT_DISTANCE and t < best and y > -1.0 and y < 1.0 and a * t + b < 0.0:
                 best = t
     return best
 
 
 @inlined
-def enter(shape, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """Return the distance at which a ray enters a unit shape (a value of ``Shape``), ``MISS`` if it does not."""
+def intersect_shape(shape, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Distance at which a ray enters a unit shape (a value of ``Shape``), ``MISS_DISTANCE`` if it does not."""
     if shape == 0:
-        return _enter_box(ox, oy, oz, dx, dy, dz)
+        return _intersect_box(ox, oy, oz, dx, dy, dz)
     if shape == 1:
-        return _enter_ellipsoid(ox, oy, oz, dx, dy, dz)
+        return _intersect_ellipsoid(ox, oy, oz, dx, dy, dz)
     if shape == 2:
-        return _enter_cylinder(ox, oy, oz, dx, dy, dz)
-    return _enter_cone(ox, oy, oz, dx, dy, dz)
+        return _intersect_cylinder(ox, oy, oz, dx, dy, dz)
+    return _intersect_cone(ox, oy, oz, dx, dy, dz)
 
 
-EYE, NEAR, HALF = int(Packed.EYE), int(Packed.NEAR), int(Packed.HALF)
-SHAPE, SIDES, CAPS, VARIATION, OPEN = (int(k) for k in (Kind.SHAPE, Kind.SIDES, Kind.CAPS, Kind.VARIATION, Kind.OPEN))
-PLANE, WORLD_EYE, ACROSS, CELLS = int(Scalar.GROUND), int(Scalar.EYE), int(Scalar.ACROSS), int(Scalar.GRID)
+EYE, NEAR, HALF = int(ShapeColumn.EYE), int(ShapeColumn.NEAR), int(ShapeColumn.HALF)
+SHAPE, SIDES, CAPS, VARIATION, PERFORATED = map(int, AttributeColumn)
+PLANE, WORLD_EYE = int(Scalar.GROUND_PLANE), int(Scalar.EYE)
+GRID_AXES, GRID_FRAME = int(Scalar.LIGHT_GRID_AXES), int(Scalar.LIGHT_GRID_FRAME)
 
 
 @kernel
-def place_on(shapes, k, shape, x, y, z):  # type: ignore[no-untyped-def]
-    """Texture place of a point of a unit shape: ``(u, v, hu, hv, axis)`` in metres; axis 1 means a face up or down."""
+def texture_coordinates(shapes, k, shape, x, y, z):  # type: ignore[no-untyped-def]
+    """Where a point of a unit shape lies on its face: ``(u, v, hu, hv, axis)`` in metres; axis 1: faces up or down."""
     hx, hy, hz = shapes[k, HALF], shapes[k, HALF + 1], shapes[k, HALF + 2]
     if shape == 0:
         ax, ay, az = abs(x), abs(y), abs(z)
@@ -132,8 +138,8 @@ def place_on(shapes, k, shape, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def normal_at(shapes, k, shape, axis, x, y, z):  # type: ignore[no-untyped-def]
-    """World normal at a point of a unit shape; ``axis`` as from :func:`place_on`."""
+def surface_normal(shapes, k, shape, axis, x, y, z):  # type: ignore[no-untyped-def]
+    """World normal at a point of a unit shape; ``axis`` as from :func:`texture_coordinates`."""
     if shape == 0:
         nx = (1.0 if x > 0.0 else -1.0) if axis == 0 else 0.0
         ny = (1.0 if y > 0.0 else -1.0) if axis == 1 else 0.0
@@ -154,33 +160,34 @@ def normal_at(shapes, k, shape, axis, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _is_open_at(world, k, x, y, z):  # type: ignore[no-untyped-def]
-    shape = world.kinds[k, SHAPE]
-    u, v, _, hv, axis = place_on(world.shapes, k, shape, x, y, z)
-    material = world.materials[world.kinds[k, CAPS if axis == 1 else SIDES]]
+def _is_hole_at(world, k, x, y, z):  # type: ignore[no-untyped-def]
+    shape = world.attributes[k, SHAPE]
+    u, v, hu, hv, axis = texture_coordinates(world.shapes, k, shape, x, y, z)
+    material = world.materials[world.attributes[k, CAPS if axis == 1 else SIDES]]
     x, y, z = x * world.shapes[k, HALF], y * world.shapes[k, HALF + 1], z * world.shapes[k, HALF + 2]
-    return is_hole(material, world.noise, u, v, hv, x, y, z, world.kinds[k, VARIATION])
+    return is_hole(material, world.noise, FacePoint(u, v, hu, hv, x, y, z, world.attributes[k, VARIATION]))
 
 
 @kernel
-def _enter_open(world, k, ox, oy, oz, dx, dy, dz, t):  # type: ignore[no-untyped-def]
+def _first_solid_hit(world, k, origin, direction, t):  # type: ignore[no-untyped-def]
     """Distance of the first solid point of a shape with holes that is entered at t; leaves have a far side too."""
-    if not _is_open_at(world, k, ox + t * dx, oy + t * dy, oz + t * dz):
+    (ox, oy, oz), (dx, dy, dz) = origin, direction
+    if not _is_hole_at(world, k, ox + t * dx, oy + t * dy, oz + t * dz):
         return t
-    if world.kinds[k, SHAPE] == 1:
-        t = leave_ellipsoid(ox, oy, oz, dx, dy, dz)
-        if t < MISS and not _is_open_at(world, k, ox + t * dx, oy + t * dy, oz + t * dz):
+    if world.attributes[k, SHAPE] == 1:
+        t = exit_ellipsoid(ox, oy, oz, dx, dy, dz)
+        if t < MISS_DISTANCE and not _is_hole_at(world, k, ox + t * dx, oy + t * dy, oz + t * dz):
             return t
-    return MISS
+    return MISS_DISTANCE
 
 
 @inlined
-def first_hit(world, listed, count, x, y, z):  # type: ignore[no-untyped-def]
-    """Metres along the unit vector (x, y, z) from the eye to the first thing, and its number.
+def first_hit(world, candidates, count, x, y, z):  # type: ignore[no-untyped-def]
+    """Metres from the eye to the first hit along the unit vector (x, y, z), and its shape, ``GROUND_ID`` or ``SKY_ID``.
 
-    Tries the first ``count`` of the ``listed`` shapes, nearest first.
+    Tries the first ``count`` of the ``candidates``, nearest first.
     """
-    best, hit = MISS, SKY
+    best, hit = MISS_DISTANCE, SKY_ID
     s, shapes = world.scalars, world.shapes
     slant = s[PLANE] * x + s[PLANE + 1] * y + s[PLANE + 2] * z
     if slant < -1e-9:
@@ -188,19 +195,19 @@ def first_hit(world, listed, count, x, y, z):  # type: ignore[no-untyped-def]
             s[PLANE] * s[WORLD_EYE] + s[PLANE + 1] * s[WORLD_EYE + 1] + s[PLANE + 2] * s[WORLD_EYE + 2] - s[PLANE + 3]
         )
         if height > 0.0:
-            best, hit = -height / slant, GROUND
+            best, hit = -height / slant, GROUND_ID
     for i in range(count):
-        k = listed[i]
+        k = candidates[i]
         if shapes[k, NEAR] > best:
-            break
+            break  # candidates are sorted by NEAR: none of the rest can be nearer
         dx = shapes[k, 0] * x + shapes[k, 1] * y + shapes[k, 2] * z
         dy = shapes[k, 3] * x + shapes[k, 4] * y + shapes[k, 5] * z
         dz = shapes[k, 6] * x + shapes[k, 7] * y + shapes[k, 8] * z
         ox, oy, oz = shapes[k, EYE], shapes[k, EYE + 1], shapes[k, EYE + 2]
-        t = enter(world.kinds[k, SHAPE], ox, oy, oz, dx, dy, dz)
+        t = intersect_shape(world.attributes[k, SHAPE], ox, oy, oz, dx, dy, dz)
         if t < best:
-            if world.kinds[k, OPEN]:
-                t = _enter_open(world, k, ox, oy, oz, dx, dy, dz, t)
+            if world.attributes[k, PERFORATED]:
+                t = _first_solid_hit(world, k, (ox, oy, oz), (dx, dy, dz), t)
                 if t >= best:
                     continue
             best, hit = t, k
@@ -211,11 +218,15 @@ def first_hit(world, listed, count, x, y, z):  # type: ignore[no-untyped-def]
 def is_shadowed(world, px, py, pz, x, y, z):  # type: ignore[no-untyped-def]
     """Whether something stands between a point and the light in direction (x, y, z)."""
     s, shapes = world.scalars, world.shapes
-    i = math.floor((s[ACROSS] * px + s[ACROSS + 1] * py + s[ACROSS + 2] * pz - s[CELLS]) * s[CELLS + 1])
-    j = math.floor((s[ACROSS + 3] * px + s[ACROSS + 4] * py + s[ACROSS + 5] * pz - s[CELLS + 2]) * s[CELLS + 3])
-    if i < 0 or j < 0 or i >= GRID or j >= GRID:
+    i = math.floor(
+        (s[GRID_AXES] * px + s[GRID_AXES + 1] * py + s[GRID_AXES + 2] * pz - s[GRID_FRAME]) * s[GRID_FRAME + 1]
+    )
+    j = math.floor(
+        (s[GRID_AXES + 3] * px + s[GRID_AXES + 4] * py + s[GRID_AXES + 5] * pz - s[GRID_FRAME + 2]) * s[GRID_FRAME + 3]
+    )
+    if i < 0 or j < 0 or i >= LIGHT_GRID_CELLS or j >= LIGHT_GRID_CELLS:
         return False
-    cell = int(i) * GRID + int(j)
+    cell = int(i) * LIGHT_GRID_CELLS + int(j)
     ex, ey, ez = px - s[WORLD_EYE], py - s[WORLD_EYE + 1], pz - s[WORLD_EYE + 2]
     for item in range(world.grid_start[cell], world.grid_start[cell + 1]):
         k = world.grid_items[item]
@@ -225,10 +236,10 @@ def is_shadowed(world, px, py, pz, x, y, z):  # type: ignore[no-untyped-def]
         dx = shapes[k, 0] * x + shapes[k, 1] * y + shapes[k, 2] * z
         dy = shapes[k, 3] * x + shapes[k, 4] * y + shapes[k, 5] * z
         dz = shapes[k, 6] * x + shapes[k, 7] * y + shapes[k, 8] * z
-        t = enter(world.kinds[k, SHAPE], ox, oy, oz, dx, dy, dz)
-        if t < MISS and world.kinds[k, OPEN]:
-            t = _enter_open(world, k, ox, oy, oz, dx, dy, dz, t)
-        if t < MISS:
+        t = intersect_shape(world.attributes[k, SHAPE], ox, oy, oz, dx, dy, dz)
+        if t < MISS_DISTANCE and world.attributes[k, PERFORATED]:
+            t = _first_solid_hit(world, k, (ox, oy, oz), (dx, dy, dz), t)
+        if t < MISS_DISTANCE:
             return True
     return False
 
@@ -238,5 +249,5 @@ def cast_rays(world, directions, distance, hit):  # type: ignore[no-untyped-def]
     """Cast rays without any culling: (n, 3) unit vectors to (n,) metres (inf = sky) and (n,) shape numbers."""
     for i in range(len(directions)):
         t, k = first_hit(world, world.order, len(world.order), directions[i, 0], directions[i, 1], directions[i, 2])
-        distance[i] = np.inf if k == SKY else t
+        distance[i] = np.inf if k == SKY_ID else t
         hit[i] = k

@@ -7,11 +7,11 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
 from omnisyn_cli.scenes import palette
-from omnisyn_cli.scenes.materials import Material, Pattern, grown
+from omnisyn_cli.scenes.materials import Material, Pattern, plant_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import SceneBuilder, Shape
 
-END = 85.0
+STREET_HALF_LENGTH = 85.0
 """Half the length of the street, metres."""
 
 
@@ -45,10 +45,10 @@ class StreetPlan:
 
     def blocks(self) -> list[tuple[float, float]]:
         """The stretches of z between the crossings."""
-        edges = [-END]
+        edges = [-STREET_HALF_LENGTH]
         for middle, half in sorted(self.crossings):
             edges += [middle - half, middle + half]
-        edges.append(END)
+        edges.append(STREET_HALF_LENGTH)
         return [(edges[i], edges[i + 1]) for i in range(0, len(edges), 2) if edges[i + 1] > edges[i] + 1.0]
 
 
@@ -68,7 +68,7 @@ def draw_plan(rng: np.random.Generator) -> StreetPlan:
     )
 
 
-def _tilted(
+def _add_slab(
     build: SceneBuilder,
     plan: StreetPlan,
     x: tuple[float, float],
@@ -105,26 +105,20 @@ def lay_roadway(build: SceneBuilder, plan: StreetPlan) -> None:
     paint = (0.86, 0.86, 0.83)
     seed = int(rng.integers(1, 1000))
     build.ground_material = Material(
-        Pattern.ROAD,
-        grey,
-        paint,
-        (0.82, 0.62, 0.16),
-        cell=(plan.road, rng.uniform(4, 9)),
-        line=rng.uniform(0.1, 0.18),
-        detail=rng.uniform(0, 1),
-        seed=seed,
-    )
+        Pattern.ROAD, grey, paint, (0.82, 0.62, 0.16), cell=(plan.road, rng.uniform(4, 9)), line=rng.uniform(0.1, 0.18),
+        detail=rng.uniform(0, 1), seed=seed,
+    )  # fmt: skip
     if plan.style == "square":
-        build.ground_material = _paving(rng)
+        build.ground_material = _paving_material(rng)
     bare = Material(Pattern.ROAD, grey, grey, grey, cell=(500.0, 9.0), detail=0.0, line=0.0, seed=seed)
     zebra = Material(
-        Pattern.STRIPES, paint, palette.darker(grey, 1.05), cell=(1.0, 1.0), detail=0.5, grain=0.3, grain_size=0.4
-    )
+        Pattern.STRIPES, paint, palette.scaled(grey, 1.05), cell=(1.0, 1.0), detail=0.5, grain=0.3, grain_size=0.4,
+    )  # fmt: skip
     for middle, half in plan.crossings:
-        _tilted(build, plan, (-90.0, 90.0), (middle - half, middle + half), 0.004, 0.02, bare)
+        _add_slab(build, plan, (-90.0, 90.0), (middle - half, middle + half), 0.004, 0.02, bare)
         if rng.random() < 0.7:
             for edge in (middle - half - 3.2, middle + half + 0.4):
-                _tilted(build, plan, (-plan.road + 0.2, plan.road - 0.2), (edge, edge + 2.8), 0.006, 0.02, zebra)
+                _add_slab(build, plan, (-plan.road + 0.2, plan.road - 0.2), (edge, edge + 2.8), 0.006, 0.02, zebra)
     for _ in range(int(rng.integers(1, 5))):
         x, z = rng.uniform(-0.8, 0.8) * plan.road, rng.uniform(-14, 14)
         if rng.random() < 0.5:
@@ -134,45 +128,39 @@ def lay_roadway(build: SceneBuilder, plan: StreetPlan) -> None:
             build.add(Shape.CYLINDER, (x, plan.ground(z, False), z), (0.33, 0.006 + 0.33 * abs(plan.slope), 0.33), iron)
         else:
             patch = Material(
-                Pattern.ROAD, palette.darker(grey, rng.uniform(0.75, 1.15)), grey, grey, (500.0, 9.0), 0.0, detail=0.0
-            )
+                Pattern.ROAD, palette.scaled(grey, rng.uniform(0.75, 1.15)), grey, grey, (500.0, 9.0), 0.0, detail=0.0,
+            )  # fmt: skip
             size = rng.uniform(0.4, 1.6, 2)
-            _tilted(build, plan, (x - size[0], x + size[0]), (z - size[1], z + size[1]), 0.007, 0.02, patch)
+            _add_slab(build, plan, (x - size[0], x + size[0]), (z - size[1], z + size[1]), 0.007, 0.02, patch)
 
 
-def _paving(rng: np.random.Generator) -> Material:
+def _paving_material(rng: np.random.Generator) -> Material:
     stone, other = pick(rng, palette.PAVING), pick(rng, palette.PAVING)
     wide = rng.uniform(0.2, 0.9)
     return Material(
-        Pattern(rng.choice([Pattern.BRICK, Pattern.TILES, Pattern.TILES])),
-        stone,
-        palette.mixed(stone, other, 0.55),
-        palette.darker(stone, 0.65),
-        cell=(wide, wide * rng.uniform(0.4, 1.0)),
-        line=rng.uniform(0.008, 0.02),
-        grain=rng.uniform(0.1, 0.3),
-        grain_size=rng.uniform(0.5, 2.5),
-        detail=rng.uniform(0.1, 0.6),
+        Pattern(rng.choice([Pattern.BRICK, Pattern.TILES, Pattern.TILES])), stone, palette.mixed(stone, other, 0.55),
+        palette.scaled(stone, 0.65), cell=(wide, wide * rng.uniform(0.4, 1.0)), line=rng.uniform(0.008, 0.02),
+        grain=rng.uniform(0.1, 0.3), grain_size=rng.uniform(0.5, 2.5), detail=rng.uniform(0.1, 0.6),
         seed=int(rng.integers(1, 1000)),
-    )
+    )  # fmt: skip
 
 
-def _grass(rng: np.random.Generator) -> Material:
+def _grass_material(rng: np.random.Generator) -> Material:
     green, dry = pick(rng, palette.FOLIAGE), (0.55, 0.50, 0.30)
-    return grown(Pattern.GRASS, green, 0.85, 1.25, third=dry, detail=rng.uniform(0, 0.8))
+    return plant_material(Pattern.GRASS, green, 0.85, 1.25, third=dry, detail=rng.uniform(0, 0.8))
 
 
 def lay_pavement(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     """Lay kerb, pavement and the yards behind it, on the side of this sign of x."""
     rng = build.rng
-    stone = _paving(rng)
+    stone = _paving_material(rng)
     kerb = Material(
         Pattern.BRICK, (0.58, 0.57, 0.55), (0.52, 0.51, 0.5), (0.35, 0.34, 0.33), cell=(1.0, 1.0), line=0.012
     )
     green = plan.style in ("suburb", "square") or rng.random() < 0.25
-    yard = _grass(rng) if green else stone
+    yard = _grass_material(rng) if green else stone
     inner = plan.road + plan.pavement
     for low, high in plan.blocks():
-        _tilted(build, plan, (side * plan.road, side * (plan.road + 0.16)), (low, high), plan.kerb + 0.004, 0.3, kerb)
-        _tilted(build, plan, (side * (plan.road + 0.16), side * inner), (low, high), plan.kerb, 0.3, stone, kerb)
-        _tilted(build, plan, (side * inner, side * 95.0), (low, high), plan.kerb - 0.002, 0.3, yard, kerb)
+        _add_slab(build, plan, (side * plan.road, side * (plan.road + 0.16)), (low, high), plan.kerb + 0.004, 0.3, kerb)
+        _add_slab(build, plan, (side * (plan.road + 0.16), side * inner), (low, high), plan.kerb, 0.3, stone, kerb)
+        _add_slab(build, plan, (side * inner, side * 95.0), (low, high), plan.kerb - 0.002, 0.3, yard, kerb)

@@ -9,10 +9,10 @@ from omnisyn_cli.scenes import palette, props
 from omnisyn_cli.scenes.buildings import office
 from omnisyn_cli.scenes.daylight import daylight, sun_at
 from omnisyn_cli.scenes.furnishing import furnish, furnish_hall
-from omnisyn_cli.scenes.materials import Pattern, grown
+from omnisyn_cli.scenes.materials import Pattern, plant_material
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.scene import Lighting, Scene, SceneBuilder, Walkway
-from omnisyn_cli.scenes.walls import Cell, Opening, Openings, enclose
+from omnisyn_cli.scenes.walls import Cell, Opening, Openings, add_room_shell
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ def room(seed: int) -> Scene:
     rng = np.random.default_rng([13, seed])
     plan = _draw_plan(rng)
     build = SceneBuilder(rng, lighting=_indoor_light(rng, plan))
-    _outside(build, rng.uniform(-12, -0.4) if rng.random() < 0.4 else -0.3)
-    openings = _openings(rng, plan)
+    _add_outdoors(build, rng.uniform(-12, -0.4) if rng.random() < 0.4 else -0.3)
+    openings = _draw_openings(rng, plan)
     for index, cell in enumerate(plan.cells):
-        enclose(build, cell, openings[index], plan.use, casts_shadow=not plan.lamp_lit)
+        add_room_shell(build, cell, openings[index], plan.use, casts_shadow=not plan.lamp_lit)
         if plan.use == "hall":
             furnish_hall(build, cell)
         else:
             furnish(build, cell, plan.use, openings[index])
-        _walkway(build, cell, plan.use)
+        _add_walkway(build, cell, plan.use)
     return build.build("room")
 
 
@@ -86,12 +86,12 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
     return replace(day, haze=0.0, exposure=rng.uniform(1.2, 1.9))
 
 
-def _outside(build: SceneBuilder, level: float) -> None:
+def _add_outdoors(build: SceneBuilder, level: float) -> None:
     """Add the ground outside and a few things to see through the windows."""
     rng = build.rng
     green = pick(rng, palette.FOLIAGE)
     build.ground = (0.0, 1.0, 0.0, level)
-    build.ground_material = grown(Pattern.GRASS, green, 0.85, 1.25, third=(0.5, 0.47, 0.35), detail=0.4)
+    build.ground_material = plant_material(Pattern.GRASS, green, 0.85, 1.25, third=(0.5, 0.47, 0.35), detail=0.4)
     for side in (-1.0, 1.0):
         for _ in range(int(rng.integers(1, 4))):
             x, z = rng.uniform(-25, 25), side * rng.uniform(16, 45)
@@ -103,7 +103,7 @@ def _outside(build: SceneBuilder, level: float) -> None:
                 props.conifer(build, (x, level, z), rng.uniform(7, 14))
 
 
-def _openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
+def _draw_openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
     """Doors between neighbours and windows to the outside, by cell and by wall: west, east, south, north."""
     openings: list[Openings] = [{"west": [], "east": [], "south": [], "north": []} for _ in plan.cells]
     for left, right in zip(range(len(plan.cells)), range(1, len(plan.cells)), strict=False):
@@ -118,11 +118,11 @@ def _openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
     for cell, walls in zip(plan.cells, openings, strict=True):
         for name in ("south", "north"):
             if rng.random() < (0.65 if plan.use != "hall" else 0.4):
-                walls[name] = _windows(rng, cell)
+                walls[name] = _draw_windows(rng, cell)
     return openings
 
 
-def _windows(rng: np.random.Generator, cell: Cell) -> list[Opening]:
+def _draw_windows(rng: np.random.Generator, cell: Cell) -> list[Opening]:
     """A row of equal windows along x."""
     length = cell.high[0] - cell.low[0]
     wide = min(rng.uniform(0.8, 2.4), length - 0.8)
@@ -134,7 +134,7 @@ def _windows(rng: np.random.Generator, cell: Cell) -> list[Opening]:
     return [Opening(m - 0.5 * wide, m + 0.5 * wide, sill, head) for m in middles]
 
 
-def _walkway(build: SceneBuilder, cell: Cell, use: str) -> None:
+def _add_walkway(build: SceneBuilder, cell: Cell, use: str) -> None:
     margin = 0.45
     low = (cell.low[0] + margin, 1.05, cell.low[1] + margin)
     high = (cell.high[0] - margin, min(2.3, cell.tall - 0.5), cell.high[1] - margin)

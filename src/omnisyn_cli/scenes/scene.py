@@ -83,22 +83,26 @@ class Walkway:
     heading: tuple[float, float]
     baselines: tuple[float, float]
     clearance: float
-    nearness: float | None = None
+    max_baseline_in_depths: float | None = None
     slope: float = 0.02
 
 
-@dataclass(frozen=True)
-class Papering:
-    """Materials whose colours are photographs, see :mod:`omnisyn_cli.scenes.photos`.
+class PhotoTextures(NamedTuple):
+    """Materials whose colours are photographs, see :mod:`omnisyn_cli.scenes.photos`; a tuple, for the kernels.
 
     Attributes:
         texels, levels: of :class:`omnisyn_cli.scenes.photos.Photos`.
-        chosen: per material: photograph (-1 for none), use, width in metres, seed, and 1 where patches are turned.
+        assignment: per material: photograph (-1 for none), mapping, width in metres, seed, and 1 where patches are
+            turned.
     """
 
     texels: UInt8[np.ndarray, "texels 3"]
     levels: Int64[np.ndarray, "photos levels 3"]
-    chosen: Float[np.ndarray, "m 5"]
+    assignment: Float[np.ndarray, "m 5"]
+
+
+NO_PHOTO_TEXTURES = PhotoTextures(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64), np.zeros((0, 5)))
+"""Of scenes without photographs: no material has one."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class Scene:
         lamps: position and linear colour of lamps without shadows.
         lighting: sun and sky.
         walkways: where cameras may stand.
-        papering: photographs on its materials, if there are any.
+        photo_textures: photographs on its materials.
     """
 
     kind: str
@@ -139,7 +143,7 @@ class Scene:
     lamps: Float[np.ndarray, "l 6"]
     lighting: Lighting
     walkways: tuple[Walkway, ...]
-    papering: Papering | None = None
+    photo_textures: PhotoTextures = NO_PHOTO_TEXTURES
 
 
 class _Added(NamedTuple):
@@ -255,7 +259,7 @@ def _rotations(turns: Sequence[Turn]) -> Float[np.ndarray, "n 3 3"]:
 
 
 @dataclass(frozen=True)
-class Turned:
+class LocalFrame:
     """Adds shapes in local coordinates: y is up, the local z axis is turned by ``yaw`` about it."""
 
     build: SceneBuilder

@@ -3,21 +3,21 @@
 import math
 
 from omnisyn_cli.scenes.jit import kernel
-from omnisyn_cli.scenes.materials import Column
+from omnisyn_cli.scenes.materials import MaterialColumn
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
-from omnisyn_cli.scenes.raycast import is_shadowed, normal_at, place_on
-from omnisyn_cli.scenes.textures import pattern_at
-from omnisyn_cli.scenes.world import GROUND, SKY, Kind, Packed, Scalar
+from omnisyn_cli.scenes.photos import PhotoMapping
+from omnisyn_cli.scenes.raycast import is_shadowed, surface_normal, texture_coordinates
+from omnisyn_cli.scenes.textures import FacePoint, pattern_at
+from omnisyn_cli.scenes.world import GROUND_ID, SKY_ID, AttributeColumn, Scalar, ShapeColumn
 
-UNDER, FITTED = 1.0, 2.0
-"""As in :class:`omnisyn_cli.scenes.photos.Use`."""
+UNDER, FITTED = float(PhotoMapping.UNDER), float(PhotoMapping.FITTED)
 
-PATCHES = 0.6
-"""Patches of the ground that are turned, per width of a photograph."""
+PATCHES_PER_PHOTO = 0.6
+"""Patches of the ground whose texture is turned, per width of a photograph; chosen by eye."""
 
 
 @kernel
-def _mirrored(i, count):  # type: ignore[no-untyped-def]
+def _mirror_repeat(i, count):  # type: ignore[no-untyped-def]
     """The texel that index i means where a row of them is repeated, every second time backwards."""
     i %= 2 * count
     return i if i < count else 2 * count - 1 - i
@@ -30,8 +30,11 @@ def _bilinear(texels, level, x, y):  # type: ignore[no-untyped-def]
     x, y = x * width - 0.5, y * height - 0.5
     left, top = math.floor(x), math.floor(y)
     across, down = x - left, y - top
-    a, b = _mirrored(int(left), width), _mirrored(int(left) + 1, width)
-    upper, lower = first + _mirrored(int(top), height) * width, first + _mirrored(int(top) + 1, height) * width
+    a, b = _mirror_repeat(int(left), width), _mirror_repeat(int(left) + 1, width)
+    upper, lower = (
+        first + _mirror_repeat(int(top), height) * width,
+        first + _mirror_repeat(int(top) + 1, height) * width,
+    )
     wa, wb = (1.0 - across) * (1.0 - down), across * (1.0 - down)
     wc, wd = (1.0 - across) * down, across * down
     light = (0.0, 0.0, 0.0)
@@ -42,7 +45,7 @@ def _bilinear(texels, level, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _between_levels(texels, levels, x, y, lod):  # type: ignore[no-untyped-def]
+def _trilinear(texels, levels, x, y, lod):  # type: ignore[no-untyped-def]
     """The same between two mip levels; ``lod`` is the binary logarithm of the texels that a sample covers."""
     lod = min(max(lod, 0.0), len(levels) - 1.0)
     k = min(int(lod), len(levels) - 2)
@@ -55,72 +58,65 @@ def _between_levels(texels, levels, x, y, lod):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def photo_at(texels, photos, chosen, table, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
-    """Linear colour at (u, v) of a face.
+def photo_at(photos, row, noise, point, footprint):  # type: ignore[no-untyped-def]
+    """Linear colour of a photograph at a :class:`FacePoint`.
 
     Args:
-        texels: of :class:`omnisyn_cli.scenes.photos.Photos`.
-        photos: their levels.
-        chosen: of the material, see :class:`omnisyn_cli.scenes.scene.Papering`.
-        table: the noise.
-        u: metres across the face, 0 in its middle.
-        v: metres up, 0 at its foot.
-        hu: half size of the face, metres.
-        hv: the same upwards.
-        fp: footprint of the sample, metres.
-        variation: number of the shape.
+        photos: a :class:`omnisyn_cli.scenes.scene.PhotoTextures`.
+        row: of the material.
+        noise: the noise lattice.
+        point: where.
+        footprint: of the sample, metres.
     """
-    levels, use, wide, seed = photos[int(chosen[0])], chosen[1], chosen[2], int(chosen[3])
-    high, broad = levels[0, 1], levels[0, 2]
-    if use == FITTED:
-        texel = max(2.0 * hu / broad, 2.0 * hv / high)
-        x, y = 0.5 + u / (texel * broad), 0.5 - (v - hv) / (texel * high)
+    photo, mapping, width, seed, has_patches = photos.assignment[row]
+    texels, levels, seed = photos.texels, photos.levels[int(photo)], int(seed)
+    rows, columns = levels[0, 1], levels[0, 2]
+    u, v = point.u, point.v
+    if mapping == FITTED:
+        texel = max(2.0 * point.half_u / columns, 2.0 * point.half_v / rows)
+        x, y = 0.5 + u / (texel * columns), 0.5 - (v - point.half_v) / (texel * rows)
     else:
-        texel = wide / broad
-        x = u / wide + 2.0 * cell_hash(variation, 1, seed)
-        y = 2.0 * cell_hash(variation, 2, seed) - v / (texel * high)
-    lod = math.log2(max(fp / texel, 1e-6))
-    r, g, b = _between_levels(texels, levels, x, y, lod)
-    if chosen[4] > 0.0:
-        patch = smooth_noise(table, PATCHES * u / wide, PATCHES * v / wide, seed)
+        texel = width / columns
+        x = u / width + 2.0 * cell_hash(point.variation, 1, seed)
+        y = 2.0 * cell_hash(point.variation, 2, seed) - v / (texel * rows)
+    lod = math.log2(max(footprint / texel, 1e-6))
+    r, g, b = _trilinear(texels, levels, x, y, lod)
+    if has_patches > 0.0:
+        patch = smooth_noise(noise, PATCHES_PER_PHOTO * u / width, PATCHES_PER_PHOTO * v / width, seed)
         share = min(1.0, max(0.0, 0.5 + 6.0 * (patch - 0.5)))
         if share > 0.0:
-            cr, cg, cb = _between_levels(texels, levels, 0.37 - v / wide, 0.71 - u / (texel * high), lod)
+            cr, cg, cb = _trilinear(texels, levels, 0.37 - v / width, 0.71 - u / (texel * rows), lod)
             r, g, b = r + (cr - r) * share, g + (cg - g) * share, b + (cb - b) * share
     return r, g, b
 
 
-GLOSS, GLOW, FIRST, SECOND, THIRD, PATTERN = (
-    int(c) for c in (Column.GLOSS, Column.GLOW, Column.FIRST, Column.SECOND, Column.THIRD, Column.PATTERN)
-)
-EYE, HALF, TINT = int(Packed.EYE), int(Packed.HALF), int(Packed.TINT)
-SHAPE, SIDES, CAPS, VARIATION = int(Kind.SHAPE), int(Kind.SIDES), int(Kind.CAPS), int(Kind.VARIATION)
-SUN, ABOVE, BELOW, ZENITH = int(Scalar.SUN), int(Scalar.SKY), int(Scalar.BOUNCE), int(Scalar.ZENITH)
-HORIZON, CLOUD, COVER, CLOUD_SCALE = (
-    int(Scalar.HORIZON),
-    int(Scalar.CLOUD),
-    int(Scalar.CLOUD_COVER),
-    int(Scalar.CLOUD_SCALE),
-)
-CLOUD_SEED, HAZE, SUNS, PLANE = int(Scalar.CLOUD_SEED), int(Scalar.HAZE), int(Scalar.SUNS), int(Scalar.GROUND)
+PATTERN, FIRST, SECOND, THIRD, _, _, _, _, _, _, GLOSS, GLOW, _, _, _ = map(int, MaterialColumn)
+EYE, HALF, TINT = int(ShapeColumn.EYE), int(ShapeColumn.HALF), int(ShapeColumn.TINT)
+SHAPE, SIDES, CAPS, VARIATION, _ = map(int, AttributeColumn)
+SUN, ABOVE, BELOW, ZENITH = int(Scalar.SUN), int(Scalar.SKY_LIGHT), int(Scalar.BOUNCE), int(Scalar.ZENITH)
+HORIZON, CLOUD, CLOUD_COVER = int(Scalar.HORIZON), int(Scalar.CLOUD), int(Scalar.CLOUD_COVER)
+CLOUD_SCALE, CLOUD_SEED, HAZE = int(Scalar.CLOUD_SCALE), int(Scalar.CLOUD_SEED), int(Scalar.HAZE)
+SUN_DIRECTIONS, PLANE = int(Scalar.SUN_DIRECTIONS), int(Scalar.GROUND_PLANE)
 WORLD_EYE, GROUND_MATERIAL = int(Scalar.EYE), int(Scalar.GROUND_MATERIAL)
-SLANT = 0.75
-"""A sample is long where it looks along a surface: 1 blurs a photograph to its length, 0.5 to the mean of its sides."""
-OFF_SURFACE = 1e-3  # metres between a surface and the start of its shadow ray
+SLANT_EXPONENT = 0.75
+"""How the footprint grows with the slant: 1 blurs a photograph to its long side, 0.5 to the mean of both sides."""
+
+SHADOW_RAY_OFFSET = 1e-3
+"""Metres between a surface and the start of its shadow ray, so that it does not shadow itself."""
 
 
 @kernel
-def _sky(s, table, x, y, z, pixel):  # type: ignore[no-untyped-def]
+def _sky(s, noise, x, y, z, pixel):  # type: ignore[no-untyped-def]
     """Colour of the sky in a direction."""
     up = max(y, 0.0)
     near = 1.0 / (up + 0.12)
-    scale, cover = s[CLOUD_SCALE], s[COVER]
+    scale, cover = s[CLOUD_SCALE], s[CLOUD_COVER]
     # neighbouring rays meet the layer of clouds the farther apart the nearer they are to the horizon
     footprint = pixel * near * near * scale
-    noise = fractal_noise(table, x * near * scale + 31.7, z * near * scale + 11.3, int(s[CLOUD_SEED]), footprint, 5)
-    cloud = min(1.0, max(0.0, 0.5 + 2.6 * (noise + 1.1 * (cover - 0.5)))) * min(1.0, 0.25 + 6.0 * up)
-    shadow = 1.0 - 0.35 * min(1.0, max(0.0, noise * 1.6))
-    toward = max(0.0, x * s[SUNS] + y * s[SUNS + 1] + z * s[SUNS + 2])
+    density = fractal_noise(noise, x * near * scale + 31.7, z * near * scale + 11.3, int(s[CLOUD_SEED]), footprint, 5)
+    cloud = min(1.0, max(0.0, 0.5 + 2.6 * (density + 1.1 * (cover - 0.5)))) * min(1.0, 0.25 + 6.0 * up)
+    shadow = 1.0 - 0.35 * min(1.0, max(0.0, density * 1.6))
+    toward = max(0.0, x * s[SUN_DIRECTIONS] + y * s[SUN_DIRECTIONS + 1] + z * s[SUN_DIRECTIONS + 2])
     glow = toward**4
     halo = 0.25 * glow * (1.0 - 0.5 * cover)
     glow = glow**8
@@ -147,7 +143,7 @@ def _incident(world, px, py, pz, nx, ny, nz, sun):  # type: ignore[no-untyped-de
     facing = nx * x + ny * y + nz * z
     sunlit = 0.0
     if facing > 0.0 and s[SUN] > 0.0:
-        off = OFF_SURFACE
+        off = SHADOW_RAY_OFFSET
         if not is_shadowed(world, px + off * nx, py + off * ny, pz + off * nz, x, y, z):
             sunlit = 1.0
             r += s[SUN] * facing
@@ -166,37 +162,34 @@ def _incident(world, px, py, pz, nx, ny, nz, sun):  # type: ignore[no-untyped-de
 
 
 @kernel
-def shade(world, papers, hit, t, x, y, z, pixel, sample):  # type: ignore[no-untyped-def]
-    """Linear colour of what the ray (x, y, z) hits.
+def shade(world, photos, hit, t, direction, pixel, sample):  # type: ignore[no-untyped-def]
+    """Linear colour of what a ray hits.
 
-    ``hit`` is the number of the shape (or GROUND, SKY) and t its distance; ``pixel`` is the angle between neighbouring
-    samples in radians; ``sample``, the number of the sample in its pixel, chooses a point on the sun.
+    ``hit`` is the shape (or ``GROUND_ID``, ``SKY_ID``) and ``t`` its distance along ``direction``. ``pixel`` is the
+    angle between neighbouring samples in radians. ``sample``, its index in the pixel, chooses a point on the sun.
     """
-    s, shapes, kinds = world.scalars, world.shapes, world.kinds
-    if hit == SKY:
+    x, y, z = direction
+    s, shapes, attributes = world.scalars, world.shapes, world.attributes
+    if hit == SKY_ID:
         return _sky(s, world.noise, x, y, z, pixel)
-    sun = SUNS + 3 * (sample & 3)
+    sun = SUN_DIRECTIONS + 3 * (sample & 3)
     px, py, pz = s[WORLD_EYE] + t * x, s[WORLD_EYE + 1] + t * y, s[WORLD_EYE + 2] + t * z
     crease, tr, tg, tb = 1.0, 1.0, 1.0, 1.0
-    if hit == GROUND:
+    if hit == GROUND_ID:
         nx, ny, nz = s[PLANE], s[PLANE + 1], s[PLANE + 2]
         u, v, hu, hv, qx, qy, qz, variation = px, pz, 1e3, 1e3, px, py, pz, 0
         row = int(s[GROUND_MATERIAL])
     else:
-        shape = kinds[hit, SHAPE]
+        shape = attributes[hit, SHAPE]
         qx = shapes[hit, EYE] + t * (shapes[hit, 0] * x + shapes[hit, 1] * y + shapes[hit, 2] * z)
         qy = shapes[hit, EYE + 1] + t * (shapes[hit, 3] * x + shapes[hit, 4] * y + shapes[hit, 5] * z)
         qz = shapes[hit, EYE + 2] + t * (shapes[hit, 6] * x + shapes[hit, 7] * y + shapes[hit, 8] * z)
-        u, v, hu, hv, axis = place_on(shapes, hit, shape, qx, qy, qz)
-        nx, ny, nz = normal_at(shapes, hit, shape, axis, qx, qy, qz)
-        qx, qy, qz, variation = (
-            qx * shapes[hit, HALF],
-            qy * shapes[hit, HALF + 1],
-            qz * shapes[hit, HALF + 2],
-            kinds[hit, VARIATION],
-        )
+        u, v, hu, hv, axis = texture_coordinates(shapes, hit, shape, qx, qy, qz)
+        nx, ny, nz = surface_normal(shapes, hit, shape, axis, qx, qy, qz)
+        qx, qy, qz = qx * shapes[hit, HALF], qy * shapes[hit, HALF + 1], qz * shapes[hit, HALF + 2]
+        variation = attributes[hit, VARIATION]
         tr, tg, tb = shapes[hit, TINT], shapes[hit, TINT + 1], shapes[hit, TINT + 2]
-        row = kinds[hit, CAPS if axis == 1 else SIDES]
+        row = attributes[hit, CAPS if axis == 1 else SIDES]
         if axis != 1:  # dirt and missing light where things meet the floor
             crease = 1.0 - 0.3 / (1.0 + v * v * 60.0)
     material = world.materials[row]
@@ -204,23 +197,18 @@ def shade(world, papers, hit, t, x, y, z, pixel, sample):  # type: ignore[no-unt
     if facing < 0.0:
         nx, ny, nz, facing = -nx, -ny, -nz, -facing
     footprint = t * pixel / math.sqrt(max(facing, 0.01))
-    second, third, lightness, gloss, glow = pattern_at(
-        material, world.noise, u, v, hu, hv, qx, qy, qz, footprint, variation
-    )
+    point = FacePoint(u, v, hu, hv, qx, qy, qz, variation)
+    second, third, lightness, gloss, glow = pattern_at(material, world.noise, point, footprint)
     cr, cg, cb = material[FIRST], material[FIRST + 1], material[FIRST + 2]
-    if row < len(papers.chosen) and papers.chosen[row, 0] >= 0.0:
-        chosen = papers.chosen[row]
-        wide = t * pixel / max(facing, 0.03) ** SLANT
-        cr, cg, cb = photo_at(papers.texels, papers.levels, chosen, world.noise, u, v, hu, hv, wide, variation)
-        if chosen[1] != UNDER:
-            second, third = 0.0, third if chosen[1] == FITTED else 0.0
+    if row < len(photos.assignment) and photos.assignment[row, 0] >= 0.0:
+        mapping, blurred = photos.assignment[row, 1], t * pixel / max(facing, 0.03) ** SLANT_EXPONENT
+        cr, cg, cb = photo_at(photos, row, world.noise, point, blurred)
+        if mapping != UNDER:
+            second, third = 0.0, third if mapping == FITTED else 0.0
             lightness = lightness if material[PATTERN] == 0.0 else 1.0
     lightness = max(lightness, 0.02)
-    first, second, third = (
-        (1.0 - second) * (1.0 - third) * lightness,
-        second * (1.0 - third) * lightness,
-        third * lightness,
-    )
+    first, second = (1.0 - second) * (1.0 - third) * lightness, second * (1.0 - third) * lightness
+    third *= lightness
     ar = (cr * first + material[SECOND] * second + material[THIRD] * third) * tr
     ag = (cg * first + material[SECOND + 1] * second + material[THIRD + 1] * third) * tg
     ab = (cb * first + material[SECOND + 2] * second + material[THIRD + 2] * third) * tb

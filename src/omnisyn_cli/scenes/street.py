@@ -12,7 +12,7 @@ from omnisyn_cli.scenes.daylight import daylight
 from omnisyn_cli.scenes.materials import Material, Pattern
 from omnisyn_cli.scenes.palette import pick
 from omnisyn_cli.scenes.roadway import StreetPlan, draw_plan, lay_pavement, lay_roadway
-from omnisyn_cli.scenes.scene import Scene, SceneBuilder, Shape, Turned, Walkway
+from omnisyn_cli.scenes.scene import LocalFrame, Scene, SceneBuilder, Shape, Walkway
 
 
 def street(seed: int) -> Scene:
@@ -110,7 +110,7 @@ def _roadside(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
             if rng.random() < 0.55 and not plan.is_crossing(z, 4.0):
                 x = side * (plan.road - 1.05)
                 yaw = (0.0 if side > 0 else math.pi) + rng.uniform(-0.04, 0.04)
-                props.car(Turned(build, (x, plan.ground(z, False), z), yaw))
+                props.car(LocalFrame(build, (x, plan.ground(z, False), z), yaw))
             z += rng.uniform(5.2, 8.0)
     if rng.random() < 0.3:
         _fence(build, plan, side)
@@ -132,7 +132,7 @@ def _small_thing(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     elif choice < 0.62:
         props.waste_bin(build, (near_wall, plan.ground(z), z))
     elif choice < 0.72:
-        props.bench(Turned(build, (near_wall, plan.ground(z), z), side * math.pi / 2 * -1.0))
+        props.bench(LocalFrame(build, (near_wall, plan.ground(z), z), side * math.pi / 2 * -1.0))
     elif choice < 0.82:
         props.bush(build, (near_wall + side * rng.uniform(0.3, 2.0), plan.ground(z), z), rng.uniform(0.4, 0.9))
     else:
@@ -144,13 +144,9 @@ def _small_thing(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
 def _fence(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     rng = build.rng
     iron = Material(
-        Pattern(rng.choice([Pattern.BARS, Pattern.BARS, Pattern.MESH])),
-        pick(rng, palette.METAL),
-        cell=(0.13, 0.13),
-        line=0.025,
-        grain=0.05,
-        gloss=0.1,
-    )
+        Pattern(rng.choice([Pattern.BARS, Pattern.BARS, Pattern.MESH])), pick(rng, palette.METAL), cell=(0.13, 0.13),
+        line=0.025, grain=0.05, gloss=0.1,
+    )  # fmt: skip
     x = side * (plan.road + plan.pavement - 0.12) if rng.random() < 0.6 else side * (plan.road + 0.25)
     height = rng.uniform(0.8, 1.5)
     rotation = rotation_from_rotation_vector(np.array([-math.atan(plan.slope), 0.0, 0.0]))
@@ -196,4 +192,4 @@ def _traffic(build: SceneBuilder, plan: StreetPlan) -> None:
         lane = float(rng.choice([-0.5, 0.5]))
         z = math.copysign(rng.uniform(9, 45), rng.uniform(-1, 1))
         base = (lane * plan.road, plan.ground(z, False), z)
-        props.car(Turned(build, base, 0.0 if lane > 0 else math.pi))
+        props.car(LocalFrame(build, base, 0.0 if lane > 0 else math.pi))

@@ -15,19 +15,19 @@ from omnisyn_cli.scenes.paths import sample_path
 from omnisyn_cli.scenes.scene import Scene
 
 __all__ = [
-    "FRAMES",
-    "SEEDS",
+    "FRAMES_PER_WALK",
     "STANDARD_KINDS",
+    "SUITE_SEEDS",
     "WIDE_SEEDS",
     "SuiteScene",
-    "suite_of",
+    "suite_walks",
     "wide_walk",
 ]
 
 STANDARD_KINDS = ("street", "room")
 """Generators of the standard set and of the depth table; others may come, these stay what they are."""
 
-SEEDS = (9_000_001, 9_000_002)
+SUITE_SEEDS = (9_000_001, 9_000_002)
 """Far beyond those that networks are trained with."""
 
 WIDE_SEEDS = {
@@ -39,10 +39,10 @@ WIDE_SEEDS = {
 BASELINES = (1.0, 2.0, 4.0, 6.0)
 """Metres from the first to the last panorama, ascending."""
 
-FRAMES = 5
+FRAMES_PER_WALK = 5
 """Two inputs, and three true frames at equal distances between them."""
 
-DIGITS = 6
+POSITION_DECIMALS = 6
 """Decimals of the ends in metres: micrometres, far coarser than the arithmetic of two machines may differ."""
 
 
@@ -68,7 +68,7 @@ class SuiteScene:
         return f"{self.kind}-{self.seed}-{self.baseline:g}m"
 
 
-def suite_of(kind: str, seed: int, scene: Scene) -> Iterator[SuiteScene]:
+def suite_walks(kind: str, seed: int, scene: Scene) -> Iterator[SuiteScene]:
     """The walks through a scene, the shortest first; those that it has no room for have an empty path.
 
     Args:
@@ -78,7 +78,7 @@ def suite_of(kind: str, seed: int, scene: Scene) -> Iterator[SuiteScene]:
     """
     longest = suite_path(scene, seed)
     for baseline in BASELINES:
-        yield SuiteScene(kind, seed, baseline, tuple(_beginning(longest, baseline)))
+        yield SuiteScene(kind, seed, baseline, tuple(_evenly_spaced(longest, baseline)))
 
 
 def wide_walk(kind: str, seed: int, scene: Scene) -> SuiteScene:
@@ -89,7 +89,7 @@ def wide_walk(kind: str, seed: int, scene: Scene) -> SuiteScene:
         return SuiteScene(kind, seed, 0.0, ())
     ends = _rounded(first), _rounded(last)
     length = float(np.linalg.norm(ends[1].position - ends[0].position))
-    return SuiteScene(kind, seed, round(length, 2), tuple(_beginning(ends, length)))
+    return SuiteScene(kind, seed, round(length, 2), tuple(_evenly_spaced(ends, length)))
 
 
 def suite_path(scene: Scene, seed: int) -> tuple[Pose, ...]:
@@ -104,16 +104,16 @@ def suite_path(scene: Scene, seed: int) -> tuple[Pose, ...]:
 
 
 def _rounded(pose: Pose) -> Pose:
-    return Pose(np.round(pose.rotation, 12), np.round(pose.position, DIGITS))
+    return Pose(np.round(pose.rotation, 12), np.round(pose.position, POSITION_DECIMALS))
 
 
-def _beginning(longest: tuple[Pose, ...], baseline: float) -> Iterator[Pose]:
+def _evenly_spaced(longest: tuple[Pose, ...], baseline: float) -> Iterator[Pose]:
     """Poses evenly spaced over the first metres of a way; none where it is shorter."""
     if not longest:
         return
     way = longest[1].position - longest[0].position
     length = float(np.linalg.norm(way))
-    if baseline > length + 10**-DIGITS:
+    if baseline > length + 10**-POSITION_DECIMALS:
         return
-    for share in np.linspace(0.0, baseline / length, FRAMES):
-        yield Pose(longest[0].rotation, np.round(longest[0].position + share * way, DIGITS))
+    for share in np.linspace(0.0, baseline / length, FRAMES_PER_WALK):
+        yield Pose(longest[0].rotation, np.round(longest[0].position + share * way, POSITION_DECIMALS))

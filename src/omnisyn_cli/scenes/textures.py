@@ -1,19 +1,39 @@
 """The patterns: what a material looks like at one point of a face.
 
-A pattern answers with five numbers: how much of the material's second and third colour lies over the first, a factor
-on the brightness, a factor on the gloss and one on the glow. It is told the place on the face in metres (``u`` across,
-0 in the middle; ``v`` up, 0 at the bottom), the half sizes of the face, and the footprint of the sample in metres;
-detail smaller than the footprint fades to its mean.
+A pattern returns five numbers: how much of the material's second and third colour lies over the first, and factors on
+brightness, gloss and glow. Arguments are those of :class:`FacePoint`, ``m`` for the packed material, ``noise`` for the
+noise lattice and ``fp`` for the footprint of the sample in metres. Detail smaller than the footprint fades to its mean.
+Sizes and strengths inside the patterns were chosen by eye.
 """
 
 import math
+from typing import NamedTuple
 
 from omnisyn_cli.scenes.jit import kernel
-from omnisyn_cli.scenes.materials import Column
+from omnisyn_cli.scenes.materials import MaterialColumn, Pattern
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
 
-CELL_U, CELL_V, LINE, DETAIL = int(Column.CELL_U), int(Column.CELL_V), int(Column.LINE), int(Column.DETAIL)
-GRAIN, GRAIN_SIZE, SEED, OPEN = int(Column.GRAIN), int(Column.GRAIN_SIZE), int(Column.SEED), int(Column.OPEN)
+(PATTERN, _, _, _, CELL_U, CELL_V, LINE, GRAIN, GRAIN_SIZE, DETAIL, _, _, SEED, _, _) = map(int, MaterialColumn)
+
+
+class FacePoint(NamedTuple):
+    """A point on a face of a shape; lengths in metres.
+
+    Attributes:
+        u, v: place on the face: across, 0 in the middle, and up, 0 at the bottom.
+        half_u, half_v: half sizes of the face.
+        x, y, z: place in the shape's own frame.
+        variation: of the shape, see :class:`omnisyn_cli.scenes.scene.Scene`.
+    """
+
+    u: float
+    v: float
+    half_u: float
+    half_v: float
+    x: float
+    y: float
+    z: float
+    variation: int
 
 
 @kernel
@@ -71,14 +91,14 @@ def _checker(m, u, v, fp):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _planks(m, table, u, v, fp):  # type: ignore[no-untyped-def]
+def _planks(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
     cu, cv, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
     row = math.floor(v / cv)
     shifted = u / cu + cell_hash(int(row), 3, seed)
     column = math.floor(shifted)
     joint = 1.0 - (1.0 - pulse(v / cv, line / cv, fp / cv)) * (1.0 - pulse(shifted, line / cu, fp / cu))
     visible = _visible(cv, fp)
-    grain = fractal_noise(table, u * 1.5 + 17.0 * row, v * 22.0, seed + int(column), fp * 12.0, 3)
+    grain = fractal_noise(noise, u * 1.5 + 17.0 * row, v * 22.0, seed + int(column), fp * 12.0, 3)
     other = 0.5 + visible * (cell_hash(int(column), int(row), seed) - 0.5) + 0.9 * grain
     return min(1.0, max(0.0, other)), joint * 0.8, 1.0 + 0.5 * grain, 1.0, 1.0
 
@@ -111,11 +131,11 @@ def _facade(m, u, v, hu, hv, fp):  # type: ignore[no-untyped-def]
     curtain = pick > 0.55 and y > v1 - (v1 - v0) * (pick - 0.5) * 2.2
     behind = cell_hash(int(column), int(row), seed + 1)
     lightness = 0.45 + 1.1 * behind if not curtain else 2.2 + behind
-    shaded = 1.0 - 0.45 * glass * _step(y - (v1 - line - 0.18), 0.25)
+    tonal_material = 1.0 - 0.45 * glass * _step(y - (v1 - line - 0.18), 0.25)
     fade = _visible(0.5 * cu, fp)
     lightness = 1.0 + glass * (1.0 + (lightness - 1.0) * fade - 1.0)
     trim = max((frame - glass) * 0.95, max(sill, ledge * (1.0 - frame)))
-    return glass, trim, lightness * shaded, glass, 1.0
+    return glass, trim, lightness * tonal_material, glass, 1.0
 
 
 @kernel
@@ -146,14 +166,14 @@ def _collage(m, u, v, fp, variation):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _road(m, table, u, v, fp):  # type: ignore[no-untyped-def]
+def _road(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
     half, period, line, seed = m[CELL_U], m[CELL_V], m[LINE], int(m[SEED])
     across = abs(u)
-    patch = fractal_noise(table, u * 0.22, v * 0.07, seed, fp * 0.22, 3)
-    worn = 1.0 + 0.55 * fractal_noise(table, u * 5.0, v * 5.0, seed + 9, fp * 5.0, 3)
-    speck = fractal_noise(table, u * 21.0, v * 21.0, seed + 5, fp * 21.0, 2)
+    patch = fractal_noise(noise, u * 0.22, v * 0.07, seed, fp * 0.22, 3)
+    worn = 1.0 + 0.55 * fractal_noise(noise, u * 5.0, v * 5.0, seed + 9, fp * 5.0, 3)
+    speck = fractal_noise(noise, u * 21.0, v * 21.0, seed + 5, fp * 21.0, 2)
     track = 0.06 * math.cos(across * 4.2)
-    crack = abs(smooth_noise(table, u * 0.45 + 0.3 * patch, v * 0.3, seed + 3) - 0.5)
+    crack = abs(smooth_noise(noise, u * 0.45 + 0.3 * patch, v * 0.3, seed + 3) - 0.5)
     crack = (1.0 - _step(crack - 0.006, 0.008 + fp)) * 0.35 * _visible(0.05, fp)
     edge = _inside(across, 0.0, half - 0.35 - line, -1.0, half - 0.35, 1.0, fp) * (0.8 if m[DETAIL] > 0.3 else 0.0)
     dash = _step(0.5 * line - across, fp) * pulse(v / period, 0.42, fp / period)
@@ -171,10 +191,10 @@ def _road(m, table, u, v, fp):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _grass(m, table, u, v, fp):  # type: ignore[no-untyped-def]
+def _grass_material(m, noise, u, v, fp):  # type: ignore[no-untyped-def]
     seed = int(m[SEED])
-    large = fractal_noise(table, u * 0.3, v * 0.3, seed, fp * 0.3, 4)
-    blades = fractal_noise(table, u * 9.0, v * 9.0, seed + 4, fp * 9.0, 4)
+    large = fractal_noise(noise, u * 0.3, v * 0.3, seed, fp * 0.3, 4)
+    blades = fractal_noise(noise, u * 9.0, v * 9.0, seed + 4, fp * 9.0, 4)
     dry = min(1.0, max(0.0, 0.25 + 1.1 * large + 0.4 * (m[DETAIL] - 0.5)))
     return min(1.0, max(0.0, 0.5 + blades)), dry * 0.6, 1.0 + 0.7 * blades, 1.0, 1.0
 
@@ -233,13 +253,13 @@ def _carton(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _picture(m, table, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
+def _picture(m, noise, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
     line, seed = m[LINE], int(m[SEED]) + variation
     frame = 1.0 - _inside(u, v, -hu + line, line, hu - line, 2.0 * hv - line, fp)
     mount = 1.0 - _inside(u, v, -hu + 2.4 * line, 2.4 * line, hu - 2.4 * line, 2.0 * hv - 2.4 * line, fp)
     x, y = u / hu, v / hv
-    ridge = 0.9 + 0.9 * fractal_noise(table, 1.3 * x, 0.0, seed, fp / hu, 4)
-    paint = fractal_noise(table, 2.0 * x, 2.5 * y, seed + 8, 2.0 * fp / hu, 4)
+    ridge = 0.9 + 0.9 * fractal_noise(noise, 1.3 * x, 0.0, seed, fp / hu, 4)
+    paint = fractal_noise(noise, 2.0 * x, 2.5 * y, seed + 8, 2.0 * fp / hu, 4)
     land = _step(ridge - y, 0.05 + fp / hv)
     other = min(1.0, max(0.0, land + 0.6 * paint))
     lightness = 0.75 + 0.5 * y * (1.0 - land) + 0.9 * paint
@@ -291,82 +311,79 @@ def _window(m, u, v, hu, hv, fp, variation):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _leaves(table, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
-    clump = smooth_noise_3d(table, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
-    twig = (smooth_noise_3d(table, x * 7.0, y * 7.0, z * 7.0, variation + 3) - 0.5) * _visible(0.12, fp)
+def _leaves(noise, x, y, z, fp, variation):  # type: ignore[no-untyped-def]
+    clump = smooth_noise_3d(noise, x * 1.3, y * 1.3, z * 1.3, variation) - 0.5
+    twig = (smooth_noise_3d(noise, x * 7.0, y * 7.0, z * 7.0, variation + 3) - 0.5) * _visible(0.12, fp)
     leaf = 0.0
     if fp < 0.05:
-        leaf = (smooth_noise_3d(table, x * 23.0, y * 23.0, z * 23.0, variation + 5) - 0.5) * _visible(0.04, fp)
+        leaf = (smooth_noise_3d(noise, x * 23.0, y * 23.0, z * 23.0, variation + 5) - 0.5) * _visible(0.04, fp)
     fine = 0.6 * twig + 0.8 * leaf
     return min(1.0, max(0.0, 0.5 + clump + fine)), 0.0, 1.05 + 0.7 * clump + fine, 1.0, 1.0
 
 
 @kernel
-def pattern_at(m, table, u, v, hu, hv, x, y, z, fp, variation):  # type: ignore[no-untyped-def]  # noqa: C901
-    """Return the shares of the second and third colour and the factors on brightness, gloss and glow.
-
-    ``m`` is a packed material and ``table`` the noise; (u, v) is the place on a face of half sizes (hu, hv), v growing
-    upwards from 0; (x, y, z) the place in the shape's own frame; ``fp`` the footprint: all metres. ``variation`` is the
-    number of the shape.
-    """
+def pattern_at(m, noise, point, fp):  # type: ignore[no-untyped-def]  # noqa: C901
+    """Shares of the second and third colour at a :class:`FacePoint`, and factors on brightness, gloss and glow."""
+    u, v, hu, hv, x, y, z, variation = point
     # one flat list: numba compiles every level of calls again for the level above
-    pattern = int(m[0])
+    pattern = int(m[PATTERN])
     result = (0.0, 0.0, 1.0, 1.0, 1.0)
-    if pattern == 1:
+    if pattern == Pattern.BRICK:
         result = _brick(m, u, v, fp)
-    elif pattern == 2:
+    elif pattern == Pattern.TILES:
         result = _tiles(m, u, v, fp)
-    elif pattern == 3:
+    elif pattern == Pattern.CHECKER:
         result = _checker(m, u, v, fp)
-    elif pattern == 4:
-        result = _planks(m, table, u, v, fp)
-    elif pattern == 5:
+    elif pattern == Pattern.PLANKS:
+        result = _planks(m, noise, u, v, fp)
+    elif pattern == Pattern.FACADE:
         result = _facade(m, u, v, hu, hv, fp)
-    elif pattern == 6:
+    elif pattern == Pattern.STRIPES:
         result = _stripes(m, u, v, fp)
-    elif pattern == 7:
+    elif pattern == Pattern.COLLAGE:
         result = _collage(m, u, v, fp, variation)
-    elif pattern == 8:
-        return _road(m, table, u, v, fp)
-    elif pattern == 9:
-        return _grass(m, table, u, v, fp)
-    elif pattern == 10:
+    elif pattern == Pattern.ROAD:
+        return _road(m, noise, u, v, fp)
+    elif pattern == Pattern.GRASS:
+        return _grass_material(m, noise, u, v, fp)
+    elif pattern == Pattern.WALLPAPER:
         result = _wallpaper(m, u, v, fp)
-    elif pattern == 11:
-        return _leaves(table, x, y, z, fp, variation)
-    elif pattern == 13:
+    elif pattern == Pattern.LEAVES:
+        return _leaves(noise, x, y, z, fp, variation)
+    elif pattern == Pattern.PANELS:
         result = _panels(m, u, v, fp)
-    elif pattern == 14:
+    elif pattern == Pattern.RIBS:
         result = _ribs(m, u, v, fp)
-    elif pattern == 15:
+    elif pattern == Pattern.CARTON:
         result = _carton(m, u, v, hu, hv, fp, variation)
-    elif pattern == 16:
-        result = _picture(m, table, u, v, hu, hv, fp, variation)
-    elif pattern == 17:
+    elif pattern == Pattern.PICTURE:
+        result = _picture(m, noise, u, v, hu, hv, fp, variation)
+    elif pattern == Pattern.BOOKS:
         result = _books(m, u, v, hv, fp, variation)
-    elif pattern == 18:
+    elif pattern == Pattern.RUG:
         result = _rug(m, u, v, hu, hv, fp)
-    elif pattern == 19:
+    elif pattern == Pattern.WINDOW:
         result = _window(m, u, v, hu, hv, fp, variation)
     second, third, lightness, gloss, glow = result
     if m[GRAIN] > 0.0:
         size, seed = m[GRAIN_SIZE], int(m[SEED]) + variation
-        noise = fractal_noise(table, (u + variation) / size, v / size, seed, fp / size, 5)
-        if pattern == 0:  # stains
-            second = min(1.0, max(0.0, (noise + m[DETAIL] - 0.5) * 1.6))
-        lightness *= 1.0 + 2.0 * m[GRAIN] * noise
+        grain = fractal_noise(noise, (u + variation) / size, v / size, seed, fp / size, 5)
+        if pattern == Pattern.PLAIN:  # stains
+            second = min(1.0, max(0.0, (grain + m[DETAIL] - 0.5) * 1.6))
+        lightness *= 1.0 + 2.0 * m[GRAIN] * grain
     return second, third, lightness, gloss, glow
 
 
 @kernel
-def is_hole(m, table, u, v, hv, x, y, z, variation):  # type: ignore[no-untyped-def]
-    """Tell whether a ray passes between leaves, bars or wires here; arguments as of :func:`pattern_at`."""
-    pattern = int(m[0])
-    if pattern == 11:
+def is_hole(m, noise, point):  # type: ignore[no-untyped-def]
+    """Whether a ray passes between leaves, bars or wires at a :class:`FacePoint`."""
+    u, v, _, hv, x, y, z, variation = point
+    pattern = int(m[PATTERN])
+    if pattern == Pattern.LEAVES:
         size = m[CELL_U]
-        return smooth_noise_3d(table, x / size, y / size, z / size, int(m[SEED]) + variation) > 1.0 - 0.62 * m[DETAIL]
+        return smooth_noise_3d(noise, x / size, y / size, z / size, int(m[SEED]) + variation) > 1.0 - 0.62 * m[DETAIL]
     cu, cv, line = m[CELL_U], m[CELL_V], m[LINE]
-    if pattern == 12:
+    if pattern == Pattern.BARS:
         fence = u / cu
         rail = v < line or v > 2.0 * hv - line or abs(v - 0.18 * hv) < 0.5 * line
         return not rail and abs(fence - math.floor(fence) - 0.5) * cu > 0.5 * line

@@ -8,11 +8,11 @@ import numpy as np
 from omnisyn_cli.scenes import palette
 from omnisyn_cli.scenes.finishes import floor_finish, wall_finish
 from omnisyn_cli.scenes.furniture import wood
-from omnisyn_cli.scenes.materials import Material, Pattern, shaded
+from omnisyn_cli.scenes.materials import Material, Pattern, tonal_material
 from omnisyn_cli.scenes.palette import pick
-from omnisyn_cli.scenes.scene import SceneBuilder, Shape, Turned
+from omnisyn_cli.scenes.scene import LocalFrame, SceneBuilder, Shape
 
-THICKNESS = 0.06
+SLAB_THICKNESS = 0.06
 """Of a wall's slabs, metres, all of it inside the cell; neighbours stand back to back."""
 
 
@@ -39,7 +39,7 @@ Openings = dict[str, list[Opening]]
 """By wall: west and east (low and high x), south and north (low and high z)."""
 
 
-def enclose(
+def add_room_shell(
     build: SceneBuilder,
     cell: Cell,
     openings: Openings,
@@ -81,18 +81,11 @@ def _ceiling(build: SceneBuilder, cell: Cell, use: str, casts_shadow: bool) -> N
     white = pick(rng, ((0.9, 0.9, 0.88), (0.84, 0.83, 0.8), (0.75, 0.76, 0.76)))
     if use == "office" or rng.random() < 0.1:
         surface = Material(
-            Pattern.PANELS,
-            white,
-            palette.darker(white, 0.7),
-            (0.97, 0.97, 0.95),
-            cell=(0.6, 0.6),
-            line=0.02,
-            grain=0.05,
-            detail=0.7,
-            glow=2.5,
-        )
+            Pattern.PANELS, white, palette.scaled(white, 0.7), (0.97, 0.97, 0.95), cell=(0.6, 0.6), line=0.02,
+            grain=0.05, detail=0.7, glow=2.5,
+        )  # fmt: skip
     else:
-        surface = shaded(Pattern.PLAIN, white, 0.92, grain=0.04, grain_size=1.5)
+        surface = tonal_material(Pattern.PLAIN, white, 0.92, grain=0.04, grain_size=1.5)
     build.box((x0, cell.tall, z0), (x1, cell.tall + 0.3, z1), surface, casts_shadow=casts_shadow)
     if use != "hall" and rng.random() < 0.3:
         beam = wood(rng, 0.3) if rng.random() < 0.6 else surface
@@ -124,7 +117,7 @@ def _ceiling_lamp(build: SceneBuilder, cell: Cell) -> None:
         build.add(Shape.BOX, (x, cell.tall - 0.04, z), (0.6, 0.03, 0.08), shade)
 
 
-def wall_axes(cell: Cell, name: str, inset: float = 0.5 * THICKNESS) -> tuple[float, float, float, bool]:
+def wall_axes(cell: Cell, name: str, inset: float = 0.5 * SLAB_THICKNESS) -> tuple[float, float, float, bool]:
     """Start and end along the wall, where what stands ``inset`` inside is across, and whether it runs along x.
 
     Without an ``inset`` it is the middle of the wall's slabs.
@@ -155,7 +148,7 @@ def _slab(
 
 def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening], material: Material) -> None:
     wall = wall_axes(cell, name)
-    at, half = wall[0], 0.5 * THICKNESS
+    at, half = wall[0], 0.5 * SLAB_THICKNESS
     ordered = sorted(openings, key=lambda opening: opening.start)
     for opening in ordered:
         _slab(build, wall, (at, opening.start), (0.0, cell.tall), half, material)
@@ -164,7 +157,7 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
         at = opening.end
     _slab(build, wall, (at, wall[1]), (0.0, cell.tall), half, material)
     if build.rng.random() < 0.5:
-        skirting = Material(Pattern.PLAIN, palette.darker(material.first, build.rng.choice([0.5, 1.15])), grain=0.04)
+        skirting = Material(Pattern.PLAIN, palette.scaled(material.first, build.rng.choice([0.5, 1.15])), grain=0.04)
         at = wall[0]
         for opening in (*(o for o in ordered if o.bottom <= 0.0), Opening(wall[1], wall[1], 0.0, 0.0)):
             _slab(build, wall, (at, opening.start), (0.0, 0.09), half + 0.012, skirting)
@@ -195,21 +188,16 @@ def _window(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> Non
     if rng.random() < 0.35 and high < 3.0:
         tone = pick(rng, palette.CLOTH)
         cloth = Material(
-            Pattern.RIBS, tone, palette.darker(tone, 0.75), tone, cell=(0.09, 50.0), line=0.001, grain=0.08
+            Pattern.RIBS, tone, palette.scaled(tone, 0.75), tone, cell=(0.09, 50.0), line=0.001, grain=0.08
         )
         for edge, sign in ((a, -1.0), (b, 1.0)):
             start, end = sorted((edge + sign * 0.25, edge - sign * 0.22))
             _slab(build, inside, (start, end), (0.1, high + 0.12), 0.025, cloth)
     elif low > 0.6 and low < 1.3 and rng.random() < 0.5:
         steel = Material(
-            Pattern.RIBS,
-            (0.86, 0.86, 0.84),
-            (0.72, 0.72, 0.7),
-            (0.6, 0.6, 0.6),
-            cell=(0.08, 9.0),
-            line=0.01,
+            Pattern.RIBS, (0.86, 0.86, 0.84), (0.72, 0.72, 0.7), (0.6, 0.6, 0.6), cell=(0.08, 9.0), line=0.01,
             grain=0.03,
-        )
+        )  # fmt: skip
         _slab(build, inside, (a + 0.1, b - 0.1), (0.12, low - 0.12), 0.04, steel)
 
 
@@ -224,7 +212,7 @@ def _doorway(build: SceneBuilder, cell: Cell, name: str, opening: Opening) -> No
     _slab(build, wall, (a, b), (top - 0.02, top + 0.05), 0.045, frame)
     if b - a < 1.0 and name == "west" and rng.random() < 0.6:
         angle = rng.uniform(0.6, 1.5)
-        hinge = Turned(build, (wall[2] + 0.06, 0.0, a), angle)
+        hinge = LocalFrame(build, (wall[2] + 0.06, 0.0, a), angle)
         hinge.box((0.0, 0.5 * top, 0.5 * (b - a)), (0.02, 0.5 * top - 0.01, 0.5 * (b - a) - 0.02), wood(rng, 1.0))
 
 
@@ -239,16 +227,10 @@ def _closed_door(build: SceneBuilder, cell: Cell, name: str) -> None:
     wall = (low, high, across + 0.03 * inward, is_x)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     leaf = Material(
-        Pattern.WINDOW,
-        tone,
-        palette.darker(tone, 0.9),
-        tone,
-        cell=(0.36, 9.0 if rng.random() < 0.3 else 0.7),
-        line=0.1,
-        grain=0.08,
-        gloss=0.15,
-    )
-    trim = Material(Pattern.PLAIN, palette.darker(tone, 0.8), grain=0.04)
+        Pattern.WINDOW, tone, palette.scaled(tone, 0.9), tone, cell=(0.36, 9.0 if rng.random() < 0.3 else 0.7),
+        line=0.1, grain=0.08, gloss=0.15,
+    )  # fmt: skip
+    trim = Material(Pattern.PLAIN, palette.scaled(tone, 0.8), grain=0.04)
     _slab(build, wall, (middle - 0.45, middle + 0.45), (0.0, top), 0.02, leaf)
     for edge in (middle - 0.48, middle + 0.48):
         _slab(build, wall, (edge - 0.04, edge + 0.04), (0.0, top + 0.04), 0.035, trim)

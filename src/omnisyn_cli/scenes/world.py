@@ -8,20 +8,24 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from omnisyn_cli.scenes.culling import light_grid
-from omnisyn_cli.scenes.materials import Column
-from omnisyn_cli.scenes.noise import lattice
+from omnisyn_cli.scenes.materials import MaterialColumn
+from omnisyn_cli.scenes.noise import noise_lattice
 from omnisyn_cli.scenes.scene import Scene
 
-GROUND = -1
-"""Number of the ground among the shapes."""
-SKY = -2
-"""Number of the sky among the shapes."""
+GROUND_ID = -1
+"""In place of the index of a shape, for the ground plane."""
 
-_SHADOW_REACH = 6.0  # metres that a penumbra grows over
-_SUN_CORNERS = ((-0.5, -0.5), (0.5, -0.2), (-0.2, 0.5), (0.4, 0.4))  # points on the sun, in half angles
+SKY_ID = -2
+"""In place of the index of a shape, for the sky."""
+
+_PENUMBRA_REACH = 6.0
+"""Metres from a caster over which the light grid makes room for a growing penumbra; chosen by eye."""
+
+_SUN_SAMPLE_OFFSETS = ((-0.5, -0.5), (0.5, -0.2), (-0.2, 0.5), (0.4, 0.4))
+"""Points on the disc of the sun, in half angles: one for each of the 2×2 samples of a pixel."""
 
 
-class Packed(IntEnum):
+class ShapeColumn(IntEnum):
     """Columns of :attr:`World.shapes`."""
 
     TO_UNIT = 0  # row-major 3×3: world vectors to the frame of the unit shape
@@ -32,21 +36,21 @@ class Packed(IntEnum):
     COUNT = 19
 
 
-class Kind(IntEnum):
-    """Columns of :attr:`World.kinds`."""
+class AttributeColumn(IntEnum):
+    """Columns of :attr:`World.attributes`."""
 
     SHAPE = 0
     SIDES = 1
     CAPS = 2
     VARIATION = 3
-    OPEN = 4
+    PERFORATED = 4
 
 
 class Scalar(IntEnum):
     """Places in :attr:`World.scalars`."""
 
     SUN = 0
-    SKY = 3
+    SKY_LIGHT = 3
     BOUNCE = 6
     GROUND_MATERIAL = 9
     ZENITH = 10
@@ -57,19 +61,19 @@ class Scalar(IntEnum):
     HAZE = 21
     EXPOSURE = 22
     CLOUD_SEED = 23
-    GROUND = 24  # normal, offset
+    GROUND_PLANE = 24  # normal, offset
     EYE = 28
-    SUNS = 31  # directions of four points on the sun
-    ACROSS = 43  # axes of the light grid
-    GRID = 49  # its origin and scale, for each axis
+    SUN_DIRECTIONS = 31  # of four points on the sun
+    LIGHT_GRID_AXES = 43  # two unit vectors across the light
+    LIGHT_GRID_FRAME = 49  # its origin and scale, for each axis
 
 
 class World(NamedTuple):
     """What the kernels see.
 
     Attributes:
-        shapes: (n, 19) laid out as :class:`Packed`.
-        kinds: (n, 5) laid out as :class:`Kind`.
+        shapes: (n, 19) laid out as :class:`ShapeColumn`.
+        attributes: (n, 5) laid out as :class:`AttributeColumn`.
         order: (n,) shapes, nearest first.
         materials: as in :class:`omnisyn_cli.scenes.scene.Scene`.
         scalars: laid out as :class:`Scalar`.
@@ -79,7 +83,7 @@ class World(NamedTuple):
     """
 
     shapes: np.ndarray
-    kinds: np.ndarray
+    attributes: np.ndarray
     order: np.ndarray
     materials: np.ndarray
     scalars: np.ndarray
@@ -89,16 +93,8 @@ class World(NamedTuple):
     noise: np.ndarray
 
 
-class Papers(NamedTuple):
-    """Photographs on materials, apart from the world because only shading sees them; fields as in Papering."""
-
-    texels: np.ndarray
-    levels: np.ndarray
-    chosen: np.ndarray
-
-
 class Bounds(NamedTuple):
-    """What tells which tiles a shape may show in.
+    """What tells in which tiles of the picture a shape may be visible.
 
     Attributes:
         shape: (n,) kinds.
@@ -114,34 +110,34 @@ class Bounds(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Pack:
+class StaticWorld:
     """The part of a world that does not depend on the eye; fields as in :class:`World` and :class:`Bounds`."""
 
     to_unit: Float[np.ndarray, "n 3 3"]
     axes: Float[np.ndarray, "n 3 3"]
-    kinds: Int[np.ndarray, "n 5"]
+    attributes: Int[np.ndarray, "n 5"]
     scalars: Float[np.ndarray, " s"]
     grid_start: Int[np.ndarray, " c"]
     grid_items: Int[np.ndarray, " i"]
 
 
-def pack(scene: Scene) -> Pack:
-    """Pack what all eyes share: frames, materials, light, the grid of shadows."""
+def pack_scene(scene: Scene) -> StaticWorld:
+    """Pack what does not depend on the eye: frames, materials, light, the grid of shadow casters."""
     light = scene.lighting
     sun = np.asarray(light.sun_direction, dtype=np.float64)
     side = np.cross(sun, [0.0, 0.0, 1.0] if abs(sun[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     across = np.stack([side, np.cross(sun, side)])
-    suns = np.stack([sun + light.softness * (a * across[0] + b * across[1]) for a, b in _SUN_CORNERS])
+    suns = np.stack([sun + light.softness * (a * across[0] + b * across[1]) for a, b in _SUN_SAMPLE_OFFSETS])
     suns /= np.linalg.norm(suns, axis=1, keepdims=True)
     axes = np.ascontiguousarray(np.swapaxes(scene.rotation * scene.half[:, None, :], 1, 2))
     casters = np.flatnonzero(scene.casts_shadow)
-    start, items, frame = light_grid(scene.centre, axes, casters, across, light.softness * _SHADOW_REACH)
-    is_open = scene.materials[scene.material[:, 0], Column.OPEN] > 0.0
-    return Pack(
+    start, items, frame = light_grid(scene.centre, axes, casters, across, light.softness * _PENUMBRA_REACH)
+    is_perforated = scene.materials[scene.material[:, 0], MaterialColumn.PERFORATED] > 0.0
+    return StaticWorld(
         to_unit=axes / scene.half[:, :, None] ** 2,
         axes=axes,
-        kinds=np.column_stack([scene.shape, scene.material, scene.variation, is_open]).astype(np.int64),
+        attributes=np.column_stack([scene.shape, scene.material, scene.variation, is_perforated]).astype(np.int64),
         scalars=np.concatenate(
             [_light_scalars(scene), scene.ground, np.zeros(3), suns.ravel(), across.ravel(), frame.ravel()]
         ),
@@ -150,47 +146,31 @@ def pack(scene: Scene) -> Pack:
     )
 
 
-def papers_of(scene: Scene) -> Papers:
-    """The photographs of a scene; nothing is chosen where there are none."""
-    if scene.papering is None:
-        return Papers(np.zeros((1, 3), np.uint8), np.zeros((1, 1, 3), np.int64), np.zeros((0, 5)))
-    return Papers(scene.papering.texels, scene.papering.levels, scene.papering.chosen)
-
-
 def _light_scalars(scene: Scene) -> Float[np.ndarray, "24"]:
     light = scene.lighting
-    colours = [
-        *light.sun,
-        *light.sky,
-        *light.bounce,
-        scene.ground_material,
-        *light.zenith,
-        *light.horizon,
-        *light.cloud,
-    ]
-    return np.array(
-        [*colours, light.cloud_cover, light.cloud_scale, light.haze, light.exposure, light.seed], dtype=np.float64
-    )
+    sun_and_sky = [*light.sun, *light.sky, *light.bounce, scene.ground_material]
+    sky_picture = [*light.zenith, *light.horizon, *light.cloud, light.cloud_cover, light.cloud_scale]
+    return np.array([*sun_and_sky, *sky_picture, light.haze, light.exposure, light.seed], dtype=np.float64)
 
 
-def seen_from(packed: Pack, scene: Scene, eye: Float[np.ndarray, "3"]) -> tuple[World, Bounds]:
-    """Finish a pack for one place of the eye."""
+def seen_from(static: StaticWorld, scene: Scene, eye: Float[np.ndarray, "3"]) -> tuple[World, Bounds]:
+    """The world and the bounds of its shapes for one position of the eye."""
     offset = scene.centre - eye
-    unit = -np.squeeze(packed.to_unit @ offset[:, :, None], -1)
+    unit = -np.squeeze(static.to_unit @ offset[:, :, None], -1)
     near = np.linalg.norm(np.maximum(np.abs(unit) - 1.0, 0.0) * scene.half, axis=1) * (1.0 - 1e-9)
     order = np.argsort(near, kind="stable")
-    scalars = packed.scalars.copy()
+    scalars = static.scalars.copy()
     scalars[Scalar.EYE : Scalar.EYE + 3] = eye
-    shapes = np.concatenate([packed.to_unit.reshape(-1, 9), unit, near[:, None], scene.half, scene.tint], axis=1)
+    shapes = np.concatenate([static.to_unit.reshape(-1, 9), unit, near[:, None], scene.half, scene.tint], axis=1)
     world = World(
         shapes=shapes,
-        kinds=packed.kinds,
+        attributes=static.attributes,
         order=order,
         materials=scene.materials,
         scalars=scalars,
         lamps=scene.lamps,
-        grid_start=packed.grid_start,
-        grid_items=packed.grid_items,
-        noise=lattice(),
+        grid_start=static.grid_start,
+        grid_items=static.grid_items,
+        noise=noise_lattice(),
     )
-    return world, Bounds(scene.shape, offset, packed.axes, order)
+    return world, Bounds(scene.shape, offset, static.axes, order)
