@@ -14,10 +14,8 @@ from omnisyn_cli.errors import ImageError, InputError, OutputPathError, PoseErro
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.io import write_image
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
-from omnisyn_cli.render import renderer
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
-from omnisyn_cli.synthesis.recipe import RENDERERS
 from synthesis_samples import as_bytes, hall_image, posed, write_hall
 
 
@@ -146,10 +144,6 @@ def test_a_model_without_a_network_and_unknown_choices_are_refused(tmp_path: Pat
     ):
         with pytest.raises(InputError, match="expected one of"):
             plan_interpolation(job_of(tmp_path, images, **wrong))
-
-
-def test_the_names_of_the_renderers_are_those_that_there_are() -> None:
-    assert set(RENDERERS) == set(renderer.RENDERERS)
 
 
 @pytest.mark.parametrize("more", [[], ["--budget", "60"]])

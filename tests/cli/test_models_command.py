@@ -5,9 +5,9 @@ from click.testing import CliRunner
 
 from omnisyn_cli.cli.models import models
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.models import ModelEntry, models_folder, sha256_of
-from omnisyn_cli.synthesis.presets import PRESETS
-from omnisyn_cli.synthesis.recipe import FUSION_MODELS
+from omnisyn_cli.pipeline.fusions import FUSIONS
+from omnisyn_cli.pipeline.presets import PRESETS
+from omnisyn_cli.runtime.models import ModelEntry, models_folder, read_manifest, sha256_of
 from omnisyn_cli.training.publish import write_manifest
 
 
@@ -16,9 +16,17 @@ def test_what_the_presets_need_is_shipped_whole():
     assert result.exit_code == 0, result.output
     entries = {entry["name"]: entry for entry in json.loads(result.stdout)}
     assert {preset.recipe.depth.model for preset in PRESETS.values()} <= entries.keys()
-    assert set(FUSION_MODELS.values()) <= entries.keys()
+    assert {fusion.model for fusion in FUSIONS.values() if fusion.model} <= entries.keys()
     for entry in entries.values():
         assert (models_folder() / entry["file"]).stat().st_size < 16 * 2**20
+
+
+def test_the_table_of_bundled_networks_fits_a_terminal():
+    lines = CliRunner().invoke(models).output.splitlines()
+    entries = read_manifest().values()
+    assert max(map(len, lines)) <= 100
+    assert [line.split()[0] for line in lines] == ["name", *(entry.name for entry in entries)]
+    assert all(entry.hours > 0 and line.endswith(entry.purpose) for entry, line in zip(entries, lines[1:], strict=True))
 
 
 def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
@@ -27,8 +35,10 @@ def test_a_folder_of_ones_own_is_listed_and_its_files_are_checked(tmp_path):
     entry = ModelEntry("a", "refine", "v", "a.onnx", digest, (2, 4), 7, "scenes", "MIT", {"delta_25": 0.5})
     write_manifest(tmp_path, {"a": entry})
     result = CliRunner().invoke(models, [str(tmp_path)])
-    assert "a: refine, 7 parameters" in result.output
-    assert "delta_25 0.5" in result.output
+    assert result.output.splitlines() == [
+        "name  role    size  parameters  hours  purpose",
+        "a     refine  4x2   7           -",
+    ]
     (tmp_path / "a.onnx").write_bytes(b"other weights")
     with pytest.raises(InputError, match="sha256"):
         CliRunner().invoke(models, [str(tmp_path)], catch_exceptions=False)

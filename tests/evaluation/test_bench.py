@@ -25,8 +25,8 @@ from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, SCALE
-from omnisyn_cli.synthesis.recipe import OMNISYN
+from omnisyn_cli.pipeline.methods import OMNISYN
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.types import KnownDepth
 
 FAST = "omnisyn-fast"

@@ -19,10 +19,10 @@ from omnisyn_cli.evaluation.depth_table import (
     run_depth_table,
     write_depth_tables,
 )
+from omnisyn_cli.pipeline.config import DepthSource
+from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.scenes.suite import SUITE_SEEDS
-from omnisyn_cli.pipeline.presets import PRESETS
-from omnisyn_cli.pipeline.config import DepthSource
 from omnisyn_cli.types import DepthEstimate
 
 SIZE = (16, 32)

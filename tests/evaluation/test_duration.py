@@ -27,8 +27,8 @@ from omnisyn_cli.evaluation.duration import (
 from omnisyn_cli.evaluation.pareto import Figures, Setting, gain
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
 from omnisyn_cli.interpolation.summary import Summary
-from omnisyn_cli.synthesis.presets import PRESETS, SCALE
-from omnisyn_cli.synthesis.recipe import Recipe
+from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.presets import PRESETS, SCALE
 from synthesis_samples import write_hall
 
 FRAME = {"render": 0.1, "fuse": 0.04, "encode": 0.06}

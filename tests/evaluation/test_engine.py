@@ -17,9 +17,9 @@ from omnisyn_cli.evaluation.results import RESULTS_NAME, UnitRecord, read_record
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama
-from omnisyn_cli.synthesis import making
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.runtime import session
 from omnisyn_cli.synthesis.frames import Frame
-from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.types import DepthEstimate, View
 from synthesis_samples import distance_to_wall, posed, write_hall, ws_psnr
 
@@ -263,12 +263,12 @@ def test_broken_poses_and_missing_files_are_reported_too(halls: Path) -> None:
 
 
 def test_a_method_that_breaks_does_not_end_the_others(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def explode(*_: object) -> None:
+    def explode(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by\nzero")
 
     original = engine.find_methods
-    bad = ComparedMethod("bad", "", Recipe(DepthSource("network")))
-    monkeypatch.setattr(making, "_session", explode)
+    bad = ComparedMethod("bad", "", Recipe(DepthSource("network", model="any")))
+    monkeypatch.setattr(session, "open_model", explode)
     monkeypatch.setattr(engine, "find_methods", lambda text: [bad, *original(text)])
     records = run(halls, "crossfade")
     assert [(r.method, r.status) for r in records] == [("bad", "failed"), ("crossfade", "done")] * 2
@@ -293,7 +293,7 @@ def test_what_cannot_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     def missing(*_: object, **__: object) -> None:
         raise InputError("expected the network, got none")
 
-    monkeypatch.setattr(making, "_session", missing)
+    monkeypatch.setattr(session, "open_model", missing)
     data = write_halls(tmp_path / "data", "hall", with_depth=False)
     records = run(data, "oracle-depth,omnisyn-paper")
     assert [record.status for record in records] == ["unavailable"] * 2

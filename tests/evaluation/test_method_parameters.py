@@ -10,11 +10,10 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.methods import MethodAtWork, MethodUnavailableError, find_method
 from omnisyn_cli.evaluation.views import LoadedPair
-from omnisyn_cli.render.renderer import RENDERERS
+from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
+from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis.making import make_fuser
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.recipe import FUSION_MODELS
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
@@ -32,7 +31,7 @@ def images(name: str, pair: LoadedPair, views: tuple[View, View] | None = None) 
 
 def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geometric", **options: str) -> np.ndarray:
     """What the product makes of true depth."""
-    fuser = make_fuser(fusion, pair.size, threads=1)
+    fuser = make_fuser(fusion, FuserSettings(pair.size, threads=1))
     method = SurfaceMethod(KnownDepth(), SynthesisOptions(pair.size, threads=1, **options), fuser)
     made = method.prepare(0, views)
     return np.stack([made.frame(truth.waypoint).image.copy() for truth in pair.truths])
@@ -66,7 +65,7 @@ def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
 
 
 def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
-    digest = models.read_manifest()[FUSION_MODELS["network"]].sha256
+    digest = models.read_manifest()[FUSIONS["network"].model].sha256
     assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
     assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
     assert digest in find_method("omnisyn-balanced").ingredients()
@@ -90,7 +89,7 @@ def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(
     hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    with pytest.raises(MethodUnavailableError, match=FUSION_MODELS["network"]):
+    with pytest.raises(MethodUnavailableError, match=FUSIONS["network"].model):
         images("oracle-depth:fusion=network", hall)
 
 

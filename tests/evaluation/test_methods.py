@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hall_samples import SIZE, loaded_hall
 
+from omnisyn_cli.baselines.fades import optical_flow
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import methods
@@ -21,11 +22,10 @@ from omnisyn_cli.evaluation.methods import (
 )
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.runtime import models
-from omnisyn_cli.baselines.fades import optical_flow
 from omnisyn_cli.synthesis.frames import Frame
 from omnisyn_cli.synthesis.methods import Pair
-from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr

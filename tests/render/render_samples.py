@@ -6,7 +6,9 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.render.mesh import Cut, Triangles
+from omnisyn_cli.render.renderer import RendererInputs
 
 WHOLE = Cut(relative=None)
 CUTS = {
@@ -82,3 +84,8 @@ def is_unambiguous(triangles: Triangles, pose: Pose, size: tuple[int, int], marg
     seen = np.where((distance >= 0).all(axis=-1), rays @ planes.T, -1.0)
     first, second = -np.sort(-seen, axis=-1)[:, :2].T
     return (~at_an_edge & ((second < 0) | (first - second > margin))).reshape(size)
+
+
+def make_renderer(name, *inputs, **more):
+    """A renderer by name, of the fields of its inputs."""
+    return RENDERERS[name].load()(RendererInputs(*inputs, **more))

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from render_samples import WHOLE, moved, random_pose, rough, smooth
+from render_samples import WHOLE, make_renderer, moved, random_pose, rough, smooth
 
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import RENDERERS, make_renderer
 from omnisyn_cli.render.surface_confidence import LEAST
 
 everywhere = pytest.mark.parametrize("name", RENDERERS)
@@ -120,8 +120,3 @@ def test_a_view_does_not_depend_on_the_one_before(name):
 def test_broken_inverse_depths_are_refused(name):
     with pytest.raises(ValueError, match="finite"):
         make_renderer(name, picture(4, 8), None, np.full((4, 8), np.nan), None, (4, 8))
-
-
-def test_an_unknown_renderer_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"mesh, two-pass.*'magic'"):
-        make_renderer("magic", picture(4, 8), None, smooth(4, 8), None, (4, 8))

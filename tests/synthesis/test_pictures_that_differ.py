@@ -14,7 +14,7 @@ from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint

@@ -14,8 +14,9 @@ from omnisyn_cli.evaluation.bench import BenchJob
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.pareto import Figures, Setting
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
-from omnisyn_cli.synthesis.recipe import FUSION_MODELS, FUSIONS, Recipe
+from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.fusions import FUSIONS
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
 from synthesis_samples import write_hall
 
 PAPER = PRESETS["paper"].recipe
@@ -34,7 +35,6 @@ def test_every_preset_is_on_the_scale_or_beside_it() -> None:
     assert DEFAULT_PRESET in SCALE
     assert sorted(p.recipe.depth.rows for p in SCALE.values()) == [p.recipe.depth.rows for p in SCALE.values()]
     assert {preset.recipe.fusion for preset in PRESETS.values()} <= set(FUSIONS)
-    assert set(FUSION_MODELS) < set(FUSIONS)
 
 
 def test_the_paper_preset_has_the_settings_of_the_paper(tmp_path: Path, images: list[Path]) -> None:
@@ -43,7 +43,7 @@ def test_the_paper_preset_has_the_settings_of_the_paper(tmp_path: Path, images: 
     assert plan.recipe == PAPER
     assert (PAPER.depth.kind, PAPER.fusion) == ("network", "painting")
     assert (PAPER.renderer, PAPER.cut, PAPER.cut_metres) == ("two-pass", None, 2.0)
-    assert PAPER.networks == (PAPER.depth.model, FUSION_MODELS["painting"])
+    assert PAPER.networks == (PAPER.depth.model, FUSIONS["painting"].model)
     assert plan.describe()["renderer"] == "two-pass"
     assert plan.memory > plan_interpolation(replace(job, renderer="mesh")).memory
     large = replace(job, size=(1024, 2048))  # frames of this size take more than making surfaces

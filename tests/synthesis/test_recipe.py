@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omnisyn_cli.synthesis.fades import CrossFades, FlowFades
-from omnisyn_cli.synthesis.making import make_estimator, make_method
+from omnisyn_cli.baselines.fades import CrossFades, FlowFades
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.fusions import FUSIONS
+from omnisyn_cli.pipeline.methods import SYNSIN_MODELS, make_method
+from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.presets import PRESETS
-from omnisyn_cli.synthesis.recipe import FUSION_MODELS, SYNSIN_MODELS, DepthSource, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from synthesis_samples import hall_image, hall_view, posed, ws_psnr
 
@@ -52,7 +54,7 @@ def test_known_depth_needs_no_network_and_changes_nothing_else() -> None:
 def test_networks_are_those_of_depth_and_fusion_or_of_synsin() -> None:
     assert Recipe().networks == ()
     assert Recipe(DepthSource("network", model="mine.onnx"), fusion="network").networks == (
-        "mine.onnx", FUSION_MODELS["network"]
+        "mine.onnx", FUSIONS["network"].model
     )  # fmt: skip
     assert Recipe(method="synsin").networks == SYNSIN_MODELS
 
@@ -63,3 +65,17 @@ def test_sources_without_a_name_or_a_model_are_refused() -> None:
     for kind in ("network", "monocular"):
         with pytest.raises(ValueError, match="path of a model, got none"):
             make_estimator(DepthSource(kind))
+
+
+@pytest.mark.parametrize(
+    ("unknown", "message"),
+    [
+        (Recipe(renderer="magic"), r"renderer of mesh, two-pass, got 'magic'"),
+        (Recipe(fusion="magic"), r"fusion of geometric, network, painting, got 'magic'"),
+        (Recipe(method="magic"), r"method of omnisyn, .*, got 'magic'"),
+        (Recipe(DepthSource("magic")), r"depth source of file, .*, got 'magic'"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_known_ones(unknown, message):
+    with pytest.raises(ValueError, match=message):
+        make_method(unknown, (32, 64))

@@ -20,9 +20,9 @@ from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.recipes import recipe_of
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis.making import make_estimator
-from omnisyn_cli.synthesis.recipe import SYNSIN_MODELS
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from synsin_samples import TINY_SIZE, write_synsin_models
 from synthesis_samples import SIZE, hall_view, write_hall

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from omnisyn_cli.baselines.synsin import SynSin
+from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator, SynSinSessions
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.pipeline.methods import open_synsin
 from omnisyn_cli.runtime import models
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.runtime.synsin_sessions import MonocularDepthEstimator, SynSinSessions
 from omnisyn_cli.synthesis.frames import synthesize
-from omnisyn_cli.synthesis.making import open_synsin
 from omnisyn_cli.synthesis.segments import SynthesisOptions
-from omnisyn_cli.synthesis.synsin import SynSin
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synsin_samples import TINY_SIZE, HallNetworks, write_synsin_models

@@ -21,8 +21,7 @@ from omnisyn_cli.interpolation.loading import KeptPanorama
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
-from omnisyn_cli.synthesis.making import make_estimator
-from omnisyn_cli.synthesis.recipe import OMNISYN
+from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 MOST_PANORAMAS = 3
@@ -116,7 +115,7 @@ class DepthMemory:
 
 def _digest(view: View) -> bytes:
     """What tells a view from another without its picture: both may have been made of their files anew."""
-    digest = hashlib.sha256(f"{view.image.shape} {view.samples is None} {view.is_cut_off}".encode())
+    digest = hashlib.sha256(f"{view.image.shape} {view.samples is None} {view.is_clipped}".encode())
     pixels = view.image if view.samples is None else view.samples
     for values in (pixels, view.mask, view.pose.position + 0.0, view.pose.rotation + 0.0):  # + 0.0: no minus zero
         if values is not None:
@@ -168,7 +167,7 @@ class Interpolator:
 
     def _interpolate(self, job: BatchJob, attempt: Path, made_of: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
-        finds_depth = plan.recipe.depth.kind != "file" and plan.recipe.method == OMNISYN
+        finds_depth = plan.recipe.estimates_depth
         memory = self._memory(plan, made_of) if finds_depth else None
         decoded, found = self._panoramas.decoded, memory.found if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()

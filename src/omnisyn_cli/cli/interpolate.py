@@ -13,6 +13,7 @@ from omnisyn_cli.cli.options import (
     depth_options,
     device_option,
     json_option,
+    listed,
     masks_option,
     nadir_option,
     named,
@@ -27,7 +28,10 @@ from omnisyn_cli.cli.options import (
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
-from omnisyn_cli.synthesis.recipe import FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
+from omnisyn_cli.pipeline.config import FALLBACKS
+from omnisyn_cli.pipeline.fusions import FUSIONS
+from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
+from omnisyn_cli.pipeline.renderers import RENDERERS
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.plan import InterpolationPlan
@@ -48,7 +52,8 @@ if TYPE_CHECKING:
 )
 @click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
 @click.option(
-    "--method", type=click.Choice(METHODS), default=OMNISYN, show_default=True,
+    "--method", type=click.Choice([name for name, method in METHODS.items() if method.is_offered]), default=OMNISYN,
+    show_default=True,
     help="How frames are made; SynSin, from the nearer panorama or from both, is there to compare: small and blurred.",
 )  # fmt: skip
 @preset_option
@@ -60,7 +65,7 @@ if TYPE_CHECKING:
 @depth_options
 @click.option(
     "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto", show_default=True,
-    help="mesh is exact; the paper's two-pass method is there to compare; auto: the preset's, mesh but for paper.",
+    help=f"How surfaces are drawn. {listed(RENDERERS)}; auto: the preset's.",
 )  # fmt: skip
 @cut_options
 @click.option(
@@ -70,8 +75,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
-    help="How two renderings become one picture: by rules, by rules that a network corrects where estimated depths "
-    "contradict each other, or painted by a network as in the paper; auto: the preset's, but rules where depth comes "
+    help=f"How two renderings become one frame. {listed(FUSIONS)}; auto: the preset's, but geometric where depth comes "
     "from elsewhere (--depth, files) and where a GPU makes the frames.",
 )  # fmt: skip
 @click.option(
@@ -202,7 +206,7 @@ def _check_budget_decides(method: str) -> None:
 
     if click.get_current_context().get_parameter_source("preset") is ParameterSource.COMMANDLINE:
         raise click.UsageError("expected --preset or --budget, which chooses one, got both; leave one of them out")
-    if method != OMNISYN:
+    if not METHODS[method].draws_surfaces:
         raise click.UsageError(f"expected --budget only with --method {OMNISYN}, got {method}; leave one of them out")
 
 

@@ -7,13 +7,19 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
-from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, DEVICES
+from omnisyn_cli.pipeline.config import DEVICES
+from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
 
 
 def all_of(*options: Callable[..., Any]) -> Callable[..., Any]:
     """Several options as one decorator, in the order in which they are listed."""
     return lambda command: reduce(lambda decorated, option: option(decorated), reversed(options), command)
+
+
+def listed(registry: Mapping[str, Any]) -> str:
+    """What each strategy of a registry is."""
+    return "; ".join(f"{name}: {strategy.help}" for name, strategy in registry.items())
 
 
 def device_option(what: str) -> Callable[[Any], Any]:
@@ -73,9 +79,8 @@ tour_options = all_of(
 depth_options = all_of(
     click.option(
         "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
-        help="Where depth comes from: files named in the poses, matching of the two pictures, matching refined by a "
-        "network, a network alone, or one that looks at each panorama by itself and answers in metres. auto takes the "
-        "files where every panorama has one, else what the preset says.",
+        help=f"Where depth comes from. {listed(DEPTH_SOURCES)}. auto: files where every panorama has one, else the "
+        "preset's.",
     ),
     click.option(
         "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"

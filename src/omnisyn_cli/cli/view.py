@@ -18,7 +18,7 @@ from omnisyn_cli.cli.options import (
 )
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
-from omnisyn_cli.synthesis.recipe import FALLBACKS
+from omnisyn_cli.pipeline.config import FALLBACKS
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")

@@ -26,9 +26,8 @@ from omnisyn_cli.evaluation.scene_files import write_scene
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.json_lines import append_line, complete_lines
 from omnisyn_cli.io.outputs import make_folder, staged_folder
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.scenes import generate_scene, sample_path
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, SCALE
-from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["BenchJob", "machine_in_words", "make_scenes", "plan_bench", "run_bench"]
 
@@ -117,8 +116,7 @@ class BenchPlan:
 def make_scenes(folder: Path, size: tuple[int, int]) -> None:
     """Write the scenes of :data:`GENERATED` into a folder; those that are there already stay.
 
-    Raises:
-        OutputPathError, WriteError: the folder cannot be written.
+    OutputPathError, WriteError: the folder cannot be written.
     """
     make_folder(folder, "results")
     for kind, seed, baseline in GENERATED:
@@ -133,12 +131,11 @@ def make_scenes(folder: Path, size: tuple[int, int]) -> None:
 def plan_bench(job: BenchJob) -> BenchPlan:
     """All settings in their order; nothing is measured yet.
 
-    Raises:
-        InputError: no such method, or one that has no video; no scenes, or poses that cannot be read.
+    InputError: no such method, or one that has no video; no scenes, or poses that cannot be read.
     """
     methods = find_methods(job.methods)
     for method in methods:
-        needs_truth = method.recipe.method == OMNISYN and method.recipe.depth.kind == "file"
+        needs_truth = method.recipe.draws_surfaces and not method.recipe.estimates_depth
         if method.shows_first_only or method.is_in_tour or method.depth_size is not None or needs_truth:
             raise InputError(f"expected methods that `omnisyn interpolate` has, got {method.name}; leave it out")
     choose = choose_pairs(job.pairs)

@@ -28,10 +28,11 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
+from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.synthesis.frames import synthesize, turned_panorama
-from omnisyn_cli.synthesis.making import make_estimator, make_method
-from omnisyn_cli.synthesis.recipe import Recipe
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 PHOTOGRAPHS = 2

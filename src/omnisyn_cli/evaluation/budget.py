@@ -11,7 +11,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.duration import Duration, expected_duration, shipped_table
 from omnisyn_cli.evaluation.pareto import Figures, gain, quality
 from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
-from omnisyn_cli.synthesis.presets import SCALE
+from omnisyn_cli.pipeline.presets import SCALE
 
 __all__ = ["apply_budget"]
 
@@ -59,7 +59,7 @@ def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
     """
     _check_measured(plan)
     table = shipped_table()
-    if plan.recipe.depth.kind == "file":
+    if not plan.recipe.estimates_depth:
         return replace(plan, notes=(*plan.notes, _without_choice(expected_duration(plan, table), budget)))
     choice = choose_preset(plan, table, budget)
     chosen = with_preset(plan, choice.preset)
@@ -98,8 +98,7 @@ def _without_choice(expected: Duration | None, budget: float) -> str:
 def choose_preset(plan: InterpolationPlan, table: Sequence[Figures], budget: float) -> Choice:
     """The preset of the best picture that fits into ``budget`` seconds, or the fastest where none does.
 
-    Raises:
-        InputError: no preset of this version was measured.
+    InputError: no preset of this version was measured.
     """
     measured = {name: found for name in SCALE if (found := _scored(table, name)) is not None}
     expected = {

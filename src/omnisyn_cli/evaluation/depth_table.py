@@ -26,12 +26,12 @@ from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.results import UnitRecord
 from omnisyn_cli.evaluation.tables import Row, Table, depth_table, render_markdown
 from omnisyn_cli.io.outputs import replaced_when_complete
+from omnisyn_cli.pipeline.config import DepthSource
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.runtime.models import find_model, sha256_of
 from omnisyn_cli.scenes import Scene, generate_scene, render_views, sample_path
 from omnisyn_cli.scenes.suite import STANDARD_KINDS
-from omnisyn_cli.synthesis.making import make_estimator
-from omnisyn_cli.synthesis.presets import PRESETS
-from omnisyn_cli.synthesis.recipe import DepthSource
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = ["DepthTableJob", "depth_sources", "depth_tables", "run_depth_table", "write_depth_tables"]
@@ -66,8 +66,7 @@ NETWORK = "network:"
 def depth_sources(text: str) -> dict[str, DepthSource]:
     """``all``, or names separated by commas, each once; ``network:FILE.onnx`` is a stereo network in a file.
 
-    Raises:
-        InputError: a name that there is no method of, or no name.
+    InputError: a name that there is no method of, or no name.
     """
     if text == "all":
         return dict(SOURCES)

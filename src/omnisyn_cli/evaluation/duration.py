@@ -29,8 +29,8 @@ from omnisyn_cli.errors import OmnisynError
 from omnisyn_cli.evaluation.pareto import Figures, read_table
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.io.outputs import write_parts
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
-from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
+from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.summary import Summary
@@ -118,19 +118,14 @@ def probe() -> float:
 
 
 def shipped_table() -> tuple[Figures, ...]:
-    """The figures that came with the program.
-
-    Raises:
-        InputError: they are missing or damaged.
-    """
+    """The figures that came with the program; InputError: they are missing or damaged."""
     return read_table(Path(str(files("omnisyn_cli"))) / "evaluation" / TABLE)
 
 
 def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None = None) -> Duration | None:
     """What a job will take on this machine; None where its depth, method or device was never measured.
 
-    Raises:
-        InputError: the table that came with the program is missing or damaged.
+    InputError: the table that came with the program is missing or damaged.
     """
     table = shipped_table() if table is None else table
     work = work_of(plan, table)
@@ -217,14 +212,14 @@ def _threads(plan: InterpolationPlan) -> int:
 def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
     """What a job is in computing, None where the table does not say."""
     recipe = plan.recipe
-    finders = _usual(table) if recipe.depth.kind == "file" else _like(table, recipe, "depth.kind", "depth.networks")
+    finders = _like(table, recipe, "depth.kind", "depth.networks") if recipe.estimates_depth else _usual(table)
     renderers, fusers = _like(table, recipe, "renderer"), _like(table, recipe, "fusion", "edges")
-    if recipe.method != OMNISYN or recipe.is_on_gpu or not (finders and renderers and fusers):
+    if not recipe.draws_surfaces or recipe.is_on_gpu or not (finders and renderers and fusers):
         return None
     finder, renderer = (_nearest(each, recipe) for each in (finders, renderers))
     usual = _nearest(_usual(table), PRESETS[DEFAULT_PRESET].recipe)
     source = math.prod(max(plan.source_sizes)) / math.prod(usual.source)
-    found = sum(finder.seconds[stage] for stage in ("depth",) if recipe.depth.kind != "file")
+    found = sum(finder.seconds[stage] for stage in ("depth",) if recipe.estimates_depth)
     surfaces = finder.seconds["check"] + renderer.seconds["mesh"]
     panoramas = len(plan.entries)
     frame = _at(table, renderer, "render", plan.size) + _at(table, _nearest(fusers, recipe), "fuse", plan.size)
@@ -244,7 +239,7 @@ ASPECTS: dict[str, Callable[[Recipe], object]] = {
     "depth.kind": lambda recipe: recipe.depth.kind,
     "depth.networks": lambda recipe: recipe.depth.networks,
     "renderer": lambda recipe: recipe.renderer,
-    "fusion": lambda recipe: (recipe.fusion, recipe.fusion_rows if recipe.fusion == "network" else 0),
+    "fusion": lambda recipe: (recipe.fusion, recipe.fusion_rows if recipe.fusion_strategy.corrects_rules else 0),
     "edges": lambda recipe: recipe.edges,
 }
 """What a stage may depend on."""

@@ -1,6 +1,6 @@
 """The methods that are compared, by name: what is measured, upper bounds, baselines and ablations.
 
-A method is a :class:`~omnisyn_cli.synthesis.recipe.Recipe`, perhaps changed, and what only an evaluation may do: look
+A method is a :class:`~omnisyn_cli.pipeline.config.Recipe`, perhaps changed, and what only an evaluation may do: look
 at the true depth, make surfaces of another density, hide the second panorama.
 
 Names are ``base`` or ``base:key=value``. Every method that finds depth takes ``cut`` (cut meshes where inverse depth
@@ -29,12 +29,16 @@ from omnisyn_cli.evaluation.grouping import IN_TOUR
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH, make_estimator
+from omnisyn_cli.pipeline.fusions import FUSIONS
+from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
+from omnisyn_cli.pipeline.methods import make_method
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
+from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames
-from omnisyn_cli.synthesis.making import make_estimator, make_method
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS, SCALE
-from omnisyn_cli.synthesis.recipe import FUSIONS, OMNISYN, RENDERERS, SYNSIN_MODELS, DepthSource, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
@@ -119,8 +123,8 @@ class MethodAtWork:
     ) -> None:  # fmt: skip
         self._method, self._threads, self._known = method, threads, known or PairDepths()
         self._recipe = replace(method.recipe, device=device)
-        sees_truth = self._recipe.depth.kind == "file"
-        if sees_truth and self._recipe.method == OMNISYN and any(view.known_depth is None for view in views):
+        sees_truth = self._recipe.depth.strategy.reads_files
+        if sees_truth and self._recipe.draws_surfaces and any(view.known_depth is None for view in views):
             raise MethodUnavailableError("expected the true depth of both panoramas, this pair has none")
         before, after = around if method.is_in_tour else (None, None)
         self._index, chain = int(before is not None), [view for view in (before, *views, after) if view is not None]
@@ -210,10 +214,7 @@ _DEFAULT = PRESETS[DEFAULT_PRESET].recipe
 BASES: Mapping[str, ComparedMethod] = {
     name: ComparedMethod(name, description, recipe, shows_first_only=name == "first-view-only")
     for name, description, recipe in (
-        ("crossfade", "both panoramas, turned, averaged by time", Recipe(method="crossfade")),
-        ("flow", "both panoramas moved along optical flow (DIS), averaged by time", Recipe(method="flow")),
-        ("synsin", "SynSin from the nearer panorama", Recipe(method="synsin")),
-        ("synsin-2view", "SynSin from both panoramas", Recipe(method="synsin-2view")),
+        *((name, m.description, Recipe(method=name)) for name, m in STRATEGIES.items() if not m.draws_surfaces),
         ("matching", "depth by matching, mesh, geometric fusion", Recipe(DepthSource("matching"), adaptive=True)),
         *((f"omnisyn-{name}", f"the preset {name}", preset.recipe) for name, preset in SCALE.items()),
         (
@@ -227,7 +228,7 @@ BASES: Mapping[str, ComparedMethod] = {
         ("first-view-only", "the default preset's depth, only the first panorama is shown", _DEFAULT),
         (
             "monocular", "depth from each panorama alone, mesh, geometric fusion",
-            Recipe(DepthSource("monocular", model=SYNSIN_MODELS[0])),
+            Recipe(DepthSource("monocular", model=SYNSIN_DEPTH)),
         ),
         ("oracle-depth", "the true depth: an upper bound", Recipe(DepthSource("file"))),
     )
@@ -259,13 +260,9 @@ VARIANTS = (
 
 
 def find_method(name: str) -> ComparedMethod:
-    """The method of a name.
-
-    Raises:
-        InputError: there is none, or it has no such parameter.
-    """
+    """The method of a name; InputError: there is none, or it has no such parameter."""
     base, *parameters = name.split(":")
-    if base not in BASES or (parameters and BASES[base].recipe.method != OMNISYN):
+    if base not in BASES or (parameters and not BASES[base].recipe.draws_surfaces):
         raise InputError(f"expected one of {', '.join(BASES)} as method, got {name!r}; choose one of these")
     fusions = [parameter for parameter in parameters if parameter in FUSED_BY]
     if fusions and ONE_VIEW in parameters:
@@ -290,13 +287,14 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
             return replace(method, recipe=replace(recipe, renderer=value))
         if parameter in FUSED_BY:
             return replace(method, recipe=replace(recipe, fusion=FUSED_BY[parameter]), shows_first_only=False)
-        if recipe.depth.kind == "refined" and (source := _changed_source(recipe.depth, parameter)) is not None:
+        is_adjustable = recipe.depth.strategy.model_is_optional
+        if is_adjustable and (source := _changed_source(recipe.depth, parameter)) is not None:
             return replace(method, recipe=replace(recipe, depth=source))
         if parameter in LEFT_OUT:
             return replace(method, recipe=replace(recipe, **LEFT_OUT[parameter]))
         if parameter == ONE_VIEW:
             return replace(method, shows_first_only=True)
-        if parameter == IN_TOUR and recipe.depth.kind != "file":
+        if parameter == IN_TOUR and recipe.estimates_depth:
             return replace(method, is_in_tour=True)
         if key == "depth":
             width, height = (int(number) for number in value.lower().split("x"))
@@ -341,14 +339,13 @@ def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
 
 
 def _can_be_in_tour(method: ComparedMethod) -> bool:
-    return method.recipe.method == OMNISYN and method.recipe.depth.kind != "file" and not method.is_in_tour
+    return method.recipe.estimates_depth and not method.is_in_tour
 
 
 def find_methods(text: str) -> list[ComparedMethod]:
     """``usual``, ``all``, or names separated by commas, each once.
 
-    Raises:
-        InputError: a name that there is no method of, or no name.
+    InputError: a name that there is no method of, or no name.
     """
     if text in ("usual", "all"):
         return [METHODS[name] for name in (USUAL if text == "usual" else METHODS)]

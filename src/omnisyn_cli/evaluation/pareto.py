@@ -19,7 +19,7 @@ from pydantic import ConfigDict, TypeAdapter
 from omnisyn_cli import __version__
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_parts
-from omnisyn_cli.synthesis.recipe import Recipe
+from omnisyn_cli.pipeline.config import Recipe
 
 __all__ = ["write_table"]
 
@@ -150,8 +150,7 @@ def pareto_front(measured: Iterable[Figures]) -> list[Figures]:
 def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
     """Write the figures of all settings that were measured as JSON; an existing file is replaced.
 
-    Raises:
-        WriteError: the disk is full, or there is no such folder.
+    WriteError: the disk is full, or there is no such folder.
     """
     done = [figures.to_json() for figures in measured if figures.status == "done"]
     content = {"version": VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
@@ -160,11 +159,7 @@ def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
 
 
 def read_table(path: Path) -> tuple[Figures, ...]:
-    """The figures that :func:`write_table` wrote, all of one machine.
-
-    Raises:
-        InputError: it cannot be read, or is none.
-    """
+    """The figures that :func:`write_table` wrote, all of one machine; InputError: it cannot be read, or is none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != VERSION:

@@ -22,12 +22,13 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_panorama, sample_type
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.methods import make_method
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.synthesis.consistency import equalize_exposure
 from omnisyn_cli.synthesis.frames import synthesize
-from omnisyn_cli.synthesis.making import make_estimator, make_method
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
-from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.synthesis.trajectory import Ease, Heading, plan_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 

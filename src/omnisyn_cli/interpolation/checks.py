@@ -13,8 +13,9 @@ from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size
 from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder
 from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
+from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
 from omnisyn_cli.poses.file import PosedPanorama
-from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["check_choices"]
 
@@ -64,7 +65,7 @@ def check_choices(job: InterpolationJob) -> None:
             raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
     if job.cut is not None and job.cut_metres is not None:
         raise InputError("expected either cut or cut_metres, got both; name one")
-    if job.method != OMNISYN:
+    if not METHODS[job.method].draws_surfaces:
         _check_is_plain(job)
     if job.masks and len(job.masks) != len(job.images):
         raise InputError(
@@ -104,7 +105,7 @@ def source_size(job: InterpolationJob, image: Path) -> tuple[int, int]:
 
 
 def check_companions(
-    job: InterpolationJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], depth: str
+    job: InterpolationJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], recipe: Recipe
 ) -> None:
     """Refuse masks of other sizes than their panoramas, and depth files, if they are used, that are none.
 
@@ -116,7 +117,7 @@ def check_companions(
         for mask in (entry.mask, *job.masks[k : k + 1]):
             if mask is not None:
                 check_mask_size(mask, source_size(job, mask), size)
-        if entry.depth is not None and depth == "file":
+        if entry.depth is not None and recipe.depth.strategy.reads_files:
             check_depth_header(read_header(entry.depth))
 
 

@@ -8,8 +8,12 @@ from typing import Annotated, Any
 from annotated_types import Ge, Gt, Interval
 
 from omnisyn_cli.io import MAX_PIXELS, sample_type
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
-from omnisyn_cli.synthesis.recipe import DEPTH_SOURCES, DEVICES, FALLBACKS, FUSIONS, METHODS, OMNISYN, RENDERERS
+from omnisyn_cli.pipeline.config import DEVICES, FALLBACKS
+from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
+from omnisyn_cli.pipeline.fusions import FUSIONS
+from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
 
 __all__ = ["CHOICES", "POSES_FROM_PICTURES", "InterpolationJob", "targets"]
@@ -20,7 +24,7 @@ POSES_FROM_PICTURES = Path("auto")
 """Stands for a pose file where there is none."""
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
-    "method": METHODS,
+    "method": tuple(name for name, method in METHODS.items() if method.is_offered),
     "preset": tuple(PRESETS),
     "depth": ("auto", *DEPTH_SOURCES),
     "renderer": ("auto", *RENDERERS),
@@ -45,25 +49,25 @@ class InterpolationJob:
         duration: seconds; None means three per pair.
         fps: frames per second.
         size: (height, width) of the video; None means that of the largest panorama.
-        method: one of :data:`omnisyn_cli.synthesis.recipe.METHODS`; those that are there to be compared with leave
+        method: one of :data:`omnisyn_cli.pipeline.methods.METHODS`; those that are there to be compared with leave
             nothing to choose about depth, surfaces and fusion.
-        preset: one of :data:`omnisyn_cli.synthesis.presets.PRESETS`, for what is left open.
-        depth: one of :data:`omnisyn_cli.synthesis.recipe.DEPTH_SOURCES`, or ``auto``: files where every panorama has
-            one, else what the preset says.
+        preset: one of :data:`omnisyn_cli.pipeline.presets.PRESETS`, for what is left open.
+        depth: one of :data:`omnisyn_cli.pipeline.depth_sources.DEPTH_SOURCES`, or ``auto``: files where every panorama
+            has one, else what the preset says.
         model: the network of the depth: an ONNX file, or a name in the manifest; None is the preset's.
         device: where networks run: ``auto``, ``cpu`` or ``cuda``, with which the GPU makes the frames as well if it can
             (:mod:`omnisyn_cli.interpolation.recipes`). Poses and matching are found on the processor.
-        renderer: one of :data:`omnisyn_cli.synthesis.recipe.RENDERERS`, or ``auto``: what the preset says.
-        cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.synthesis.recipe.Recipe`; at most one of them,
+        renderer: one of :data:`omnisyn_cli.pipeline.renderers.RENDERERS`, or ``auto``: what the preset says.
+        cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.Recipe`; at most one of them,
             neither is the preset's.
-        fusion: one of :data:`omnisyn_cli.synthesis.recipe.FUSIONS`, or ``auto``: what the preset says where depth is
+        fusion: one of :data:`omnisyn_cli.pipeline.fusions.FUSIONS`, or ``auto``: what the preset says where depth is
             found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.
         ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
         codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
         save_depth: folder for the depth of every panorama, as EXR; None saves none.
         masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
         nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
-        fallback: one of :data:`omnisyn_cli.synthesis.recipe.FALLBACKS`.
+        fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`.
         save_confidence: video or folder for the confidence of every pixel, in grey; None saves none.
         save_frames: folder or pattern for the frames as images besides the video; None saves none.
         threads: at most this many; None is one per core.

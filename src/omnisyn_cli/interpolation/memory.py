@@ -9,31 +9,7 @@ from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
 from omnisyn_cli.interpolation.job import InterpolationJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
-from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
-
-PROGRAM, PROGRAM_BY_DEPTH = 345e6, {"file": 275e6, "monocular": 370e6}
-"""Bytes of the interpreter, its libraries and kernels, and where depth is from files or SynSin's networks take part."""
-
-BYTES_PER_PIXEL_OF_NETWORK = {"refined": 820, "network": 3200}
-"""What networks of depth take and keep for each pixel of their answers; of the paper's, which is the larger one."""
-
-FINDING = 110e6
-"""Bytes that are given back when depth has been found and both surfaces have been made."""
-
-PAINTING, PAINTED_ROWS = 230, 1024
-"""Bytes that a network which paints takes for each pixel of its picture, and the rows of its largest one."""
-
-CORRECTING = 50e6
-"""Bytes that a network which corrects the blend takes, which looks at one size, whatever that of the frames."""
-
-BYTES_PER_VERTEX = {"mesh": 57, "two-pass": 660}
-"""While surfaces are made: mesh with buffers; explicit triangles."""
-
-MOST_PER_VERTEX = max(BYTES_PER_VERTEX.values())
-"""For renderers that were not measured."""
-
-BYTES_PER_KEPT_VERTEX = {**BYTES_PER_VERTEX, "two-pass": 150}
-"""While frames are made."""
+from omnisyn_cli.pipeline.config import Recipe
 
 PASSING, PASSING_ROUNDED = 18, 10
 """Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
@@ -41,9 +17,6 @@ samples of 8 bits."""
 
 CONFIDENCE = 12
 """Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
-
-BYTES_PER_SHARPENED_PIXEL = 400
-"""Of an estimate while it is sharpened, costs and maps of both panoramas, and while both are made into surfaces."""
 
 MIP_LEVELS = 4 / 3
 """Pixels of a texture with its mip levels, in those of the picture."""
@@ -61,7 +34,7 @@ AHEAD = 4 * 8
 
 def joins_depth(recipe: Recipe, panoramas: int) -> bool:
     """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
-    return recipe.method == OMNISYN and recipe.depth.kind != "file" and panoramas > 2
+    return recipe.estimates_depth and panoramas > 2
 
 
 @dataclass(frozen=True)
@@ -99,6 +72,7 @@ def estimated_surface_memory(
     Raises:
         ImageError: a panorama is missing or unreadable.
     """
+    source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
     panorama = NUMBERS + (3 if has_edge_samples else NUMBERS)
@@ -108,24 +82,11 @@ def estimated_surface_memory(
     picture = largest if keeping.columns is None else min(largest, keeping.columns**2 // 2)
     kept = len(sources) * (keeping.per_pixel * picture + keeping.per_vertex * vertices)
     making = max(
-        _bytes_of_finding(recipe, vertices, depths),
-        keeping.writing * largest + BYTES_PER_VERTEX["mesh"] * vertices,
+        source.bytes_of_finding(depths),
+        keeping.writing * largest + recipe.renderer_strategy.building_bytes * vertices,
         len(sources) * keeping.closing * vertices,
     )
-    return int(_bytes_of_program(recipe, depths) + 2 * panorama * largest + more + kept + making)
-
-
-def _bytes_of_program(recipe: Recipe, depths: Sequence[tuple[int, int]]) -> float:
-    kind, (height, width) = recipe.depth.kind, depths[0]
-    return PROGRAM_BY_DEPTH.get(kind, PROGRAM) + BYTES_PER_PIXEL_OF_NETWORK.get(kind, 0) * height * width
-
-
-def _bytes_of_finding(recipe: Recipe, vertices: int, depths: Sequence[tuple[int, int]]) -> float:
-    """What is given back when depth has been found."""
-    if recipe.depth.kind == "file":
-        return 0.0
-    is_sharpened = recipe.depth.kind == "refined" and len(depths) > 1
-    return FINDING + (BYTES_PER_SHARPENED_PIXEL * vertices if is_sharpened else 0)
+    return int(source.bytes_of_program(depths) + 2 * panorama * largest + more + kept + making)
 
 
 def estimated_memory(
@@ -148,24 +109,22 @@ def estimated_memory(
     Raises:
         ImageError: a panorama is missing or unreadable.
     """
+    source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
     is_kept_as_samples = has_edge_samples and recipe.renderer == "mesh"
     kept = (3 if has_edge_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
     texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
-    program = _bytes_of_program(recipe, depths)
+    program = source.bytes_of_program(depths)
     frames = _bytes_of_frames(job, recipe, size) + NUMBERS * largest
-    if recipe.method != OMNISYN:
+    if not recipe.draws_surfaces:
         return int(program + 2 * kept * largest + frames)
-    finding = _bytes_of_finding(recipe, vertices, depths)
-    if recipe.depth.kind == "refined" and len(depths) > 1:
+    finding = source.bytes_of_finding(depths)
+    if source.refines(depths):
         finding += 2 * NUMBERS * largest
-    making, keeping = (
-        table.get(recipe.renderer, MOST_PER_VERTEX) for table in (BYTES_PER_VERTEX, BYTES_PER_KEPT_VERTEX)
-    )
     ahead = (NUMBERS + (3 if has_edge_samples else 0)) * largest + AHEAD * vertices + BETWEEN_PAIRS
-    texturing_surfaces = 2 * making * vertices + 2 * (NUMBERS + texturing) * largest
-    frames += 2 * keeping * vertices
+    texturing_surfaces = 2 * recipe.renderer_strategy.building_bytes * vertices + 2 * (NUMBERS + texturing) * largest
+    frames += 2 * recipe.renderer_strategy.kept_bytes * vertices
     more = ahead if joins_depth(recipe, len(sources)) else 0.0
     return int(program + 2 * kept * largest + more + max(finding, texturing_surfaces, frames))
 
@@ -175,15 +134,13 @@ def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int
     pixels = size[0] * size[1]
     waiting = frames_in_queue(size) + 2
     largest_sample = max(np.dtype(kind).itemsize for kind in sample_types(job))
-    if recipe.method != OMNISYN:
+    if not recipe.draws_surfaces:
         return pixels * (16 + 12 + 3 * largest_sample * waiting + 1.5)
     pyramid, planes = 16 / 3, 1.5
-    painted = PAINTING * min(pixels, 2 * PAINTED_ROWS**2) if recipe.fusion == "painting" else 0
-    corrected = CORRECTING if recipe.fusion == "network" else 0
-    seen = 4 if recipe.renderer == "mesh" else 8  # the others know which face it is, too
-    is_held = recipe.renderer != "mesh" or (recipe.fusion != "painting" and ghost_sample_step(size) == 1)
+    renderer, fusion = recipe.renderer_strategy, recipe.fusion_strategy
+    is_held = not renderer.shades_on_demand or (fusion.by_rules and ghost_sample_step(size) == 1)
     is_judged = recipe.fallback == "crossfade" or recipe.confidence
-    marked = 1 if recipe.edges and recipe.renderer == "mesh" and recipe.fusion != "painting" else 0
+    marked = 1 if recipe.supersamples else 0
     frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING
-    whole = 2 * (seen + (16 if is_held else 0)) + 1 + marked + frame + (CONFIDENCE if is_judged else 0)
-    return painted + corrected + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)
+    whole = 2 * (renderer.pixel_bytes + (16 if is_held else 0)) + 1 + marked + frame + (CONFIDENCE if is_judged else 0)
+    return fusion.network_bytes(pixels) + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

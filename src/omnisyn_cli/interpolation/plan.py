@@ -15,14 +15,11 @@ from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
 from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
 from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, recipe_of
-from omnisyn_cli.io import read_header
-from omnisyn_cli.io.depth_files import depth_size
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
+from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, read_poses
 from omnisyn_cli.runtime.models import find_model
-from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
-from omnisyn_cli.synthesis.recipe import OMNISYN, Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
 
 __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpolation", "with_preset"]
@@ -84,7 +81,7 @@ class InterpolationPlan(TourPlan):
     def describe(self) -> dict[str, Any]:
         """The plan as plain values, for people and for JSON."""
         (height, width), recipe = self.size, self.recipe
-        is_own = recipe.method == OMNISYN
+        is_own = recipe.draws_surfaces
         return {
             "inputs": [str(image) for image in self.job.images],
             "output": str(self.job.output),
@@ -98,7 +95,7 @@ class InterpolationPlan(TourPlan):
             "depth": recipe.depth.kind,
             "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
             "joined_depths": self.joined_depths,
-            "renderer": recipe.renderer if is_own else "soft points",
+            "renderer": recipe.renderer if is_own else recipe.method_strategy.renderer_label,
             "fusion": recipe.fusion if is_own else "",
             "view": "" if self.job.view is None else str(self.job.view),
             "path_metres": round(self.length, 4),
@@ -124,7 +121,8 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     recipe = for_frames(tour.recipe, job, frames)
     path = tuple(plan_path(poses, frames, ease=job.ease, heading=job.heading))
     return InterpolationPlan(
-        job, entries, sources, recipe, (*tour.notes, *_notes_about_video(job, entries), *notes_about_gpu(recipe, job)),
+        job, entries, sources, recipe,
+        (*tour.notes, *_notes_about_video(job, entries, recipe), *notes_about_gpu(recipe, job)),
         size, path, path_length(poses),
         estimated_memory(job, recipe, size, sources, _surface_sizes(recipe, sources, entries)),
     )  # fmt: skip
@@ -146,7 +144,7 @@ def plan_tour(job: InterpolationJob) -> TourPlan:
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     recipe = _installed_recipe(job, entries)
-    checks.check_companions(job, entries, source_sizes, recipe.depth.kind)
+    checks.check_companions(job, entries, source_sizes, recipe)
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
 
 
@@ -230,13 +228,9 @@ def frame_count(job: InterpolationJob) -> int:
 def _surface_sizes(
     recipe: Recipe, sources: Sequence[tuple[int, int]], entries: Sequence[PosedPanorama]
 ) -> list[tuple[int, int]]:
-    """Height and width of surfaces, from coarse to fine; a network alone is taken to answer in the size of matching."""
-    rows = recipe.depth.rows
-    if recipe.depth.kind == "file":
-        return [depth_size(read_header(entry.depth)) for entry in entries if entry.depth is not None]
-    if recipe.depth.kind == "refined":
-        return list(estimate_sizes(rows, max(height for height, _ in sources)))
-    return [(coarse_rows(rows), 2 * coarse_rows(rows))]
+    """Height and width of surfaces, from coarse to fine."""
+    files = [entry.depth for entry in entries if entry.depth is not None]
+    return recipe.depth.strategy.grid_sizes(recipe.depth, max(height for height, _ in sources), files)
 
 
 def _encoder(job: InterpolationJob) -> str:
@@ -252,14 +246,16 @@ def _encoder(job: InterpolationJob) -> str:
 
 def _notes_about_depth(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
-    if job.method == OMNISYN and job.depth == "auto" and recipe.depth.kind != "file" and named:
+    if recipe.estimates_depth and job.depth == "auto" and named:
         why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
         yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
 
-def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[str]:
-    if job.method != OMNISYN:
-        yield f"{job.method} makes pictures of the size of its networks and enlarges them: expect them to be blurred"
+def _notes_about_video(
+    job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe
+) -> Iterator[str]:
+    if note := recipe.method_strategy.note:
+        yield f"{recipe.method} {note}"
     for where, is_turned in pairs_at_one_place(job, entries):
         how = "turns in place and cross-fades" if is_turned else "cross-fades"
         yield f"{where}: there is no parallax to follow, the video {how}"

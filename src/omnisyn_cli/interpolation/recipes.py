@@ -5,10 +5,12 @@ from dataclasses import replace
 
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
+from omnisyn_cli.pipeline.methods import METHODS
+from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.session import check_device_of_networks
-from omnisyn_cli.synthesis.presets import PRESETS
-from omnisyn_cli.synthesis.recipe import DEPTH_MODELS, NETWORKED_DEPTH, OMNISYN, DepthSource, Recipe
 
 __all__ = ["check_device", "recipe_of"]
 
@@ -30,11 +32,11 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
         PoseError: depth is to come from files, and the pose file does not name one for every panorama.
         InputError: a network where none has a part, or none where one has.
     """
-    if job.method != OMNISYN:
-        return Recipe(DepthSource("monocular", model=DEPTH_MODELS["monocular"]), job.method, device=job.device)
+    if not METHODS[job.method].draws_surfaces:
+        return Recipe(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
     usual = PRESETS[job.preset].recipe
     kind = _depth_kind(job, entries, usual)
-    usual = usual.of_known_depth() if kind == "file" else usual
+    usual = usual.of_known_depth() if DEPTH_SOURCES[kind].reads_files else usual
     is_cut_as_usual = job.cut is None and job.cut_metres is None
     recipe = Recipe(
         DepthSource(kind, usual.depth.rows, _model(job, kind, usual)),
@@ -60,7 +62,7 @@ def _depth_kind(job: InterpolationJob, entries: Sequence[PosedPanorama], usual: 
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
         return usual.depth.kind if without or job.model is not None else "file"
-    if job.depth == "file" and without:
+    if job.depth != "auto" and DEPTH_SOURCES[job.depth].reads_files and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
             "name one or choose another depth method"
@@ -70,14 +72,16 @@ def _depth_kind(job: InterpolationJob, entries: Sequence[PosedPanorama], usual: 
 
 def _model(job: InterpolationJob, kind: str, usual: Recipe) -> str | None:
     """The network that finds or refines depth, if one does."""
-    if kind not in NETWORKED_DEPTH:
+    source = DEPTH_SOURCES[kind]
+    if not source.has_network:
         if job.model is not None:
+            networked = " or ".join(name for name, each in DEPTH_SOURCES.items() if each.has_network)
             raise InputError(
-                f"expected a model only for depth {' or '.join(NETWORKED_DEPTH)}, got depth {kind!r} and model "
-                f"{job.model!r}; leave one of them out"
+                f"expected a model only for depth {networked}, got depth {kind!r} and model {job.model!r}; "
+                "leave one of them out"
             )
         return None
-    model = job.model or {**DEPTH_MODELS, usual.depth.kind: usual.depth.model}.get(kind)
+    model = job.model or (usual.depth.model if kind == usual.depth.kind else source.model)
     if model is None:
         raise InputError(f"expected a model for depth {kind!r}, got none; name one (--model)")
     return model
@@ -93,15 +97,15 @@ def _fusion(job: InterpolationJob, kind: str, usual: Recipe) -> str:
 def _on_gpu(recipe: Recipe, job: InterpolationJob) -> Recipe:
     """With frames on the GPU if it does all that is asked for; by rules where only the preset has a network correct."""
     by_rules = replace(recipe, fusion="geometric")
-    wanted = by_rules if job.fusion == "auto" and recipe.fusion == "network" else recipe
+    wanted = by_rules if job.fusion == "auto" and recipe.fusion_strategy.corrects_rules else recipe
     return recipe if _against_gpu(wanted) else replace(wanted, is_on_gpu=True)
 
 
 def _against_gpu(recipe: Recipe) -> list[str]:
     """What a GPU does not do."""
     wanted = {
-        f"the renderer {recipe.renderer}": recipe.renderer != "mesh",
-        f"the fusion {recipe.fusion}": recipe.fusion != "geometric",
+        f"the renderer {recipe.renderer}": not recipe.renderer_strategy.runs_on_gpu,
+        f"the fusion {recipe.fusion}": not recipe.fusion_strategy.runs_on_gpu,
         "confidence maps (--save-confidence)": recipe.confidence,
         "cross-fades (--fallback crossfade)": recipe.fallback == "crossfade",
     }
@@ -110,7 +114,7 @@ def _against_gpu(recipe: Recipe) -> list[str]:
 
 def notes_about_gpu(recipe: Recipe, job: InterpolationJob) -> tuple[str, ...]:
     """What a user who asked for CUDA should know."""
-    if recipe.device != "cuda" or recipe.method != OMNISYN:
+    if recipe.device != "cuda" or not recipe.draws_surfaces:
         return ()
     if not recipe.is_on_gpu:
         return (

@@ -13,8 +13,8 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import limited_threads, run_bands
-from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
+from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.interpolation.job import depth_name, is_rounded, sample_types, targets
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
@@ -27,9 +27,9 @@ from omnisyn_cli.io import open_video, read_panorama, write_depth
 from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
+from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.frames import Frame, synthesize
-from omnisyn_cli.synthesis.making import make_method
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
 from omnisyn_cli.synthesis.segments import measure_pair
 from omnisyn_cli.types import DepthEstimate, DepthEstimator

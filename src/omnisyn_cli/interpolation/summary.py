@@ -9,7 +9,6 @@ from typing import Any
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
-from omnisyn_cli.synthesis.recipe import OMNISYN
 
 __all__ = ["Summary"]
 
@@ -74,7 +73,7 @@ class Summary:
 
     def _confidence(self) -> dict[str, Any] | None:
         """The clip's score is that of its worst pair; its shares are the means. None: nobody knows."""
-        if self.plan.recipe.method != OMNISYN:
+        if not self.plan.recipe.draws_surfaces:
             return None
         if not self.pairs:
             return {"score": 1.0, "pairs": []}

@@ -17,9 +17,9 @@ from omnisyn_cli.compute.threads import limited_threads
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.synthesis.consistency import CrossCheck
-from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.segments import SynthesisOptions, measure_pair, usable_image
 from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View

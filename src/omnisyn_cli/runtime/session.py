@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
+from omnisyn_cli.runtime.models import find_model
 
-__all__ = ["check_device_of_networks", "open_session"]
+__all__ = ["check_device_of_networks", "open_model", "open_session"]
 
 DEVICES = ("auto", "cpu", "cuda")
 
-LONGEST_COMPLAINT = 300
+MAX_COMPLAINT_CHARS = 300
 """Characters of what ONNX Runtime says that are passed on."""
 
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
@@ -45,6 +46,20 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
         raise InputError(
             f"expected an ONNX model in {path}, ONNX Runtime says: {_short(error)}; name another file"
         ) from error
+
+
+def open_model(name: str, *, device: str = "auto", threads: int | None = None) -> Any:
+    """A session of a model that is installed, or of an ONNX file.
+
+    Args:
+        name: in the manifest, or a path.
+        device: see :func:`open_session`.
+        threads: likewise.
+
+    Raises:
+        InputError: it cannot be found, or see :func:`open_session`.
+    """
+    return open_session(find_model(name), device=device, threads=threads)
 
 
 def check_device_of_networks(device: str) -> None:
@@ -108,7 +123,7 @@ def run_network(
 
 
 def _short(error: Exception) -> str:
-    return " ".join(f"{error!s:.{LONGEST_COMPLAINT}}".split())
+    return " ".join(f"{error!s:.{MAX_COMPLAINT_CHARS}}".split())
 
 
 def _providers(device: str, available: list[str]) -> list[str]:

@@ -18,7 +18,7 @@ from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equali
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import Renderer, make_renderer
+from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererInputs
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
 __all__ = ["CHECK_SIZE", "SAME_SURFACE_TOLERANCE", "CrossCheck", "equalize_exposure", "subsample_depth", "resized"]
@@ -135,7 +135,9 @@ def _renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
     depth, size = view.known_depth, view.image.shape[:2]
     if depth is None:
         raise ValueError("expected a view with its depth, got one without")
-    return make_renderer("mesh", view.image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads)
+    return MeshRenderer(
+        RendererInputs(view.image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads)
+    )
 
 
 def _crossed(here: View, renderer: Renderer, there: View) -> tuple[Layer, Layer]:

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.layer_pair import ROWS
-from omnisyn_cli.fusion.confidence import low_confidence_regions
 from omnisyn_cli.fusion.blend_kernels import quantization_for
+from omnisyn_cli.fusion.confidence import low_confidence_regions
+from omnisyn_cli.fusion.layer_pair import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
@@ -50,8 +50,8 @@ class CrossFade:
         turns = [Pose(pose.rotation.T @ source.rotation, np.zeros(3)) for source in self._poses]
 
         def band(begin: int, end: int) -> None:
-            for top in range(begin, end, ROWS):
-                rows = slice(top, min(top + ROWS, end))
+            for top in range(begin, end, TILE_ROWS):
+                rows = slice(top, min(top + TILE_ROWS, end))
                 here, mixed = doubt[rows, :, None], image[rows] / storing.scale
                 if here.any():
                     mixed *= 1.0 - here

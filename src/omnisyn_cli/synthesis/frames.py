@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.geometric import ROWS
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
+from omnisyn_cli.fusion.geometric import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
@@ -87,8 +87,8 @@ def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, thr
     shader, texture = Shader(out.shape[:2], threads), make_texture(image)
 
     def band(begin: int, end: int) -> None:
-        for top in range(begin, end, ROWS):
-            bottom = min(top + ROWS, end)
+        for top in range(begin, end, TILE_ROWS):
+            bottom = min(top + TILE_ROWS, end)
             colour = shader.rows_at_infinity(texture, target_from_source, top, bottom)
             quantize_rows(colour, np.float32(255.0), out[top:bottom], 0, bottom - top)
 

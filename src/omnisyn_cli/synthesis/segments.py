@@ -14,7 +14,7 @@ from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.renderer import MeshRenderer, Renderer, make_renderer
+from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererClass, RendererInputs
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
 from omnisyn_cli.synthesis.tours import TourDepths, is_moving
@@ -32,7 +32,7 @@ class SynthesisOptions:
 
     Attributes:
         size: height and width of the frames.
-        renderer: ``mesh`` or ``two-pass``.
+        renderer: draws the surfaces.
         cut: where meshes are cut.
         threads: at most this many; None is one per core.
         cross_fade: show the photographs, cross-faded, in the doubtful regions of pairs that score low.
@@ -42,7 +42,7 @@ class SynthesisOptions:
     """
 
     size: tuple[int, int]
-    renderer: str = "mesh"
+    renderer: RendererClass = MeshRenderer
     cut: Cut = field(default_factory=Cut)
     threads: int | None = None
     cross_fade: bool = False
@@ -123,10 +123,12 @@ def prepare_segment(
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
     """Of the first of two neighbouring views."""
-    return make_renderer(
-        options.renderer, usable_image(view, options), view.mask,
-        depth.inverse_depth, depth.confidence, options.size, options.cut, options.threads,
-        _path_to(view, other) if options.adaptive and is_moving(view, other) else None,
+    way = _path_to(view, other) if options.adaptive and is_moving(view, other) else None
+    return options.renderer(
+        RendererInputs(
+            usable_image(view, options), view.mask, depth.inverse_depth, depth.confidence, options.size, options.cut,
+            options.threads, way,
+        )
     )  # fmt: skip
 
 
@@ -143,7 +145,7 @@ def usable_image(
     Samples of 8 bits where they do as well: they take a quarter of the memory.
     """
     if view.mask is None or view.mask.all():
-        return view.samples if view.samples is not None and options.renderer == "mesh" else view.image
+        return view.samples if view.samples is not None and options.renderer.shades_on_demand else view.image
     image = np.array(view.image, np.float32)
     HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
     return image
@@ -153,6 +155,6 @@ def _depths_in_place(first: View, second: View, options: SynthesisOptions) -> tu
     """What is known of both, else spheres of infinite radius; the exact mesh makes those of a few large quads."""
     if first.known_depth is not None and second.known_depth is not None:
         return first.known_depth, second.known_depth
-    height, width = (16, 32) if options.renderer == "mesh" else first.image.shape[:2]
+    height, width = (16, 32) if options.renderer.shades_on_demand else first.image.shape[:2]
     far = DepthEstimate(np.zeros((height, width), np.float32), np.ones((height, width), np.float32))
     return far, far

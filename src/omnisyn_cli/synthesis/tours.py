@@ -25,7 +25,13 @@ from omnisyn_cli.geometry.pose import STILL, Pose
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.synthesis.consistency import CHECK_SIZE, SAME_PLACE, in_one_exposure, middle_of, resized
+from omnisyn_cli.synthesis.consistency import (
+    CHECK_SIZE,
+    SAME_SURFACE_TOLERANCE,
+    equalize_exposure,
+    resized,
+    subsample_depth,
+)
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 
 if TYPE_CHECKING:
@@ -86,7 +92,7 @@ def joined(one: Opinion, other: Opinion) -> DepthEstimate:
     weight, other_weight = sure * one.exactness(size), other_sure * other.exactness(size)
     weight_of_near = np.where(rho == near, weight, other_weight)
     share = weight_of_near / np.where(weight + other_weight > 0.0, weight + other_weight, 1.0)
-    agree = near - far <= SAME_PLACE * near
+    agree = near - far <= SAME_SURFACE_TOLERANCE * near
     inverse_depth = np.where(agree, far + share * (near - far), np.where(is_first, rho, other_rho))
     confidence = np.where(agree, np.maximum(sure, other_sure), np.where(is_first, sure, other_sure))
     return DepthEstimate(inverse_depth.astype(np.float32), confidence.astype(np.float32))
@@ -94,7 +100,7 @@ def joined(one: Opinion, other: Opinion) -> DepthEstimate:
 
 def _likeness(depth: DepthEstimate, opinions: tuple[Opinion, Opinion]) -> Float32[np.ndarray, "height width"]:
     """How well colours fit to an estimate in the neighbour where they fit better, in (0, 1]."""
-    reduced = middle_of(depth, opinions[0].image.shape[:2]).inverse_depth
+    reduced = subsample_depth(depth, opinions[0].image.shape[:2]).inverse_depth
     reduced = resized(reduced, opinions[0].image.shape[:2], cv2.INTER_NEAREST)
     mismatch = np.minimum(*(opinion.mismatch(reduced) for opinion in opinions))
     return resized(np.exp(-mismatch / np.float32(MISMATCH)), depth.inverse_depth.shape, cv2.INTER_NEAREST)
@@ -162,7 +168,7 @@ class TourDepths:
         if not is_moving(first, second):
             return {(index, index + 1): None, (index + 1, index): None}
         with self._clock("depth"):
-            alike = in_one_exposure(first, second, self._threads)
+            alike = equalize_exposure(first, second, self._threads)
             depths = self._estimator(*alike)
             size = min(CHECK_SIZE, *(view.image.shape[:2] for view in alike))
             pictures = [_reduced(view, size) for view in alike]

@@ -28,19 +28,19 @@ import numpy as np
 from jaxtyping import Float, Float32
 from torch import Tensor
 
-from omnisyn_cli.fusion import input_channels as plane
-from omnisyn_cli.fusion import warp_candidates as look
+from omnisyn_cli.fusion import input_channels as channel
+from omnisyn_cli.fusion import warp_candidates as warp
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.fusion.warp_candidates import WarpCandidates
 from omnisyn_cli.geometry.pose import Pose, interpolate_pose
 from omnisyn_cli.geometry.sphere import mean_over_sphere
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import Scene, render_panorama
 from omnisyn_cli.synthesis.frames import synthesize
-from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
-from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stacked, window_columns
@@ -53,23 +53,23 @@ OVERSIZE, PICTURE = 4, 2
 """So many times as high as a pool are the photographs and renderings of its scenes, and the pictures that are kept."""
 
 PAIRS_OF_VIEWS = (
-    (plane.FIRST, plane.SECOND, 3),
-    (plane.WEIGHT, plane.WEIGHT + 1, 1),
-    (plane.ROOT, plane.ROOT + 1, 1),
-    (plane.SEEN, plane.SEEN + 1, 1),
-    (look.CONFRONTED, look.CONFRONTED + 6, 6),
-    *((begin, begin + 3, 3) for begin in (look.CANDIDATES, look.CANDIDATES + 6)),
-    *((begin, begin + 1, 1) for begin in (look.CONTRADICTED, look.CONTRADICTED + 2)),
+    (channel.FIRST_RGB, channel.SECOND_RGB, 3),
+    (channel.BLEND_WEIGHTS, channel.BLEND_WEIGHTS + 1, 1),
+    (channel.SQRT_INVERSE_DEPTHS, channel.SQRT_INVERSE_DEPTHS + 1, 1),
+    (channel.SEEN_MASKS, channel.SEEN_MASKS + 1, 1),
+    (warp.CROSS_VIEW, warp.CROSS_VIEW + 6, 6),
+    *((begin, begin + 3, 3) for begin in (warp.CANDIDATE_RGB, warp.CANDIDATE_RGB + 6)),
+    *((begin, begin + 1, 1) for begin in (warp.HYPOTHESIS_OCCLUSION, warp.HYPOTHESIS_OCCLUSION + 2)),
 )
 """Of the first view, of the second, and how many: what changes places when the views do."""
 
 COLOURED = (
-    plane.FIRST, plane.SECOND, plane.FUSED, look.CONFRONTED, look.CONFRONTED + 6,
-    *range(look.CANDIDATES, look.SUPPOSED, 3),
+    channel.FIRST_RGB, channel.SECOND_RGB, channel.FUSED_RGB, warp.CROSS_VIEW, warp.CROSS_VIEW + 6,
+    *range(warp.CANDIDATE_RGB, warp.HYPOTHESIS_DEPTHS, 3),
 )  # fmt: skip
 """First of three planes that are a picture."""
 
-DIFFERENCES = (look.CONFRONTED + 3, look.CONFRONTED + 9, look.UNLIKE, look.UNLIKE + 1)
+DIFFERENCES = (warp.CROSS_VIEW + 3, warp.CROSS_VIEW + 9, warp.CANDIDATE_DIFFERENCE, warp.CANDIDATE_DIFFERENCE + 1)
 """Planes that are differences of colours."""
 
 ONE_SURFACE, MINOR = 0.05, 0.3
@@ -78,7 +78,7 @@ ONE_SURFACE, MINOR = 0.05, 0.3
 EXCHANGED = [*range(3), *range(6, 9), *range(3, 6), *range(12, 15), *range(9, 12)]
 """Where the channels of what a network chooses from are then."""
 
-SIGNED = (plane.LOG_RATIO, plane.GAP, plane.TIME)
+SIGNED = (channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP, channel.PATH_POSITION)
 """What changes its sign then."""
 
 
@@ -217,7 +217,7 @@ def _samples(
     first, second = (view.pose for view in views)
     shares = np.sort(rng.uniform(*config.shares, config.places))
     path = [Waypoint(0, share, interpolate_pose(first, second, share)) for share in shares]
-    options = SynthesisOptions(size, recipe.renderer, Cut(recipe.cut, recipe.cut_metres), threads=1)
+    options = SynthesisOptions(size, recipe.renderer_strategy.load(), Cut(recipe.cut, recipe.cut_metres), threads=1)
     for made in synthesize(views, path, SurfaceMethod(_estimator(recipe.depth), options, fuser)):
         if seen := fuser.seen():
             scenery = render_panorama(scene, made.waypoint.pose, size, supersample=1, threads=1)[0]
@@ -285,7 +285,7 @@ def _varied(sample: FusionSample, rng: np.random.Generator) -> FusionSample:
 def _window(sample: FusionSample, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Planes and pictures of a quarter of the columns, in single precision."""
     relevance, farthest, nearest = (
-        sample.planes[k].astype(np.float32) for k in (plane.RELEVANCE, look.SUPPOSED, look.SUPPOSED + 1)
+        sample.planes[k].astype(np.float32) for k in (channel.RELEVANCE, warp.HYPOTHESIS_DEPTHS, warp.HYPOTHESIS_DEPTHS + 1)
     )
     columns = window_columns(relevance + MINOR * (nearest - farthest > ONE_SURFACE), rng)
     finer = sample.truth.shape[-1] // sample.planes.shape[-1]

@@ -9,7 +9,7 @@ import torch
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
-from omnisyn_cli.render.renderer import make_renderer
+from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis.device.pair import GpuFrames, GpuPair
 from omnisyn_cli.types import DepthEstimate, View
@@ -98,7 +98,7 @@ def on_processor(
     for view in views:
         pose, depth = target.inverse() @ view.pose, view.known_depth
         image = view.image if view.samples is None else view.samples
-        render = make_renderer("mesh", image, view.mask, depth.inverse_depth, depth.confidence, size, threads=1)
+        render = MeshRenderer(RendererInputs(image, view.mask, depth.inverse_depth, depth.confidence, size, threads=1))
         shown.append(render(pose))
     return GeometricFuser(size, threads=1, edges=False)(*ExposureMatcher(curve)(*shown, t), t)
 

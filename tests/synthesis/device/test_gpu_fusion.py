@@ -5,11 +5,11 @@ import pytest
 import torch
 from gpu_samples import BRIGHTER
 
-from omnisyn_cli.fusion.layer_pair import LayerPair
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover
+from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.photometry import ExposureMatcher
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.synthesis.device.pictures import change_colours, fill_holes, samples_of
@@ -96,12 +96,12 @@ def test_suppressing_ghosts(size: tuple[int, int], t: float) -> None:
         shown.append(Layer.from_arrays(rho.astype(np.float32), np.dstack([colour, weight]).astype(np.float32), pose))
     rule = BlendRule.at(t, BlendOptions())
     there, here = LayerPair(*map(on_device, shown)), LayerPair(*shown)
-    there = there.then(GhostRemover(size)(there.first, there.second, rule))
-    here = here.then(GhostRemover(size, threads=1)(*shown, rule))
+    there = there.with_step(GhostRemover(size)(there.first, there.second, rule))
+    here = here.with_step(GhostRemover(size, threads=1)(*shown, rule))
     colours, expected = torch.empty((2, *size, 4)), np.empty((2, *size, 4), np.float32)
     for top, bottom in ((0, 7), (7, size[0])):
-        there.colour(top, bottom, colours[:, top:bottom])
-    here.colour(0, size[0], expected)
+        there.shade_rows(top, bottom, colours[:, top:bottom])
+    here.shade_rows(0, size[0], expected)
     np.testing.assert_allclose(colours.numpy(), expected, atol=1e-4)
     changed = [(colour[..., 3] < view.colour[..., 3]).any() for colour, view in zip(expected, shown, strict=True)]
     assert any(changed) == (size[0] > 12)

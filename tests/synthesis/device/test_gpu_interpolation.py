@@ -15,11 +15,11 @@ from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
-from omnisyn_cli.synthesis import making
+from omnisyn_cli.pipeline.methods import METHODS
+from omnisyn_cli.synthesis.device import pair
 from omnisyn_cli.synthesis.device.pair import GpuFrames
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.recipe import SYNSIN_SOURCES
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint, plan_path
 from omnisyn_cli.types import KnownDepth
@@ -37,7 +37,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[GpuFrames]:
         made.append(GpuFrames(size, "cpu"))
         return made[-1]
 
-    monkeypatch.setattr(making, "_open_gpu", opening)
+    monkeypatch.setattr(pair, "GpuFrames", opening)
     return made
 
 
@@ -124,7 +124,7 @@ def test_a_gpu_fuses_by_rules_where_only_the_preset_has_a_network(tmp_path: Path
 
 def test_other_methods_have_nothing_to_do_with_it(tmp_path: Path) -> None:
     images = write_hall(tmp_path, CHAIN[:2], (16, 32), with_depth=False)
-    for method in SYNSIN_SOURCES:
+    for method in (name for name, each in METHODS.items() if each.is_offered and not each.draws_surfaces):
         assert not plan_interpolation(job_of(tmp_path, images, device="cuda", method=method)).recipe.is_on_gpu
 
 

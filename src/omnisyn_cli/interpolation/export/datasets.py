@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from omnisyn_cli.geometry.lookup import MOST_COLUMNS, Lookup
+from omnisyn_cli.geometry.lookup import MAX_REMAP_COLUMNS, Lookup
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
@@ -131,7 +131,7 @@ def write_nerfstudio(folder: Path, poses: Mapping[str, Pose], sizes: Mapping[str
 
 def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.ndarray) -> np.ndarray:
     """The panorama in some directions, bicubic."""
-    if picture.shape[1] > MOST_COLUMNS:
+    if picture.shape[1] > MAX_REMAP_COLUMNS:
         picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     return Lookup.along(directions, picture.shape).bicubic(picture)
 

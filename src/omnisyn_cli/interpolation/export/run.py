@@ -127,7 +127,7 @@ class ExportPlan:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the user should know."""
-        if self.tour.recipe.depth.kind == "file":
+        if not self.tour.recipe.estimates_depth:
             return self.tour.notes
         still = pairs_at_one_place(self.tour.job, self.tour.entries)
         return (*self.tour.notes, *(f"{where}: without depth files there is none" for where, _ in still))

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
 from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING, MOST_LOSS
-from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
@@ -96,10 +96,10 @@ class WalkPacker:
         for surface in pair.surfaces:
             if surface.index not in self._panoramas:
                 self._panoramas[surface.index] = self._panorama(surface)
-        is_doubtful = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
+        is_ambiguous = self._plan.recipe.fallback == "crossfade" and pair.check.confidence.score < MIN_PAIR_SCORE
         surfaces = [self._surface(surface.mesh) for surface in pair.surfaces]
         self._pairs[pair.index] = {
-            "isCrossFade": is_doubtful, "exposure": _gains(pair.check.curve), "surfaces": surfaces,
+            "isCrossFade": is_ambiguous, "exposure": _gains(pair.check.curve), "surfaces": surfaces,
         }  # fmt: skip
 
     def packed(self) -> Walk:

@@ -19,10 +19,10 @@ import torch
 from jaxtyping import Bool, Float32, Integer, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.layer_pair import LayerPair
-from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
-from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
+from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
+from omnisyn_cli.fusion.layer_pair import LayerPair
+from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Cut, build_mesh, mask_of_vertices
@@ -117,7 +117,7 @@ class GpuSurface:
 
     def __call__(self, target_from_source: Pose) -> Layer:
         """The rendering, on the host and in memory of its own."""
-        seen = self.held(self.seen_from(target_from_source))
+        seen = self.with_cached_colour(self.seen_from(target_from_source))
         return Layer.from_arrays(seen.inverse_depth.cpu().numpy(), seen.colour.cpu().numpy(), target_from_source)
 
     def seen_from(self, target_from_source: Pose) -> Layer:
@@ -136,7 +136,7 @@ class GpuSurface:
 
         return Layer(rho, colour_rows, colour_grid, target_from_source)
 
-    def held(self, seen: Layer) -> Layer:
+    def with_cached_colour(self, seen: Layer) -> Layer:
         """A rendering on the device with all of its colours at hand."""
         colour = torch.empty((*self.frames.size, 4), device=self.frames.device)
         for rows in self.frames.bands():
@@ -195,14 +195,14 @@ class GpuPair:
         """The picture, ghosts suppressed and holes filled, see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`."""
         frames = self._frames
         if frames.ghosts.is_full_resolution:
-            first, second = (surface.held(view) for surface, view in zip(self.surfaces, (first, second), strict=True))
+            first, second = (surface.with_cached_colour(view) for surface, view in zip(self.surfaces, (first, second), strict=True))
         suppression = None if have_same_position(first, second) else frames.ghosts(first, second, rule)
-        views = LayerPair(first, second).then(suppression)
+        views = LayerPair(first, second).with_step(suppression)
         image = torch.empty((*frames.size, 3), device=frames.device)
         weight = torch.empty(frames.size, device=frames.device)
         for rows in frames.bands():
             colours = torch.empty((2, rows.stop - rows.start, frames.size[1], 4), device=frames.device)
-            views.colour(rows.start, rows.stop, colours)
+            views.shade_rows(rows.start, rows.stop, colours)
             one, other = (_shown(view, rows, colour) for view, colour in zip((first, second), colours, strict=True))
             weights = view_weights(one, other, frames.rays(rows), rule)
             image[rows], weight[rows] = blended(one, other, weights)

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
+from omnisyn_cli.baselines.learned_depth import sample_between_edges
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions, turned_image
+from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.runtime.depth import sample_between_edges
 from omnisyn_cli.runtime.session import run_network
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -21,7 +21,7 @@ UPRIGHT = np.eye(3)
 def upright_image(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
     """A panorama as the networks are shown it; ImageError for one that is not 2:1."""
     view.check_shape()
-    return np.asarray(turned_image(view.image, view.pose.rotation, UPRIGHT, size), np.float32)
+    return np.asarray(rotated_image(view.image, view.pose.rotation, UPRIGHT, size), np.float32)
 
 
 class MonocularDepthEstimator:
@@ -55,7 +55,7 @@ class MonocularDepthEstimator:
     def _estimate(self, view: View) -> DepthEstimate:
         """Inverse depth as the camera was held."""
         found = self.inverse_depth(upright_image(view, self.size))
-        directions = turned_directions(self.size, UPRIGHT, view.pose.rotation)
+        directions = rotated_directions(self.size, UPRIGHT, view.pose.rotation)
         confidence = np.ones(self.size, np.float32)
         if view.mask is not None:
             confidence = sample_nearest(view.mask.astype(np.float32), pixel_directions(*self.size))

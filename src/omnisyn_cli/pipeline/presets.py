@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from omnisyn_cli.synthesis.recipe import DepthSource, Recipe
+from omnisyn_cli.pipeline.config import DepthSource, Recipe
 
 __all__ = ["DEFAULT_PRESET", "PRESETS", "REPRODUCTIONS", "SCALE"]
 

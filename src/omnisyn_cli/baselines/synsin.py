@@ -14,12 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
+from omnisyn_cli.baselines.soft_points import Cloud, splat
+from omnisyn_cli.baselines.synsin_sessions import SynSinSessions, upright_image
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_nearest, turned_directions
-from omnisyn_cli.render.soft_points import Cloud, splat
-from omnisyn_cli.runtime.synsin_sessions import SynSinSessions, upright_image
+from omnisyn_cli.geometry.sampling import rotated_directions, sample_nearest
 from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames, turned_panorama
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
@@ -30,7 +30,7 @@ class SynSin:
     """Frames from the points of one or two panoramas; a :class:`~omnisyn_cli.synthesis.methods.Method`.
 
     Args:
-        networks: from :func:`omnisyn_cli.synthesis.making.open_synsin`.
+        networks: from :func:`omnisyn_cli.pipeline.methods.open_synsin`.
         sources: panoramas that a frame is made of: 1 is the nearer one, 2 are both.
         options: size of the frames, and threads; the rest is not looked at.
         clock: collects seconds by stage.
@@ -63,7 +63,7 @@ class SynSin:
             features = self.networks.features(image)
         mask = None
         if view.mask is not None:
-            directions = turned_directions(size, view.pose.rotation, np.eye(3))
+            directions = rotated_directions(size, view.pose.rotation, np.eye(3))
             mask = np.asarray(sample_nearest(view.mask.astype(np.float32), directions) > 0)
         return Cloud(features, inverse_depth, Pose(np.eye(3), view.pose.position), mask)
 

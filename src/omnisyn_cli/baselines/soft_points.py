@@ -1,0 +1,174 @@
+"""Soft points: every source pixel is a disc that fades towards its rim, blended from front to back (SynSin).
+
+A disc has one angle, that of ``radius`` target rows: it covers more columns towards the poles, wraps at the seam and
+reaches over the poles by itself. With the chord d between the centre of a pixel and that of a disc, in radii, the disc
+is there with opacity ``1 − d``; a pixel is ``Σ αₖ·fₖ·Π_{j<k}(1 − αⱼ)`` over the nearest points, the nearest one first.
+Colours or features of several panoramas are blended as one list of points. Towards the poles of a panorama, where
+pixels crowd, only as many of them are points as are at its equator on the same length (:func:`even_points`).
+
+Source: Wiles et al., SynSin (CVPR 2020), section 3.2 and its programs (radius 4, exponent 1), there on a plane.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from omnisyn_cli.baselines.soft_point_kernels import NO_POINT, composite, list_points, project_points
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
+
+__all__ = ["NO_POINT", "Cloud", "splat"]
+
+RADIUS = 4.0
+"""Rows of the target that a disc reaches over."""
+
+POINTS = 32
+"""How many points a pixel is made of at most: what is behind them is worth less than 1 in 1000."""
+
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+"""Multiples of it, modulo 1, keep away from each other."""
+
+FLOOR = 1e-3
+"""Least squared distance in radii: no point is quite opaque, so that gradients reach what is behind it."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A panorama as points.
+
+    Attributes:
+        features: of every pixel.
+        inverse_depth: 1/metre, finite and >= 0; 0 is infinitely far.
+        target_from_source: rigid transform from the panorama's camera frame to the target's.
+        mask: False where a pixel is no point.
+    """
+
+    features: Float32[np.ndarray, "height width channels"]
+    inverse_depth: Float[np.ndarray, "height width"]
+    target_from_source: Pose
+    mask: Bool[np.ndarray, "height width"] | None = None
+
+
+@dataclass(frozen=True)
+class PointLists:
+    """Which points each pixel of a target sees.
+
+    Attributes:
+        points: per point cosine and sine of its polar angle, column and inverse depth in the target.
+        found: per pixel the indices of the points that cover it, the nearest first, then :data:`NO_POINT`.
+    """
+
+    points: Float[np.ndarray, "points 4"]
+    found: Int32[np.ndarray, "rows cols most"]
+
+
+def disc_angle(radius: float, rows: int) -> float:
+    """Radians from the centre of a disc to its rim."""
+    return radius * math.pi / rows
+
+
+def even_points(height: int, width: int) -> Bool[np.ndarray, "height width"]:
+    """Pixels of a panorama that are points: of a row its share of the equator's length, evenly spread.
+
+    Every row begins elsewhere between two points, so that no column goes without.
+    """
+    share = direction_tables(height, width)[0][:, None]
+    begin, column = GOLDEN * np.arange(height)[:, None] % 1.0, np.arange(width)
+    return np.asarray(np.floor(begin + (column + 1) * share) > np.floor(begin + column * share))
+
+
+def list_visible(
+    inverse_depths: Sequence[Float[np.ndarray, "height width"]],
+    target_from_sources: Sequence[Pose],
+    size: tuple[int, int],
+    masks: Sequence[Bool[np.ndarray, "height width"] | None] | None = None,
+    *,
+    radius: float = RADIUS,
+    most: int = POINTS,
+    threads: int | None = None,
+) -> PointLists:
+    """The nearest points that cover each pixel of a target of ``size = (rows, cols)``.
+
+    Points count on from panorama to panorama. Of equally near ones the one with the smaller index comes first; a point
+    at the target's centre is nowhere. The result does not depend on ``threads``.
+    """
+    points = np.concatenate(
+        [
+            projected_points(inverse_depth, _usable(inverse_depth, mask), pose, size, threads).reshape(-1, 4)
+            for inverse_depth, mask, pose in zip(
+                inverse_depths, masks or [None] * len(inverse_depths), target_from_sources, strict=True
+            )
+        ]
+    )
+    order = np.argsort(-points[:, 3], kind="stable")
+    order = order[points[order, 3] >= 0.0].astype(np.int32)
+    found = np.empty((*size, most), np.int32)
+    sin_p, cos_p, _, _ = direction_tables(*size)
+    angle = disc_angle(radius, size[0])
+    run_bands(lambda begin, end: list_points(points, order, angle, sin_p, cos_p, found, begin, end), size[0], threads)
+    return PointLists(points, found)
+
+
+def projected_points(
+    inverse_depth: np.ndarray, mask: np.ndarray, pose: Pose, size: tuple[int, int], threads: int | None
+) -> np.ndarray:
+    """Per point ``(cos polar, sin polar, column, inverse depth)`` in the target."""
+    points = np.empty((*inverse_depth.shape, 4))
+    tables = direction_tables(*inverse_depth.shape)
+    rotation, translation = np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.position)
+    scale = np.array(pixel_scale(size))
+
+    def band(begin: int, end: int) -> None:
+        project_points(inverse_depth, mask, *tables, rotation, translation, scale, points, begin, end)
+
+    run_bands(band, len(points), threads)
+    return points
+
+
+def _usable(inverse_depth: np.ndarray, mask: np.ndarray | None) -> Bool[np.ndarray, "height width"]:
+    height, width = inverse_depth.shape
+    even = even_points(height, width)
+    return even if mask is None else even & mask
+
+
+def splat(
+    clouds: Sequence[Cloud],
+    size: tuple[int, int],
+    *,
+    radius: float = RADIUS,
+    most: int = POINTS,
+    threads: int | None = None,
+) -> Float32[np.ndarray, "rows cols channels+1"]:
+    """The features that a target sees, and last how opaque all points of a pixel are together, in [0, 1).
+
+    Args:
+        clouds: of one number of channels.
+        size: of the target, any.
+        radius: of a disc in rows of the target.
+        most: points that a pixel is made of.
+        threads: at most this many; the result does not depend on it.
+    """
+    lists = list_visible(
+        [cloud.inverse_depth for cloud in clouds],
+        [cloud.target_from_source for cloud in clouds],
+        size,
+        [cloud.mask for cloud in clouds],
+        radius=radius,
+        most=most,
+        threads=threads,
+    )
+    features = np.concatenate([cloud.features.reshape(-1, cloud.features.shape[-1]) for cloud in clouds])
+    features = np.ascontiguousarray(features, np.float32)
+    out = np.empty((*size, features.shape[1] + 1), np.float32)
+    sin_p, cos_p, _, _ = direction_tables(*size)
+    angle = disc_angle(radius, size[0])
+
+    def band(begin: int, end: int) -> None:
+        composite(lists.points, lists.found, features, angle, FLOOR, sin_p, cos_p, out, begin, end)
+
+    run_bands(band, size[0], threads)
+    return out

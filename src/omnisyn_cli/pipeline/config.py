@@ -1,0 +1,131 @@
+"""What frames are made with, as one value in which nothing is left open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, DepthStrategy
+from omnisyn_cli.pipeline.fusions import FUSIONS, FusionStrategy
+from omnisyn_cli.pipeline.methods import METHODS, OMNISYN, MethodStrategy
+from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
+
+__all__ = ["DEVICES", "FALLBACKS", "DepthSource", "Recipe"]
+
+FALLBACKS = ("none", "crossfade", "fail")
+"""What is done about pairs of low confidence: a warning, the photographs cross-faded in doubtful regions, nothing."""
+
+DEVICES = ("auto", "cpu", "cuda")
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class DepthSource:
+    """Where depth comes from.
+
+    Attributes:
+        kind: one of :data:`~omnisyn_cli.pipeline.depth_sources.DEPTH_SOURCES`.
+        rows: that it is looked for at; refined estimates have half of them, those of matching alone as many, but not
+            more than it is good at, see :mod:`omnisyn_cli.stereo.depth_sizes`; a network alone answers in a size of
+            its own.
+        model: name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves
+            the network out, to compare with.
+    """
+
+    kind: str = "file"
+    rows: int = 512
+    model: str | None = None
+
+    @property
+    def strategy(self) -> DepthStrategy:
+        """What its kind can do; ValueError for an unknown one."""
+        return _known(DEPTH_SOURCES, self.kind, "depth source")
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Those that have a part in it."""
+        return () if self.model is None else (self.model,)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What frames are made with.
+
+    Attributes:
+        depth: where it comes from.
+        method: one of :data:`~omnisyn_cli.pipeline.methods.METHODS`; to all but the first only the device matters.
+        renderer: one of :data:`~omnisyn_cli.pipeline.renderers.RENDERERS`.
+        cut: share of inverse depth by which neighbouring pixels differ where surfaces are cut; None cuts at none.
+        cut_metres: step of depth at which they are cut (the paper's rule), likewise.
+        adaptive: whether flat surfaces are drawn with fewer triangles.
+        fusion: one of :data:`~omnisyn_cli.pipeline.fusions.FUSIONS`.
+        fusion_rows: that a network which corrects the rules looks at, at most.
+        edges: whether pixels at edges are means of samples, see
+            :mod:`omnisyn_cli.fusion.supersampling`; meshes that rules fuse have some.
+        fallback: one of :data:`FALLBACKS`.
+        confidence: whether every frame gets a map of its confidence.
+        device: where networks run, one of :data:`DEVICES`.
+        is_on_gpu: whether frames are made on a GPU too.
+    """
+
+    depth: DepthSource = DepthSource()
+    method: str = OMNISYN
+    renderer: str = "mesh"
+    cut: float | None = 0.05
+    cut_metres: float | None = None
+    adaptive: bool = False
+    fusion: str = "geometric"
+    fusion_rows: int = 96
+    edges: bool = True
+    fallback: str = "none"
+    confidence: bool = False
+    device: str = "auto"
+    is_on_gpu: bool = False
+
+    def of_known_depth(self) -> Recipe:
+        """The same where depth comes from files: no network for fusion saw such renderings, it makes them worse."""
+        return replace(self, depth=replace(self.depth, kind="file", model=None), fusion="geometric")
+
+    @property
+    def method_strategy(self) -> MethodStrategy:
+        """What its method can do; ValueError for an unknown one, as of the other strategies."""
+        return _known(METHODS, self.method, "method")
+
+    @property
+    def renderer_strategy(self) -> RendererStrategy:
+        """What its renderer can do."""
+        return _known(RENDERERS, self.renderer, "renderer")
+
+    @property
+    def fusion_strategy(self) -> FusionStrategy:
+        """What its fusion can do."""
+        return _known(FUSIONS, self.fusion, "fusion")
+
+    @property
+    def draws_surfaces(self) -> bool:
+        """Whether depth, renderer and fusion matter to its method."""
+        return self.method_strategy.draws_surfaces
+
+    @property
+    def estimates_depth(self) -> bool:
+        """Whether depth is estimated: it is neither read from files nor of no importance to the method."""
+        return self.draws_surfaces and not self.depth.strategy.reads_files
+
+    @property
+    def supersamples(self) -> bool:
+        """Whether pixels at edges are means of samples."""
+        return self.edges and self.renderer_strategy.shades_on_demand and self.fusion_strategy.by_rules
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Those that have a part in it, by name in the manifest or as paths: of depth, then of fusion."""
+        fusing = self.fusion_strategy.model if self.draws_surfaces else None
+        return self.method_strategy.networks or (*self.depth.networks, *(() if fusing is None else (fusing,)))
+
+
+def _known(registry: Mapping[str, T], name: str, what: str) -> T:
+    if name not in registry:
+        raise ValueError(f"expected a {what} of {', '.join(registry)}, got {name!r}")
+    return registry[name]

@@ -1,0 +1,176 @@
+"""Where depth comes from: the registry of sources, each with its estimator, its sizes and the memory that it takes.
+
+A new source is its estimator's module and a row of :data:`DEPTH_SOURCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from omnisyn_cli.pipeline.config import DepthSource
+    from omnisyn_cli.types import DepthEstimator
+
+__all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "make_estimator"]
+
+Size = tuple[int, int]
+Opener = Callable[["DepthSource", Callable[[], Any], "int | None"], "DepthEstimator"]
+
+SYNSIN_DEPTH = "synsin-depth"
+"""Name in the manifest of the network that finds depth in one panorama."""
+
+PROGRAM_BYTES = 345e6
+"""Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures."""
+
+
+def _matching_size(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
+    """A network alone is taken to answer in the size of matching."""
+    from omnisyn_cli.stereo.depth_sizes import matching_rows
+
+    rows = matching_rows(source.rows)
+    return [(rows, 2 * rows)]
+
+
+@dataclass(frozen=True)
+class DepthStrategy:
+    """A source of depth.
+
+    Attributes:
+        name: as users choose it.
+        help: what it is, for the help of ``--depth``.
+        open: makes the estimator of its settings, a function that opens their network, and the number of threads.
+        grid_sizes: height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the
+            depth files of the panoramas.
+        reads_files: whether depth comes with the panoramas and is not estimated.
+        has_network: whether a network takes part.
+        model_is_optional: whether depth is estimated without the network as well, and at rows of any number.
+        model: name in the manifest of its network where no preset names one.
+        program_bytes: memory of the program, before pictures.
+        network_bytes: memory of the network for each pixel of the coarsest surface.
+        finding_bytes: memory that is given back when depth was found and both surfaces were made.
+        refining_bytes: memory for each pixel of the finest surface while depth is refined from size to size.
+    """
+
+    name: str
+    help: str
+    open: Opener
+    grid_sizes: Callable[[DepthSource, int, Sequence[Path]], list[Size]] = _matching_size
+    reads_files: bool = False
+    has_network: bool = False
+    model_is_optional: bool = False
+    model: str | None = None
+    program_bytes: float = PROGRAM_BYTES
+    network_bytes: float = 0.0
+    finding_bytes: float = 110e6
+    refining_bytes: float = 0.0
+
+    def bytes_of_program(self, grids: Sequence[Size]) -> float:
+        """Memory of the program and its network, given the sizes of surfaces from coarse to fine."""
+        height, width = grids[0]
+        return self.program_bytes + self.network_bytes * height * width
+
+    def refines(self, grids: Sequence[Size]) -> bool:
+        """Whether depth comes to its size step by step."""
+        return self.refining_bytes > 0.0 and len(grids) > 1
+
+    def bytes_of_finding(self, grids: Sequence[Size]) -> float:
+        """Memory that is given back when depth was found."""
+        vertices = max(height * width for height, width in grids)
+        return self.finding_bytes + (self.refining_bytes * vertices if self.refines(grids) else 0.0)
+
+
+def _file_sizes(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
+    from omnisyn_cli.io.decode import read_header
+    from omnisyn_cli.io.depth_files import depth_size
+
+    return [depth_size(read_header(file)) for file in files]
+
+
+def _refined_sizes(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:
+    from omnisyn_cli.stereo.depth_sizes import refinement_sizes
+
+    return list(refinement_sizes(source.rows, picture_rows))
+
+
+def _open_files(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.types import KnownDepth
+
+    return KnownDepth()
+
+
+def _open_matching(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.stereo.depth_sizes import matching_rows
+    from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+
+    rows = matching_rows(source.rows)
+    return MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
+
+
+def _open_refined(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.runtime.planes import SessionRefinement
+    from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
+
+    refinement = None if source.model is None else SessionRefinement(network())
+    return RefinedDepthEstimator(_open_matching(source, network, threads), refinement, source.rows)
+
+
+def _open_network(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
+
+    return LearnedDepthEstimator(network())
+
+
+def _open_monocular(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator
+
+    return MonocularDepthEstimator(network())
+
+
+DEPTH_SOURCES: Mapping[str, DepthStrategy] = MappingProxyType({
+    source.name: source
+    for source in (
+        DepthStrategy(
+            "file", "depth files named in the poses", _open_files, _file_sizes, reads_files=True, program_bytes=275e6,
+            finding_bytes=0.0,
+        ),
+        DepthStrategy("matching", "stereo matching of the two panoramas", _open_matching),
+        DepthStrategy(
+            "refined", "matching completed by a network and refined", _open_refined, _refined_sizes, has_network=True,
+            model_is_optional=True, network_bytes=820, refining_bytes=400,
+        ),
+        DepthStrategy("network", "a stereo network alone", _open_network, has_network=True, network_bytes=3200),
+        DepthStrategy(
+            "monocular", "a network that sees one panorama at a time", _open_monocular, has_network=True,
+            model=SYNSIN_DEPTH, program_bytes=370e6,
+        ),
+    )
+})  # fmt: skip
+"""By name, in the order of the help. Memory was measured as the peak of runs that differ in nothing else."""
+
+
+def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | None = None) -> DepthEstimator:
+    """An estimator that serves any number of pairs.
+
+    Args:
+        source: where depth comes from.
+        device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
+        threads: at most this many; None is one per core.
+
+    Raises:
+        ValueError: an unknown source, or no model where one is needed.
+        InputError: the model cannot be found or loaded, or not on that device.
+    """
+
+    def open_network() -> Any:
+        from omnisyn_cli.runtime.session import open_model
+
+        if source.model is None:
+            raise ValueError("expected the name or path of a model, got none")
+        return open_model(source.model, device=device, threads=threads)
+
+    return source.strategy.open(source, open_network, threads)

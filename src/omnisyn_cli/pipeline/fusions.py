@@ -1,0 +1,125 @@
+"""How two renderings become one frame: the registry of fusions, each with its fuser and the memory that it takes.
+
+A new fusion is its fuser's module and a row of :data:`FUSIONS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from omnisyn_cli.types import Fuser
+
+__all__ = ["FUSIONS", "make_fuser"]
+
+MAX_PAINTED_PIXELS = 2 * 1024**2
+"""Of the largest picture that a network paints; larger frames are enlarged."""
+
+
+@dataclass(frozen=True)
+class FuserSettings:
+    """What a fuser is made for.
+
+    Attributes:
+        size: height and width of the frames.
+        threads: at most this many; None is one per core.
+        rows: that a network which corrects the rules looks at, at most.
+        edges: whether pixels at edges are supersampled, if the fusion does that.
+    """
+
+    size: tuple[int, int]
+    threads: int | None = None
+    rows: int = 96
+    edges: bool = True
+
+
+@dataclass(frozen=True)
+class FusionStrategy:
+    """A way to make one frame of two renderings.
+
+    Attributes:
+        name: as users choose it.
+        help: what it is, for the help of ``--fusion``.
+        open: makes the fuser of its settings and a function that opens its network.
+        model: name in the manifest of its network; None has none.
+        network_bytes: memory of the network for a frame of so many pixels.
+        by_rules: whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled.
+        corrects_rules: whether a network corrects that rule; on a GPU the rule alone does then.
+        runs_on_gpu: whether a GPU does it.
+    """
+
+    name: str
+    help: str
+    open: Callable[[FuserSettings, Callable[[], Any]], Fuser]
+    model: str | None = None
+    network_bytes: Callable[[int], float] = lambda pixels: 0.0
+    by_rules: bool = True
+    corrects_rules: bool = False
+    runs_on_gpu: bool = False
+
+
+def _open_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
+    from omnisyn_cli.fusion.geometric import GeometricFuser
+
+    return GeometricFuser(settings.size, threads=settings.threads, edges=settings.edges)
+
+
+def _open_residual(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
+    from omnisyn_cli.fusion.residual import NetworkFuser
+    from omnisyn_cli.runtime.planes import SessionFusion
+
+    return NetworkFuser(
+        settings.size, SessionFusion(network()), settings.rows, threads=settings.threads, edges=settings.edges
+    )
+
+
+def _open_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
+    from omnisyn_cli.baselines.direct_fuser import PaintingFuser
+    from omnisyn_cli.runtime.planes import SessionPainter
+
+    return PaintingFuser(settings.size, SessionPainter(network()), threads=settings.threads)
+
+
+FUSIONS: Mapping[str, FusionStrategy] = MappingProxyType({
+    fusion.name: fusion
+    for fusion in (
+        FusionStrategy("geometric", "by rules", _open_geometric, runs_on_gpu=True),
+        FusionStrategy(
+            "network", "by rules that a network corrects", _open_residual, "fusion-residual",
+            network_bytes=lambda pixels: 50e6, corrects_rules=True,
+        ),
+        FusionStrategy(
+            "painting", "painted by a network as in the paper", _open_direct, "fusion-paper-narrow",
+            network_bytes=lambda pixels: 230.0 * min(pixels, MAX_PAINTED_PIXELS), by_rules=False,
+        ),
+    )
+})  # fmt: skip
+"""By name, the default first. Memory was measured as the peak of runs that differ in nothing else."""
+
+
+def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, device: str = "auto") -> Fuser:
+    """A fuser for frames of a size.
+
+    Args:
+        name: one of :data:`FUSIONS`.
+        settings: size of the frames, threads.
+        model: name in the manifest or path of an ONNX file; by default the fusion's own.
+        device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
+
+    Raises:
+        ValueError: an unknown name.
+        InputError: the model cannot be found or loaded, or not on that device.
+    """
+    if name not in FUSIONS:
+        raise ValueError(f"expected a fusion of {', '.join(FUSIONS)}, got {name!r}")
+    fusion = FUSIONS[name]
+
+    def open_network() -> Any:
+        from omnisyn_cli.runtime.session import open_model
+
+        return open_model(model or fusion.model or "", device=device, threads=settings.threads)
+
+    return fusion.open(settings, open_network)
