@@ -1,20 +1,30 @@
-"""``omnisyn models``: the networks that came with the program."""
+"""``omnisyn models``: the networks in a folder as a table."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from omnisyn_cli.cli.options import print_json
 from omnisyn_cli.cli.parameters import FilePath
 
+if TYPE_CHECKING:
+    from omnisyn_cli.runtime.models import ModelEntry
+
+HEADER = ("name", "role", "size", "parameters", "hours", "purpose")
+
 
 @click.command()
 @click.argument("folder", required=False, type=FilePath(file_okay=False, exists=True))
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 def models(folder: Path | None, as_json: bool) -> None:
-    """List the networks in FOLDER, by default those that came with the program, and check their files.
+    """List the networks in FOLDER (default: the bundled ones) and check their files.
 
-    Their names are what `--model` of `interpolate` takes.
+    `interpolate --model` takes their names. Hours are those of training on one processor core. --json also prints the
+    training data, licences, hashes and held-out figures.
     """
     from dataclasses import asdict
 
@@ -28,10 +38,20 @@ def models(folder: Path | None, as_json: bool) -> None:
         return
     if not entries:
         click.echo("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
-    for entry in entries.values():
-        (height, width), count = entry.size, entry.parameters
-        counted = f"{count / 1e6:.1f} million" if count >= 1e5 else f"{count:,}"
-        click.echo(f"{entry.name}: {entry.role}, {counted} parameters, {width}x{height}")
-        click.echo(f"    trained on {entry.training}; {entry.licence}; sha256 {entry.sha256[:12]}…")
-        if entry.metrics:
-            click.echo("    " + ", ".join(f"{key} {value:.4g}" for key, value in entry.metrics.items()))
+        return
+    for line in _table([HEADER, *map(_row, entries.values())]):
+        click.echo(line)
+
+
+def _row(entry: ModelEntry) -> tuple[str, ...]:
+    (height, width), count = entry.size, entry.parameters
+    counted = f"{count / 1e6:.1f} million" if count >= 1e5 else f"{count:,}"
+    hours = f"{entry.hours:g}" if entry.hours else "-"
+    return entry.name, entry.role, f"{width}x{height}", counted, hours, entry.purpose
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Lines with aligned columns; the width of a terminal crops nothing."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

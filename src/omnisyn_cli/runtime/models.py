@@ -12,8 +12,10 @@
     sha256 = "…"
     size = [256, 512]             # rows and columns of the images it takes
     parameters = 1428541
-    training = "…"                # on what, for how long
+    training = "…"                # on what
     licence = "Apache-2.0"
+    purpose = "stereo depth"      # in a few words
+    hours = 2.0                   # of training on one processor core; 0 if unknown
 
     [models.metrics]
     delta_25 = 0.9
@@ -52,6 +54,8 @@ class ModelEntry:
     training: str
     licence: str
     metrics: Mapping[str, float] = field(default_factory=dict)
+    purpose: str = ""
+    hours: float = 0.0
 
 
 def models_folder() -> Path:
