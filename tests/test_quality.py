@@ -6,7 +6,7 @@ import pytest
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
 from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.segments import SynthesisOptions

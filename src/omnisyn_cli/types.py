@@ -93,92 +93,94 @@ class DepthEstimator(Protocol):
 
 
 EDGE_TILE_COLUMNS = 4
-"""Columns of pixels that :attr:`EdgePixels.begins` counts together."""
+"""Columns of pixels per entry of :attr:`EdgePixels.tile_begins`. Set by hand."""
 
 EDGE_PIXEL_MULTIPLE = 2
-"""The spots of a row are filled up to a multiple of so many: kernels take the samples of two at a time."""
+"""Rows of edge pixels are padded to a multiple of this: SIMD kernels process the samples of two pixels at a time."""
 
 
 class EdgePixels(NamedTuple):
-    """Some pixels of some rows of a target, each with four samples: the pixels of a target of twice the size.
+    """Pixels of some target rows that are supersampled 2x2. Their samples are pixels of a target of twice the size.
 
-    Numbers of samples come as arrays ``(2, 2·spots, ...)``: the upper and the lower row of samples of every spot, and
-    in each the left and the right one. Kernels take it as it is.
+    Per-sample arrays have the shape ``(2, 2·pixels, ...)``: the upper and the lower row of samples of every pixel, and
+    in each the left and the right sample. Kernels take this tuple as it is.
 
     Attributes:
-        top: the row of the target that the first row is.
-        cols: columns of the target, row after row, ascending in each; −1 fills rows up.
-        begins: for each row, the first spot at or after every :data:`EDGE_TILE_COLUMNS` columns; last, that after the row.
-        counts: how many spots of the row before each of these have samples that are to be found.
-        inverse_depth: of all samples, 1/metre: negative where it is to be found, else what it is.
-        sin_a: sines of the azimuths of the samples of a row, two for every spot.
+        top: the target row of the first row of edge pixels.
+        cols: target columns, row after row, ascending in each; −1 is padding.
+        tile_begins: for each row, the index of the first edge pixel at or after every :data:`EDGE_TILE_COLUMNS`
+            columns; last, the index after the row.
+        unknown_counts: for each of these, how many edge pixels before it in its row have samples without a known depth.
+        inverse_depth: of all samples, 1/metre; negative where it is still to be rasterised.
+        sin_a: sines of the azimuths of the samples of a row, two for every pixel.
         cos_a: cosines of the same.
     """
 
     top: int
-    cols: Int32[np.ndarray, " spots"]
-    begins: Int32[np.ndarray, "rows tiles"]
-    counts: Int32[np.ndarray, "rows tiles"]
+    cols: Int32[np.ndarray, " pixels"]
+    tile_begins: Int32[np.ndarray, "rows tiles"]
+    unknown_counts: Int32[np.ndarray, "rows tiles"]
     inverse_depth: Float32[np.ndarray, "2 samples"]
     sin_a: Float32[np.ndarray, " samples"]
     cos_a: Float32[np.ndarray, " samples"]
 
 
 EdgeSamples = tuple[Float32[np.ndarray, "2 samples"], Float32[np.ndarray, "2 samples 4"]]
-"""Of spots: inverse depth, negative where nothing is seen, and RGB with weight."""
+"""Inverse depth of the samples of edge pixels, negative where nothing is seen, and RGB with blend weight."""
 
 
 @dataclass(frozen=True)
 class SourceSampler:
-    """What a view says about points that are supposed in front of a target, whatever its own depth says.
+    """Backward warping of one source photograph into a target, at depths that the caller supposes.
 
-    Points are given as 1/metre from the target, in the directions of its pixels; negative where there is none.
+    Points are given as inverse depths (1/metre from the target) along the rays of the target's pixels. Negative means
+    no point. The view's own depth is not used to find colours, only to measure occlusion.
 
     Attributes:
-        colour_rows: called with points of some rows of a target of the frames' size, the first row, and memory
-            ``(rows, width, 4)`` that it writes: what the photograph shows in their direction, RGB and alpha; 0 where
-            there is no point. From any number of threads.
-        colour: such colours for a target of any size, given its points; shrunk as a picture of that size would be.
-        nearer: called with points of a target of any size, and an inverse depth that counts as next to nothing: by
-            how much the view's own surface is nearer, as a share of the greater inverse depth (seen from the view);
-            from −1, where it is far behind the point, to 1.
+        sample_rows: called with the points of some target rows at the frames' size, the first row, and a buffer
+            ``(rows, width, 4)`` that it writes: RGB and alpha of the photograph at these points; 0 without a point.
+            Thread-safe.
+        sample: the same for a target of any size, given its points, with mip mapping for that size.
+        occlusion: called with points of a target of any size and the smallest inverse depth to compare against. Returns
+            how much nearer to the source the view's own surface is than the point, relative to the larger inverse
+            depth: 1 where it hides the point, 0 where it agrees, −1 where it lies far behind.
     """
 
-    colour_rows: Callable[[Float32[np.ndarray, "rows width"], int, Float32[np.ndarray, "rows width 4"]], None]
-    colour: Callable[[Float32[np.ndarray, "height width"]], Float32[np.ndarray, "height width 4"]]
-    nearer: Callable[[Float32[np.ndarray, "height width"], float], Float32[np.ndarray, "height width"]]
+    sample_rows: Callable[[Float32[np.ndarray, "rows width"], int, Float32[np.ndarray, "rows width 4"]], None]
+    sample: Callable[[Float32[np.ndarray, "height width"]], Float32[np.ndarray, "height width 4"]]
+    occlusion: Callable[[Float32[np.ndarray, "height width"], float], Float32[np.ndarray, "height width"]]
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One view's surface as a target sees it; its colours are made when and where they are asked for.
+    """One source view rendered into a target. Its depth is there; its colours are shaded on demand.
 
-    Arrays are numpy's, or torch's where it was made on a device.
+    Arrays are numpy arrays, or torch tensors if the layer was rendered on a device.
 
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre from the target; negative where nothing is seen.
-        colour_rows: called with a first row, the row after the last, and memory ``(rows, width, 4)`` that it writes:
-            RGB and, last, the weight in a blend: 0 where nothing is seen, else up to 1, or a little more beside a mask,
-            where interpolation overshoots. From any number of threads, until its renderer is called again.
-        colour_grid: such colours ``(rows, columns, 4)`` where some rows and columns cross, given as ascending indices.
+        colour_rows: called with a first row, the row after the last, and a buffer ``(rows, width, 4)`` that it writes:
+            RGB and blend weight. The weight is 0 where nothing is seen, else up to 1; beside a mask interpolation may
+            overshoot slightly. Thread-safe until the layer's renderer is called again.
+        colour_grid: returns such colours ``(rows, columns, 4)`` at the crossings of given ascending rows and columns.
         target_from_source: the transform it was rendered with.
-        held: all colours ``(height, width, 4)``, where they are there already.
-        samples: inverse depth and colours of the samples of spots, in memory of their own; None where pixels have
-            none but their centre. Called as ``colour_rows`` is.
-        witness: says what else the view shows; None where nobody can ask it.
+        cached_colour: all colours ``(height, width, 4)``, if they are shaded already.
+        edge_samples: inverse depth and colours of the samples of edge pixels, in new arrays; None if the renderer
+            cannot supersample. Called like ``colour_rows``.
+        source_sampler: backward warping of the same source; None if the renderer offers none.
     """
 
     inverse_depth: Float32[Array, "height width"]
     colour_rows: Callable[[int, int, Array], None]
     colour_grid: Callable[[np.ndarray, np.ndarray], Array]
     target_from_source: Pose
-    held: Float32[Array, "height width 4"] | None = None
-    samples: Callable[[EdgePixels], EdgeSamples] | None = None
+    cached_colour: Float32[Array, "height width 4"] | None = None
+    edge_samples: Callable[[EdgePixels], EdgeSamples] | None = None
     source_sampler: SourceSampler | None = None
 
     @staticmethod
     def from_arrays(inverse_depth: Array, colour: Array, target_from_source: Pose) -> Layer:
-        """One whose colours are there already."""
+        """A layer whose colours are shaded already."""
 
         def colour_rows(begin: int, end: int, out: Array) -> None:
             out[:] = colour[begin:end]
@@ -189,16 +191,16 @@ class Layer:
 
     @cached_property
     def colour(self) -> Float32[Array, "height width 4"]:
-        """All colours."""
-        if self.held is not None:
-            return self.held
+        """All colours; shaded once."""
+        if self.cached_colour is not None:
+            return self.cached_colour
         colour = np.empty((*self.inverse_depth.shape, 4), np.float32)
         self.colour_rows(0, len(colour), colour)
         return colour
 
 
 ColourStep = Callable[[Array, Array, int], None]
-"""Changes some rows of colours of a first and of a second view in place; its last argument is the first row."""
+"""Changes some rows of the colours of two layers in place. Arguments: colours of the first and second layer, first row."""
 
 
 class KnownDepth:
@@ -216,7 +218,7 @@ class KnownDepth:
 
 
 class Fuser(Protocol):
-    """Anything that makes one picture of the renderings of two views."""
+    """Anything that fuses the layers of two views into one picture."""
 
     def __call__(
         self,
@@ -226,16 +228,16 @@ class Fuser(Protocol):
         out: Shaped[np.ndarray, "height width 3"] | None = None,
         confidence: Float32[np.ndarray, "height width"] | None = None,
     ) -> Shaped[np.ndarray, "height width 3"]:
-        """The picture at a share ``t`` of the way from the first to the second.
+        """The fused picture at a share ``t`` of the way from the first view to the second.
 
         Args:
             first: of the first view.
             second: of the second view.
-            t: share of the way.
-            out: written and returned: numbers >= 0, or samples of 8 bits; by default numbers in memory that the next
-                call may overwrite.
-            confidence: written where it is given: how far every pixel can be relied on, in [0, 1].
+            t: share of the way, in [0, 1].
+            out: written and returned: float32 >= 0, or unsigned integers; by default float32 in a buffer that the
+                next call may overwrite.
+            confidence: if given, written: how reliable every pixel is, in [0, 1].
 
-        What is not asked for is not passed, so three arguments do for one that makes numbers without confidence.
+        Callers pass ``out`` and ``confidence`` only if they need them, so a fuser without them may take three arguments.
         """
         ...

@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from confidence_samples import generated_views
 from omnisyn_cli.runtime.models import find_model
-from omnisyn_cli.stereo.evidence import evidence_planes
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.stereo_features import completion_channels
 
 ROWS = 512
 ROUNDS = 5
@@ -36,8 +36,8 @@ Run = Callable[[list[np.ndarray]], list[np.ndarray]]
 def inputs(seed: int) -> list[np.ndarray]:
     """What the network is shown of a pair, one array for each direction."""
     views = generated_views("room", seed, 1.0, (256, 512))
-    there, back = MatchingDepthEstimator(MatchingOptions(size=(ROWS, 2 * ROWS))).evidence(views[0], views[-1])
-    return [evidence_planes(a, b)[None].astype(np.float32) for a, b in ((there, back), (back, there))]
+    there, back = MatchingDepthEstimator(MatchingOptions(size=(ROWS, 2 * ROWS))).features(views[0], views[-1])
+    return [completion_channels(a, b)[None].astype(np.float32) for a, b in ((there, back), (back, there))]
 
 
 class Pairs(CalibrationDataReader):

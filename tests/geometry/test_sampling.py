@@ -6,7 +6,7 @@ import torch
 from geometry_samples import directions
 
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
-from omnisyn_cli.geometry.sampling import at_crossings, sample_bicubic, sample_bilinear, sample_nearest, wrap_pixel
+from omnisyn_cli.geometry.sampling import grid_subsample, sample_bicubic, sample_bilinear, sample_nearest, wrap_pixel
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pixel_to_direction
 
 SAMPLERS = [sample_nearest, sample_bilinear, sample_bicubic]
@@ -111,6 +111,6 @@ def test_gradients_are_those_of_finite_differences(sample):
 def test_pixels_where_rows_and_columns_cross_are_those(rows, cols, channels):
     """In equal steps and others, with and without channels, and in memory of their own, row after row."""
     image = np.random.default_rng(0).random((7, 12, *channels))
-    found = at_crossings(image, np.array(rows), np.array(cols))
+    found = grid_subsample(image, np.array(rows), np.array(cols))
     np.testing.assert_array_equal(found, [[image[row, col] for col in cols] for row in rows])
     assert found.flags.c_contiguous

@@ -19,12 +19,12 @@ from onnx import TensorProto, numpy_helper
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.runtime.models import find_model, models_folder
-from omnisyn_cli.runtime.planes import SessionRefinement
+from omnisyn_cli.runtime.image_networks import CompletionSession
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.scenes import generate_scene, render_views, sample_path
-from omnisyn_cli.stereo.evidence import Evidence, evidence_planes
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.stereo.refined import RefinedDepthEstimator
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
+from omnisyn_cli.stereo.stereo_features import StereoFeatures, completion_channels
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
@@ -45,7 +45,7 @@ class Room:
     """Two views of a room, what matching makes of them, and the true picture half way."""
 
     views: tuple[View, View]
-    evidence: tuple[Evidence, Evidence]
+    features: tuple[StereoFeatures, StereoFeatures]
     truth: np.ndarray
     middle: Pose
 
@@ -55,10 +55,10 @@ class Remembered:
 
     threads = None
 
-    def __init__(self, evidence: tuple[Evidence, Evidence]) -> None:
-        self._evidence = evidence
+    def __init__(self, features: tuple[StereoFeatures, StereoFeatures]) -> None:
+        self._evidence = features
 
-    def evidence(self, first: View, second: View) -> tuple[Evidence, Evidence]:
+    def features(self, first: View, second: View) -> tuple[StereoFeatures, StereoFeatures]:
         return self._evidence
 
 
@@ -70,18 +70,18 @@ def room() -> Room:
     seen = [image[0] for image, _ in rendered]
     first, second = (View(np.asarray(seen[at], np.float32), path[at]) for at in (0, 2))
     matching = MatchingDepthEstimator(MatchingOptions(size=(2 * SIZE[0], 2 * SIZE[1])), 1)
-    return Room((first, second), matching.evidence(first, second), np.asarray(seen[1]), path[1])
+    return Room((first, second), matching.features(first, second), np.asarray(seen[1]), path[1])
 
 
 def planes(room: Room) -> list[np.ndarray]:
-    there, back = room.evidence
-    return [evidence_planes(there, back), evidence_planes(back, there)]
+    there, back = room.features
+    return [completion_channels(there, back), completion_channels(back, there)]
 
 
 def quality(room: Room, path: Path) -> tuple[np.ndarray, float]:
     """Inverse depth × baseline of the first panorama, and WS-PSNR of the middle frame, by a model file."""
-    refinement = SessionRefinement(open_session(path, device="cpu", threads=1))
-    estimator = RefinedDepthEstimator(Remembered(room.evidence), refinement, 0)  # type: ignore[arg-type]
+    refinement = CompletionSession(open_session(path, device="cpu", threads=1))
+    estimator = RefinedDepthEstimator(Remembered(room.features), refinement, 0)  # type: ignore[arg-type]
     waypoint = Waypoint(0, 0.5, room.middle)
     pair = SurfaceMethod(estimator, SynthesisOptions(SIZE, threads=1)).prepare(0, room.views)
     picture = pair.frame(waypoint).image

@@ -1,7 +1,7 @@
 import pytest
 from stereo_samples import SIZE
 
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
 
 @pytest.fixture(scope="session")

@@ -12,9 +12,9 @@ from omnisyn_cli.evaluation.depth_table import make_pair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
 from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
 from omnisyn_cli.scenes import generate_scene
-from omnisyn_cli.stereo import matching
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions, agreeing
-from omnisyn_cli.stereo.surfaces import Matches
+from omnisyn_cli.stereo import disparity as disparity_module
+from omnisyn_cli.stereo.disparity import DisparityMap, left_right_check
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import DepthEstimate, View
 
 ORIGIN = Pose.identity()
@@ -84,9 +84,9 @@ def test_the_sky_is_exactly_zero_and_the_ground_is_flat(estimator: MatchingDepth
 
 def test_a_plain_ceiling_is_no_sky_because_a_window_shows_some() -> None:
     first, second = make_pair(generate_scene("room", 20_000_020), 20_000_020, (512, 1024), threads=1)
-    for evidence in MatchingDepthEstimator(threads=1).evidence(first, second):
-        assert not evidence.sky.any()
-        assert (evidence.filled[:64] > 0.1).mean() > 0.95, "the ceiling is two metres overhead"
+    for features in MatchingDepthEstimator(threads=1).features(first, second):
+        assert not features.sky.any()
+        assert (features.filled[:64] > 0.1).mean() > 0.95, "the ceiling is two metres overhead"
 
 
 def test_a_bright_blank_ceiling_is_no_sky(estimator: MatchingDepthEstimator) -> None:
@@ -171,11 +171,11 @@ def test_rendered_warehouse_with_true_depth() -> None:
 def test_both_directions_may_differ_by_more_about_near_things(rows: float, apart: float, is_confirmed: bool) -> None:
     """Far things move by a few rows, near ones by many; the other direction has found some rows more or less."""
     size, options = (64, 4), MatchingOptions()
-    there = Matches(np.full(size, rows, np.float32), np.ones(size, np.bool_))
-    back = Matches(exchanged_in_epipole_frame(np.full(size, rows + apart, np.float32)), np.ones(size, np.bool_))
-    seen = agreeing((there, back), options.agreement, options.near_agreement)[0].seen
-    assert seen[: 64 - int(rows)].all() == is_confirmed
-    assert not seen[64 - int(rows) :].any()
+    first = DisparityMap(np.full(size, rows, np.float32), np.ones(size, np.bool_))
+    second = DisparityMap(exchanged_in_epipole_frame(np.full(size, rows + apart, np.float32)), np.ones(size, np.bool_))
+    valid = left_right_check((first, second), options.left_right_rows, options.near_left_right_rows)[0].valid
+    assert valid[: 64 - int(rows)].all() == is_confirmed
+    assert not valid[64 - int(rows) :].any()
 
 
 def test_a_slope_is_read_between_the_rows_of_the_other_direction(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,7 +185,7 @@ def test_a_slope_is_read_between_the_rows_of_the_other_direction(monkeypatch: py
     seen_back = rows - np.interp(rows, rows + disparity, rows) + 0.8
     everywhere = np.ones((64, 4), np.bool_)
     there, back = (np.repeat(d[:, None], 4, axis=1).astype(np.float32) for d in (disparity, seen_back))
-    found = Matches(there, everywhere), Matches(exchanged_in_epipole_frame(back), everywhere)
-    assert agreeing(found, 1.0)[0].seen.all()
-    monkeypatch.setattr(matching, "STEEP", -1.0)
-    assert 0.2 < agreeing(found, 1.0)[0].seen[10:30].mean() < 0.9
+    found = DisparityMap(there, everywhere), DisparityMap(exchanged_in_epipole_frame(back), everywhere)
+    assert left_right_check(found, 1.0)[0].valid.all()
+    monkeypatch.setattr(disparity_module, "MAX_INTERPOLATED_STEP", -1.0)
+    assert 0.2 < left_right_check(found, 1.0)[0].valid[10:30].mean() < 0.9

@@ -6,13 +6,14 @@ from stereo_samples import OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.stereo.costs import census, sweep_cost, warp_cost
-from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
-from omnisyn_cli.stereo.matching import find_sky
-from omnisyn_cli.stereo.planes import find_planes
-from omnisyn_cli.stereo.rectify import rectify, resize_area
-from omnisyn_cli.stereo.semi_global import PARTS, Bands
-from omnisyn_cli.stereo.surfaces import Meridians, _beyond_level, _nearness
+from omnisyn_cli.stereo.costs import census_transform, cost_volume, surface_cost
+from omnisyn_cli.stereo.filling import fill_with_planes
+from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
+from omnisyn_cli.stereo.rectify import EpipolarGrid, rectify, resize_area
+from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
+from omnisyn_cli.stereo.sky import find_sky
+from omnisyn_cli.stereo.surface_labels import _room_bound, _support_around
 
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
@@ -27,7 +28,7 @@ def plane(size: tuple[int, int], normal: np.ndarray) -> np.ndarray:
 def test_rectified_matches_lie_in_one_column_where_the_true_depth_says(name: str) -> None:
     first, second = room(Pose.identity())[0], room(OPENINGS[name])[0]
     pair = rectify(first, second, SIZE)
-    grid = Meridians.of(pair)
+    grid = EpipolarGrid.of(pair)
     to_camera = grid.directions @ pair.world_from_frame.T
     row = np.arange(SIZE[0])[:, None]
     half = np.array([4.0, 1.6, 5.0])
@@ -50,26 +51,28 @@ def test_a_pair_seen_from_its_second_panorama_twice_is_the_pair() -> None:
 
 def test_disparity_and_inverse_depth_are_each_others_inverse() -> None:
     pair = rectify(room(Pose.identity())[0], room(OPENINGS["oblique and turned"])[0], SMALL)
-    grid = Meridians.of(pair)
+    grid = EpipolarGrid.of(pair)
     inverse_depth = RNG.uniform(0.0, 2.0, SMALL)
     np.testing.assert_allclose(grid.inverse_depth(grid.disparity(inverse_depth)), inverse_depth, rtol=1e-3, atol=1e-4)
 
 
 def test_census_knows_order_only_and_no_seam() -> None:
     grey = RNG.random(SMALL).astype(np.float32)
-    np.testing.assert_array_equal(np.roll(census(grey), 5, axis=1), census(np.roll(grey, 5, axis=1)))
-    same = census(10.0 * grey + 3.0) == census(10.0 * grey)
+    np.testing.assert_array_equal(
+        np.roll(census_transform(grey), 5, axis=1), census_transform(np.roll(grey, 5, axis=1))
+    )
+    same = census_transform(10.0 * grey + 3.0) == census_transform(10.0 * grey)
     assert same.mean() > 0.99
 
 
 def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
     first, second = RNG.random((2, *SMALL, 3)).astype(np.float32)
     usable, zero = np.ones(SMALL, bool), np.zeros(SMALL, np.float32)
-    bands = Bands.between(np.zeros(SMALL, np.int32), 5)
-    sweep = sweep_cost(first, second, usable, bands, 0.5, 0.3).reshape(*SMALL, 6)
-    surface = warp_cost(first, census(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
+    ranges = DisparityRange.between(np.zeros(SMALL, np.int32), 5)
+    sweep = cost_volume(first, second, usable, ranges, 0.5, 0.3).reshape(*SMALL, 6)
+    surface = surface_cost(first, census_transform(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
     inside = slice(4, SMALL[0] - 10)
-    np.testing.assert_allclose(surface[inside], sweep[inside, :, 4] / PARTS, atol=0.6 / PARTS)
+    np.testing.assert_allclose(surface[inside], sweep[inside, :, 4] / FIXED_POINT_SCALE, atol=0.6 / FIXED_POINT_SCALE)
 
 
 def test_planes_are_found_among_outliers() -> None:
@@ -79,29 +82,23 @@ def test_planes_are_found_among_outliers() -> None:
     wrong = RNG.random(len(directions)) < 0.1
     inverse_depth[wrong] = RNG.uniform(0.0, 1.0, int(wrong.sum()))
     pixel = np.unravel_index(np.arange(len(directions)), SMALL)
-    found = find_planes(
-        directions,
-        inverse_depth,
-        np.full(len(directions), 0.003),
-        solid_angles(*SMALL).ravel(),
-        pixel,
-        np.array([0.0, 1.0, 0.0]),
-        count=6,
-        share=0.05,
-    )
+    points = PlanePoints(directions, inverse_depth, np.full(len(directions), 0.003))
+    up = np.array([0.0, 1.0, 0.0])
+    found = find_planes(points, solid_angles(*SMALL).ravel(), pixel, up, max_planes=6, min_support=0.05)
     for normal in normals:
         assert np.abs(found - normal).max(axis=1).min() < 2e-3
 
 
 def test_too_few_points_make_no_plane() -> None:
-    few = np.zeros((5, 3))
-    none = find_planes(few, few[:, 0], few[:, 0], few[:, 0], (few[:, 0].astype(int),) * 2, FLOOR, count=3, share=0.1)
+    zeros = np.zeros(5)
+    points = PlanePoints(np.zeros((5, 3)), zeros, zeros)
+    none = find_planes(points, zeros, (zeros.astype(int),) * 2, FLOOR, max_planes=3, min_support=0.1)
     assert none.shape == (0, 3)
 
 
 def test_filling_leaves_what_is_known_and_stays_within_it() -> None:
     values, weight = RNG.random(SMALL), (RNG.random(SMALL) < 0.3).astype(float)
-    filled = fill(values, weight, RNG.random((*SMALL, 3)))
+    filled = fill_with_planes(values, weight, RNG.random((*SMALL, 3)))
     known = weight == 1
     np.testing.assert_array_equal(filled[known], values[known].astype(np.float32))
     assert filled.min() >= np.float32(values[known].min())
@@ -112,7 +109,7 @@ def test_filling_carries_a_plane_across_a_hole() -> None:
     truth = plane((96, 192), np.array([0.2, 0.05, -0.6])) + 0.0
     weight = np.ones(truth.shape)
     weight[40:60, 85:110] = 0.0
-    filled = fill(np.where(weight > 0, truth, 9.0), weight, np.full((*truth.shape, 3), 0.5))
+    filled = fill_with_planes(np.where(weight > 0, truth, 9.0), weight, np.full((*truth.shape, 3), 0.5))
     np.testing.assert_allclose(filled[40:60, 85:110], truth[40:60, 85:110], rtol=0.03)
 
 
@@ -121,7 +118,7 @@ def test_filling_stops_at_edges_of_the_image() -> None:
     guide[:, 30:60] = 1.0
     weight = np.zeros(SMALL)
     weight[10:40:6, 5:95:6] = 1.0
-    filled = fill(np.where(guide[..., 0] > 0, 0.8, 0.1), weight, guide)
+    filled = fill_with_planes(np.where(guide[..., 0] > 0, 0.8, 0.1), weight, guide)
     assert abs(np.median(filled[12:36, 32:58]) - 0.8) < 0.08
     assert abs(np.median(filled[12:36, 64:90]) - 0.1) < 0.08
 
@@ -129,14 +126,14 @@ def test_filling_stops_at_edges_of_the_image() -> None:
 def test_filling_has_no_seam() -> None:
     values, guide = RNG.random(SMALL), RNG.random((*SMALL, 3))
     weight = (RNG.random(SMALL) < 0.2).astype(float)
-    before = fill(values, weight, guide)
-    after = fill(np.roll(values, 40, axis=1), np.roll(weight, 40, axis=1), np.roll(guide, 40, axis=1))
+    before = fill_with_planes(values, weight, guide)
+    after = fill_with_planes(np.roll(values, 40, axis=1), np.roll(weight, 40, axis=1), np.roll(guide, 40, axis=1))
     # directions turn with the columns, a plane fit does not mind
     np.testing.assert_allclose(np.roll(before, 40, axis=1), after, atol=2e-3)
 
 
 def test_filling_from_nothing_is_zero() -> None:
-    assert not fill(np.ones(SMALL), np.full(SMALL, 0.5), np.zeros((*SMALL, 3))).any()
+    assert not fill_with_planes(np.ones(SMALL), np.full(SMALL, 0.5), np.zeros((*SMALL, 3))).any()
 
 
 def test_speckles_go_and_surfaces_stay_also_across_the_seam() -> None:
@@ -155,28 +152,28 @@ def test_upsampling_keeps_constants_and_moves_edges_to_the_image() -> None:
     low_guide = guide.reshape(48, 2, 96, 2, 3).mean(axis=(1, 3))
     low = np.where(np.arange(96) < 49, 0.2, 1.0) * np.ones((48, 1))
     low[:, 80:] = 0.2
-    high = upsample(low, low_guide, guide)
-    np.testing.assert_allclose(upsample(np.full((48, 96), 0.3), low_guide, guide), 0.3, rtol=1e-5)
+    high = joint_upsample(low, low_guide, guide)
+    np.testing.assert_allclose(joint_upsample(np.full((48, 96), 0.3), low_guide, guide), 0.3, rtol=1e-5)
     np.testing.assert_allclose(high[:, 90:100], 0.2, rtol=1e-4)
     np.testing.assert_allclose(high[:, 102:158], 1.0, rtol=1e-4)
 
 
-def test_sky_needs_the_zenith_and_evidence() -> None:
-    rise, solid_angle = pixel_directions(*SMALL)[..., 1], solid_angles(*SMALL)
-    inverse_depth = np.where(rise > 0.1, 0.0, 0.5)
-    seen = RNG.random(SMALL) < 0.3
-    np.testing.assert_array_equal(find_sky(inverse_depth, seen, rise, solid_angle), rise > 0.1)
-    assert not find_sky(inverse_depth, np.zeros(SMALL, bool), rise, solid_angle).any()
-    window = np.where((rise > 0.2) & (rise < 0.5), 0.0, 0.5)
-    assert not find_sky(window, seen, rise, solid_angle).any()
+def test_sky_needs_the_zenith_and_texture() -> None:
+    sin_elevation, solid_angle = pixel_directions(*SMALL)[..., 1], solid_angles(*SMALL)
+    inverse_depth = np.where(sin_elevation > 0.1, 0.0, 0.5)
+    valid = RNG.random(SMALL) < 0.3
+    np.testing.assert_array_equal(find_sky(inverse_depth, valid, sin_elevation, solid_angle), sin_elevation > 0.1)
+    assert not find_sky(inverse_depth, np.zeros(SMALL, bool), sin_elevation, solid_angle).any()
+    window = np.where((sin_elevation > 0.2) & (sin_elevation < 0.5), 0.0, 0.5)
+    assert not find_sky(window, valid, sin_elevation, solid_angle).any()
 
 
 @pytest.mark.parametrize("size", [(48, 96), (50, 100), (3, 6)])
-def test_nearness_knows_no_seam_at_any_width(size: tuple[int, int]) -> None:
+def test_support_knows_no_seam_at_any_width(size: tuple[int, int]) -> None:
     mask = RNG.random(size) < 0.1
     for columns in (1, size[1] // 2):
-        rolled = _nearness(np.roll(mask, columns, axis=1))
-        np.testing.assert_allclose(rolled, np.roll(_nearness(mask), columns, axis=1), atol=1e-5)
+        rolled = _support_around(np.roll(mask, columns, axis=1))
+        np.testing.assert_allclose(rolled, np.roll(_support_around(mask), columns, axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(6, 12), (8, 16), (24, 48)])
@@ -191,14 +188,14 @@ def test_resizing_averages_over_the_area_of_a_new_pixel(size: tuple[int, int]) -
 @pytest.mark.parametrize("name", OPENINGS)
 def test_nothing_is_beyond_the_floor_nor_unless_the_sky_is_open_the_ceiling(name: str) -> None:
     """Of level planes the first, which is the best supported one, is taken; walls bound nothing."""
-    grid = Meridians.of(rectify(room(Pose.identity())[0], room(OPENINGS[name])[0], SMALL))
+    grid = EpipolarGrid.of(rectify(room(Pose.identity())[0], room(OPENINGS[name])[0], SMALL))
     wall = np.cross(grid.up, [0.3, 0.5, 0.8])
     planes = np.array([wall, 2.0 * grid.up, 0.5 * grid.up, -1.5 * grid.up])
-    for is_open in (False, True):
-        bound = _beyond_level(grid, planes, is_open=is_open)
+    for is_sky_open in (False, True):
+        bound = _room_bound(grid, planes, is_sky_open=is_sky_open)
         for normal in (-1.5 * grid.up, 2.0 * grid.up):
             inverse_depth = grid.directions @ normal
-            is_bounded = not (is_open and normal @ grid.up > 0)
+            is_bounded = not (is_sky_open and normal @ grid.up > 0)
             steep = (grid.disparity(inverse_depth) > 4.0) & (np.sin(grid.polar_angle) > 0.5)
             farther, same = (grid.disparity(share * inverse_depth) < bound for share in (0.5, 1.0))
             assert (farther[steep] == is_bounded).all()

@@ -7,9 +7,9 @@ import pytest
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.stereo.evidence import PLANES, Evidence, evidence_planes
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.stereo.refined import RefinedDepthEstimator
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
+from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT, StereoFeatures, completion_channels
 from omnisyn_cli.types import View
 
 SIZE = (32, 64)
@@ -27,15 +27,15 @@ def inside_a_ball(position, rotation):
     return 1.0 / distance, (0.5 + 0.5 * points / RADIUS).astype(np.float32)
 
 
-def evidence(position, rotation, other_position, other_rotation):
+def features(position, rotation, other_position, other_rotation):
     baseline = np.linalg.norm(other_position - position)
     inverse_depth, image = inside_a_ball(position, rotation)
     everywhere = np.ones(SIZE, bool)
     motion = Pose(other_rotation, other_position).inverse() @ Pose(rotation, position)
-    return Evidence(
+    return StereoFeatures(
         image=image,
         matched=inverse_depth * baseline,
-        agreed=everywhere,
+        left_right_consistent=everywhere,
         sky=~everywhere,
         filled=inverse_depth * baseline,
         usable=everywhere,
@@ -47,12 +47,12 @@ def evidence(position, rotation, other_position, other_rotation):
 @pytest.fixture
 def both():
     origin, upright = np.zeros(3), np.eye(3)
-    return evidence(origin, upright, OFFSET, TURN), evidence(OFFSET, TURN, origin, upright)
+    return features(origin, upright, OFFSET, TURN), features(OFFSET, TURN, origin, upright)
 
 
 def test_true_depth_shows_the_same_point_in_both_panoramas_and_no_contradiction(both):
-    planes = evidence_planes(*both)
-    assert planes.shape == (PLANES, *SIZE)
+    planes = completion_channels(*both)
+    assert planes.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
     assert planes.dtype == np.float32
     inner = slice(3, -3)  # bilinear interpolation is coarse next to the poles
     for warped in (planes[8:11], planes[11:14]):
@@ -63,22 +63,22 @@ def test_true_depth_shows_the_same_point_in_both_panoramas_and_no_contradiction(
 
 def test_where_the_other_panorama_sees_farther_the_difference_is_positive(both):
     first, second = both
-    planes = evidence_planes(first, replace(second, filled=0.25 * second.filled))
+    planes = completion_channels(first, replace(second, filled=0.25 * second.filled))
     assert (planes[14] > 0.2).all()
 
 
 def test_motion_and_elevation_are_told(both):
-    planes = evidence_planes(*both)
+    planes = completion_channels(*both)
     directions = pixel_directions(*SIZE)
     np.testing.assert_allclose(planes[16], directions @ (OFFSET / np.linalg.norm(OFFSET)), atol=1e-6)
     np.testing.assert_allclose(planes[17], directions[..., 1], atol=1e-6)
-    turned = evidence_planes(both[1], both[0])
+    turned = completion_channels(both[1], both[0])
     np.testing.assert_allclose(turned[17], directions @ TURN[1], atol=1e-6)
 
 
 def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(monkeypatch, both):
     matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)
-    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda *_: both)
+    monkeypatch.setattr(MatchingDepthEstimator, "features", lambda *_: both)
     views = [View(both[0].image, Pose.identity()), View(both[1].image, Pose(TURN, OFFSET))]
 
     def true(planes):
@@ -100,7 +100,7 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
 
 def test_without_a_network_the_answer_is_what_one_says_that_repeats_what_matching_filled(monkeypatch, both):
     """But for the median that answers of a network get where matching is unsure: here it is sure everywhere."""
-    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda *_: both)
+    monkeypatch.setattr(MatchingDepthEstimator, "features", lambda *_: both)
     first, second = (
         View(one.image, pose) for one, pose in zip(both, (Pose.identity(), Pose(TURN, OFFSET)), strict=True)
     )
@@ -118,7 +118,7 @@ def test_without_a_network_the_answer_is_what_one_says_that_repeats_what_matchin
 
 def test_estimates_have_the_last_size_that_the_pictures_have_pixels_for(monkeypatch, both):
     matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)
-    monkeypatch.setattr(MatchingDepthEstimator, "evidence", lambda *_: both)
+    monkeypatch.setattr(MatchingDepthEstimator, "features", lambda *_: both)
 
     def true(planes):
         return planes[3] ** 2, np.ones(SIZE, np.float32)

@@ -1,27 +1,27 @@
-"""Semi-global matching in bands of disparities against plain loops, and what must hold whatever the costs are."""
+"""Semi-global matching over ranges of disparities against plain loops, and what must hold whatever the costs are."""
 
 import numpy as np
 import pytest
 
-from omnisyn_cli.stereo.costs import OUTSIDE, sweep_cost
+from omnisyn_cli.stereo.costs import UNSEEN_COST, cost_volume
 from omnisyn_cli.stereo.semi_global import (
-    APART,
-    MOST_COST,
-    MOST_JUMP,
-    PARTS,
-    RUN_UP,
-    Bands,
-    aggregate,
-    choose,
-    counted,
-    lead,
+    FIXED_POINT_SCALE,
+    MAX_COST,
+    MAX_P2,
+    RIVAL_MIN_ROWS,
+    SEAM_WARM_UP_COLUMNS,
+    DisparityRange,
+    aggregate_costs,
+    to_fixed_point,
+    uniqueness_margin,
+    winner_takes_all,
 )
 
 HEIGHT, WIDTH, LEVELS = 24, 40, 30
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
 
-EIGHT_PATHS = 8 * 6 / PARTS
+EIGHT_PATHS = 8 * 6 / FIXED_POINT_SCALE
 """What sums may err by: costs and penalties are rounded, and on every path some of them come together."""
 
 
@@ -31,38 +31,38 @@ def random():
 
 
 @pytest.fixture
-def bands(random):
+def ranges(random):
     """Of 1 to 9 disparities, some of them with nothing in common with those of the neighbours."""
     lowest = random.integers(0, LEVELS - 9, (HEIGHT, WIDTH)).astype(np.int32)
     lowest[:, 10:30] = 7 + random.integers(0, 3, (HEIGHT, 20))
     highest = lowest + random.integers(0, 9, (HEIGHT, WIDTH))
-    return Bands.between(lowest, highest.astype(np.int32))
+    return DisparityRange.between(lowest, highest.astype(np.int32))
 
 
 def everything(size, levels):
     """The same disparities for all pixels: a whole volume."""
-    return Bands.between(np.zeros(size, np.int32), levels - 1)
+    return DisparityRange.between(np.zeros(size, np.int32), levels - 1)
 
 
-def inside(bands):
-    """Which cells of a full volume the bands have; row by row, and level by level, as in the flat arrays."""
-    count = np.diff(bands.begin).reshape(bands.lowest.shape)
+def inside(ranges):
+    """Which cells of a full volume the ranges have; row by row, and level by level, as in the flat arrays."""
+    count = np.diff(ranges.offsets).reshape(ranges.lowest.shape)
     level = np.arange(LEVELS)
-    return (level >= bands.lowest[..., None]) & (level < (bands.lowest + count)[..., None])
+    return (level >= ranges.lowest[..., None]) & (level < (ranges.lowest + count)[..., None])
 
 
-def path_costs(cost, grey, pixels, step, jump, contrast):
-    """Costs along one path through a volume, where NaN is no disparity, one step after the other: the definition."""
+def path_costs(cost, grey, pixels, p1, p2, contrast):
+    """Costs along one path through a volume, where NaN is no disparity, one pixel after the other: the definition."""
     found, before, last = {}, None, None
     for pixel in pixels:
         here = {level: value for level, value in enumerate(cost[pixel]) if not np.isnan(value)}
         if before is not None:
             cheapest = min(before.values())
-            leap = cheapest + jump / (1.0 + abs(grey[pixel] - grey[last]) / contrast)
+            jump = cheapest + p2 / (1.0 + abs(grey[pixel] - grey[last]) / contrast)
             for level, value in here.items():
                 ways = [
-                    leap,
-                    *(before[k] + step * abs(k - level) for k in (level - 1, level, level + 1) if k in before),
+                    jump,
+                    *(before[k] + p1 * abs(k - level) for k in (level - 1, level, level + 1) if k in before),
                 ]
                 here[level] = value + min(ways) - cheapest
         found[pixel] = before = here
@@ -71,23 +71,23 @@ def path_costs(cost, grey, pixels, step, jump, contrast):
 
 
 def paths(height, width):
-    """Every path: six along meridians, straight or leaning, and two around, which begin before the seam."""
-    for lean in (-1, 0, 1):
+    """Every path: six along meridians, straight or slopeing, and two around, which begin before the seam."""
+    for slope in (-1, 0, 1):
         for origin in range(width):
             rows = range(height)
-            yield [(row, (origin + lean * k) % width) for k, row in enumerate(rows)], 0
-            yield [(row, (origin + lean * k) % width) for k, row in enumerate(reversed(rows))], 0
+            yield [(row, (origin + slope * k) % width) for k, row in enumerate(rows)], 0
+            yield [(row, (origin + slope * k) % width) for k, row in enumerate(reversed(rows))], 0
     for row in range(height):
-        yield [(row, k % width) for k in range(-RUN_UP, width)], RUN_UP
-        yield [(row, (width - 1 - k) % width) for k in range(-RUN_UP, width)], RUN_UP
+        yield [(row, k % width) for k in range(-SEAM_WARM_UP_COLUMNS, width)], SEAM_WARM_UP_COLUMNS
+        yield [(row, (width - 1 - k) % width) for k in range(-SEAM_WARM_UP_COLUMNS, width)], SEAM_WARM_UP_COLUMNS
 
 
 def test_sums_are_those_of_plain_loops_over_eight_directions(random):
     size, levels, penalties = (6, 9), 7, (0.1, 0.5, 0.05)
     lowest = random.integers(0, 4, size).astype(np.int32)
-    bands = Bands.between(lowest, (lowest + random.integers(0, 3, size)).astype(np.int32))
+    ranges = DisparityRange.between(lowest, (lowest + random.integers(0, 3, size)).astype(np.int32))
     grey = random.random(size, np.float32)
-    count = np.diff(bands.begin).reshape(size)
+    count = np.diff(ranges.offsets).reshape(size)
     is_tried = (np.arange(levels) >= lowest[..., None]) & (np.arange(levels) < (lowest + count)[..., None])
     cost = np.where(is_tried, random.random((*size, levels)), np.nan)
     expected = np.where(is_tried, 0.0, np.nan)
@@ -99,84 +99,86 @@ def test_sums_are_those_of_plain_loops_over_eight_directions(random):
             if k >= run_up:
                 for level, value in found.items():
                     expected[row, col, level] += value
-    total = aggregate(counted(cost[is_tried]), bands, grey, *penalties) / PARTS
+    total = aggregate_costs(to_fixed_point(cost[is_tried]), ranges, grey, *penalties) / FIXED_POINT_SCALE
     np.testing.assert_allclose(total, expected[is_tried], atol=EIGHT_PATHS)
 
 
-def test_costs_of_bands_are_those_of_the_whole_volume(random, bands):
+def test_costs_of_ranges_are_those_of_the_whole_volume(random, ranges):
     first, second = random.random((2, HEIGHT, WIDTH, 3), np.float32)
     usable = random.random((HEIGHT, WIDTH)) < 0.9
-    volume = sweep_cost(first, second, usable, everything((HEIGHT, WIDTH), LEVELS), 0.4, 0.1)
-    cost = sweep_cost(first, second, usable, bands, 0.4, 0.1)
-    np.testing.assert_array_equal(cost, volume.reshape(HEIGHT, WIDTH, LEVELS)[inside(bands)])
-    assert (cost == counted(OUTSIDE)).any()
+    volume = cost_volume(first, second, usable, everything((HEIGHT, WIDTH), LEVELS), 0.4, 0.1)
+    cost = cost_volume(first, second, usable, ranges, 0.4, 0.1)
+    np.testing.assert_array_equal(cost, volume.reshape(HEIGHT, WIDTH, LEVELS)[inside(ranges)])
+    assert (cost == to_fixed_point(UNSEEN_COST)).any()
 
 
 def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
-    cost = counted(RNG.random((*SMALL, 7)).ravel())
-    total = aggregate(cost, everything(SMALL, 7), np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
+    cost = to_fixed_point(RNG.random((*SMALL, 7)).ravel())
+    total = aggregate_costs(cost, everything(SMALL, 7), np.zeros(SMALL, np.float32), 0.0, 0.0, 0.1)
     np.testing.assert_array_equal(total, 8 * cost)
 
 
 def test_with_the_largest_penalties_one_level_wins_everywhere_it_can_reach() -> None:
     cost, volume = 0.1 * RNG.random((*SMALL, 5)), everything(SMALL, 5)
     cost[..., [0, 1, 2, 4]] += 0.05
-    total = aggregate(counted(cost).ravel(), volume, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1)
-    assert np.all(np.rint(choose(total, volume, is_all=True)[0]) == 3)
+    total = aggregate_costs(to_fixed_point(cost).ravel(), volume, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1)
+    assert np.all(np.rint(winner_takes_all(total, volume, is_complete=True)[0]) == 3)
 
 
 def test_the_largest_costs_and_penalties_do_not_overflow() -> None:
-    cost, volume = np.full((*SMALL, 6), MOST_COST), everything(SMALL, 6)
+    cost, volume = np.full((*SMALL, 6), MAX_COST), everything(SMALL, 6)
     cost[:, :, 2] = 0.0
-    total = aggregate(counted(2.0 * cost).ravel(), volume, np.zeros(SMALL, np.float32), MOST_JUMP, MOST_JUMP, 0.1)
-    sums = total.reshape(cost.shape) / PARTS
+    total = aggregate_costs(
+        to_fixed_point(2.0 * cost).ravel(), volume, np.zeros(SMALL, np.float32), MAX_P2, MAX_P2, 0.1
+    )
+    sums = total.reshape(cost.shape) / FIXED_POINT_SCALE
     assert (sums[..., 2] == 0.0).all()
-    np.testing.assert_array_equal(np.delete(sums[1:-1, 1:-1], 2, axis=-1), 8.0 * (MOST_COST + MOST_JUMP))
+    np.testing.assert_array_equal(np.delete(sums[1:-1, 1:-1], 2, axis=-1), 8.0 * (MAX_COST + MAX_P2))
 
 
 def test_aggregation_has_no_seam() -> None:
-    cost, grey = counted(RNG.random((*SMALL, 5))), RNG.random(SMALL).astype(np.float32)
-    before = aggregate(cost.ravel(), everything(SMALL, 5), grey, 0.05, 0.3, 0.1).reshape(cost.shape)
+    cost, grey = to_fixed_point(RNG.random((*SMALL, 5))), RNG.random(SMALL).astype(np.float32)
+    before = aggregate_costs(cost.ravel(), everything(SMALL, 5), grey, 0.05, 0.3, 0.1).reshape(cost.shape)
     turned = np.roll(cost, 31, axis=1).ravel()
-    after = aggregate(turned, everything(SMALL, 5), np.roll(grey, 31, axis=1), 0.05, 0.3, 0.1)
+    after = aggregate_costs(turned, everything(SMALL, 5), np.roll(grey, 31, axis=1), 0.05, 0.3, 0.1)
     np.testing.assert_array_equal(np.roll(before, 31, axis=1).ravel(), after)
 
 
 def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
     tip = RNG.uniform(1.0, 5.0, SMALL)
-    total = counted(np.abs(np.arange(7) - tip[..., None]) / 2.0)
-    level, margin = choose(total.ravel(), everything(SMALL, 7), is_all=True)
-    np.testing.assert_allclose(level, tip, atol=2.0 / PARTS)
+    total = to_fixed_point(np.abs(np.arange(7) - tip[..., None]) / 2.0)
+    level, margin = winner_takes_all(total.ravel(), everything(SMALL, 7), is_complete=True)
+    np.testing.assert_allclose(level, tip, atol=2.0 / FIXED_POINT_SCALE)
     assert margin.min() > 0
 
 
 def test_a_minimum_between_disparities_is_found_where_it_is(random):
     where = random.uniform(6.0, 12.0, (HEIGHT, WIDTH)).astype(np.float32)
-    bands = Bands.between(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
-    total = counted(np.abs(np.arange(3, 16) - where[..., None]) / 4.0)
-    disparity, margin = choose(total.ravel(), bands, is_all=False)
-    np.testing.assert_allclose(disparity, where, atol=4.0 / PARTS)
+    ranges = DisparityRange.between(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
+    total = to_fixed_point(np.abs(np.arange(3, 16) - where[..., None]) / 4.0)
+    disparity, margin = winner_takes_all(total.ravel(), ranges, is_complete=False)
+    np.testing.assert_allclose(disparity, where, atol=4.0 / FIXED_POINT_SCALE)
     nearest = np.rint(where)
-    np.testing.assert_allclose(margin, 0.5 - 0.5 * np.abs(where - nearest), atol=2.0 / PARTS)
+    np.testing.assert_allclose(margin, 0.5 - 0.5 * np.abs(where - nearest), atol=2.0 / FIXED_POINT_SCALE)
 
 
 @pytest.mark.parametrize("falling", [True, False])
-@pytest.mark.parametrize("is_all", [True, False])
-def test_only_where_nothing_lies_beyond_is_the_end_of_a_band_sure(falling, is_all):
-    bands = Bands.between(np.full((2, 4), 5, np.int32), 8)
-    total = np.tile(PARTS * np.arange(4, dtype=np.uint16)[:: -1 if falling else 1], 8)
-    disparity, margin = choose(total, bands, is_all=is_all)
+@pytest.mark.parametrize("is_complete", [True, False])
+def test_only_where_nothing_lies_beyond_is_the_end_of_a_range_certain(falling, is_complete):
+    ranges = DisparityRange.between(np.full((2, 4), 5, np.int32), 8)
+    total = np.tile(FIXED_POINT_SCALE * np.arange(4, dtype=np.uint16)[:: -1 if falling else 1], 8)
+    disparity, margin = winner_takes_all(total, ranges, is_complete=is_complete)
     assert (disparity == (8 if falling else 5)).all()
-    assert (margin == (2.0 if is_all else 0.0)).all()
+    assert (margin == (2.0 if is_complete else 0.0)).all()
 
 
-def test_a_match_leads_by_its_own_cost_over_what_lies_apart(random):
-    bands = Bands.between(np.full((2, 8), 4, np.int32), 23)
+def test_the_uniqueness_margin_is_that_of_the_own_cost_over_what_lies_apart(random):
+    ranges = DisparityRange.between(np.full((2, 8), 4, np.int32), 23)
     cost = 0.5 + 0.3 * random.random((2, 8, 20))
     chosen = random.integers(4, 24, (2, 8))
     away = np.abs(np.arange(4, 24) - chosen[..., None])
     cost[away <= 1] = 0.2
-    cost[(away == 2) | (away == APART)] = 0.0  # what is close is no rival
-    expected = np.where(away > APART, cost, np.inf).min(-1) - 0.2
-    found = lead(counted(cost).ravel(), bands, chosen.astype(np.float32))
-    np.testing.assert_allclose(found, expected, atol=2.0 / PARTS)
+    cost[(away == 2) | (away == RIVAL_MIN_ROWS)] = 0.0  # what is close is no rival
+    expected = np.where(away > RIVAL_MIN_ROWS, cost, np.inf).min(-1) - 0.2
+    found = uniqueness_margin(to_fixed_point(cost).ravel(), ranges, chosen.astype(np.float32))
+    np.testing.assert_allclose(found, expected, atol=2.0 / FIXED_POINT_SCALE)

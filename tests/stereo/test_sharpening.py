@@ -7,10 +7,10 @@ import pytest
 from stereo_samples import OPENINGS, SIZE, room
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.stereo.matching import MatchingOptions
+from omnisyn_cli.stereo.depth_sizes import matching_rows, refinement_sizes
+from omnisyn_cli.stereo.matching_estimator import MatchingOptions
 from omnisyn_cli.stereo.rectify import resize_area
-from omnisyn_cli.stereo.refined import sharpened
-from omnisyn_cli.stereo.sizes import coarse_rows, estimate_sizes
+from omnisyn_cli.stereo.refined_estimator import refine_pair
 from omnisyn_cli.types import View
 
 OPTIONS = MatchingOptions()
@@ -34,7 +34,7 @@ def error(answer, truth):
 def test_what_is_told_a_little_wrong_is_measured_again():
     views, truths, answers = told(factor=1.06)
     for (exact, confidence), (coarse, _), truth in zip(
-        sharpened(*views, answers, SIZE, OPTIONS), answers, truths, strict=True
+        refine_pair(views, answers, SIZE, OPTIONS), answers, truths, strict=True
     ):
         assert exact.shape == confidence.shape == SIZE
         assert exact.dtype == confidence.dtype == np.float32
@@ -46,23 +46,23 @@ def test_what_is_told_a_little_wrong_is_measured_again():
 
 def test_swapping_the_panoramas_swaps_the_answers():
     views, _, answers = told()
-    there = sharpened(*views, answers, SIZE, OPTIONS)
-    back = sharpened(*views[::-1], answers[::-1], SIZE, OPTIONS)[::-1]
-    for (one, _), (other, _) in zip(there, back, strict=True):
+    forward = refine_pair(views, answers, SIZE, OPTIONS)
+    swapped = refine_pair(views[::-1], answers[::-1], SIZE, OPTIONS)[::-1]
+    for (one, _), (other, _) in zip(forward, swapped, strict=True):
         assert np.isclose(one, other, rtol=1e-3).mean() > 0.99
 
 
 def test_nothing_is_found_that_is_no_surface_around():
     """Everything is told four times too near: the truth lies in no band, or is no surface that is known."""
     views, truths, answers = told(factor=4.0)
-    for (found, _), truth in zip(sharpened(*views, answers, SIZE, OPTIONS), truths, strict=True):
+    for (found, _), truth in zip(refine_pair(views, answers, SIZE, OPTIONS), truths, strict=True):
         assert (found > 2.0 * truth).mean() > 0.99
 
 
 def test_without_texture_things_stay_as_they_were_told():
     views, truths, answers = told()
     blank = [replace(view, image=np.full_like(view.image, 0.5)) for view in views]
-    for (found, confidence), truth in zip(sharpened(*blank, answers, SIZE, OPTIONS), truths, strict=True):
+    for (found, confidence), truth in zip(refine_pair(blank, answers, SIZE, OPTIONS), truths, strict=True):
         assert np.isclose(found, truth, rtol=0.1).mean() > 0.95
         assert (confidence == 0.5).mean() > 0.95  # the rest lies next to the other epipole
 
@@ -71,7 +71,7 @@ def test_a_masked_pixel_is_not_measured():
     views, _, answers = told()
     mask = np.ones(SIZE, bool)
     mask[:, 100:150] = False
-    (_, confidence), (_, other) = sharpened(replace(views[0], mask=mask), views[1], answers, SIZE, OPTIONS)
+    (_, confidence), (_, other) = refine_pair((replace(views[0], mask=mask), views[1]), answers, SIZE, OPTIONS)
     assert (confidence[:, 102:148] == 0.5).all()
     assert (other == np.float32(0.8)).mean() > 0.5
 
@@ -82,14 +82,14 @@ def test_rolling_the_columns_of_the_pictures_rolls_the_answers():
     turn = rotation_from_heading(-2.0 * np.pi * columns / SIZE[1])
     rolled = [View(np.roll(v.image, columns, axis=1), Pose(v.pose.rotation @ turn, v.pose.position)) for v in views]
     told_rolled = tuple((np.roll(a, columns // STEP, axis=1), b) for a, b in answers)
-    before = sharpened(*views, answers, SIZE, OPTIONS)
-    after = sharpened(*rolled, told_rolled, SIZE, OPTIONS)
+    before = refine_pair(views, answers, SIZE, OPTIONS)
+    after = refine_pair(rolled, told_rolled, SIZE, OPTIONS)
     for (one, _), (other, _) in zip(before, after, strict=True):
         assert np.isclose(np.roll(one, columns, axis=1), other, rtol=0.01).mean() > 0.97
 
 
 @pytest.mark.parametrize(
-    ("rows", "picture_rows", "heights"),
+    ("rows", "image_rows", "heights"),
     [
         (384, 512, [192]),
         (512, 64, [256]),
@@ -98,6 +98,6 @@ def test_rolling_the_columns_of_the_pictures_rolls_the_answers():
         (2048, 512, [256, 512, 1024]),
     ],
 )
-def test_sizes_double_up_to_what_is_wanted_and_what_the_pictures_have(rows, picture_rows, heights):
-    assert estimate_sizes(rows, picture_rows) == tuple((height, 2 * height) for height in heights)
-    assert coarse_rows(rows) == 2 * heights[0]
+def test_sizes_double_up_to_what_is_wanted_and_what_the_pictures_have(rows, image_rows, heights):
+    assert refinement_sizes(rows, image_rows) == tuple((height, 2 * height) for height in heights)
+    assert matching_rows(rows) == 2 * heights[0]

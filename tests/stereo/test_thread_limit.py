@@ -58,8 +58,8 @@ def test_there_is_at_least_one_thread() -> None:
 def test_an_estimate_keeps_to_its_threads_and_does_not_depend_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
     views = room(Pose.identity(), SMALL.size)[0], room(OPENINGS["level"], SMALL.size)[0]
     seen = []
-    plain = matching_estimator.fill
-    monkeypatch.setattr(matching, "fill", lambda *a: seen.append(counts()) or plain(*a))
+    plain = matching_estimator.fill_with_planes
+    monkeypatch.setattr(matching_estimator, "fill_with_planes", lambda *a: seen.append(counts()) or plain(*a))
     many = MatchingDepthEstimator(SMALL)
     for free, limited in zip(many(*views), replace(many, threads=1)(*views), strict=True):
         np.testing.assert_array_equal(free.inverse_depth, limited.inverse_depth)

@@ -6,7 +6,7 @@ from omnisyn_cli.cli import main
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import CompletionConfig
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.stereo.stereo_features import PLANES
+from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import is_made_by, list_pool, load_samples
 from omnisyn_cli.training.evidence_pool import EvidencePair, evidence_pair, make_evidence
@@ -14,7 +14,7 @@ from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.pool import PoolConfig, TiltedConfig, render_to_pool
 from omnisyn_cli.training.publish import publish
 
-TINY = CompletionConfig("tiny", planes=PLANES, widths=(8, 12, 16), fine=6, heads=2, looks=1)
+TINY = CompletionConfig("tiny", planes=COMPLETION_CHANNEL_COUNT, widths=(8, 12, 16), fine=6, heads=2, looks=1)
 SIZE = (32, 64)
 
 
@@ -31,7 +31,7 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
     own, elsewhere = [], []
     for path in pool:
         for pair in load_samples(path, EvidencePair):
-            assert pair.planes.shape == (PLANES, *SIZE)
+            assert pair.planes.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
             assert pair.root.shape == SIZE
             assert pair.baseline > 0.05
             assert np.isfinite(pair.planes).all()
@@ -47,7 +47,7 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
 def test_a_pair_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(pool, size, is_recoloured):
     one, same = (evidence_pair(pool[0], np.random.default_rng(3), size, is_recoloured=is_recoloured) for _ in range(2))
     assert torch.equal(one.planes, same.planes)
-    assert one.planes.shape == (2, PLANES, *size)
+    assert one.planes.shape == (2, COMPLETION_CHANNEL_COUNT, *size)
     assert one.root.shape == (2, 1, *size)
     colours = sorted(float(pair.planes[:3].mean()) for path in pool for pair in load_samples(path, EvidencePair))
     drawn = [min(abs(float(planes[:3].mean()) - colour) for colour in colours) for planes in one.planes]

@@ -9,18 +9,18 @@ from jaxtyping import Float, Float32, Shaped
 from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_to_pixel
 
-__all__ = ["MOST_COLUMNS", "Lookup"]
+__all__ = ["MAX_REMAP_COLUMNS", "Lookup"]
 
-BORDER = 3
-"""Pixels from over the seam and the poles that interpolation may reach for."""
+BORDER_PIXELS = 3
+"""Pixels added across the seam and the poles: bicubic interpolation reaches for at most two, and one is spare."""
 
-MOST_COLUMNS = 32766 - 2 * BORDER
-"""Of an image: OpenCV looks up no more."""
+MAX_REMAP_COLUMNS = 32766 - 2 * BORDER_PIXELS
+"""Widest image that OpenCV's ``remap`` takes: its indices have 16 bits with a sign."""
 
 
 @dataclass(frozen=True)
 class Lookup:
-    """Places in an equirectangular image, across the seam and over the poles.
+    """A remap table: places in an equirectangular image, across the seam and over the poles.
 
     Attributes:
         row, col: fractional indices of the image with its border.
@@ -31,9 +31,9 @@ class Lookup:
 
     @staticmethod
     def along(directions: Float[np.ndarray, "height width 3"], size: tuple[int, ...]) -> "Lookup":
-        """Where images of a size show some directions, in their own frame and of any length."""
+        """The table for images of a size, given directions of any length in their frame."""
         row, col = direction_to_pixel(directions, (size[0], size[1]))
-        return Lookup(np.asarray(row + BORDER, np.float32), np.asarray(col + BORDER, np.float32))
+        return Lookup(np.asarray(row + BORDER_PIXELS, np.float32), np.asarray(col + BORDER_PIXELS, np.float32))
 
     def nearest(self, image: Shaped[np.ndarray, "rows cols *channels"]) -> Shaped[np.ndarray, "height width ..."]:
         """The pixels that lie nearest; numbers, or a mask."""
@@ -50,4 +50,4 @@ class Lookup:
     def _read(self, image: np.ndarray, interpolation: int) -> np.ndarray:
         if image.dtype == np.bool_:
             return self._read(image.view(np.uint8), interpolation).view(np.bool_)
-        return np.asarray(cv2.remap(add_border(image, BORDER), self.col, self.row, interpolation))
+        return np.asarray(cv2.remap(add_border(image, BORDER_PIXELS), self.col, self.row, interpolation))

@@ -11,10 +11,10 @@ def connected_regions(mask: Bool[np.ndarray, "rows cols"], *, is_diagonal: bool)
     """A number > 0 for every region of neighbouring pixels, those across the seam included; 0 outside of the mask.
 
     Args:
-        mask: of the regions.
-        is_diagonal: whether pixels that share nothing but a corner are neighbours.
+        mask: True inside of regions.
+        is_diagonal: whether pixels that share only a corner are neighbours.
     """
-    closed = np.concatenate([mask, mask[:, :1]], axis=1).astype(np.uint8)  # the first column once more, after the last
+    closed = np.concatenate([mask, mask[:, :1]], axis=1).astype(np.uint8)  # repeats the first column after the last
     count, labels = cv2.connectedComponents(closed, connectivity=8 if is_diagonal else 4)
     parent = np.arange(count, dtype=np.int32)
     for pair in np.unique(labels[mask[:, 0]][:, [0, -1]], axis=0):

@@ -17,22 +17,22 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 __all__ = [
     "add_border",
     "add_columns",
-    "at_crossings",
     "filter_across_seam",
-    "greatest_of_parts",
+    "grid_subsample",
+    "max_pool",
+    "rotated_directions",
+    "rotated_image",
     "sample_bicubic",
     "sample_bilinear",
     "sample_bilinear_at",
     "sample_nearest",
-    "turned_directions",
-    "turned_image",
     "window_max",
     "window_min",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-CATMULL_ROM = -0.5
+CATMULL_ROM_SLOPE = -0.5
 """Slope parameter of Keys' cubic convolution that reproduces quadratics."""
 
 
@@ -72,9 +72,9 @@ def add_columns(
 def filter_across_seam(
     apply: Callable[[np.ndarray], np.ndarray], image: Shaped[np.ndarray, "height width *channels"], reach: int
 ) -> Shaped[np.ndarray, "height width ..."]:
-    """What a filter makes of an image whose columns wrap; beyond the poles it sees what it likes.
+    """The result of a filter on an image whose columns wrap; beyond the poles the filter's own border rule holds.
 
-    ``apply`` keeps the size; its answers depend on ``reach`` columns on either side.
+    ``apply`` keeps the size; a result depends on at most ``reach`` columns on either side.
     """
     return apply(add_columns(image, reach))[:, reach : reach + image.shape[1]]
 
@@ -123,18 +123,18 @@ def sample_bilinear_at(
     return _convolve(image, row, col, reach=(0, 1), kernel=lambda xp, distance: 1.0 - xp.abs(distance))
 
 
-def at_crossings(
+def grid_subsample(
     image: Shaped[np.ndarray, "height width *channels"], rows: Integer[np.ndarray, " rows"],
     cols: Integer[np.ndarray, " cols"],
 ) -> Shaped[np.ndarray, "rows cols *channels"]:  # fmt: skip
-    """The pixels where some rows and columns cross, given as ascending indices; equal steps are taken faster."""
-    if _is_even(rows) and _is_even(cols):
-        every, each = (slice(index[0], index[-1] + 1, index[1] - index[0]) for index in (rows, cols))
-        return np.ascontiguousarray(image[every, each])
+    """The pixels at the crossings of some rows and columns, given as ascending indices; even steps are faster."""
+    if _is_evenly_spaced(rows) and _is_evenly_spaced(cols):
+        row_slice, col_slice = (slice(index[0], index[-1] + 1, index[1] - index[0]) for index in (rows, cols))
+        return np.ascontiguousarray(image[row_slice, col_slice])
     return np.asarray(image[rows].take(cols, axis=1))
 
 
-def _is_even(index: Integer[np.ndarray, " count"]) -> bool:
+def _is_evenly_spaced(index: Integer[np.ndarray, " count"]) -> bool:
     return len(index) > 1 and bool((np.diff(index) == index[1] - index[0]).all())
 
 
@@ -146,32 +146,33 @@ def sample_bicubic(image: Float[Array, "height width *channels"], direction: Flo
     return _convolve(image, *direction_to_pixel(direction, image.shape[:2]), reach=(-1, 2), kernel=_cubic_weight)
 
 
-def turned_directions(
-    size: tuple[int, int], source: Float[np.ndarray, "3 3"], held: Float[np.ndarray, "3 3"]
+def rotated_directions(
+    size: tuple[int, int], source_rotation: Float[np.ndarray, "3 3"], target_rotation: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "height width 3"]:
-    """Unit vectors in the frame of a panorama through the pixels (``size``) of a camera that is held otherwise.
+    """Unit vectors through the pixels of a target camera of a ``size``, in the frame of a source panorama.
 
-    ``source`` and ``held`` are the world-from-camera rotations of the two.
+    Both rotations are world-from-camera.
     """
-    return np.asarray(pixel_directions(*size) @ (source.T @ held).T)
+    return np.asarray(pixel_directions(*size) @ (source_rotation.T @ target_rotation).T)
 
 
-def turned_image(
+def rotated_image(
     image: Float[np.ndarray, "rows cols 3"],
-    source: Float[np.ndarray, "3 3"],
-    held: Float[np.ndarray, "3 3"],
+    source_rotation: Float[np.ndarray, "3 3"],
+    target_rotation: Float[np.ndarray, "3 3"],
     size: tuple[int, int],
 ) -> Float[np.ndarray, "height width 3"]:
-    """A panorama as a network is shown it, in training and after: bicubic, averaged over areas where it is larger.
+    """A panorama (RGB in [0, 1]) as a camera of another orientation and ``size`` sees it: the input of networks.
 
-    RGB in [0, 1]; ``size`` is that of the result, ``source`` and ``held`` are as for :func:`turned_directions`.
+    Bicubic, after area averaging where the panorama is larger. Rotations are those of :func:`rotated_directions`.
     """
     import cv2  # loaded only here: a plan needs this module, and no more
 
-    numbers = np.asarray(image, np.float32)
-    if numbers.shape[0] > size[0]:
-        numbers = np.asarray(cv2.resize(numbers, size[::-1], interpolation=cv2.INTER_AREA))
-    return np.asarray(np.clip(sample_bicubic(numbers, turned_directions(size, source, held)), 0.0, 1.0))
+    pixels = np.asarray(image, np.float32)
+    if pixels.shape[0] > size[0]:
+        pixels = np.asarray(cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_AREA))
+    directions = rotated_directions(size, source_rotation, target_rotation)
+    return np.asarray(np.clip(sample_bicubic(pixels, directions), 0.0, 1.0))
 
 
 def _convolve(image: Array, row: Array, col: Array, *, reach: tuple[int, int], kernel: Any) -> Array:
@@ -184,12 +185,12 @@ def _convolve(image: Array, row: Array, col: Array, *, reach: tuple[int, int], k
     total: Array = 0.0
     for i in offsets:
         weight, (inside, is_beyond) = kernel(xp, row - base_row - i), _inside(xp, first_row + i, height)
-        for column, share in across:
-            there = xp.where(is_beyond, (column + width // 2) % width, column) if xp.any(is_beyond) else column
+        for column, col_weight in across:
+            wrapped = xp.where(is_beyond, (column + width // 2) % width, column) if xp.any(is_beyond) else column
             texel = xp.reshape(
-                xp.take(texels, xp.reshape(inside * width + there, (-1,)), axis=0), (*row.shape, *channels)
+                xp.take(texels, xp.reshape(inside * width + wrapped, (-1,)), axis=0), (*row.shape, *channels)
             )
-            total = total + texel * xp.reshape(weight * share, weight.shape + (1,) * len(channels))
+            total = total + texel * xp.reshape(weight * col_weight, weight.shape + (1,) * len(channels))
     return total
 
 
@@ -204,14 +205,14 @@ def _integers(xp: Any, value: Array) -> Array:
 
 
 def _cubic_weight(xp: Any, distance: Array) -> Array:
-    a, x = CATMULL_ROM, xp.abs(distance)
+    a, x = CATMULL_ROM_SLOPE, xp.abs(distance)
     near = ((a + 2.0) * x - (a + 3.0)) * x * x + 1.0
     far = ((a * x - 5.0 * a) * x + 8.0 * a) * x - 4.0 * a
     return xp.where(x < 1.0, near, far)
 
 
-def greatest_of_parts(values: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
-    """The greatest value, True among booleans, in each of ``size = (rows, cols)`` parts of an image."""
+def max_pool(values: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """The greatest value (True among booleans) in each cell when an image is divided into ``size = (rows, cols)``."""
     for axis in (0, 1):
         values = np.maximum.reduceat(values, np.arange(size[axis]) * values.shape[axis] // size[axis], axis=axis)
     return values

@@ -1,44 +1,42 @@
 """Depth of a pair without a network: semi-global matching, planes, and filling.
 
-The steps, each in a module of its own: turn the pair until epipolar lines are meridians (:mod:`.rectify`), match both
-ways (:mod:`.semi_global`), let large planes explain what they can (:mod:`.surfaces`), keep what both directions agree
-on, find the sky, fill the rest and move edges to where the image has them (:mod:`.filling`).
+:meth:`MatchingDepthEstimator.features` names the stages, each in a module of its own.
 """
 
-import math
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from omnisyn_cli.compute.jit import fast_kernel
-from omnisyn_cli.compute.threads import both, limited_threads, run_bands
-from omnisyn_cli.geometry.regions import connected_regions
+from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame, motion_in_baselines
-from omnisyn_cli.stereo.stereo_features import Evidence
-from omnisyn_cli.stereo.filling import fill, remove_speckles, upsample
-from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
-from omnisyn_cli.stereo.surface_labels import Matches, MatchingOptions, Meridians, assign_surfaces, match_freely
+from omnisyn_cli.geometry.sweep import motion_in_baselines
+from omnisyn_cli.stereo.disparity import (
+    NO_INFINITY_ANGLE_DEG,
+    DisparityMap,
+    MatchingOptions,
+    is_measurable,
+    left_right_check,
+    match_all_disparities,
+)
+from omnisyn_cli.stereo.filling import fill_with_planes
+from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
+from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.sky import find_sky
+from omnisyn_cli.stereo.stereo_features import StereoFeatures
+from omnisyn_cli.stereo.surface_labels import label_surfaces
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["HINT", "MatchingDepthEstimator", "MatchingOptions"]
+__all__ = ["UNCONFIRMED_WEIGHT", "MatchingDepthEstimator", "MatchingOptions"]
 
-HINT = 0.002
-"""Weight of a disparity that only one direction believes, against 1 for what both agree on."""
+UNCONFIRMED_WEIGHT = 0.002
+"""Weight in filling of a disparity that only one direction found, against 1 for a consistent one; chosen by eye."""
 
-NEAR = 0.08
-"""Share of a disparity by which both directions may differ, between what they may for far and for near things."""
+MIN_ISLAND_PIXELS = 20
+"""At half size: smaller islands of depth are mistakes more often than things."""
 
-STEEP = 2.0
-"""Disparities of two neighbouring rows that differ by more than this belong to two surfaces.
-
-If more were allowed, noise would confirm itself: the shadow of a lamp on a road without texture fell to pieces.
-"""
-
-SPECKLE = 20
-"""Pixels at half size: smaller islands are mistakes more often than things."""
+MAX_ISLAND_STEP = 0.1
+"""Relative difference of inverse depth that separates an island from its surroundings."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +44,11 @@ class MatchingDepthEstimator:
     """Inverse depth of both panoramas of a pair by classical stereo; a :class:`~omnisyn_cli.types.DepthEstimator`.
 
     Estimates have ``options.size`` whatever the size of the images. The sky is 0. Near the two epipoles, where nothing
-    can be measured, and wherever only one view sees, values are carried on from the surroundings with a confidence
-    near 0. Panoramas from one position have no parallax: everything is then 0 with confidence 0.
+    can be measured, and where only one view sees, values are extrapolated from the surroundings with a confidence of 0.
+    Panoramas from one position have no parallax: everything is then 0 with confidence 0.
 
     Attributes:
-        options: what may be believed.
+        options: of matching.
         threads: at most this many; None = a core each. The result does not depend on it.
     """
 
@@ -62,190 +60,82 @@ class MatchingDepthEstimator:
         for view in (first, second):
             view.check_shape()
         if np.array_equal(first.pose.position, second.pose.position):
-            return self._nothing(), self._nothing()
+            return self._no_depth(), self._no_depth()
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
-        there, back = self.evidence(first, second)
+        of_first, of_second = self.features(first, second)
         with limited_threads(self.threads):
-            return both(lambda: self._finish(first, there, baseline), lambda: self._finish(second, back, baseline))
+            return both(
+                lambda: self._upsampled(first, of_first, baseline), lambda: self._upsampled(second, of_second, baseline)
+            )
 
-    def evidence(self, first: View, second: View) -> tuple[Evidence, Evidence]:
-        """What is known about both before edges are moved to where the image has them, at half of ``options.size``.
+    def features(self, first: View, second: View) -> tuple[StereoFeatures, StereoFeatures]:
+        """What stereo says about both panoramas, at half of ``options.size`` and in the frames of their cameras.
 
         The panoramas must not stand at one position.
         """
         height, width = self.options.size
+        options = self.options_for(first, second)
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
-            there, back = _match(pair, self.options_for(first, second))
+            pairs = (pair, pair.reversed())
+            grids = tuple(EpipolarGrid.of(each) for each in pairs)
+            # Cost volume and semi-global matching, one direction after the other: costs take much memory.
+            matched = [match_all_disparities(each, grid, options) for each, grid in zip(pairs, grids, strict=True)]
+            consistent = _checked((matched[0][0], matched[1][0]), options)
+            surfaces = both(
+                *(
+                    partial(label_surfaces, each, grid, matches, is_unique, options)
+                    for each, grid, matches, (_, is_unique) in zip(pairs, grids, consistent, matched, strict=True)
+                )
+            )
+            disparities = _checked(surfaces, options)
             return both(
-                lambda: _evidence(first, second, pair, there), lambda: _evidence(second, first, pair.reversed(), back)
+                lambda: _features_in_camera(first, second, pairs[0], grids[0], disparities[0]),
+                lambda: _features_in_camera(second, first, pairs[1], grids[1], disparities[1]),
             )
 
     def options_for(self, first: View, second: View) -> MatchingOptions:
-        """What may be believed of a pair: colours count less where one of the pictures has lost some."""
-        if not (first.is_cut_off or second.is_cut_off):
+        """The options for a pair: colours count less where one of the pictures is clipped."""
+        if not (first.is_clipped or second.is_clipped):
             return self.options
-        return replace(self.options, colour_share=self.options.doubtful_colour_share)
+        return replace(self.options, colour_weight=self.options.clipped_colour_weight)
 
-    def _finish(self, view: View, evidence: Evidence, baseline: float) -> DepthEstimate:
+    def _upsampled(self, view: View, features: StereoFeatures, baseline: float) -> DepthEstimate:
         """At full size, with the edges of the image, in 1/metre."""
         guide = resize_area(view.image, self.options.size)
-        whole = upsample(np.where(evidence.sky, 0.0, evidence.filled), evidence.image, guide)
-        confidence = resize_area(evidence.sure.astype(np.float32), self.options.size)
-        return DepthEstimate(whole / np.float32(baseline), confidence, evidence.sure)
+        inverse_depth = joint_upsample(np.where(features.sky, 0.0, features.filled), features.image, guide)
+        confidence = resize_area(features.valid.astype(np.float32), self.options.size)
+        return DepthEstimate(inverse_depth / np.float32(baseline), confidence, features.valid)
 
-    def _nothing(self) -> DepthEstimate:
+    def _no_depth(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
 
 
-def _match(pair: RectifiedPair, options: MatchingOptions) -> tuple[Matches, Matches]:
-    """Both directions; ``seen`` is what they agree on."""
-    pairs = (pair, pair.reversed())
-    grids = [Meridians.of(p) for p in pairs]
-    found = [match_freely(p, g, options) for p, g in zip(pairs, grids, strict=True)]  # costs take much memory
-    (one, _), (other, _) = found
-    free = agreeing((one, other), options.agreement, options.near_agreement)
-    surfaces = both(
-        *(
-            partial(assign_surfaces, p, g, f, is_distinct, options)
-            for p, g, f, (_, is_distinct) in zip(pairs, grids, free, found, strict=True)
-        )
-    )
-    return agreeing(surfaces, options.agreement, options.near_agreement)
+def _checked(maps: tuple[DisparityMap, DisparityMap], options: MatchingOptions) -> tuple[DisparityMap, DisparityMap]:
+    return left_right_check(maps, options.left_right_rows, options.near_left_right_rows)
 
 
-def _evidence(view: View, other: View, pair: RectifiedPair, matches: Matches) -> Evidence:
-    """From disparity in the frame of the pair to inverse depth in the frame of the camera, filled."""
-    image, usable = resize_area(view.image, pair.size), usable_pixels(view, pair.size)
-    inverse_depth, agreed, sky = _in_camera(view, pair, matches)
-    weight = np.where(sky, 0.0, np.where(agreed, 1.0, HINT * usable))
-    return Evidence(
+def _features_in_camera(
+    view: View, other: View, pair: RectifiedPair, grid: EpipolarGrid, disparities: DisparityMap
+) -> StereoFeatures:
+    """From disparity in the frame of the pair to inverse depth in the frame of the camera, with sky and filling."""
+    size, pose = pair.size, view.pose
+    image, usable = resize_area(view.image, size), usable_pixels(view, size)
+    in_pair = pair.from_camera(pose, size)
+    inverse_depth = in_pair.nearest(grid.inverse_depth(disparities.disparity))
+    consistent = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
+    consistent = remove_speckles(inverse_depth, consistent & usable, MIN_ISLAND_PIXELS, MAX_ISLAND_STEP)
+    is_infinity_known = np.broadcast_to(grid.is_away_from_epipoles(NO_INFINITY_ANGLE_DEG), size)
+    sin_elevation = pixel_directions(*size) @ pose.rotation[1]
+    sky = find_sky(inverse_depth, consistent & in_pair.nearest(is_infinity_known), sin_elevation, solid_angles(*size))
+    weight = np.where(sky, 0.0, np.where(consistent, 1.0, UNCONFIRMED_WEIGHT * usable))
+    return StereoFeatures(
         image=image,
         matched=inverse_depth,
-        agreed=agreed,
+        left_right_consistent=consistent,
         sky=sky,
-        filled=np.where(sky, 0.0, fill(inverse_depth, weight, image, usable)),
+        filled=np.where(sky, 0.0, fill_with_planes(inverse_depth, weight, image, usable)),
         usable=usable,
-        second_from_first=motion_in_baselines(view.pose, other.pose),
-        up=np.asarray(view.pose.rotation[1]),
+        second_from_first=motion_in_baselines(pose, other.pose),
+        up=np.asarray(pose.rotation[1]),
     )
-
-
-def _in_camera(view: View, pair: RectifiedPair, matches: Matches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inverse depth in 1/baselines, where both directions agree about it, and the sky, in the frame of the camera."""
-    size, pose, grid = pair.size, view.pose, Meridians.of(pair)
-    at = pair.from_camera(pose, size)
-    inverse_depth = at.nearest(grid.inverse_depth(matches.disparity))
-    agreed = at.nearest(matches.seen & is_measurable(grid, matches.disparity))
-    agreed = remove_speckles(inverse_depth, agreed & usable_pixels(view, size), SPECKLE, 0.1)
-    rise = pixel_directions(*size) @ pose.rotation[1]
-    sky = find_sky(inverse_depth, agreed & at.nearest(_is_sideways(grid)), rise, solid_angles(*size))
-    return inverse_depth, agreed, sky
-
-
-def agreeing(found: tuple[Matches, Matches], far: float, near: float | None = None) -> tuple[Matches, Matches]:
-    """Left-right check of both directions: keep as seen what the other one saw at the same depth.
-
-    Args:
-        found: disparities of both.
-        far: rows by which they may differ.
-        near: rows by which they may differ where they are large; None makes no difference.
-    """
-    there, back = (
-        replace(a, seen=a.seen & _confirmed(a.disparity, exchanged_in_epipole_frame(b.disparity), far, near or far))
-        for a, b in (found, found[::-1])
-    )
-    return there, back
-
-
-def _confirmed(disparity: np.ndarray, other: np.ndarray, far: float, near: float) -> Bool[np.ndarray, "height width"]:
-    """Whether the other direction found the same where this one points to.
-
-    That is between two of its rows. What is near is foreshortened in one of the pictures, where its disparity changes a
-    lot from row to row: it is read between them, unless they differ by so much that an edge lies between them.
-    """
-    out = np.empty(disparity.shape, np.bool_)
-    run_bands(partial(_confirm, disparity, other, far, near, NEAR, STEEP, out), len(out))
-    return out
-
-
-@fast_kernel()
-def _confirm(disparity, other, far, near, slack, steep, out, begin, end):  # type: ignore[no-untyped-def]
-    height, width = disparity.shape
-    for row in range(begin, end):
-        for col in range(width):
-            value = disparity[row, col]
-            target = row + value
-            above = min(max(math.floor(target), 0), height - 2)
-            share = min(max(target - above, 0.0), 1.0)
-            upper, lower = other[above, col], other[above + 1, col]
-            found = upper if share < 0.5 else lower
-            if abs(lower - upper) <= steep:
-                found = upper + share * (lower - upper)
-            out[row, col] = target <= height - 1 and abs(found - value) <= min(max(slack * value, far), near)
-
-
-def is_measurable(grid: Meridians, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:
-    """Not within 4° of an epipole, and no claim of infinity within 20°, where near things hardly move either."""
-    away = np.sin(grid.polar_angle) > math.sin(math.radians(4.0))
-    return np.asarray(away & ((disparity >= 1.0) | _is_sideways(grid)))
-
-
-def _is_sideways(grid: Meridians) -> Bool[np.ndarray, "height width"]:
-    """Farther than 20° from both epipoles: having no parallax here means being far."""
-    sideways = np.sin(grid.polar_angle) > math.sin(math.radians(20.0))
-    return np.asarray(np.broadcast_to(sideways, grid.directions.shape[:2]))
-
-
-NO_PARALLAX = 0.02
-"""Inverse depth in 1/baselines that a working resolution of a few hundred rows cannot tell from 0."""
-
-EVIDENCE = 0.05
-"""Share of the region where texture must have decided for no parallax."""
-
-LEAST = 0.01
-"""Share of the sphere: a smaller region is no sky."""
-
-SPOT = 0.003
-"""Share of the sphere: openings in the sky smaller than this are closed."""
-
-
-def find_sky(
-    inverse_depth: Float[np.ndarray, "height width"],
-    seen: Bool[np.ndarray, "height width"],
-    rise: Float[np.ndarray, "height width"],
-    solid_angle: Float[np.ndarray, "height width"],
-) -> Bool[np.ndarray, "height width"]:
-    """Where the panorama shows the sky: infinitely far, recognised by what both views say about it, not by its colour.
-
-    A bright wall, an overexposed ceiling or a lamp is as smooth as a cloudless sky. What sets the sky apart is that it
-    reaches the zenith, and that wherever it does show something (clouds, a gradient, the rims of what stands before it)
-    that something has no parallax.
-
-    Args:
-        inverse_depth: in 1/baselines.
-        seen: where texture decided about it.
-        rise: sine of the elevation above the horizon.
-        solid_angle: of every pixel.
-    """
-    far = (inverse_depth < NO_PARALLAX) & (rise > 0.0)
-    region: np.ndarray = _touching_zenith(far, rise)
-    size, evidence = (solid_angle * region).sum(), (solid_angle * (region & seen)).sum()
-    if size < LEAST * solid_angle.sum() or evidence < EVIDENCE * size:
-        return np.zeros_like(far)
-    return np.asarray(region | _spots(~region & (rise > 0.0), solid_angle))
-
-
-def _touching_zenith(mask: np.ndarray, rise: np.ndarray) -> np.ndarray:
-    labels = connected_regions(mask, is_diagonal=False)
-    inside = np.unique(labels[(rise > 0.9) & mask])
-    return np.asarray(np.isin(labels, inside[inside > 0]))
-
-
-def _spots(mask: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
-    """Small components of a mask."""
-    labels = connected_regions(mask, is_diagonal=False)
-    size = np.bincount(labels.ravel(), solid_angle.ravel())
-    small = size < SPOT * solid_angle.sum()
-    small[0] = False
-    return np.asarray(small[labels])

@@ -1,10 +1,11 @@
-"""Both panoramas of a pair turned until epipolar lines are meridians, and estimates turned back.
+"""Both panoramas of a pair rotated until epipolar lines are meridians, and estimates rotated back.
 
-Everything between is dimensionless: distances count in baselines, so inverse depth is ``ρ · baseline``.
+Everything in this frame is dimensionless: distances count in baselines, so inverse depth is ``ρ · baseline``.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,13 +16,24 @@ from jaxtyping import Bool, Float, Float32
 from omnisyn_cli.compute.threads import both
 from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.geometry.sampling import sample_bilinear, turned_directions
-from omnisyn_cli.geometry.sphere import UP
-from omnisyn_cli.geometry.sweep import epipole_frame, exchanged_in_epipole_frame
+from omnisyn_cli.geometry.sampling import rotated_directions, sample_bilinear
+from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_angles
+from omnisyn_cli.geometry.sweep import (
+    epipole_frame,
+    exchanged_in_epipole_frame,
+    inverse_depth_from_parallax,
+    parallax_from_inverse_depth,
+)
 from omnisyn_cli.types import View
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
+
+MAX_INVERSE_DEPTH = 20.0
+"""In 1/baselines: nothing nearer than a twentieth of a baseline is a valid match; chosen by eye."""
+
+MIN_USABLE_SHARE = 0.99
+"""Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -64,25 +76,71 @@ class RectifiedPair:
         )
 
     def from_camera(self, pose: Pose, size: tuple[int, int]) -> Lookup:
-        """Where images of the first panorama in this frame show what its camera, held as it was, has in each pixel."""
-        return Lookup.along(turned_directions(size, self.world_from_frame, pose.rotation), self.size)
+        """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""
+        return Lookup.along(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)
+
+
+@dataclass(frozen=True)
+class EpipolarGrid:
+    """The pixels of a rectified image, and its two units: rows of disparity, and inverse depth in 1/baselines.
+
+    Attributes:
+        directions: unit vectors in the frame of the pair.
+        polar_angle: of every row, the angle to the epipole in radians.
+        up: the world's up in the frame of the pair.
+    """
+
+    directions: Float[np.ndarray, "height width 3"]
+    polar_angle: Float[np.ndarray, "height 1"]
+    up: Float[np.ndarray, " 3"]
+
+    @staticmethod
+    def of(pair: RectifiedPair) -> EpipolarGrid:
+        """The grid of a pair."""
+        rows = np.arange(pair.size[0], dtype=np.float64)[:, None]
+        _, polar_angle = pixel_to_angles(rows, np.zeros_like(rows), pair.size)
+        return EpipolarGrid(pixel_directions(*pair.size), polar_angle, pair.up)
+
+    @property
+    def height(self) -> int:
+        """Rows."""
+        return int(self.polar_angle.shape[0])
+
+    @property
+    def sin_elevation(self) -> Float[np.ndarray, "height width"]:
+        """Sine of the elevation above the horizon."""
+        return np.asarray(self.directions @ self.up)
+
+    def disparity(self, inverse_depth: np.ndarray) -> Float[np.ndarray, "height width"]:
+        """Rows for an inverse depth; −1 where it is negative (behind the camera)."""
+        parallax = parallax_from_inverse_depth(self.polar_angle, np.maximum(inverse_depth, 0.0))
+        return np.where(inverse_depth < 0, -1.0, parallax * (self.height / math.pi)).astype(np.float32)
+
+    def inverse_depth(self, disparity: np.ndarray) -> Float[np.ndarray, "height width"]:
+        """In 1/baselines, in [0, :data:`MAX_INVERSE_DEPTH`]."""
+        parallax = np.maximum(disparity, 0.0) * (math.pi / self.height)
+        return np.asarray(np.minimum(inverse_depth_from_parallax(self.polar_angle, parallax), MAX_INVERSE_DEPTH))
+
+    def inverse_depth_per_row(self, disparity: np.ndarray) -> Float[np.ndarray, "height width"]:
+        """How much inverse depth one row of disparity is worth: the derivative of ``sin δ / sin(polar_angle + δ)``."""
+        far_angle = np.minimum(self.polar_angle + disparity * (math.pi / self.height), math.pi - 1e-3)
+        return np.asarray(np.sin(self.polar_angle) / np.sin(far_angle) ** 2 * (math.pi / self.height))
+
+    def is_away_from_epipoles(self, degrees: float) -> Bool[np.ndarray, "height 1"]:
+        """Rows that are farther than an angle from both epipoles, where parallax vanishes."""
+        return np.asarray(np.sin(self.polar_angle) > math.sin(math.radians(degrees)))
 
 
 def rectify(first: View, second: View, size: tuple[int, int]) -> RectifiedPair:
     """The pair at ``size = (height, width)``; raises ValueError for equal positions."""
     frame, _, baseline = epipole_frame(first.pose, second.pose)
-    images = both(*(partial(_turned, view, frame, size) for view in (first, second)))
-    usable = [_turn_mask(v, frame, size) for v in (first, second)]
+    images = both(*(partial(_rotated_view, view, frame, size) for view in (first, second)))
+    usable = [_rotated_mask(view, frame, size) for view in (first, second)]
     return RectifiedPair(images[0], images[1], usable[0], usable[1], frame.rotation, baseline)
 
 
-def _turned(view: View, frame: Pose, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
-    """The picture of a view at another size and in another frame."""
-    return _turn(resize_area(view.image, size), view.pose, frame, size)
-
-
 def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Averages over the area that a new pixel covers; growing by a whole factor repeats pixels.
+    """Averages over the area that a new pixel covers; enlarging by a whole factor repeats pixels.
 
     No new pixel covers anything beyond the border, so seam and poles need no care.
     """
@@ -91,19 +149,23 @@ def resize_area(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(cv2.resize(np.ascontiguousarray(image, np.float32), size[::-1], interpolation=cv2.INTER_AREA))
 
 
-def _turn(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:
-    """Exactly: matching would tell the steps of 1/32 of a pixel that a :class:`Lookup` takes."""
-    return np.asarray(sample_bilinear(image, turned_directions(size, pose.rotation, frame.rotation)), np.float32)
-
-
 def usable_pixels(view: View, size: tuple[int, int]) -> Bool[np.ndarray, "height width"]:
     """The mask of a view at another size: True where no forbidden pixel contributes."""
     if view.mask is None:
         return np.ones(size, bool)
-    return np.asarray(resize_area(view.mask.astype(np.float32), size) > 0.99)
+    return np.asarray(resize_area(view.mask.astype(np.float32), size) > MIN_USABLE_SHARE)
 
 
-def _turn_mask(view: View, frame: Pose, size: tuple[int, int]) -> np.ndarray:
+def _rotated_view(view: View, frame: Pose, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
+    return _rotate(resize_area(view.image, size), view.pose, frame, size)
+
+
+def _rotated_mask(view: View, frame: Pose, size: tuple[int, int]) -> np.ndarray:
     if view.mask is None:
         return np.ones(size, bool)
-    return np.asarray(_turn(usable_pixels(view, size).astype(np.float32), view.pose, frame, size) > 0.99)
+    return np.asarray(_rotate(usable_pixels(view, size).astype(np.float32), view.pose, frame, size) > MIN_USABLE_SHARE)
+
+
+def _rotate(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:
+    """Exact bilinear interpolation: a :class:`Lookup` has steps of 1/32 pixel, and matching would measure them."""
+    return np.asarray(sample_bilinear(image, rotated_directions(size, pose.rotation, frame.rotation)), np.float32)

@@ -1,8 +1,9 @@
-"""Each panorama as the other one's depth predicts it: what a pair says about itself, without any truth.
+"""Cross-check of a pair: each panorama as the other one's depth predicts it, without ground truth.
 
-The surface of either view is seen from where the other photograph was taken, and from half way. There a place that both
-show has a colour in both pictures, which tells how they were exposed (:mod:`omnisyn_cli.fusion.photometry`) and,
-after that, how well depth and poses hold (:mod:`omnisyn_cli.fusion.confidence`). All of it is done at a small size.
+The surface of either view is rendered at the other view's position and half way. A point that both show then has a
+colour in both pictures. The colours tell how the pictures were exposed (:mod:`omnisyn_cli.fusion.photometry`) and, once
+that is corrected, how good depth and poses are (:mod:`omnisyn_cli.fusion.confidence`). All of it is done at a small
+size.
 """
 
 from dataclasses import dataclass
@@ -21,28 +22,31 @@ from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererInputs
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
-__all__ = ["CHECK_SIZE", "SAME_SURFACE_TOLERANCE", "CrossCheck", "equalize_exposure", "subsample_depth", "resized"]
+__all__ = ["CHECK_SIZE", "SAME_SURFACE_TOLERANCE", "CrossCheck", "equalize_exposure", "resized", "subsample_depth"]
 
 CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
 
 SAME_SURFACE_TOLERANCE = 0.05
-"""Relative difference of inverse depth up to which two pictures show the same place."""
+"""Relative difference of inverse depth up to which two pictures show the same point; chosen by eye."""
 
-ROUGH_SIZE = (128, 256)
-"""Rows and columns of the depth that tells how differently two pictures are exposed."""
+EXPOSURE_DEPTH_SIZE = (128, 256)
+"""Rows and columns of the rough depth that exposures are compared with."""
 
-LEAST_WEIGHT = np.float32(0.01)
-"""Of a photograph's own pixels: they are what they are, however little is known about their distance."""
+MIN_PHOTO_WEIGHT = np.float32(0.01)
+"""Least weight of a photograph's own pixels: their colour is right, however uncertain their depth."""
+
+MIN_USABLE_SHARE = 0.99
+"""Share of a resampled pixel that the mask must allow: in effect all of it, but for rounding."""
 
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """What a pair says about itself.
+    """The result of comparing both views of a pair.
 
     Attributes:
         curve: how much brighter the second picture is than the first.
-        confidence: how good the frames between them may be expected to be.
+        confidence: the expected quality of frames between them.
     """
 
     curve: ExposureCurve
@@ -50,19 +54,19 @@ class CrossCheck:
 
 
 def equalize_exposure(first: View, second: View, threads: int | None = None) -> tuple[View, View]:
-    """Both views exposed alike, so that depth can be found in them; the very same views where they are.
+    """Both views with one exposure, so that depth can be found in them; the same objects if they have one already.
 
-    Where their brightness differs, depth at a small size, from nothing but what is brighter than its neighbours, tells
-    which pixels show the same places, and those tell whether it was the exposure.
+    If their brightness differs, rough depth tells which pixels show the same points. It comes from the census alone,
+    which does not depend on exposure. The colours of these pixels then tell whether the exposure differed.
     """
     if rough_curve(first, second).is_identity or np.array_equal(first.pose.position, second.pose.position):
         return first, second
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
-    options = MatchingOptions(size=ROUGH_SIZE, colour_share=0.0, doubtful_colour_share=0.0)
+    options = MatchingOptions(size=EXPOSURE_DEPTH_SIZE, colour_weight=0.0, clipped_colour_weight=0.0)
     views = (first, second)
-    across, *_ = _seen_across(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
-    return equalized(first, second, _curve(across), threads)
+    crossed, *_ = _render_crosswise(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
+    return equalized(first, second, _exposure_curve(crossed), threads)
 
 
 def cross_check(
@@ -76,62 +80,70 @@ def cross_check(
         cut: where their surfaces are separated.
         threads: at most this many; None is one per core.
     """
-    across, small, renderers = _seen_across(views, depths, cut, threads)
-    curve = _curve(across)
-    expose = ExposureMatcher(curve)
-    there, back = expose(*across[0], 0.0), expose(*across[1][::-1], 1.0)
-    return CrossCheck(curve, assess_pair([there, back[::-1]], expose(*_half_way(small, renderers), 0.5)))
+    crossed, small, renderers = _render_crosswise(views, depths, cut, threads)
+    curve = _exposure_curve(crossed)
+    match_exposure = ExposureMatcher(curve)
+    at_first, at_second = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)
+    half_way = match_exposure(*_render_half_way(small, renderers), 0.5)
+    return CrossCheck(curve, assess_pair([at_first, at_second[::-1]], half_way))
 
 
-def _seen_across(
+def _render_crosswise(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None
 ) -> tuple[list[tuple[Layer, Layer]], tuple[View, View], list[Renderer]]:
-    """Each photograph beside the other one's surface as it is seen from there; both views, small; their renderers."""
+    """Each photograph beside the other view's surface rendered at its position; both views, small; their renderers."""
     size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
 
-    def prepared(view: View, depth: DepthEstimate) -> tuple[View, Renderer]:
-        small = _reduced(view, depth, size)
-        return small, _renderer(small, cut, threads)
+    def prepare(view: View, depth: DepthEstimate) -> tuple[View, Renderer]:
+        small = _downsampled_view(view, depth, size)
+        return small, _mesh_renderer(small, cut, threads)
 
     with limited_threads(threads):
-        (one, first), (other, second) = both(*(partial(prepared, *each) for each in zip(views, depths, strict=True)))
-        across = both(lambda: _crossed(one, second, other), lambda: _crossed(other, first, one))
-    return list(across), (one, other), [first, second]
+        (first, of_first), (second, of_second) = both(
+            *(partial(prepare, *each) for each in zip(views, depths, strict=True))
+        )
+        crossed = both(
+            lambda: _photo_and_other_surface(first, of_second, second),
+            lambda: _photo_and_other_surface(second, of_first, first),
+        )
+    return list(crossed), (first, second), [of_first, of_second]
 
 
-def _reduced(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
+def _downsampled_view(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
     """A view at the size of the check, its depth with it."""
     image = resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
-    mask = None if view.mask is None else resized(view.mask.astype(np.float32), size, cv2.INTER_AREA) > 0.99
+    mask = view.mask
+    if mask is not None:
+        mask = resized(mask.astype(np.float32), size, cv2.INTER_AREA) > MIN_USABLE_SHARE
     return View(image, view.pose, mask, subsample_depth(depth, size))
 
 
 def subsample_depth(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
-    """Depth that is larger at a smaller size: of the four pixels around the centre of a new one, the second farthest.
+    """Larger depth at a smaller size: of the four pixels around the centre of a new one, the second farthest.
 
-    A mean would lie between two surfaces, and always the same one of the four would move every edge to its side.
+    A mean would lie between two surfaces. Always the same one of the four would move every edge to its side.
     """
-    maps = [np.asarray(x, np.float32) for x in (depth.inverse_depth, depth.confidence)]
+    maps = [np.asarray(values, np.float32) for values in (depth.inverse_depth, depth.confidence)]
     if maps[0].shape[0] > size[0]:
-        rows, cols = (_around_centres(*counts) for counts in zip(size, maps[0].shape, strict=True))
-        four = [np.stack([x[row[:, None], col] for row in rows for col in cols]) for x in maps]
+        rows, cols = (_indices_around_centres(*counts) for counts in zip(size, maps[0].shape, strict=True))
+        four = [np.stack([values[row[:, None], col] for row in rows for col in cols]) for values in maps]
         chosen = np.argsort(four[0], axis=0, kind="stable")[1:2]
-        maps = [np.take_along_axis(x, chosen, axis=0)[0] for x in four]
+        maps = [np.take_along_axis(values, chosen, axis=0)[0] for values in four]
     return DepthEstimate(maps[0], maps[1])
 
 
-def _around_centres(count: int, of: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of a row of pixels, those before and after the centres of ``count`` larger ones."""
-    centre = (np.arange(count) + 0.5) * (of / count) - 0.5
+def _indices_around_centres(count: int, source_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of ``source_count`` pixels, those before and after the centres of ``count`` larger ones."""
+    centre = (np.arange(count) + 0.5) * (source_count / count) - 0.5
     return np.floor(centre).astype(np.intp), np.ceil(centre).astype(np.intp)
 
 
-def resized(image: np.ndarray, size: tuple[int, int], method: int) -> np.ndarray:
-    """An image at another size by a method of OpenCV; the very same one where it has that size."""
-    return image if image.shape[:2] == size else np.asarray(cv2.resize(image, size[::-1], interpolation=method))
+def resized(image: np.ndarray, size: tuple[int, int], interpolation: int) -> np.ndarray:
+    """An image at another size, with an interpolation of OpenCV; the same object if it has that size."""
+    return image if image.shape[:2] == size else np.asarray(cv2.resize(image, size[::-1], interpolation=interpolation))
 
 
-def _renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
+def _mesh_renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
     depth, size = view.known_depth, view.image.shape[:2]
     if depth is None:
         raise ValueError("expected a view with its depth, got one without")
@@ -140,52 +152,52 @@ def _renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
     )
 
 
-def _crossed(here: View, renderer: Renderer, there: View) -> tuple[Layer, Layer]:
-    """The photograph taken ``here``, and what the other view's surface looks like from here."""
-    target_from_source = here.pose.inverse() @ there.pose
-    other = _rendering(renderer, target_from_source)
-    depth = here.known_depth
+def _photo_and_other_surface(view: View, other_renderer: Renderer, other: View) -> tuple[Layer, Layer]:
+    """The photograph of a view as a layer, and the other view's surface rendered at the same pose."""
+    other_layer = _render_copy(other_renderer, view.pose.inverse() @ other.pose)
+    depth = view.known_depth
     if depth is None:
         raise ValueError("expected a view with its depth, got one without")
-    size = here.image.shape[:2]
-    rho = resized(depth.inverse_depth, size, cv2.INTER_NEAREST)
-    weight = np.maximum(resized(depth.confidence, size, cv2.INTER_NEAREST), LEAST_WEIGHT)
-    if here.mask is not None:
-        rho, weight = np.where(here.mask, rho, np.float32(-1.0)), weight * here.mask
-    colour = np.dstack([here.image, weight]).astype(np.float32)
-    return Layer.from_arrays(np.ascontiguousarray(rho), colour, Pose(np.eye(3), np.zeros(3))), other
+    size = view.image.shape[:2]
+    inverse_depth = resized(depth.inverse_depth, size, cv2.INTER_NEAREST)
+    weight = np.maximum(resized(depth.confidence, size, cv2.INTER_NEAREST), MIN_PHOTO_WEIGHT)
+    if view.mask is not None:
+        inverse_depth, weight = np.where(view.mask, inverse_depth, np.float32(-1.0)), weight * view.mask
+    colour = np.dstack([view.image, weight]).astype(np.float32)
+    photo = Layer.from_arrays(np.ascontiguousarray(inverse_depth), colour, Pose(np.eye(3), np.zeros(3)))
+    return photo, other_layer
 
 
-def _rendering(renderer: Renderer, target_from_source: Pose) -> Layer:
-    """In memory of its own."""
-    seen = renderer(target_from_source)
-    return Layer.from_arrays(seen.inverse_depth.copy(), seen.colour, target_from_source)
+def _render_copy(renderer: Renderer, target_from_source: Pose) -> Layer:
+    """A rendered layer in memory of its own: the renderer's next call reuses its buffers."""
+    layer = renderer(target_from_source)
+    return Layer.from_arrays(layer.inverse_depth.copy(), layer.colour, target_from_source)
 
 
-def _half_way(small: tuple[View, View], renderers: list[Renderer]) -> tuple[Layer, Layer]:
+def _render_half_way(small: tuple[View, View], renderers: list[Renderer]) -> tuple[Layer, Layer]:
+    """Both views' surfaces rendered half way between their poses."""
     first, second = (view.pose for view in small)
     pose = Pose(slerp(first.rotation, second.rotation, 0.5), 0.5 * (first.position + second.position))
-    found = []
-    for view, renderer in zip(small, renderers, strict=True):
-        target_from_source = pose.inverse() @ view.pose
-        found.append(_rendering(renderer, target_from_source))
-    return found[0], found[1]
+    layers = [
+        _render_copy(renderer, pose.inverse() @ view.pose) for view, renderer in zip(small, renderers, strict=True)
+    ]
+    return layers[0], layers[1]
 
 
-def _curve(across: list[tuple[Layer, Layer]]) -> ExposureCurve:
+def _exposure_curve(crossed: list[tuple[Layer, Layer]]) -> ExposureCurve:
     """From all pixels of both photographs that the other view shows as well."""
-    samples = [_same_places(own, other) for own, other in across]
-    (a_own, a_other, a_weight), (b_own, b_other, b_weight) = samples
+    (a_own, a_other, a_weight), (b_own, b_other, b_weight) = (_common_colours(own, other) for own, other in crossed)
     return estimate_curve(
         np.concatenate([a_own, b_other]), np.concatenate([a_other, b_own]), np.concatenate([a_weight, b_weight])
     )
 
 
-def _same_places(own: Layer, other: Layer) -> tuple[Float32[np.ndarray, "samples 3"], np.ndarray, np.ndarray]:
-    """Colours of the photograph and of the other view where both show the same place, and how much each counts."""
+def _common_colours(own: Layer, other: Layer) -> tuple[Float32[np.ndarray, "samples 3"], np.ndarray, np.ndarray]:
+    """Colours of the photograph and of the other view where both show the same point, and the weight of each."""
     size = own.inverse_depth.shape
     gap = np.abs(own.inverse_depth - other.inverse_depth)
     nearer = np.maximum(own.inverse_depth, other.inverse_depth)
     weight = solid_angles(*size) * np.minimum(own.colour[..., 3], other.colour[..., 3])
-    same = (gap <= SAME_SURFACE_TOLERANCE * nearer) & (other.inverse_depth >= 0.0) & (own.inverse_depth >= 0.0) & (weight > 0.0)
-    return own.colour[same][:, :3], np.clip(other.colour[same][:, :3], 0.0, 1.0), weight[same]
+    is_seen = (other.inverse_depth >= 0.0) & (own.inverse_depth >= 0.0) & (weight > 0.0)
+    is_same = is_seen & (gap <= SAME_SURFACE_TOLERANCE * nearer)
+    return own.colour[is_same][:, :3], np.clip(other.colour[is_same][:, :3], 0.0, 1.0), weight[is_same]

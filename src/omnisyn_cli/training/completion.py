@@ -24,8 +24,8 @@ from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.stereo.stereo_features import MAX_SQRT_INV_DEPTH, StereoFeatures, completion_channels, sqrt_inv_depth
-from omnisyn_cli.stereo.filling import fill
-from omnisyn_cli.stereo.matching_estimator import HINT
+from omnisyn_cli.stereo.filling import fill_with_planes
+from omnisyn_cli.stereo.matching_estimator import UNCONFIRMED_WEIGHT
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, is_made_by, load_scene, vary_colours
 from omnisyn_cli.training.evidence_pool import evidence_pair
 from omnisyn_cli.training.pool import held_askew
@@ -154,8 +154,8 @@ def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Gene
     sky = (view.inverse_depth == 0) & (usable | (rng.random() < 0.5))
     sky &= _blobs(size, 8, rng) > rng.choice([0.0, 0.0, 0.4])
     left_right_consistent &= usable & ~sky & (view.inverse_depth > 0) & view.is_known
-    weight = np.where(sky, 0.0, np.where(left_right_consistent, 1.0, HINT * usable))
-    filled = np.where(sky, 0.0, fill(matched.astype(np.float64), weight, view.image, usable))
+    weight = np.where(sky, 0.0, np.where(left_right_consistent, 1.0, UNCONFIRMED_WEIGHT * usable))
+    filled = np.where(sky, 0.0, fill_with_planes(matched.astype(np.float64), weight, view.image, usable))
     motion = Pose(np.eye(3), -view.towards)
     return StereoFeatures(view.image, matched, left_right_consistent, sky, filled, usable, motion, up)
 

@@ -30,7 +30,7 @@ from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.outputs import write_errors
 
-TELLTALES = {"pool": "images", "evidence": "root_0", "fusion-pool": "truth_0"}
+TELLTALES = {"pool": "along", "recipe": "positions", "evidence": "root_0", "fusion-pool": "truth_0"}
 """By the command that makes pools of a kind, an array that only these have."""
 
 WINDOWS = 4

@@ -1,0 +1,219 @@
+"""Disparity maps of a rectified pair: semi-global matching in either direction, and the left-right check of both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt16
+
+from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.stereo.costs import cost_volume, luminance_of
+from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair
+from omnisyn_cli.stereo.semi_global import DisparityRange, aggregate_costs, uniqueness_margin, winner_takes_all
+
+ROWS_BEYOND_EPIPOLE = 4
+"""Impossible disparities that are tried all the same: what has no match takes these, not the least wrong possible one.
+(Without them the shadow of a lamp on an untextured road fell to pieces.)"""
+
+BOUND_SLACK_ROWS = 1.5
+"""A winner this close to the least possible disparity may have wanted to go below it, so it is not valid."""
+
+HORIZON_SINE = 0.17
+"""Sine of the angle below the horizon (10°) where the bound on the ground's distance begins: ground may slope away;
+chosen by eye."""
+
+NEAR_TOLERANCE_SHARE = 0.08
+"""Tolerance of the left-right check as a share of the disparity, between its limits for far and for near things.
+(8 % without an upper limit took anything for agreement on an untextured road.)"""
+
+MAX_INTERPOLATED_STEP = 2.0
+"""Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
+
+(With more, noise confirms itself: the shadow of a lamp on an untextured road fell to pieces.)
+"""
+
+BLIND_ANGLE_DEG, NO_INFINITY_ANGLE_DEG = 4.0, 20.0
+"""Degrees from an epipole: within the first nothing is measurable; within the second near things hardly move either,
+so no parallax does not mean infinity. Chosen by eye."""
+
+
+@dataclass(frozen=True)
+class MatchingOptions:
+    """Parameters of semi-global matching and plane labelling.
+
+    Costs and penalties are in units of the matching cost: 0 is a perfect match, 1 an unrelated window. Unless
+    said otherwise the defaults were tuned by hand on ray-traced warehouses.
+
+    Attributes:
+        size: ``(height, width)`` of the estimates; matching runs at half of it.
+        max_parallax: radians. On a path halfway between the cameras a surface that passes at a perpendicular distance
+            of h baselines has a parallax of ``2·atan(1 / 2h)``.
+        max_camera_height: baselines above the ground. It bounds the disparity below the horizon from below: shading
+            that moves with the camera otherwise passes for infinitely far ground.
+        colour_weight: weight of colour differences against the census, in [0, 1].
+        clipped_colour_weight: the same where much of a picture was clipped at white. (In a white hall one stop
+            more costs 0.8 dB with it and 2.3 dB without.)
+        colour_truncation: colour difference that counts as a contradiction.
+        p1, p2: penalties of semi-global matching for disparity changes by one row and by more.
+        p2_contrast: grey difference that halves P2.
+        min_margin: least margin of the aggregated cost over the best rival for a valid disparity.
+        min_uniqueness: least margin of the pixel's own cost for a match to propose planes: repeating tiles of a ceiling
+            agree about a plane that is not there.
+        max_planes: planes per panorama.
+        min_plane_support: least share of the matched solid angle that a plane explains.
+        label_penalty, label_contrast: as ``p2`` and ``p2_contrast``, between surface labels.
+        valid_match_bias, invalid_match_bias: extra cost of the semi-global match against a plane, where it is valid and
+            where it is not.
+        unsupported_bias: extra cost of a plane far from every point that it was fitted to, and of infinity far from
+            static texture: a ceiling is not the sky because a window shows some.
+        beyond_room_bias: extra cost of a surface below the floor or above a ceiling.
+        left_right_rows, near_left_right_rows: rows by which both directions may differ, for far and for near things.
+    """
+
+    size: tuple[int, int] = (512, 1024)
+    max_parallax: float = math.radians(112.0)
+    max_camera_height: float = 10.0
+    colour_weight: float = 0.5
+    clipped_colour_weight: float = 0.1
+    colour_truncation: float = 0.1
+    p1: float = 0.1
+    p2: float = 3.0
+    p2_contrast: float = 0.05
+    min_margin: float = 0.2
+    min_uniqueness: float = 0.05
+    max_planes: int = 24
+    min_plane_support: float = 0.008
+    label_penalty: float = 3.0
+    label_contrast: float = 0.15
+    valid_match_bias: float = 0.15
+    invalid_match_bias: float = 0.5
+    unsupported_bias: float = 0.2
+    beyond_room_bias: float = 0.3
+    left_right_rows: float = 1.0
+    near_left_right_rows: float = 2.0
+
+
+@dataclass(frozen=True)
+class DisparityMap:
+    """Disparities from one panorama to the other.
+
+    Attributes:
+        disparity: ``(height, width)`` rows.
+        valid: where matching decided clearly; the other values are guesses.
+    """
+
+    disparity: Float[np.ndarray, "height width"]
+    valid: Bool[np.ndarray, "height width"]
+
+
+class LeftRightTolerance(NamedTuple):
+    """Rows by which both directions may differ: ``share · disparity``, but at least ``far`` and at most ``near``."""
+
+    far: float
+    near: float
+    share: float
+
+
+def match_disparities(
+    pair: RectifiedPair, disparities: DisparityRange, options: MatchingOptions, *, is_complete: bool
+) -> tuple[DisparityMap, UInt16[np.ndarray, " costs"]]:
+    """Cost volume, semi-global matching and winner-takes-all over the given ranges; also the costs.
+
+    ``is_complete`` says that no other disparities exist.
+    """
+    cost = cost_volume(
+        pair.first, pair.second, pair.second_usable, disparities, options.colour_weight, options.colour_truncation
+    )
+    luminance = luminance_of(pair.first)
+    total = aggregate_costs(cost, disparities, luminance, options.p1, options.p2, options.p2_contrast)
+    disparity, margin = winner_takes_all(total, disparities, is_complete=is_complete)
+    return DisparityMap(disparity, (margin > options.min_margin) & pair.first_usable), cost
+
+
+def match_all_disparities(
+    pair: RectifiedPair, grid: EpipolarGrid, options: MatchingOptions
+) -> tuple[DisparityMap, Bool[np.ndarray, "height width"]]:
+    """Semi-global matching over all possible disparities, and where the match is unique."""
+    lowest = least_disparity(grid, options)
+    disparities = _possible_disparities(lowest, options)
+    matches, cost = match_disparities(pair, disparities, options, is_complete=True)
+    is_at_bound = (lowest > 0) & (matches.disparity <= lowest + BOUND_SLACK_ROWS)
+    is_unique = uniqueness_margin(cost, disparities, matches.disparity) > options.min_uniqueness
+    return replace(matches, valid=matches.valid & ~is_at_bound), is_unique
+
+
+def least_disparity(grid: EpipolarGrid, options: MatchingOptions) -> Float[np.ndarray, "height width"]:
+    """Disparity of ground that lies ``max_camera_height`` below the camera; 0 at and above the horizon."""
+    sin_depression = np.maximum(-grid.sin_elevation - HORIZON_SINE, 0.0)
+    return grid.disparity(sin_depression / options.max_camera_height)
+
+
+def _possible_disparities(lowest: np.ndarray, options: MatchingOptions) -> DisparityRange:
+    """From the least disparity of every pixel to the largest parallax, and at most a little beyond the epipole."""
+    height = lowest.shape[0]
+    largest = max(1, math.ceil(options.max_parallax / math.pi * height) - 1)
+    to_epipole = np.arange(height - 1 + ROWS_BEYOND_EPIPOLE, ROWS_BEYOND_EPIPOLE - 1, -1)
+    highest = np.minimum(largest, to_epipole)[:, None]
+    begin = np.clip(np.ceil(lowest), 0, highest).astype(np.int32)
+    return DisparityRange.between(begin, np.broadcast_to(highest, lowest.shape).astype(np.int32))
+
+
+def left_right_check(
+    maps: tuple[DisparityMap, DisparityMap], far_rows: float, near_rows: float | None = None
+) -> tuple[DisparityMap, DisparityMap]:
+    """Both maps with only those disparities valid that the other direction confirms.
+
+    Args:
+        maps: of both directions, each in the frame of its own direction.
+        far_rows: rows by which they may differ.
+        near_rows: rows by which they may differ where disparities are large; None makes no difference.
+    """
+    tolerance = LeftRightTolerance(far_rows, near_rows or far_rows, NEAR_TOLERANCE_SHARE)
+    first, second = (
+        replace(own, valid=own.valid & _is_left_right_consistent(own.disparity, other.disparity, tolerance))
+        for own, other in (maps, maps[::-1])
+    )
+    return first, second
+
+
+def _is_left_right_consistent(
+    disparity: np.ndarray, other: np.ndarray, tolerance: LeftRightTolerance
+) -> Bool[np.ndarray, "height width"]:
+    """Whether the other direction points back to (nearly) the same pixel.
+
+    A match lies between two rows of the other map. Near surfaces are foreshortened in one of the images, where the
+    disparity changes a lot from row to row. So the other map is interpolated, unless an edge lies between the rows.
+    """
+    out = np.empty(disparity.shape, np.bool_)
+    exchanged = exchanged_in_epipole_frame(other)
+    run_bands(partial(_check_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
+    return out
+
+
+@fast_kernel()
+def _check_rows(disparity, other, tolerance, max_step, out, begin, end):  # type: ignore[no-untyped-def]
+    height, width = disparity.shape
+    for row in range(begin, end):
+        for col in range(width):
+            value = disparity[row, col]
+            target = row + value
+            above = min(max(math.floor(target), 0), height - 2)
+            share = min(max(target - above, 0.0), 1.0)
+            upper, lower = other[above, col], other[above + 1, col]
+            found = upper if share < 0.5 else lower
+            if abs(lower - upper) <= max_step:
+                found = upper + share * (lower - upper)
+            allowed = min(max(tolerance.share * value, tolerance.far), tolerance.near)
+            out[row, col] = target <= height - 1 and abs(found - value) <= allowed
+
+
+def is_measurable(grid: EpipolarGrid, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:
+    """Not next to an epipole, and no claim of infinity in the wider surroundings of one."""
+    is_infinity_known = grid.is_away_from_epipoles(NO_INFINITY_ANGLE_DEG)
+    return np.asarray(grid.is_away_from_epipoles(BLIND_ANGLE_DEG) & ((disparity >= 1.0) | is_infinity_known))

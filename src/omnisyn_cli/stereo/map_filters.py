@@ -1,0 +1,170 @@
+"""Filters of depth maps: speckles removed, the median, and upsampling guided by the image."""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int64
+
+from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
+
+SPECKLE_LEVELS_PER_STEP, SPECKLE_ZERO_LEVEL, SPECKLE_MAX_LEVEL, SPECKLE_UNKNOWN = 16, 16000, 32000, -1000
+"""Inverse depths as the whole numbers of 16 bits that OpenCV's speckle filter takes: sixteen per relative step."""
+
+SPECKLE_REACH = 64
+"""Columns from over the seam that the speckle filter sees: an island of so few pixels is hardly wider."""
+
+MEDIAN_WINDOW = 5
+"""Side in pixels of the squares that medians are taken of: the largest that OpenCV knows for floats."""
+
+UPSAMPLE_RADIUS = 3
+"""Low pixels of the border; windows are 2 · 3 − 1 = 5 low pixels wide."""
+
+UPSAMPLE_SPATIAL_DECAY = np.float32(1.0 / 4.5)
+"""1 / (2 σ²) of the spatial weights in :func:`joint_upsample`: σ is one and a half low pixels."""
+
+UPSAMPLE_COLOUR_DECAY = np.float32(12.0)
+"""Decay of the weights per colour difference, summed over the channels; chosen by eye."""
+
+SMOOTH_RATIO = np.float32(1.1)
+"""Ratio of the greatest to the least inverse depth in a window up to which it shows one smooth surface."""
+
+SURFACE_TOLERANCE = np.float32(0.1)
+"""Relative difference to the median up to which a value belongs to the same surface."""
+
+BISECTION_STEPS = 12
+"""Of the weighted median: its error is 1/4096 of the range in the window."""
+
+
+def remove_speckles(
+    inverse_depth: Float[np.ndarray, "height width"],
+    valid: Bool[np.ndarray, "height width"],
+    min_pixels: int,
+    max_step: float,
+) -> Bool[np.ndarray, "height width"]:
+    """``valid`` without islands of fewer than ``min_pixels`` whose inverse depth differs from all around.
+
+    Args:
+        inverse_depth: any unit.
+        valid: what to keep.
+        min_pixels: least size of an island.
+        max_step: relative difference between neighbours of one surface.
+    """
+    logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + max_step)
+    steps = logarithm * float(SPECKLE_LEVELS_PER_STEP) + float(SPECKLE_ZERO_LEVEL)
+    levels = np.where(valid, np.clip(steps, 0, SPECKLE_MAX_LEVEL), SPECKLE_UNKNOWN).astype(np.int16)
+
+    def without_speckles(wide: np.ndarray) -> np.ndarray:
+        return np.asarray(cv2.filterSpeckles(wide, SPECKLE_UNKNOWN, min_pixels, SPECKLE_LEVELS_PER_STEP)[0])
+
+    kept = filter_across_seam(without_speckles, levels, min(SPECKLE_REACH, levels.shape[1]))
+    return np.asarray(valid & (kept != SPECKLE_UNKNOWN))
+
+
+def median_filter(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
+    """The median of the square around each pixel, across the seam; at the poles the last rows are repeated."""
+    return filter_across_seam(partial(cv2.medianBlur, ksize=MEDIAN_WINDOW), values, MEDIAN_WINDOW // 2)
+
+
+class WindowTable(NamedTuple):
+    """Along one axis, the window of low pixels around each pixel.
+
+    Attributes:
+        first: index of the first low pixel in the window, counted from the border.
+        weight: spatial weights of the window's low pixels.
+    """
+
+    first: Int64[np.ndarray, " count"]
+    weight: Float32[np.ndarray, "count window"]
+
+    @staticmethod
+    def of(count: int, low_count: int) -> "WindowTable":
+        """For ``count`` pixels that cover the same as ``low_count`` low ones."""
+        center = ((np.arange(count) + 0.5) * (low_count / count) - 0.5 + UPSAMPLE_RADIUS).astype(np.float32)
+        first = np.floor(center + np.float32(0.5)).astype(np.int64) - UPSAMPLE_RADIUS + 1
+        offset = first[:, None] + np.arange(2 * UPSAMPLE_RADIUS - 1) - center[:, None]
+        return WindowTable(first, np.exp(-UPSAMPLE_SPATIAL_DECAY * offset * offset).astype(np.float32))
+
+
+def joint_upsample(
+    inverse_depth: Float[np.ndarray, "low_height low_width"],
+    low_guide: Float[np.ndarray, "low_height low_width 3"],
+    guide: Float[np.ndarray, "height width 3"],
+) -> Float[np.ndarray, "height width"]:
+    """The map at the size of ``guide``, its discontinuities moved to the edges of the image.
+
+    Every pixel takes the weighted median of the low pixels around it, where those of its own colour weigh most. The
+    result is the mean of the values near that median, so that planes stay smooth.
+
+    Source: Kopf et al., Joint bilateral upsampling, 2007, with a median instead of the mean.
+    """
+    (height, width), (low_height, low_width) = guide.shape[:2], inverse_depth.shape
+    out = np.empty((height, width), np.float32)
+    low, low_colours = (add_border(each, UPSAMPLE_RADIUS).astype(np.float32) for each in (inverse_depth, low_guide))
+    rows, cols = WindowTable.of(height, low_height), WindowTable.of(width, low_width)
+    run_bands(partial(_upsample_rows, low, low_colours, guide.astype(np.float32), rows, cols, out), height)
+    return out
+
+
+@fast_kernel()
+def _upsample_rows(low, low_guide, guide, rows, cols, out, begin, end):  # type: ignore[no-untyped-def]
+    side = rows.weight.shape[1]
+    value, weight = np.empty(side * side, np.float32), np.empty(side * side, np.float32)
+    for row in range(begin, end):
+        r0, row_weight = rows.first[row], rows.weight[row]
+        for col in range(out.shape[1]):
+            c0, col_weight = cols.first[col], cols.weight[col]
+            least, greatest = np.float32(np.inf), np.float32(-np.inf)
+            for i in range(side):
+                for j in range(side):
+                    found = low[r0 + i, c0 + j]
+                    weight[side * i + j], value[side * i + j] = row_weight[i] * col_weight[j], found
+                    least, greatest = min(least, found), max(greatest, found)
+            if greatest > SMOOTH_RATIO * least:  # colours matter only where there is an edge
+                for k in range(side * side):
+                    difference = np.float32(0.0)
+                    for i in range(3):
+                        difference += abs(low_guide[r0 + k // side, c0 + k % side, i] - guide[row, col, i])
+                    weight[k] *= np.exp(-UPSAMPLE_COLOUR_DECAY * difference)
+            out[row, col] = _mean_near_median(value, weight, _weighted_median(value, weight, least, greatest))
+
+
+@inlined()
+def _weighted_median(value, weight, least, greatest):  # type: ignore[no-untyped-def]
+    """By bisection between the least and the greatest value; on a smooth surface any value will do."""
+    low, high = least, greatest
+    if high <= SMOOTH_RATIO * low:
+        return high
+    half = np.float32(0.0)
+    for k in range(value.shape[0]):
+        half += np.float32(0.5) * weight[k]
+    for _ in range(BISECTION_STEPS):
+        middle = np.float32(0.5) * (low + high)
+        below = np.float32(0.0)
+        for k in range(value.shape[0]):
+            if value[k] <= middle:
+                below += weight[k]
+        if below >= half:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@inlined()
+def _mean_near_median(value, weight, median):  # type: ignore[no-untyped-def]
+    """The weighted mean of the values on the surface of the median; the nearest value if there are none."""
+    total, mean = np.float32(0.0), np.float32(0.0)
+    nearest, gap = value[0], np.float32(np.inf)
+    for k in range(value.shape[0]):
+        distance = abs(value[k] - median)
+        if distance < gap:
+            nearest, gap = value[k], distance
+        if distance <= SURFACE_TOLERANCE * median:
+            total += weight[k]
+            mean += weight[k] * value[k]
+    return mean / total if total > 0 else nearest

@@ -1,0 +1,61 @@
+"""The sky: infinitely far, found by its parallax and not by its colour."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from omnisyn_cli.geometry.regions import connected_regions
+
+MAX_SKY_INVERSE_DEPTH = 0.02
+"""In 1/baselines: a matching resolution of a few hundred rows cannot tell this from 0."""
+
+MIN_TEXTURED_SHARE = 0.05
+"""Share of the sky where texture must have shown that there is no parallax; chosen by eye."""
+
+MIN_SKY_SHARE = 0.01
+"""Share of the sphere: a smaller region is no sky; chosen by eye."""
+
+MAX_GAP_SHARE = 0.003
+"""Share of the sphere: smaller gaps in the sky are closed; chosen by eye."""
+
+ZENITH_SINE = 0.9
+"""Sine of the elevation (64°) above which a region reaches the zenith."""
+
+
+def find_sky(
+    inverse_depth: Float[np.ndarray, "height width"],
+    valid: Bool[np.ndarray, "height width"],
+    sin_elevation: Float[np.ndarray, "height width"],
+    solid_angle: Float[np.ndarray, "height width"],
+) -> Bool[np.ndarray, "height width"]:
+    """Where the panorama shows the sky.
+
+    A bright wall, an overexposed ceiling or a lamp is as smooth as a cloudless sky. The sky reaches the zenith, and
+    wherever it has texture (clouds, a gradient, the rims of what stands before it) that texture has no parallax.
+
+    Args:
+        inverse_depth: in 1/baselines.
+        valid: where matching measured it.
+        sin_elevation: sine of the elevation above the horizon.
+        solid_angle: of every pixel.
+    """
+    is_above = sin_elevation > 0.0
+    is_far = (inverse_depth < MAX_SKY_INVERSE_DEPTH) & is_above
+    region = _regions_at_zenith(is_far, sin_elevation)
+    area, textured_area = (solid_angle * region).sum(), (solid_angle * (region & valid)).sum()
+    if area < MIN_SKY_SHARE * solid_angle.sum() or textured_area < MIN_TEXTURED_SHARE * area:
+        return np.zeros_like(is_far)
+    return np.asarray(region | _small_regions(~region & is_above, solid_angle))
+
+
+def _regions_at_zenith(mask: np.ndarray, sin_elevation: np.ndarray) -> np.ndarray:
+    labels = connected_regions(mask, is_diagonal=False)
+    reaching = np.unique(labels[(sin_elevation > ZENITH_SINE) & mask])
+    return np.asarray(np.isin(labels, reaching[reaching > 0]))
+
+
+def _small_regions(mask: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
+    labels = connected_regions(mask, is_diagonal=False)
+    area = np.bincount(labels.ravel(), solid_angle.ravel())
+    is_small = area < MAX_GAP_SHARE * solid_angle.sum()
+    is_small[0] = False
+    return np.asarray(is_small[labels])

@@ -1,0 +1,118 @@
+"""What stereo knows about a panorama, and how the completion network is told.
+
+Everything is dimensionless: distances count in baselines. Inverse depth enters the network as its square root, because
+even steps of that are nearly even steps of parallax.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.sweep import reproject_to_second
+
+__all__ = [
+    "MAX_SQRT_INV_DEPTH",
+    "CompletionModel",
+    "InvDepthWithConfidence",
+    "StereoFeatures",
+    "completion_channels",
+    "sqrt_inv_depth",
+]
+
+InvDepthWithConfidence = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
+"""Inverse depth in 1/baselines, and confidence in [0, 1]."""
+
+MAX_SQRT_INV_DEPTH = 2.0
+"""Square roots of inverse depth are clipped here: a quarter of a baseline away."""
+
+COMPLETION_CHANNEL_COUNT = 19
+"""Channels of :func:`completion_channels`."""
+
+
+class CompletionModel(Protocol):
+    """A trained completion network, however it is run."""
+
+    def __call__(self, channels: Float32[np.ndarray, "channels height width"]) -> InvDepthWithConfidence:
+        """Inverse depth × baseline, and the probability that it is within 10 %."""
+        ...
+
+
+@dataclass(frozen=True)
+class StereoFeatures:
+    """One panorama of a pair as stereo sees it, in the frame of its own camera; inverse depths in 1/baselines.
+
+    Attributes:
+        image: ``(height, width, 3)`` RGB in [0, 1].
+        matched: ``(height, width)`` inverse depth of the best match of every pixel, right or wrong.
+        left_right_consistent: ``(height, width)`` where both directions found the same.
+        sky: ``(height, width)`` infinitely far.
+        filled: ``(height, width)`` valid inverse depth, with planes extrapolated into the rest.
+        usable: ``(height, width)`` False where a mask forbids the image.
+        second_from_first: takes points of this camera's frame to the other one's, in baselines.
+        up: ``(3,)`` the world's up in this camera's frame.
+    """
+
+    image: Float32[np.ndarray, "height width 3"]
+    matched: Float[np.ndarray, "height width"]
+    left_right_consistent: Bool[np.ndarray, "height width"]
+    sky: Bool[np.ndarray, "height width"]
+    filled: Float[np.ndarray, "height width"]
+    usable: Bool[np.ndarray, "height width"]
+    second_from_first: Pose
+    up: Float[np.ndarray, " 3"]
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "height width"]:
+        """Where stereo measured the depth: left-right consistent matches, and the sky."""
+        return np.asarray(self.left_right_consistent | self.sky)
+
+
+def completion_channels(
+    features: StereoFeatures, other: StereoFeatures
+) -> Float32[np.ndarray, "channels height width"]:
+    """The input of a completion network for one panorama, given the features of both.
+
+    In order, with √ for the square root of inverse depth:
+
+    * 0 to 2: the image;
+    * 3, 4: √ of the filled and of the matched map;
+    * 5 to 7: left-right consistent, sky, usable;
+    * 8 to 10: the other image, warped by the filled map; 11 to 13: the same by the matched map;
+    * 14: how much farther (√) the other panorama's own map is there than the filled map expects; 15: whether it is
+      valid there;
+    * 16: cosine of the angle to the other camera; 17: sine of the elevation;
+    * 18: √ of the matched map where it is left-right consistent.
+    """
+    directions = pixel_directions(*features.filled.shape)
+    motion = features.second_from_first
+    moved, expected = reproject_to_second(directions, features.filled, motion)
+    moved_by_match, _ = reproject_to_second(directions, features.matched, motion)
+    at_filled, at_matched = (Lookup.along(each, other.filled.shape) for each in (moved, moved_by_match))
+    towards_other = motion.inverse().position
+    matched = sqrt_inv_depth(features.matched)
+    channels = [
+        *np.moveaxis(features.image, -1, 0),
+        sqrt_inv_depth(features.filled),
+        matched,
+        features.left_right_consistent,
+        features.sky,
+        features.usable,
+        *np.moveaxis(at_filled.bilinear(other.image), -1, 0),
+        *np.moveaxis(at_matched.bilinear(other.image), -1, 0),
+        sqrt_inv_depth(expected) - sqrt_inv_depth(at_filled.nearest(other.filled)),
+        at_filled.nearest(other.valid),
+        directions @ (towards_other / np.linalg.norm(towards_other)),
+        directions @ features.up,
+        matched * features.left_right_consistent,
+    ]
+    return np.stack(channels).astype(np.float32)
+
+
+def sqrt_inv_depth(inverse_depth: Float[np.ndarray, "height width"]) -> Float[np.ndarray, "height width"]:
+    """The square root of inverse depth in 1/baselines, clipped: what networks are shown and answer with."""
+    return np.asarray(np.sqrt(np.clip(inverse_depth, 0.0, MAX_SQRT_INV_DEPTH**2)))

@@ -1,0 +1,167 @@
+"""Which surface every pixel lies on: one of the large planes, infinity, or the semi-global match.
+
+Planes carry depth over untextured areas, and their windows slant as the plane does. Only so do floors under the camera
+match at all.
+
+Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-based rendering, 2009.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from omnisyn_cli.geometry.sampling import filter_across_seam
+from omnisyn_cli.stereo.costs import census_transform, luminance_of, surface_cost
+from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_disparity
+from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
+from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, EpipolarGrid, RectifiedPair
+from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
+
+BEHIND_CAMERA = np.float32(-1.0)
+"""Disparity of a surface that a pixel cannot show."""
+
+SUPPORT_SIGMAS_PER_HEIGHT = 24.0
+"""The support of a plane is spread by a Gaussian of 1/24 of the height (7.5°); chosen by eye."""
+
+FULL_SUPPORT_DENSITY = 0.05
+"""Share of supporting points around a pixel from which support counts fully; chosen by eye."""
+
+SKY_EPIPOLE_SINE = 0.35
+"""Sine of the angle to an epipole (20°) from which on static texture means that it is far."""
+
+MIN_STATIC_SHARE = 0.02
+"""Share of the upper half that must be static texture for the sky to be open; chosen by eye."""
+
+LEVEL_COSINE = 0.97
+"""Cosine of the tilt (14°) up to which a plane counts as floor or ceiling; chosen by eye."""
+
+MIN_LEVEL_INVERSE_DISTANCE = 0.03
+"""In 1/baselines: floors and ceilings farther away bound nothing; chosen by eye."""
+
+LEVEL_SLACK_SHARE, LEVEL_SLACK_ROWS = 0.85, 1.0
+"""A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row."""
+
+
+def label_surfaces(
+    pair: RectifiedPair,
+    grid: EpipolarGrid,
+    matches: DisparityMap,
+    is_unique: Bool[np.ndarray, "height width"],
+    options: MatchingOptions,
+) -> DisparityMap:
+    """The surface that explains each pixel best, given left-right consistent matches.
+
+    A plane is valid also where there is no texture; a match is not. Only unique matches propose planes.
+    """
+    planes, support = _fit_planes(grid, replace(matches, valid=matches.valid & is_unique), options)
+    is_static = _static_texture(grid, matches)
+    is_sky_open = bool(is_static.sum() > MIN_STATIC_SHARE * _shows_infinity(grid).sum())
+    if is_sky_open:
+        support = np.concatenate([support, _support_around(is_static)[..., None]], axis=-1)
+    candidates = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
+    cost = _candidate_costs(pair, candidates, options)
+    is_beyond = candidates < _room_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
+    cost += options.beyond_room_bias * is_beyond
+    cost[..., 0] += np.where(matches.valid, options.valid_match_bias, options.invalid_match_bias)
+    cost[..., 1:] += options.unsupported_bias * (1.0 - support)
+    label = _select_labels(cost, luminance_of(pair.first), candidates < 0, options)
+    disparity = np.take_along_axis(candidates, label[..., None], axis=-1)[..., 0]
+    return DisparityMap(disparity, pair.first_usable & ((label > 0) | matches.valid))
+
+
+def _select_labels(
+    cost: np.ndarray, luminance: np.ndarray, is_impossible: np.ndarray, options: MatchingOptions
+) -> np.ndarray:
+    """The index of the best candidate of each pixel: semi-global matching over labels, which have no order."""
+    labels = DisparityRange.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
+    penalty = options.label_penalty
+    total = aggregate_costs(
+        to_fixed_point(cost).ravel(), labels, luminance, penalty, penalty, options.label_contrast
+    ).reshape(cost.shape)
+    total[is_impossible] = IMPOSSIBLE_COST
+    return np.asarray(total.argmin(axis=-1))
+
+
+def _candidate_disparities(
+    grid: EpipolarGrid, matches: DisparityMap, planes: np.ndarray, options: MatchingOptions, *, is_sky_open: bool
+) -> Float32[np.ndarray, "height width candidates"]:
+    """Disparities of the matches, of the planes, and of infinity if the sky is open."""
+    lowest = least_disparity(grid, options)
+    candidates = [matches.disparity]
+    for normal in planes:
+        disparity = grid.disparity(grid.directions @ normal)
+        candidates.append(np.where(disparity < lowest, BEHIND_CAMERA, disparity))
+    if is_sky_open:
+        candidates.append(np.where(grid.sin_elevation > 0, 0.0, BEHIND_CAMERA).astype(np.float32))
+    return np.stack(candidates, axis=-1)
+
+
+def _candidate_costs(pair: RectifiedPair, candidates: np.ndarray, options: MatchingOptions) -> np.ndarray:
+    signature = census_transform(luminance_of(pair.first))
+    costs = [
+        surface_cost(
+            pair.first, signature, pair.second, pair.second_usable, np.ascontiguousarray(disparity),
+            options.colour_weight, options.colour_truncation,
+        )
+        for disparity in np.moveaxis(candidates, -1, 0)
+    ]  # fmt: skip
+    return np.stack(costs, axis=-1)
+
+
+def _fit_planes(
+    grid: EpipolarGrid, matches: DisparityMap, options: MatchingOptions
+) -> tuple[Float[np.ndarray, "planes 3"], Float32[np.ndarray, "height width planes"]]:
+    """Normals of the planes, and how much support each has from its points around every pixel."""
+    inverse_depth = grid.inverse_depth(matches.disparity)
+    usable = matches.valid & (inverse_depth < MAX_INVERSE_DEPTH)
+    tolerance = grid.inverse_depth_per_row(matches.disparity)  # an inlier is off by at most one row
+    solid_angle = np.broadcast_to(np.sin(grid.polar_angle), usable.shape)
+    points = PlanePoints(grid.directions[usable], inverse_depth[usable], tolerance[usable])
+    planes = find_planes(
+        points, solid_angle[usable], np.nonzero(usable), grid.up,
+        max_planes=options.max_planes, min_support=options.min_plane_support,
+    )  # fmt: skip
+    support = np.empty((*usable.shape, len(planes)), np.float32)
+    for k, normal in enumerate(planes):
+        support[..., k] = _support_around(usable & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
+    return planes, support
+
+
+def _support_around(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
+    """1 among pixels of a mask, falling to 0 some 10° away."""
+    height, width = mask.shape
+    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=height / SUPPORT_SIGMAS_PER_HEIGHT)
+    density = filter_across_seam(blur, mask.astype(np.float32), max(1, width // 8))
+    return np.asarray(np.minimum(density / FULL_SUPPORT_DENSITY, 1.0))
+
+
+def _shows_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
+    """Above the horizon and away from the epipoles: no parallax means infinity there."""
+    return np.asarray((grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > SKY_EPIPOLE_SINE))
+
+
+def _static_texture(grid: EpipolarGrid, matches: DisparityMap) -> Bool[np.ndarray, "height width"]:
+    """Texture above the horizon that has no parallax: clouds, or what stands at the horizon."""
+    return np.asarray(matches.valid & _shows_infinity(grid) & (matches.disparity < 1.0))
+
+
+def _room_bound(grid: EpipolarGrid, planes: np.ndarray, *, is_sky_open: bool) -> Float32[np.ndarray, "height width"]:
+    """Disparity below which a pixel is clearly farther than the floor or, unless the sky is open, the ceiling.
+
+    Floor and ceiling are the best supported level planes below and above the camera.
+    """
+    bound = np.full(grid.directions.shape[:2], BEHIND_CAMERA, np.float32)
+    for side in (-1.0,) if is_sky_open else (-1.0, 1.0):
+        for normal in planes:  # the best supported one first
+            inverse_distance = float(np.linalg.norm(normal))
+            is_level = side * (normal @ grid.up) > LEVEL_COSINE * inverse_distance
+            if is_level and inverse_distance > MIN_LEVEL_INVERSE_DISTANCE:
+                lowered = grid.disparity(LEVEL_SLACK_SHARE * (grid.directions @ normal)) - LEVEL_SLACK_ROWS
+                bound = np.maximum(bound, lowered)
+                break
+    return bound
