@@ -16,15 +16,16 @@ from hall_samples import damage, hall_pair, run, write_halls
 
 from omnisyn_cli.compute.jit import kernel, when_compiling
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import bench, bench_run
-from omnisyn_cli.evaluation.bench import BenchJob, make_scenes, plan_bench, run_bench
+from omnisyn_cli.evaluation import bench_run
+from omnisyn_cli.evaluation import bench_settings
+from omnisyn_cli.evaluation.bench_settings import BenchJob, make_scenes, plan_bench, run_bench
 from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.methods import find_method
-from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.pipeline.methods import OMNISYN
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, SCALE
 from omnisyn_cli.types import KnownDepth
@@ -107,15 +108,15 @@ def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(
 
 
 def test_what_is_measured_is_what_users_may_choose() -> None:
-    chosen = [find_method(name).recipe for name in bench.CHOICES]
+    chosen = [find_method(name).recipe for name in bench_settings.CHOICES]
     assert {recipe.method for recipe in chosen} == {"crossfade", "flow", OMNISYN}
     assert {preset.recipe for preset in SCALE.values()} <= set(chosen)
     usual = SCALE[DEFAULT_PRESET].recipe
     for aspect in ("renderer", "fusion", "edges"):
         assert any(getattr(recipe, aspect) != getattr(usual, aspect) for recipe in chosen), aspect
-    assert len(bench.GENERATED) >= 12
-    assert len({kind for kind, _, _ in bench.GENERATED}) == 5
-    assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench.GENERATED)
+    assert len(bench_settings.GENERATED) >= 12
+    assert len({kind for kind, _, _ in bench_settings.GENERATED}) == 5
+    assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench_settings.GENERATED)
 
 
 def test_what_is_measured_is_not_measured_again_and_failures_are(
@@ -132,7 +133,7 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(
     monkeypatch.setattr(bench, "_in_child", pretend)
     plan = plan_bench(job(tmp_path, methods=f"{FAST},matching"))
     first = run_bench(plan)
-    with (tmp_path / "report" / "bench.jsonl").open("a") as file:
+    with (tmp_path / "report" / "bench_settings.jsonl").open("a") as file:
         file.write('{"setting": {"pre')  # an interruption in the middle of a line
     assert run_bench(plan) == first
     assert [setting.method for setting in asked] == [FAST, "matching", "matching"]
@@ -145,10 +146,10 @@ def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path: Path)
     pair = hall_pair(tmp_path / "data")
     damage(tmp_path / "data" / "hall" / "p0.png")
     setting = Setting(FAST, (64, 128), 1)
-    failed = bench._in_child(BenchRun(setting, (pair,), 1, key="key"))
+    failed = bench_settings._in_child(BenchRun(setting, (pair,), 1, key="key"))
     assert (failed.status, failed.key) == ("failed", "key")
     assert "first.png" in failed.reason
-    died = bench._in_child(BenchRun(setting, (Deadly(),), 1))  # type: ignore[arg-type]
+    died = bench_settings._in_child(BenchRun(setting, (Deadly(),), 1))  # type: ignore[arg-type]
     assert (died.status, died.reason) == ("failed", "the process ended with exit code 3")
 
 
@@ -164,7 +165,7 @@ class Compiling:
 def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
     said: list[str] = []
     with when_compiling(lambda: said.append("compiling")):
-        failed = bench._in_child(BenchRun(Setting(FAST, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
+        failed = bench_settings._in_child(BenchRun(Setting(FAST, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
     assert (failed.status, failed.reason) == ("failed", "InputError: no panorama")
     assert said == ["compiling"]
 
@@ -180,10 +181,10 @@ def test_a_process_that_compiled_ends_before_it_measures(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(bench, "measure_setting", measure)
     monkeypatch.setattr(bench, "end_with_parent", lambda: None)
-    monkeypatch.setattr(bench.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(bench_settings.signal, "signal", lambda *_: None)
     for frames, is_patient in ((1, False), (2, False), (2, True)):
         setting = Setting(FAST, (64, 128), 1)
-        bench._serve(SimpleNamespace(send=sent.append), BenchRun(setting, (), frames), tmp_path, is_patient)  # type: ignore[arg-type]
+        bench_settings._serve(SimpleNamespace(send=sent.append), BenchRun(setting, (), frames), tmp_path, is_patient)  # type: ignore[arg-type]
     assert sent == ["figures", "compiling", None, "compiling", "figures"]
 
 
@@ -193,7 +194,7 @@ def test_a_setting_that_had_to_compile_is_measured_again(has_compiled: bool, mon
     first, second = (figures_of(Setting(FAST, (64, 128), threads)) for threads in (1, 2))
     answers = [None, second] if has_compiled else [first]
     monkeypatch.setattr(bench, "_measured_once", lambda run, is_patient=False: answers.pop(0))
-    assert bench._in_child(BenchRun(first.setting, (), 1)) is (second if has_compiled else first)
+    assert bench_settings._in_child(BenchRun(first.setting, (), 1)) is (second if has_compiled else first)
 
 
 class Deadly:
@@ -235,7 +236,7 @@ def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended
 def test_scenes_are_made_once(tmp_path: Path) -> None:
     make_scenes(tmp_path / "scenes", (16, 32))
     pairs = [pair for source in find_scenes(tmp_path / "scenes") for pair in choose_pairs(None)(source.read())]
-    assert sorted(pair.scene for pair in pairs) == sorted(f"{k}-{s}-{b:g}m" for k, s, b in bench.GENERATED)
+    assert sorted(pair.scene for pair in pairs) == sorted(f"{k}-{s}-{b:g}m" for k, s, b in bench_settings.GENERATED)
     walked = [float(np.linalg.norm(pair.second.pose.position - pair.first.pose.position)) for pair in pairs]
     assert walked == pytest.approx([float(pair.scene.split("-")[2][:-1]) for pair in pairs])
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}
@@ -262,10 +263,10 @@ def test_the_report_names_failures_and_draws_what_is_rated(tmp_path: Path) -> No
     good, bad = (Setting(method, (64, 128), 1) for method in (FAST, "matching"))
     measured = [figures_of(good), Figures(bad, "failed", "<no memory>")]
     write_bench_report(tmp_path, measured)
-    page = (tmp_path / "bench.html").read_text()
+    page = (tmp_path / "bench_settings.html").read_text()
     assert "&lt;no memory&gt;" in page
     assert good.name in page
-    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "bench_settings.png").read_bytes().startswith(b"\x89PNG")
     choice, stages = bench_tables(measured)
     assert [row.name for row in choice.rows] == [f"● {good.name}"]
     assert [row.reason for row in stages.rows] == ["", "<no memory>"]

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 from omnisyn_cli.cli.depth_table import depth_table as command
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import depth_table
-from omnisyn_cli.evaluation.depth_table import (
+from omnisyn_cli.evaluation import depth_benchmark
+from omnisyn_cli.evaluation.depth_benchmark import (
     FIRST_SEED,
     LEAST_SEED,
     DepthTableJob,
@@ -45,8 +45,8 @@ class Guess:
 @pytest.fixture
 def guesses(monkeypatch):
     guesses = {f"guess-{metres:.1f}": DepthSource("guess", metres) for metres in (3, 8)}
-    make = depth_table.make_estimator
-    monkeypatch.setattr(depth_table, "SOURCES", guesses | depth_table.SOURCES)
+    make = depth_benchmark.make_estimator
+    monkeypatch.setattr(depth_table, "SOURCES", guesses | depth_benchmark.SOURCES)
     monkeypatch.setattr(
         depth_table, "make_estimator", lambda source, **more: (
             Guess(source.rows) if source.kind == "guess" else make(source, **more)

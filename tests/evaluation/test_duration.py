@@ -12,9 +12,10 @@ import pytest
 
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import budget, duration
-from omnisyn_cli.evaluation.budget import choose_preset
-from omnisyn_cli.evaluation.duration import (
+from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
+from omnisyn_cli.interpolation.planning import budget, duration
+from omnisyn_cli.interpolation.planning.budget import choose_preset
+from omnisyn_cli.interpolation.planning.duration import (
     Duration,
     Run,
     Work,
@@ -24,8 +25,7 @@ from omnisyn_cli.evaluation.duration import (
     remembered_runs,
     work_of,
 )
-from omnisyn_cli.evaluation.pareto import Figures, Setting, gain
-from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation, with_preset
+from omnisyn_cli.interpolation.planning.figures import Figures, Setting, gain
 from omnisyn_cli.interpolation.summary import Summary
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.pipeline.presets import PRESETS, SCALE

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.pareto import (
+from omnisyn_cli.interpolation.planning.figures import (
     STANDARD_FRAMES,
     Figures,
     Setting,

@@ -196,13 +196,13 @@ def small_network(channels: int = 3) -> bytes:
 
 
 def _onnx() -> Target:
-    from omnisyn_cli.runtime.planes import SessionRefinement
+    from omnisyn_cli.runtime.image_networks import CompletionSession
     from omnisyn_cli.runtime.session import open_session
 
     planes = np.zeros((3, 32, 64), np.float32)
 
     def read(folder: Path) -> None:
-        inverse_depth, confidence = SessionRefinement(open_session(folder / "a.onnx", device="cpu", threads=1))(planes)
+        inverse_depth, confidence = CompletionSession(open_session(folder / "a.onnx", device="cpu", threads=1))(planes)
         assert np.isfinite(inverse_depth).all()
         assert ((confidence >= 0) & (confidence <= 1)).all()
 

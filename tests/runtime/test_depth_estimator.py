@@ -5,18 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import (
-    neighbourhood_agreement,
     epipole_frame,
     exchanged_in_epipole_frame,
     exchanged_in_forward_frame,
     forward_frame,
     free_space_agreement,
+    neighbourhood_agreement,
 )
-from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.types import View
 

@@ -20,6 +20,8 @@ from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
+__all__ = ["CrossFades", "FlowFades"]
+
 LEAST_HEIGHT = 32
 """Rows of the smallest pictures that optical flow is looked for in."""
 

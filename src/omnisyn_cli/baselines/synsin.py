@@ -25,6 +25,8 @@ from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
+__all__ = ["SynSin"]
+
 
 class SynSin:
     """Frames from the points of one or two panoramas; a :class:`~omnisyn_cli.synthesis.methods.Method`.

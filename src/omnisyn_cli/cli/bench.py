@@ -75,9 +75,9 @@ def bench(
     jumbles and yards, 1 to 6 metres from end to end. Seconds are of computing: those of all cores and of the encoder.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli import __version__
-    from omnisyn_cli.evaluation.bench import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
+    from omnisyn_cli.evaluation.bench_settings import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
     from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
-    from omnisyn_cli.evaluation.pareto import write_table
+    from omnisyn_cli.interpolation.planning.figures import write_table
     from omnisyn_cli.io import check_output
 
     if quick:

@@ -164,7 +164,7 @@ def interpolate(
     given = named(options, lambda: video_ending(options["codec"]))
     plan = plan_interpolation(InterpolationJob(nadir=math.radians(nadir), **given))
     if budget is not None:
-        from omnisyn_cli.evaluation.budget import apply_budget
+        from omnisyn_cli.interpolation.planning.budget import apply_budget
 
         plan = apply_budget(plan, budget)
     check_device(plan.recipe)
@@ -181,7 +181,7 @@ def interpolate(
     with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
         summary = run_interpolation(plan, on_frame)
     if not compiled:
-        from omnisyn_cli.evaluation.duration import remember_run
+        from omnisyn_cli.interpolation.planning.duration import remember_run
 
         remember_run(summary)
     if not quiet:
@@ -192,7 +192,7 @@ def interpolate(
 
 def _expected(plan: InterpolationPlan) -> dict[str, Any]:
     """What the job is expected to take, and how that is known."""
-    from omnisyn_cli.evaluation.duration import expected_duration
+    from omnisyn_cli.interpolation.planning.duration import expected_duration
 
     duration = expected_duration(plan)
     if duration is None:

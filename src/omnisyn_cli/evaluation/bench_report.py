@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from omnisyn_cli import __version__
-from omnisyn_cli.evaluation import pareto
-from omnisyn_cli.evaluation.bench import DEFAULT_METHOD, machine_in_words
-from omnisyn_cli.evaluation.pareto import Figures
+from omnisyn_cli.evaluation.bench_settings import DEFAULT_METHOD, machine_in_words
 from omnisyn_cli.evaluation.plots import pareto_plot
 from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, render_page
+from omnisyn_cli.interpolation.planning import figures
+from omnisyn_cli.interpolation.planning.figures import Figures
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 __all__ = ["bench_tables", "write_bench_report"]
@@ -57,17 +57,17 @@ def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
     usual = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
     columns = {
         WS_PSNR: _ws_psnr,
-        Column(f"against {usual.setting.method}, dB", 1): lambda f: pareto.gain(f, usual)[0],
-        Column("± dB", 0): lambda f: pareto.gain(f, usual)[1],
-        Column(f"{pareto.STANDARD_FRAMES} frames, s", -1, 1): pareto.standard_seconds,
-        Column("First frame, s", -1, 1): pareto.first_seconds,
-        Column("Each further frame, s", -1, 3): pareto.frame_seconds,
+        Column(f"against {usual.setting.method}, dB", 1): lambda f: figures.gain(f, usual)[0],
+        Column("± dB", 0): lambda f: figures.gain(f, usual)[1],
+        Column(f"{figures.STANDARD_FRAMES} frames, s", -1, 1): figures.standard_seconds,
+        Column("First frame, s", -1, 1): figures.first_seconds,
+        Column("Each further frame, s", -1, 3): figures.frame_seconds,
         MEMORY: _megabytes,
     }
-    front = pareto.pareto_front(measured)
+    front = figures.pareto_front(measured)
     rows = tuple(
         Row(f"{FRONT if f in front else OTHER} {f.setting.name}", tuple(Cell(of(f)) for of in columns.values()))
-        for f in sorted(measured, key=pareto.standard_seconds)
+        for f in sorted(measured, key=figures.standard_seconds)
     )
     note = (
         f"Mean of {len(usual.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
@@ -77,12 +77,12 @@ def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
 
 
 def _stage_table(measured: Sequence[Figures]) -> Table:
-    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in pareto.pair_stages(figures)))
-    stages = ("start", *of_pairs, *pareto.FRAME_STAGES)
-    columns = (*(Column(stage, -1, 3 if stage in pareto.FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
+    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in figures.pair_stages(figures)))
+    stages = ("start", *of_pairs, *figures.FRAME_STAGES)
+    columns = (*(Column(stage, -1, 3 if stage in figures.FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
     rows = tuple(_stage_row(figures, stages) for figures in measured)
     note = (
-        f"Seconds of computing: start once, {', '.join(of_pairs)} for each pair, {', '.join(pareto.FRAME_STAGES)} for "
+        f"Seconds of computing: start once, {', '.join(of_pairs)} for each pair, {', '.join(figures.FRAME_STAGES)} for "
         "each frame; encode is the encoder's work and all that is in no other stage. Memory is the peak of the program "
         "without the encoder."
     )

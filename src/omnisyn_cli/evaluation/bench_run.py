@@ -19,14 +19,14 @@ from statistics import fmean
 import numpy as np
 
 from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
-from omnisyn_cli.evaluation.duration import probe
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.evaluation.pareto import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.evaluation.views import load_pair
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
+from omnisyn_cli.interpolation.planning.duration import probe
+from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, Setting
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.pipeline.depth_sources import make_estimator

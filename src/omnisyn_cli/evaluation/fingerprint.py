@@ -60,11 +60,7 @@ class Fingerprints:
         return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
 
     def of_file(self, path: Path) -> str:
-        """Hexadecimal digest of a file's content.
-
-        Raises:
-            ImageError: it is missing or cannot be read.
-        """
+        """Hexadecimal digest of a file's content; ImageError: it is missing or cannot be read."""
         if path not in self._files:
             try:
                 self._files[path] = sha256_of(path)

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from omnisyn_cli.evaluation.grouping import distance_band, finished, frames_of, ranked_methods, stages_of, time_band
 from omnisyn_cli.evaluation.metrics import merged_reliability
-from omnisyn_cli.evaluation.pareto import STANDARD_FRAMES, Figures, gain, pareto_front, quality, standard_seconds
 from omnisyn_cli.evaluation.results import UnitRecord, mean
+from omnisyn_cli.interpolation.planning.figures import (
+    STANDARD_FRAMES,
+    Figures,
+    gain,
+    pareto_front,
+    quality,
+    standard_seconds,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -65,7 +65,7 @@ class DepthRecord:
         weighted: the same, pixels weighted by solid angle.
         pictures: ``depth`` and ``truth`` -> file in the Turbo colours, relative to the folder of the report.
         doubt: ``unsure_area``, ``within_5_unsure``, ``within_5_sure``, ``rank_correlation``, ``calibration_error``, see
-            :mod:`omnisyn_cli.evaluation.metrics.doubt`; some are missing where nothing was matched or doubted.
+            :mod:`omnisyn_cli.evaluation.metrics.confidence`; some are missing where nothing was matched or doubted.
         reliability: ``area``, ``confidence``, ``within_5``, ``within_10`` -> middle of a bin of confidence -> number.
     """
 
@@ -173,8 +173,7 @@ def append_record(folder: Path, record: UnitRecord) -> None:
 def read_records(folder: Path) -> list[UnitRecord]:
     """All complete lines of ``folder/results.jsonl``, in their order; none where there is no such file.
 
-    Raises:
-        InputError: the file cannot be read, or a line but the last is not a record.
+    InputError: the file cannot be read, or a line but the last is not a record.
     """
     path = folder / RESULTS_NAME
     lines = complete_lines(path)

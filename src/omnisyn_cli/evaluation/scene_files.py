@@ -10,8 +10,8 @@ from omnisyn_cli.poses.file import POSES_NAME, PosedPanorama, write_poses
 from omnisyn_cli.scenes import Scene, generate_scene
 from omnisyn_cli.scenes.suite import (
     FRAMES_PER_WALK,
-    SUITE_SEEDS,
     STANDARD_KINDS,
+    SUITE_SEEDS,
     WIDE_SEEDS,
     SuiteScene,
     suite_walks,

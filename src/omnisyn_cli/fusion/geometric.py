@@ -1,48 +1,40 @@
-"""Fusion without a network: a soft choice per pixel, then the holes are filled from their far side.
+"""Geometric fusion: blending by rules, without a network; then holes are filled and edges supersampled.
 
-How much a view counts for a pixel is said in :mod:`omnisyn_cli.fusion.blend_rule`. Things that moved between the photographs
-are shown by one of the views alone (:mod:`omnisyn_cli.fusion.ghosts`).
+The blend weights are in :mod:`omnisyn_cli.fusion.blend_rule`. Things that moved between the photographs come from one
+of the layers alone (:mod:`omnisyn_cli.fusion.ghosts`).
 """
 
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.blend_kernels import (
-    LayerRows,
-    Tables,
-    blend_rows,
-    offset_of,
-    quantization_for,
-    rule_of,
-)
+from omnisyn_cli.fusion.blend_kernels import LayerRows, Tables, blend_rows, kernel_rule, quantization_for, source_offset
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.confidence import confidence_step
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
-from omnisyn_cli.fusion.layer_pair import ROWS, LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, RowTileRunner
 from omnisyn_cli.fusion.supersampling import EdgeSupersampler
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.types import ColourStep, Layer
 
-__all__ = ["ROWS", "GeometricFuser"]
+__all__ = ["Confidence", "GeometricFuser", "Picture", "TILE_ROWS"]
 
 Picture = Shaped[np.ndarray, "height width 3"]
 Confidence = Float32[np.ndarray, "height width"]
 
 
 class GeometricFuser:
-    """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
+    """Blends the layers of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
     Args:
         size: height and width of the frames.
-        options: of the rule.
+        options: of the blend rule.
         threads: at most this many; None is one per core.
-        edges: whether pixels at edges are means of samples, see :mod:`omnisyn_cli.fusion.supersampling`, where renderings have
-            some.
+        edges: whether edge pixels are supersampled (:mod:`omnisyn_cli.fusion.supersampling`) if the layers can be.
 
     Attributes:
-        bands: runs through those of both renderings.
-        is_seen: of the last picture that was painted: 0 in holes, else 1.
+        tiles: runs over the row tiles of both layers.
+        is_seen: of the last frame: 0 in holes, else 1.
     """
 
     def __init__(
@@ -50,62 +42,64 @@ class GeometricFuser:
         edges: bool = True,
     ) -> None:  # fmt: skip
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
-        self._edges = EdgeSupersampler(size, threads) if edges else None
-        self.bands, self.is_seen = RowTileRunner(size, threads), np.empty(size, np.uint8)
+        self._supersampler = EdgeSupersampler(size, threads) if edges else None
+        self.tiles, self.is_seen = RowTileRunner(size, threads), np.empty(size, np.uint8)
         self._tables = Tables(*(table.astype(np.float32) for table in direction_tables(*size)))
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
-        self._image: np.ndarray | None = None
+        self._picture: np.ndarray | None = None
 
     def __call__(
-        self, first: Layer, second: Layer, t: float, out: Picture | None = None,
-        confidence: Confidence | None = None,
-    ) -> Picture:  # fmt: skip
-        """The fused picture, every pixel of it filled, never negative; see :class:`omnisyn_cli.types.Fuser`."""
-        out, rule = self._memory(out), BlendRule.at(t, self.options)
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
+    ) -> Picture:
+        """The fused picture, without holes, never negative; see :class:`omnisyn_cli.types.Fuser`."""
+        out, rule = self._output_buffer(out), BlendRule.at(t, self.options)
         if self._ghosts.is_full_resolution:
-            first, second = self.bands.held(first, second)
-        self.paint(self._judged(first, second, confidence).then(self._suppression(first, second, rule)), rule, out)
+            first, second = self.tiles.with_cached_colours(first, second)
+        layers = self._with_confidence(first, second, confidence)
+        self.blend(layers.with_step(self._suppression(first, second, rule)), rule, out)
         return out
 
-    def paint(self, views: LayerPair, rule: BlendRule, out: Picture) -> None:
-        """Blend two renderings and fill the holes.
+    def blend(self, layers: LayerPair, rule: BlendRule, out: Picture) -> None:
+        """Blend two layers, fill the holes and supersample the edges.
 
         Args:
-            views: both, and what is done to their colours.
+            layers: both, and what is done to their colours.
             rule: how they are blended.
-            out: written: numbers >= 0, or samples.
+            out: written: float32 >= 0, or unsigned integers.
         """
-        offsets, (sin_p, cos_p, sin_a, cos_a) = [offset_of(view) for view in (views.first, views.second)], self._tables
-        storing, numbers, (colours, weights) = quantization_for(out), rule_of(rule), self._filler.half
+        offset_a, offset_b = (source_offset(layer) for layer in (layers.first, layers.second))
+        sin_p, cos_p, sin_a, cos_a = self._tables
+        quantization, scalars, (colours, weights) = quantization_for(out), kernel_rule(rule), self._filler.half
 
-        def blend(top: int, bottom: int, first: np.ndarray, second: np.ndarray) -> None:
-            rows, pairs = slice(top, bottom), slice(top // 2, (bottom + 1) // 2)
+        def blend_tile(top: int, bottom: int, first: np.ndarray, second: np.ndarray) -> None:
+            rows, halved = slice(top, bottom), slice(top // 2, (bottom + 1) // 2)
             blend_rows(
-                LayerRows(first, views.first.inverse_depth[rows], offsets[0]),
-                LayerRows(second, views.second.inverse_depth[rows], offsets[1]),
-                numbers, Tables(sin_p[rows], cos_p[rows], sin_a, cos_a), storing,
-                out[rows], self.is_seen[rows], colours[pairs], weights[pairs],
+                LayerRows(first, layers.first.inverse_depth[rows], offset_a),
+                LayerRows(second, layers.second.inverse_depth[rows], offset_b),
+                scalars, Tables(sin_p[rows], cos_p[rows], sin_a, cos_a), quantization,
+                out[rows], self.is_seen[rows], colours[halved], weights[halved],
             )  # fmt: skip
 
-        self.bands(views, blend)
+        self.tiles(layers, blend_tile)
         self._filler.fill(out, self.is_seen)
-        if self._edges is not None and views.has_edge_samples:
-            self._edges(views, rule, out)
+        if self._supersampler is not None and layers.has_edge_samples:
+            self._supersampler(layers, rule, out)
 
     def _suppression(self, first: Layer, second: Layer, rule: BlendRule) -> ColourStep | None:
-        """What suppresses ghosts, where there are any."""
+        """The step that suppresses ghosts; None without ghosts."""
         return None if have_same_position(first, second) else self._ghosts(first, second, rule)
 
-    def _judged(self, first: Layer, second: Layer, confidence: Confidence | None) -> LayerPair:
-        """Both renderings, their confidence to be written on the way if it is asked for."""
+    def _with_confidence(self, first: Layer, second: Layer, confidence: Confidence | None) -> LayerPair:
+        """Both layers, with the step that writes ``confidence`` if that is given."""
         if confidence is None:
             return LayerPair(first, second)
-        return LayerPair(first, second).then(confidence_step(first.inverse_depth, second.inverse_depth, confidence))
+        step = confidence_step(first.inverse_depth, second.inverse_depth, confidence)
+        return LayerPair(first, second).with_step(step)
 
-    def _memory(self, out: Picture | None) -> Picture:
-        """Where the picture goes."""
+    def _output_buffer(self, out: Picture | None) -> Picture:
+        """The caller's buffer, or one that is reused from frame to frame."""
         if out is not None:
             return out
-        if self._image is None:
-            self._image = np.empty((*self.size, 3), np.float32)
-        return self._image
+        if self._picture is None:
+            self._picture = np.empty((*self.size, 3), np.float32)
+        return self._picture

@@ -1,12 +1,11 @@
-"""Fusion with a network: the geometric fusion, corrected where the views contradict each other or see nothing.
+"""Residual fusion: the geometric fusion, corrected by a network where the layers contradict each other or see nothing.
 
-The network looks at both renderings at a size of its own and says, for each pixel, which shares of it are to be what
-the photographs show at other distances (:mod:`omnisyn_cli.fusion.warp_candidates`). So everything keeps the sharpness of
-the photographs at any size of the frames. Nothing changes where something moved, which one of them shows as a whole
-(:mod:`omnisyn_cli.fusion.ghosts`); towards the ends of the way the corrections fade, so that both ends are the
-photographs themselves.
+The network sees both layers at a small size of its own. For each pixel it returns blend weights of colours that both
+photographs show at other depths (:mod:`omnisyn_cli.fusion.warp_candidates`). The candidates are sampled at the size of
+the frame, so the frame keeps the sharpness of the photographs. Two places stay as the rules made them: where ghosts
+are suppressed, and near the ends of the way, where the correction fades so that both ends are the photographs.
 
-Source: OmniSyn, section 3.5, with shares of photographs in the place of colours.
+Source: OmniSyn, section 3.5, with blend weights of photographs in place of colours.
 """
 
 from dataclasses import replace
@@ -17,62 +16,60 @@ from jaxtyping import Float32
 
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
-from omnisyn_cli.fusion.ghost_grid import greatest_near
 from omnisyn_cli.fusion.ghosts import GhostSuppression, have_same_position
 from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import needs_no_network
 from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
-from omnisyn_cli.fusion.warp_candidates import FINER, WarpCandidates
+from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates
+from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.sampling import max_pool
 from omnisyn_cli.types import Layer, SourceSampler
 
-__all__ = ["ResidualFuser"]
+__all__ = ["ResidualFuser", "working_size"]
 
-MULTIPLE = 32
-"""It halves its input five times."""
+SIZE_MULTIPLE = 32
+"""Of the network's input: it halves its input five times."""
 
-LEAST_STRENGTH = 1e-6
-"""So close to an end the correction could change no colour."""
+MIN_STRENGTH = 1e-6
+"""Below it the correction could change no colour, so the network is not run."""
 
 
-def undecided(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
-    """How far it is open which view is shown: 0 where one of them is suppressed and around there, 1 elsewhere."""
-    return np.asarray(1.0 - greatest_near(max_pool(np.abs(suppression.suppressed), size), 1), np.float32)
+def free_of_ghosts(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
+    """1 where the network may choose between the layers, 0 where a ghost is suppressed and around there."""
+    strength = max_pool(np.abs(suppression.signed_strength), size)
+    return np.asarray(1.0 - dilate(strength, 1), np.float32)
 
 
 class ResidualFusionNetwork(Protocol):
-    """A trained fusion network, however it is run."""
+    """A trained residual fusion network, in whatever runtime."""
 
-    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "4 height width"]:
-        """The shares of the candidates of a second look.
-
-        Planes are those of :mod:`omnisyn_cli.fusion.input_channels`, then those of :mod:`omnisyn_cli.fusion.warp_candidates`.
-        """
+    def __call__(self, planes: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
+        """Blend weights of the warp candidates, given the channels that :class:`InputBuilder` makes."""
         ...
 
 
 def working_size(
-    size: tuple[int, int], rows: int, multiple: int = MULTIPLE, finer: int = FINER
+    size: tuple[int, int], rows: int, multiple: int = SIZE_MULTIPLE, scale: int = CANDIDATE_SCALE
 ) -> tuple[int, int] | None:
     """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
 
     Args:
         size: of the frames.
-        rows: that it looks at, at most.
+        rows: of the network's input, at most.
         multiple: that heights and widths have to be one of.
-        finer: how many times that height frames have at least.
+        scale: frames have at least so many times that height.
     """
-    height = min(rows, size[0] // finer, size[1] // (2 * finer)) // multiple * multiple
+    height = min(rows, size[0] // scale, size[1] // (2 * scale)) // multiple * multiple
     return (height, 2 * height) if height else None
 
 
 class ResidualFuser(GeometricFuser):
-    """Blends the renderings of two views; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
+    """Blends two layers and corrects the frame; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
     Args:
-        size: height and width of the frames; where they are lower than twice :data:`MULTIPLE` the fusion is geometric.
-        correction: the network.
-        rows: that it looks at, at most; it learned from pictures of 128.
+        size: height and width of the frames; below twice :data:`SIZE_MULTIPLE` rows the fusion is geometric.
+        network: the network.
+        rows: of its input, at most; it was trained on 128.
         options: of the geometric fusion.
         threads: at most this many; None is one per core.
         edges: see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`.
@@ -81,7 +78,7 @@ class ResidualFuser(GeometricFuser):
     def __init__(
         self,
         size: tuple[int, int],
-        correction: ResidualFusionNetwork,
+        network: ResidualFusionNetwork,
         rows: int,
         options: BlendOptions | None = None,
         threads: int | None = None,
@@ -89,53 +86,54 @@ class ResidualFuser(GeometricFuser):
         edges: bool = True,
     ) -> None:
         super().__init__(size, options, threads, edges=edges)
-        self._correction = correction
+        self._network = network
         small = working_size(size, rows)
-        self._planes = None if small is None else InputBuilder(small, RowTileRunner(self._ghosts.downsampled_size, threads))
+        tiles = RowTileRunner(self._ghosts.downsampled_size, threads)
+        self._inputs = None if small is None else InputBuilder(small, tiles)
 
     def __call__(
-        self, first: Layer, second: Layer, t: float, out: Picture | None = None,
-        confidence: Confidence | None = None,
-    ) -> Picture:  # fmt: skip
-        """The fused picture, every pixel of it filled, never negative; see :class:`omnisyn_cli.types.Fuser`.
+        self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None
+    ) -> Picture:
+        """The fused picture, without holes, never negative; see :class:`omnisyn_cli.types.Fuser`.
 
         Raises:
-            InputError: the network does not take the planes, or answers something else.
+            InputError: the network does not take the channels, or answers something else.
         """
         rule = BlendRule.at(t, self.options)
-        if self._planes is None or rule.strictness < LEAST_STRENGTH or have_same_position(first, second):
+        if self._inputs is None or rule.strictness < MIN_STRENGTH or have_same_position(first, second):
             return super().__call__(first, second, t, out, confidence)
         if self._ghosts.is_full_resolution:
-            first, second = self.bands.held(first, second)
-        one, other = self._ghosts.downsample(first), self._ghosts.downsample(second)
-        suppression, out = self._ghosts.among(one, other, rule), self._memory(out)
-        self.paint(self._judged(first, second, confidence).then(suppression), rule, out)
-        among = None if suppression is None else replace(suppression, cell=self._ghosts.along)
-        planes, look = self._planes(LayerPair(one, other).then(among), rule, _source_samplers(first, second))
-        if not needs_no_network(planes):
-            strength = np.full(planes.shape[1:], rule.strictness, np.float32)
+            first, second = self.tiles.with_cached_colours(first, second)
+        small_first, small_second = self._ghosts.downsample(first), self._ghosts.downsample(second)
+        suppression, out = self._ghosts.detect(small_first, small_second, rule), self._output_buffer(out)
+        self.blend(self._with_confidence(first, second, confidence).with_step(suppression), rule, out)
+        small_step = None if suppression is None else replace(suppression, cell=self._ghosts.samples_per_side)
+        small_layers = LayerPair(small_first, small_second).with_step(small_step)
+        channels, candidates = self._inputs(small_layers, rule, _source_samplers(first, second))
+        if not needs_no_network(channels):
+            strength = np.full(channels.shape[1:], rule.strictness, np.float32)
             if suppression is not None:
-                strength *= undecided(suppression, strength.shape)
-            self.correct(planes, look, strength, out)
+                strength *= free_of_ghosts(suppression, strength.shape)
+            self.correct(channels, candidates, strength, out)
         return out
 
     def correct(
-        self, planes: Float32[np.ndarray, "planes height width"], look: WarpCandidates,
+        self, channels: Float32[np.ndarray, "channels height width"], candidates: WarpCandidates,
         strength: Float32[np.ndarray, "height width"], picture: Picture,
     ) -> None:  # fmt: skip
-        """Mix candidates into a picture as the network wants it.
+        """Mix candidates into a picture with the network's weights.
 
         Args:
-            planes: what the network sees.
-            look: the candidates.
-            strength: how much its word counts, from 0 to 1.
+            channels: the network's input.
+            candidates: what it chooses from.
+            strength: factor of its weights, from 0 to 1.
             picture: of the geometric fusion, changed.
         """
-        look.mix_in(strength * self._correction(planes), picture, self.threads)
+        candidates.mix_in(strength * self._network(channels), picture, self.threads)
 
 
 def _source_samplers(first: Layer, second: Layer) -> tuple[SourceSampler, SourceSampler]:
-    """Those of both."""
+    """Those of both layers."""
     if first.source_sampler is None or second.source_sampler is None:
-        raise ValueError("expected renderings that can be asked, got others; fuse them by rules")
+        raise ValueError("expected layers with a source sampler, got others; use the geometric fusion")
     return first.source_sampler, second.source_sampler

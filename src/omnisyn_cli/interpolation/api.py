@@ -1,6 +1,6 @@
 """The library in a few verbs, for notebooks and scripts: what ``import omnisyn_cli`` offers.
 
-Read panoramas and poses, estimate depth, make frames, write a video; :mod:`omnisyn_cli.evaluation.api` evaluates. An
+Read panoramas and poses, estimate depth, make frames, write a video; :mod:`omnisyn_cli.evaluation.public_api` evaluates. An
 estimator of depth or a fuser of your own is any callable with the signature of
 :class:`~omnisyn_cli.types.DepthEstimator` or :class:`~omnisyn_cli.types.Fuser`.
 """

@@ -13,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import STILL
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
-from omnisyn_cli.interpolation.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
+from omnisyn_cli.interpolation.planning.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
 from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, recipe_of
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.sequence import image_sequence, is_sequence

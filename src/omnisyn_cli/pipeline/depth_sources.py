@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "make_estimator"]
 
 Size = tuple[int, int]
-Opener = Callable[["DepthSource", Callable[[], Any], "int | None"], "DepthEstimator"]
+EstimatorMaker = Callable[["DepthSource", Callable[[], Any], "int | None"], "DepthEstimator"]
 
 SYNSIN_DEPTH = "synsin-depth"
 """Name in the manifest of the network that finds depth in one panorama."""
@@ -43,7 +43,7 @@ class DepthStrategy:
     Attributes:
         name: as users choose it.
         help: what it is, for the help of ``--depth``.
-        open: makes the estimator of its settings, a function that opens their network, and the number of threads.
+        make: makes the estimator of its settings, a function that opens their network, and the number of threads.
         grid_sizes: height and width of surfaces, from coarse to fine: of settings, rows of the larger picture, and the
             depth files of the panoramas.
         reads_files: whether depth comes with the panoramas and is not estimated.
@@ -58,7 +58,7 @@ class DepthStrategy:
 
     name: str
     help: str
-    open: Opener
+    make: EstimatorMaker
     grid_sizes: Callable[[DepthSource, int, Sequence[Path]], list[Size]] = _matching_size
     reads_files: bool = False
     has_network: bool = False
@@ -97,13 +97,13 @@ def _refined_sizes(source: DepthSource, picture_rows: int, files: Sequence[Path]
     return list(refinement_sizes(source.rows, picture_rows))
 
 
-def _open_files(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_files(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.types import KnownDepth
 
     return KnownDepth()
 
 
-def _open_matching(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_matching(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.stereo.depth_sizes import matching_rows
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
@@ -111,21 +111,21 @@ def _open_matching(source: DepthSource, network: Callable[[], Any], threads: int
     return MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
 
 
-def _open_refined(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
-    from omnisyn_cli.runtime.planes import SessionRefinement
+def _make_refined(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    from omnisyn_cli.runtime.image_networks import CompletionSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
-    refinement = None if source.model is None else SessionRefinement(network())
-    return RefinedDepthEstimator(_open_matching(source, network, threads), refinement, source.rows)
+    refinement = None if source.model is None else CompletionSession(network())
+    return RefinedDepthEstimator(_make_matching(source, network, threads), refinement, source.rows)
 
 
-def _open_network(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_network(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 
     return LearnedDepthEstimator(network())
 
 
-def _open_monocular(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _make_monocular(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.baselines.synsin_sessions import MonocularDepthEstimator
 
     return MonocularDepthEstimator(network())
@@ -135,17 +135,17 @@ DEPTH_SOURCES: Mapping[str, DepthStrategy] = MappingProxyType({
     source.name: source
     for source in (
         DepthStrategy(
-            "file", "depth files named in the poses", _open_files, _file_sizes, reads_files=True, program_bytes=275e6,
+            "file", "depth files named in the poses", _make_files, _file_sizes, reads_files=True, program_bytes=275e6,
             finding_bytes=0.0,
         ),
-        DepthStrategy("matching", "stereo matching of the two panoramas", _open_matching),
+        DepthStrategy("matching", "stereo matching of the two panoramas", _make_matching),
         DepthStrategy(
-            "refined", "matching completed by a network and refined", _open_refined, _refined_sizes, has_network=True,
+            "refined", "matching completed by a network and refined", _make_refined, _refined_sizes, has_network=True,
             model_is_optional=True, network_bytes=820, refining_bytes=400,
         ),
-        DepthStrategy("network", "a stereo network alone", _open_network, has_network=True, network_bytes=3200),
+        DepthStrategy("network", "a stereo network alone", _make_network, has_network=True, network_bytes=3200),
         DepthStrategy(
-            "monocular", "a network that sees one panorama at a time", _open_monocular, has_network=True,
+            "monocular", "a network that sees one panorama at a time", _make_monocular, has_network=True,
             model=SYNSIN_DEPTH, program_bytes=370e6,
         ),
     )
@@ -173,4 +173,4 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
             raise ValueError("expected the name or path of a model, got none")
         return open_model(source.model, device=device, threads=threads)
 
-    return source.strategy.open(source, open_network, threads)
+    return source.strategy.make(source, open_network, threads)

@@ -43,7 +43,7 @@ class FusionStrategy:
     Attributes:
         name: as users choose it.
         help: what it is, for the help of ``--fusion``.
-        open: makes the fuser of its settings and a function that opens its network.
+        make: makes the fuser of its settings and a function that opens its network.
         model: name in the manifest of its network; None has none.
         network_bytes: memory of the network for a frame of so many pixels.
         by_rules: whether the blend rule decides: ghosts are removed and pixels at edges can be supersampled.
@@ -53,7 +53,7 @@ class FusionStrategy:
 
     name: str
     help: str
-    open: Callable[[FuserSettings, Callable[[], Any]], Fuser]
+    make: Callable[[FuserSettings, Callable[[], Any]], Fuser]
     model: str | None = None
     network_bytes: Callable[[int], float] = lambda pixels: 0.0
     by_rules: bool = True
@@ -61,38 +61,38 @@ class FusionStrategy:
     runs_on_gpu: bool = False
 
 
-def _open_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
+def _make_geometric(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
     from omnisyn_cli.fusion.geometric import GeometricFuser
 
     return GeometricFuser(settings.size, threads=settings.threads, edges=settings.edges)
 
 
-def _open_residual(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
-    from omnisyn_cli.fusion.residual import NetworkFuser
-    from omnisyn_cli.runtime.planes import SessionFusion
+def _make_residual(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
+    from omnisyn_cli.fusion.residual import ResidualFuser
+    from omnisyn_cli.runtime.image_networks import ResidualFusionSession
 
-    return NetworkFuser(
-        settings.size, SessionFusion(network()), settings.rows, threads=settings.threads, edges=settings.edges
+    return ResidualFuser(
+        settings.size, ResidualFusionSession(network()), settings.rows, threads=settings.threads, edges=settings.edges
     )
 
 
-def _open_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
-    from omnisyn_cli.baselines.direct_fuser import PaintingFuser
-    from omnisyn_cli.runtime.planes import SessionPainter
+def _make_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
+    from omnisyn_cli.baselines.direct_fuser import DirectFuser
+    from omnisyn_cli.runtime.image_networks import DirectFusionSession
 
-    return PaintingFuser(settings.size, SessionPainter(network()), threads=settings.threads)
+    return DirectFuser(settings.size, DirectFusionSession(network()), threads=settings.threads)
 
 
 FUSIONS: Mapping[str, FusionStrategy] = MappingProxyType({
     fusion.name: fusion
     for fusion in (
-        FusionStrategy("geometric", "by rules", _open_geometric, runs_on_gpu=True),
+        FusionStrategy("geometric", "by rules", _make_geometric, runs_on_gpu=True),
         FusionStrategy(
-            "network", "by rules that a network corrects", _open_residual, "fusion-residual",
+            "network", "by rules that a network corrects", _make_residual, "fusion-residual",
             network_bytes=lambda pixels: 50e6, corrects_rules=True,
         ),
         FusionStrategy(
-            "painting", "painted by a network as in the paper", _open_direct, "fusion-paper-narrow",
+            "painting", "painted by a network as in the paper", _make_direct, "fusion-paper-narrow",
             network_bytes=lambda pixels: 230.0 * min(pixels, MAX_PAINTED_PIXELS), by_rules=False,
         ),
     )
@@ -122,4 +122,4 @@ def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, 
 
         return open_model(model or fusion.model or "", device=device, threads=settings.threads)
 
-    return fusion.open(settings, open_network)
+    return fusion.make(settings, open_network)

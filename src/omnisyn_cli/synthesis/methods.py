@@ -23,7 +23,7 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuFrames
 
-__all__ = ["Pair", "SurfaceMethod", "SurfacePair"]
+__all__ = ["Method", "Pair", "SurfaceMethod", "SurfacePair"]
 
 
 class Pair(Protocol):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.evaluation.metrics import confidence_metrics, merged_reliability, unsure_metrics
-from omnisyn_cli.evaluation.metrics.doubt import rank_correlation
+from omnisyn_cli.evaluation.metrics.confidence import rank_correlation
 from omnisyn_cli.geometry.sphere import row_weights
 
 SIZE = (16, 32)

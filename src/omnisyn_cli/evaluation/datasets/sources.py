@@ -108,9 +108,7 @@ def choose_pairs(text: str | None) -> PairChooser:
     ``every:4`` takes frames 0 and 4, 4 and 8 and so on, which suits long drives. Otherwise the text is the name of a
     file with one pair a line: scene, first and second frame, separated by white space; frames are names or indices,
     ``#`` begins a comment. Scenes that such a file does not name are not evaluated.
-
-    Raises:
-        InputError: neither a list of pairs nor a readable file of them.
+    InputError: neither a list of pairs nor a readable file of them.
     """
     if text is None:
         return lambda scene: [_pair(scene, 0, len(scene.frames) - 1)] if len(scene.frames) > 1 else []

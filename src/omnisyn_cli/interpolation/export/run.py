@@ -18,8 +18,8 @@ from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.memory import Keeping
 from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
+from omnisyn_cli.interpolation.planning.memory import Keeping
 from omnisyn_cli.interpolation.summary import warnings_about
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output

@@ -10,8 +10,8 @@ from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.memory import Keeping
 from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
+from omnisyn_cli.interpolation.planning.memory import Keeping
 from omnisyn_cli.interpolation.summary import refuse_doubtful, warnings_about
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker

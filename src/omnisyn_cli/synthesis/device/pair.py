@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Bool, Float32, Integer, Shaped, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
@@ -34,6 +34,8 @@ from omnisyn_cli.synthesis.device.quads import Quads, quads_of
 from omnisyn_cli.synthesis.device.raster import GpuRasterizer
 from omnisyn_cli.synthesis.device.shading import GpuTexture, GpuTrust, shade, texture_on, trust_on
 from omnisyn_cli.types import DepthEstimate, Layer
+
+__all__ = ["GpuFrames"]
 
 PIXELS_AT_A_TIME = 1 << 20
 """Pixels that are coloured or blended together."""
@@ -205,7 +207,7 @@ class GpuPair:
             views.shade_rows(rows.start, rows.stop, colours)
             one, other = (_shown(view, rows, colour) for view, colour in zip((first, second), colours, strict=True))
             weights = view_weights(one, other, frames.rays(rows), rule)
-            image[rows], weight[rows] = blended(one, other, weights)
+            image[rows], weight[rows] = blend_layers(one, other, weights)
         fill_holes(image, weight)
         return image
 

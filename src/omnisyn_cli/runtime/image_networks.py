@@ -8,13 +8,13 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["SessionFusion", "SessionPainter", "SessionRefinement"]
+__all__ = ["ResidualFusionSession", "DirectFusionSession", "CompletionSession"]
 
 MULTIPLE = 32
 """The completion network halves its input five times, the other one four: heights and widths are multiples of this."""
 
 
-class SessionRefinement:
+class CompletionSession:
     """Planes in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.stereo_features.CompletionModel`.
 
     Args:
@@ -39,7 +39,7 @@ class SessionRefinement:
         return inverse_depth[:height, :width], confidence[:height, :width]
 
 
-class SessionFusion:
+class ResidualFusionSession:
     """Planes in, corrections out; see :class:`omnisyn_cli.fusion.residual.ResidualFusionNetwork`.
 
     Args:
@@ -59,7 +59,7 @@ class SessionFusion:
         return answer
 
 
-class SessionPainter:
+class DirectFusionSession:
     """Planes in, a picture out; see :class:`omnisyn_cli.baselines.direct_fuser.DirectFusionNetwork`.
 
     Args:

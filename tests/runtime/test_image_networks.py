@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.planes import SessionFusion, SessionPainter, SessionRefinement
+from omnisyn_cli.runtime.image_networks import ResidualFusionSession, DirectFusionSession, CompletionSession
 
 
 class Session:
@@ -29,13 +29,13 @@ PLANES = np.zeros((52, 32, 64), np.float32)
 
 def test_answers_lose_their_batch():
     shares = np.arange(8192.0).reshape(1, 4, 32, 64)
-    np.testing.assert_array_equal(SessionFusion(Session([shares]))(PLANES), shares[0])
+    np.testing.assert_array_equal(ResidualFusionSession(Session([shares]))(PLANES), shares[0])
 
 
 @pytest.mark.parametrize("names", [{"inputs": ("first", "second")}, {"outputs": ("colour",)}])
 def test_other_models_are_refused(names):
     with pytest.raises(InputError, match="expected a model with the input"):
-        SessionFusion(Session([], **names))
+        ResidualFusionSession(Session([], **names))
 
 
 @pytest.mark.parametrize(
@@ -47,17 +47,17 @@ def test_other_models_are_refused(names):
 )
 def test_broken_answers_are_refused(answers, complaint):
     with pytest.raises(InputError, match=complaint):
-        SessionFusion(Session(answers))(PLANES)
+        ResidualFusionSession(Session(answers))(PLANES)
 
 
 def test_a_painter_gives_its_picture_and_other_models_are_none():
     picture = np.random.default_rng(0).random((1, 3, 32, 64))
-    found = SessionPainter(Session([picture], outputs=("colour",)))(PLANES[:8])
+    found = DirectFusionSession(Session([picture], outputs=("colour",)))(PLANES[:8])
     np.testing.assert_array_equal(found, picture[0].astype(np.float32))
     with pytest.raises(InputError, match="the outputs 'colour', got"):
-        SessionPainter(Session([]))
+        DirectFusionSession(Session([]))
     with pytest.raises(InputError, match="outputs of"):
-        SessionPainter(Session([picture[:, :1]], outputs=("colour",)))(PLANES[:8])
+        DirectFusionSession(Session([picture[:, :1]], outputs=("colour",)))(PLANES[:8])
 
 
 def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again():
@@ -72,7 +72,7 @@ def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again(
             np.testing.assert_array_equal(given[:, 30:, :60], np.repeat(planes[:, -1:], 2, axis=1))
             return [given[None, :1], given[None, 1:2]]
 
-    found = SessionRefinement(Echo([], outputs=("inverse_depth", "confidence")))(planes)
+    found = CompletionSession(Echo([], outputs=("inverse_depth", "confidence")))(planes)
     np.testing.assert_array_equal(found, planes[:2])
     with pytest.raises(InputError, match="the outputs 'inverse_depth', 'confidence', got"):
-        SessionRefinement(Session([]))
+        CompletionSession(Session([]))

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.duration import Duration, expected_duration, shipped_table
-from omnisyn_cli.evaluation.pareto import Figures, gain, quality
 from omnisyn_cli.interpolation.plan import InterpolationPlan, with_preset
+from omnisyn_cli.interpolation.planning.duration import Duration, expected_duration, shipped_table
+from omnisyn_cli.interpolation.planning.figures import Figures, gain, quality
 from omnisyn_cli.pipeline.presets import SCALE
 
 __all__ = ["apply_budget"]

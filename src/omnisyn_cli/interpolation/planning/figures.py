@@ -21,7 +21,18 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.pipeline.config import Recipe
 
-__all__ = ["write_table"]
+__all__ = [
+    "FIGURES",
+    "FRAME_STAGES",
+    "Figures",
+    "STANDARD_FRAMES",
+    "Setting",
+    "gain",
+    "pareto_front",
+    "quality",
+    "standard_seconds",
+    "write_table",
+]
 
 FRAME_STAGES = ("render", "fuse", "encode")
 """``encode`` is what is in no other stage: samples are converted and handed on, and the encoder works."""
@@ -71,7 +82,7 @@ class Figures:
         source: height and width of the panoramas.
         seconds: of computing by stage: ``start`` once; those of :data:`FRAME_STAGES` for each frame; others for each
             pair.
-        probe: seconds that this machine took for :func:`omnisyn_cli.evaluation.duration.probe`.
+        probe: seconds that this machine took for :func:`omnisyn_cli.interpolation.planning.duration.probe`.
         memory: bytes at most, of the program without the encoder; None where nobody knows.
         scores: WS-PSNR in dB by the name of the pair, the mean of its true frames.
         pairs: panoramas between which clips were made.

@@ -21,8 +21,8 @@ from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
 from omnisyn_cli.evaluation.datasets import Pair, choose_pairs, find_scenes
 from omnisyn_cli.evaluation.fingerprint import Fingerprints
 from omnisyn_cli.evaluation.methods import find_method, find_methods
-from omnisyn_cli.evaluation.pareto import FIGURES, Figures, Setting
 from omnisyn_cli.evaluation.scene_files import write_scene
+from omnisyn_cli.interpolation.planning.figures import FIGURES, Figures, Setting
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.json_lines import append_line, complete_lines
 from omnisyn_cli.io.outputs import make_folder, staged_folder

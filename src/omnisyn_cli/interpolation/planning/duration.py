@@ -26,8 +26,8 @@ from pydantic import TypeAdapter
 
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import OmnisynError
-from omnisyn_cli.evaluation.pareto import Figures, read_table
 from omnisyn_cli.interpolation.plan import InterpolationPlan
+from omnisyn_cli.interpolation.planning.figures import Figures, read_table
 from omnisyn_cli.io.outputs import write_parts
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
@@ -119,7 +119,7 @@ def probe() -> float:
 
 def shipped_table() -> tuple[Figures, ...]:
     """The figures that came with the program; InputError: they are missing or damaged."""
-    return read_table(Path(str(files("omnisyn_cli"))) / "evaluation" / TABLE)
+    return read_table(Path(str(files("omnisyn_cli"))) / "interpolation" / "planning" / TABLE)
 
 
 def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None = None) -> Duration | None:
