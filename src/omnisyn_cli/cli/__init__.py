@@ -21,19 +21,19 @@ from omnisyn_cli.errors import OmnisynError
 __all__ = ["cli", "main"]
 
 COMMANDS = {
-    "interpolate": ("omnisyn_cli.cli.interpolate", "Make the 360° video between two or more posed panoramas."),
-    "export": ("omnisyn_cli.cli.export", "Write panoramas and their depth for other programs: GLB, PLY, COLMAP."),
-    "view": ("omnisyn_cli.cli.view", "Make a page to walk through panoramas in a browser."),
-    "batch": ("omnisyn_cli.cli.batch", "Make the videos of all pairs in a manifest, on one machine or a Ray cluster."),
-    "info": ("omnisyn_cli.cli.info", "Show what the program sees in panoramas, depth, pose files and videos."),
-    "train": ("omnisyn_cli.cli.train", "Train the networks on scenes that the program makes."),
-    "models": ("omnisyn_cli.cli.models", "List the networks that came with the program."),
-    "export-onnx": ("omnisyn_cli.cli.export_onnx", "Turn a trained network into an ONNX model for interpolate."),
+    "interpolate": ("omnisyn_cli.cli.interpolate", "Make a 360° video between two or more panoramas."),
+    "export": ("omnisyn_cli.cli.export", "Write panoramas and depth for other programs: GLB, PLY, COLMAP."),
+    "view": ("omnisyn_cli.cli.view", "Make a page to walk in with a browser."),
+    "batch": ("omnisyn_cli.cli.batch", "Make all videos of a manifest, on one machine or a Ray cluster."),
+    "info": ("omnisyn_cli.cli.info", "Show what the program reads in your files."),
+    "train": ("omnisyn_cli.cli.train", "Train the networks on generated scenes."),
+    "models": ("omnisyn_cli.cli.models", "List the bundled networks."),
+    "export-onnx": ("omnisyn_cli.cli.export_onnx", "Export a trained network to ONNX."),
     "poses": ("omnisyn_cli.cli.poses", "Import, export, check, refine and estimate poses."),
     "eval": ("omnisyn_cli.cli.evaluate", "Compare methods on scenes with true frames and depth."),
-    "depth-table": ("omnisyn_cli.cli.depth_table", "Compare estimated with true depth, as the paper's table does."),
-    "bench": ("omnisyn_cli.cli.bench", "Measure what settings cost and what they are worth on this machine."),
-    "scenes": ("omnisyn_cli.cli.scenes", "Make procedural scenes with exact depth and poses."),
+    "depth-table": ("omnisyn_cli.cli.depth_table", "Compare estimated with true depth, as in the paper."),
+    "bench": ("omnisyn_cli.cli.bench", "Measure what settings cost and gain on this machine."),
+    "scenes": ("omnisyn_cli.cli.scenes", "Generate scenes with exact depth and poses."),
 }
 """Module and one-line help of every command; the command has the name of its key."""
 
@@ -43,12 +43,12 @@ INTERRUPTED = 130
 @click.group(cls=LazyGroup, lazy=COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="omnisyn")
 def cli() -> None:
-    """The 360° video between two panoramas.
+    """Make 360° videos between panoramas.
 
     \b
     omnisyn interpolate first.jpg second.jpg --poses poses.json -o video.mp4
 
-    Panoramas are equirectangular images; a pose file says where each was taken.
+    Panoramas are equirectangular images. A pose file holds their camera poses; --poses auto estimates them.
 
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.
     """  # noqa: D301 - click's \b is a backspace

@@ -33,12 +33,12 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
 @report_option("results, page and diagram")
 @click.option(
     "--methods", metavar="NAME,...",
-    help="What is measured, by the names of omnisyn eval, such as omnisyn-fast,omnisyn-balanced:rows=512.  [default: "
-    "cross-fade, optical flow, matching, the presets, and balanced with one thing after the other changed]",
+    help="Methods of omnisyn eval, such as omnisyn-fast,omnisyn-balanced:rows=512.  [default: cross-fade, optical "
+    "flow, matching, the presets, and balanced with one change at a time]",
 )  # fmt: skip
 @click.option(
     "--sizes", metavar="WxH,...", type=ListOf(Size()), default="1024x512,2048x1024,4096x2048",
-    show_default=True, help="Of the frames; from the second one on only the presets are measured.",
+    show_default=True, help="Frame sizes; from the second on, only the presets are measured.",
 )  # fmt: skip
 @click.option(
     "--threads",
@@ -47,36 +47,38 @@ class ListOf(click.ParamType):  # type: ignore[type-arg]
     default=(),
     help="At most this many.  [default: one per core]",
 )
-@click.option("--frames", type=WholeRange(1), default=6, show_default=True, help="That are timed of every clip.")
+@click.option("--frames", type=WholeRange(1), default=6, show_default=True, help="Timed frames per clip.")
 @click.option(
     "--scene-size", metavar="WxH", type=Size(), default="1024x512", show_default=True,
-    help="Of the scenes that are made where no data set is given.",
+    help="Size of the generated scenes, if no data set is given.",
 )  # fmt: skip
-@click.option("--quick", is_flag=True, help="Frames and scenes of 512x256 only: a look, not a figure.")
-@click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
-@click.option("--pairs", metavar="0:4|every:N|FILE", help="Frames that are inputs, see omnisyn eval.")
-@device_option("For networks; cuda also for the frames of clips, see omnisyn interpolate.")
-@click.option("--store", metavar="FILE", type=FilePath(), help="Write the table that interpolate --budget chooses by.")
+@click.option("--quick", is_flag=True, help="Frames and scenes of 512x256 only, for a quick look.")
+@click.option(
+    "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
+)
+@click.option("--pairs", metavar="0:4|every:N|FILE", help="Input frames, see omnisyn eval.")
+@device_option("Where networks run; cuda also makes the frames, see omnisyn interpolate.")
+@click.option("--store", metavar="FILE", type=FilePath(), help="Write the table that interpolate --budget uses.")
 @json_option("all figures")
 @quiet_option
 def bench(
     dataset: Path | None, report: Path | None, scene_size: tuple[int, int], quick: bool, store: Path | None,
     as_json: bool, quiet: bool, **options: Any,
 ) -> int:  # fmt: skip
-    """Measure what settings cost and what they are worth.
+    """Measure what settings cost and gain.
 
     \b
     omnisyn bench --quick
     omnisyn bench --report bench/ --store pareto.json
     omnisyn bench scenes/ --methods omnisyn-balanced,omnisyn-balanced:rows=512 --sizes 1024x512 --threads 1,2
 
-    Every combination of method, size and threads makes one clip for each pair of panoramas, in a process of its own.
-    Scenes with true frames between give the accuracy; without a data set, twelve are made: streets, rooms, homes,
-    jumbles and yards, 1 to 6 metres from end to end. Seconds are of computing: those of all cores and of the encoder.
+    Every combination of method, size and threads makes one clip per pair of panoramas, in its own process. Accuracy
+    needs true frames between. Without a data set the command makes twelve scenes: streets, rooms, homes, jumbles and
+    yards, 1 to 6 metres long. Seconds are summed over all cores and include the encoder.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli import __version__
-    from omnisyn_cli.evaluation.bench_settings import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
     from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
+    from omnisyn_cli.evaluation.bench_settings import BenchJob, machine_in_words, make_scenes, plan_bench, run_bench
     from omnisyn_cli.interpolation.planning.figures import write_table
     from omnisyn_cli.io import check_output
 

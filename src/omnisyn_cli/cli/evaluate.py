@@ -42,31 +42,31 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 @report_option("results, pictures and the report")
 @click.option(
     "--methods", metavar="usual|all|LIST", default="usual", show_default=True,
-    help="Names separated by commas, see --list-methods; a name may have parameters: matching:cut=0.02. usual: "
-    "crossfade, matching, the presets from fast to balanced, and the true depth where there is some.",
+    help="Names separated by commas, see --list-methods. A name may have parameters: matching:cut=0.02. usual: "
+    "crossfade, matching, the presets from fast to balanced, and the true depth if known.",
 )  # fmt: skip
 @click.option(
     "--list-methods", is_flag=True, is_eager=True, expose_value=False, callback=_list_methods,
-    help="Print all methods and what they do.",
+    help="List all methods.",
 )  # fmt: skip
 @click.option(
     "--format", "layout", type=click.Choice(LAYOUTS), default="auto", show_default=True,
-    help="Layout of the data: that of this program, the authors' CARLA, Habitat renders (PanoGRF), ZInD tours.",
+    help="Layout of the data: this program's, the authors' CARLA, Habitat renders (PanoGRF), or ZInD tours.",
 )  # fmt: skip
 @click.option(
     "--pairs", metavar="0:4,1:3|every:N|FILE",
-    help="Frames that are inputs, by index in every scene; every:4 takes 0:4, 4:8 and so on; a text file has one pair "
-    "a line: scene, first, second.  [default: the first and the last]",
+    help="Input frames by index in every scene. every:4 takes 0:4, 4:8 and so on. A text file has one pair per line: "
+    "scene, first, second.  [default: the first and the last]",
 )  # fmt: skip
 @click.option(
     "--tours", is_flag=True,
-    help="Compare methods with themselves in a tour, where the depth of a panorama that two pairs share comes from "
-    "both its neighbours; every second frame is an input unless --pairs names others.",
+    help="Compare each method with itself in a tour, where depth is fused from both neighbours. Every second frame is "
+    "an input unless --pairs names others.",
 )  # fmt: skip
 @click.option("--size", type=Size(), help="Compare frames of this size.  [default: of the true frames]")
-@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of the folders of poses.json.")
+@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of poses.json.")
 @click.option("--lpips", metavar="FILE.onnx", type=FilePath(), help="Measure LPIPS with this network as well.")
-@click.option("--no-pictures", is_flag=True, help="Keep no frames, error maps and depth as pictures.")
+@click.option("--no-pictures", is_flag=True, help="Save no frames, error maps and depth maps.")
 @device_option("Where networks run; everything else runs on the processor.")
 @threads_option
 @json_option("all results")
@@ -81,10 +81,10 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     omnisyn eval Town06/ --format carla --pairs every:5 --report report/
     omnisyn eval walks/ --tours --methods omnisyn-balanced
 
-    A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, those between
-    are the truth; true depth is compared where there is some. Errors are told by kind of pixel as well: both views
-    agree, they disagree, one view only, hole, beside silhouettes. The report says as well what depth knows of its
-    errors, how truly frames change from one to the next, and what flies.
+    A data set is a folder of scene folders. The first and the last panorama of a scene are the inputs, and those
+    between are the truth. Depth is compared where the truth is known. The report also gives errors by kind of pixel
+    (both views agree, they disagree, one view only, hole, beside silhouettes), depth confidence, changes between
+    frames, and flying pixels.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.evaluation.engine import EvaluationJob, evaluate, plan_evaluation, run_evaluation
 

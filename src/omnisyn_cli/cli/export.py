@@ -42,22 +42,26 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 )  # fmt: skip
 @click.option(
     "--texture", metavar="COLUMNS", type=WholeRange(16), default=4096, show_default=True,
-    help="Of the largest picture in a GLB; larger panoramas are reduced to it.",
+    help="Maximum width of the textures in a GLB.",
 )  # fmt: skip
 @click.option(
-    "--stride", type=WholeRange(1), help="Pixels of the depth between points or discs.  [default: 1; 4 in data sets]"
+    "--stride",
+    type=WholeRange(1),
+    help="Distance of points or discs in pixels of the depth.  [default: 1; 4 in data sets]",
 )
 @click.option(
     "--sky/--no-sky", default=None,
-    help="Show what is infinitely far, on the dome.  [default: sky for glb and splats, else no-sky]",
+    help="Put the sky on the dome.  [default: sky for glb and splats, else no-sky]",
 )  # fmt: skip
 @click.option(
     "--dome", metavar="METRES", type=FiniteRange(0, min_open=True), default=200.0, show_default=True,
-    help="Radius of the sphere around each panorama on which everything lies that is farther.",
+    help="Radius of the sphere around each panorama that holds everything farther away.",
 )  # fmt: skip
 @surface_options
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of its names.")
-@click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
+@click.option(
+    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of the same names."
+)
+@click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")
 @quiet_option
 @click.pass_context
@@ -65,19 +69,19 @@ def export(
     context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002
 ) -> None:  # fmt: skip
-    """Write panoramas A, B and further ones, with their depth, for other programs.
+    """Write panoramas A, B and more, with their depth, for other programs.
 
     \b
     omnisyn export a.jpg b.jpg --poses poses.json
     omnisyn export tour/ --format splats --stride 2
     omnisyn export a.jpg b.jpg c.jpg --poses auto -o dataset/ --format colmap
 
-    FOLDER stands for the panoramas that its poses.json names, in the order of that file.
+    FOLDER means the panoramas in its poses.json, in the order of that file.
 
-    Poses, masks and depth are found as `omnisyn interpolate` finds them. Axes, units and origin of every format are in
-    docs/export.md: metres, and the origin of the poses, everywhere; what is up differs.
+    Poses, masks and depth work as in `omnisyn interpolate`. All formats are in metres and have the origin of the poses.
+    The up axis differs; see docs/export.md.
 
-    Names that begin with a dash go after ``--``.
+    Put names that begin with a dash after ``--``.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export, run_export
     from omnisyn_cli.interpolation.job import InterpolationJob

@@ -12,12 +12,10 @@ FOLDER = FilePath(file_okay=False)
 @click.command("export-onnx")
 @click.argument("checkpoint", required=False, type=FilePath(dir_okay=False))
 @click.option("-o", "--output", type=FOLDER, help="Folder of models.  [default: that of the checkpoint]")
-@click.option(
-    "--name", help="What `--model` will call it; of several networks the first word.  [default: KIND-VARIANT]"
-)
-@click.option("--pairs", "pool", type=FOLDER, help="Pool of its kind to compare on as well.")
-@click.option("--training", default="", help="On what and for how long it was trained, for the manifest.")
-@click.option("--licence", default="Apache-2.0", show_default=True, help="Of the weights.")
+@click.option("--name", help="Name for `--model`; the first word of it for several networks.  [default: KIND-VARIANT]")
+@click.option("--pairs", "pool", type=FOLDER, help="Pool to compare on as well.")
+@click.option("--training", default="", help="Training data and duration, for the manifest.")
+@click.option("--licence", default="Apache-2.0", show_default=True, help="Licence of the weights.")
 @click.option("--overwrite", is_flag=True, help="Replace models of the same names.")
 def export_onnx(
     checkpoint: Path | None,
@@ -28,14 +26,14 @@ def export_onnx(
     licence: str,
     overwrite: bool,
 ) -> None:
-    """Write the averaged network of CHECKPOINT as ONNX, check it against torch, enter it into the manifest.
+    """Write the averaged network of CHECKPOINT as ONNX, check it against torch, and add it to the manifest.
 
-    Networks that were trained together get a file each, SynSin three (depth, encoder, decoder); --name is then followed
-    by what each is for.
+    Jointly trained networks get a file each; SynSin gets three (depth, encoder, decoder). Their names are --name and
+    the role.
 
-    Refuses when ONNX Runtime and torch differ by more than 1e-4 of the largest value.
+    The command refuses if ONNX Runtime and torch differ by more than 1e-4 of the largest value.
 
-    Without CHECKPOINT those are listed that lie here and in the folders of runs below.
+    Without CHECKPOINT it lists the checkpoints here and in the folders below.
     """
     from omnisyn_cli.training.publish import publish
 

@@ -11,16 +11,16 @@ from omnisyn_cli.cli.parameters import FilePath, WholeRange
 
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FilePath())
-@click.option("--max-pixels", type=WholeRange(1), help="Decode no image with more.  [default: 268435456]")
-@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside of a pose file's folder.")
+@click.option("--max-pixels", type=WholeRange(1), help="Decode no image with more pixels.  [default: 268435456]")
+@click.option("--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of the pose file.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON list instead of text.")
 @click.pass_context
 def info(
     context: click.Context, files: tuple[Path, ...], max_pixels: int | None, allow_outside: bool, as_json: bool
 ) -> None:
-    """Show what the program sees in panoramas, depth files, pose files and videos.
+    """Show what the program reads in panoramas, depth files, pose files and videos.
 
-    A file that cannot be used does not stop the others; the exit code is 3 in the end if there was any.
+    An unusable file does not stop the others; the exit code is then 3.
     """
     import json
 

@@ -46,37 +46,39 @@ if TYPE_CHECKING:
     "here]",
 )  # fmt: skip
 @click.option("--frames", type=WholeRange(2), help="Number of frames.  [default: from --duration and --fps]")
-@click.option("--duration", type=FiniteRange(0, min_open=True), help="Seconds.  [default: 3 for each pair]")
+@click.option("--duration", type=FiniteRange(0, min_open=True), help="Length in seconds.  [default: 3 per pair]")
 @click.option(
     "--fps", type=FrameRate(), default=30.0, show_default=True, help="Frames per second, such as 25 or 30000/1001."
 )
-@click.option("--size", type=Size(), help="Of the video, such as 2048x1024.  [default: of the largest panorama]")
+@click.option(
+    "--size", type=Size(), help="Size of the video, such as 2048x1024.  [default: that of the largest panorama]"
+)
 @click.option(
     "--method", type=click.Choice([name for name, method in METHODS.items() if method.is_offered]), default=OMNISYN,
     show_default=True,
-    help="How frames are made; SynSin, from the nearer panorama or from both, is there to compare: small and blurred.",
+    help="omnisyn, or the baseline SynSin from the nearer panorama or from both (256x128, blurred).",
 )  # fmt: skip
 @preset_option
 @click.option(
     "--budget", metavar="SECONDS", type=FiniteRange(0, min_open=True),
-    help="Take the preset of the best picture, from fast to balanced, that is expected to be done in this time, and "
-    "say what more time would bring.",
+    help="Pick the most accurate preset, from fast to balanced, that should finish in this time, and say what more "
+    "time would gain.",
 )  # fmt: skip
 @depth_options
 @click.option(
     "--renderer", type=click.Choice(["auto", *RENDERERS]), default="auto", show_default=True,
-    help=f"How surfaces are drawn. {listed(RENDERERS)}; auto: the preset's.",
+    help=f"Renderer of the meshes. {listed(RENDERERS)}; auto: the preset's.",
 )  # fmt: skip
 @cut_options
 @click.option(
     "--adaptive/--no-adaptive", default=None,
-    help="Draw flat surfaces with fewer triangles; nothing is seen more than an eighth of a pixel aside.  [default: "
-    "where more than 32 frames lie between two panoramas]",
+    help="Draw flat surfaces with fewer triangles; nothing moves by more than an eighth of a pixel.  [default: from "
+    "33 frames per pair on]",
 )  # fmt: skip
 @click.option(
     "--fusion", type=click.Choice(["auto", *FUSIONS]), default="auto", show_default=True,
-    help=f"How two renderings become one frame. {listed(FUSIONS)}; auto: the preset's, but geometric where depth comes "
-    "from elsewhere (--depth, files) and where a GPU makes the frames.",
+    help=f"How two renderings become one frame. {listed(FUSIONS)}; auto: the preset's, but geometric "
+    "with --depth, depth files or frames on a GPU.",
 )  # fmt: skip
 @click.option(
     "--ease", type=click.Choice(["linear", "smooth"]), default="linear", show_default=True,
@@ -84,12 +86,12 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--heading", type=click.Choice(["panoramas", "first", "fixed", "travel"]), default="panoramas", show_default=True,
-    help="Where the image centre looks: turning from panorama to panorama, as in the first one, along the world's −z, "
-    "or along the way.",
+    help="Where the image centre looks. panoramas: from one panorama's heading to the next; first: as in the first; "
+    "fixed: the world's −z; travel: along the path.",
 )  # fmt: skip
 @click.option(
     "--codec", type=click.Choice(["h264", "h265", "av1", "prores", "png", "jpg", "exr", "tif"]),
-    help="Of the video or of the frames in a folder.  [default: h264, or png for a folder]",
+    help="Codec of the video, or format of the frames.  [default: h264, or png for a folder]",
 )  # fmt: skip
 @click.option(
     "--crf", type=float,
@@ -101,27 +103,27 @@ if TYPE_CHECKING:
 @nadir_option
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
-    help="Where confidence is low: warn only, show the photographs cross-faded in doubtful regions, or give up.",
+    help="Where confidence is low: only warn, cross-fade the photographs in these regions, or fail.",
 )  # fmt: skip
 @click.option(
-    "--save-confidence", metavar="FILE", type=FilePath(), help="Keep the confidence of every pixel as a video."
+    "--save-confidence", metavar="FILE", type=FilePath(), help="Save the confidence of every pixel as a video."
 )
-@click.option("--save-depth", metavar="FOLDER", type=FilePath(), help="Keep the depth of every panorama (EXR, metres).")
+@click.option("--save-depth", metavar="FOLDER", type=FilePath(), help="Save the depth of every panorama (EXR, metres).")
 @click.option(
     "--save-frames",
     metavar="FOLDER",
     type=FramePlace(),
-    help="Keep the frames as images besides the video: PNG, or a pattern such as DIR/%05d.jpg.",
+    help="Save the frames as images too: PNG, or a pattern such as DIR/%05d.jpg.",
 )
 @click.option(
     "--view",
     metavar="FILE",
     type=FilePath(),
-    help="Make a page to walk through as well (.html), see `omnisyn view`.",
+    help="Also write a page to walk in (.html), see `omnisyn view`.",
 )
 @device_option(
-    "Where networks run; auto takes a GPU if ONNX Runtime has one. cuda makes the frames on it as well (renderer mesh, "
-    "fusion geometric). Poses and matching are found on the processor."
+    "Where networks run; auto uses a GPU if ONNX Runtime has one. cuda also makes the frames on it (renderer mesh, "
+    "fusion geometric). Poses and matching always run on the processor."
 )
 @threads_option
 @size_options
@@ -129,29 +131,28 @@ if TYPE_CHECKING:
 @click.option("--overwrite", is_flag=True, help="Replace the output if it exists.")
 @click.option(
     "--dry-run", is_flag=True,
-    help="Check options, poses and what files say of themselves, print the plan and how long it will take, make "
-    "nothing.",
+    help="Check options, poses and file headers, print the plan and the expected time, and make nothing.",
 )  # fmt: skip
 @json_option("the summary")
-@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage and what was modelled.")
+@click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage, and mesh statistics.")
 @quiet_option
 @click.pass_context
 def interpolate(
     context: click.Context, /, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
     nadir: float, **options: Any,
 ) -> None:  # fmt: skip
-    """Make the 360° video between panoramas A and B, and on through C and further ones.
+    """Make a 360° video from panorama A to B, and on through C and more.
 
     \b
     omnisyn interpolate a.jpg b.jpg --poses poses.json
     omnisyn interpolate tour/ -o walk.mp4 --ease smooth --size 4096x2048
     omnisyn interpolate a.jpg b.jpg c.jpg -o frames/ --frames 12
 
-    FOLDER stands for the panoramas that its poses.json names, in the order of that file.
+    FOLDER means the panoramas in its poses.json, in the order of that file.
 
-    With the default --heading the first and the last frame are the panoramas themselves.
+    With the default --heading, the first and the last frame are the panoramas themselves.
 
-    Names that begin with a dash go after ``--``.
+    Put names that begin with a dash after ``--``.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.inputs import video_ending
     from omnisyn_cli.interpolation.job import InterpolationJob

@@ -9,7 +9,7 @@ import click
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.pipeline.config import DEVICES
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
-from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
 
 def all_of(*options: Callable[..., Any]) -> Callable[..., Any]:
@@ -36,7 +36,7 @@ def report_option(what: str) -> Callable[[Any], Any]:
     """The folder of a run that can be gone on with."""
     return click.option(
         "--report", metavar="DIR", type=FilePath(),
-        help=f"Keep {what} here; a run that was interrupted goes on from them.",
+        help=f"Keep {what} here. An interrupted run resumes from them.",
     )  # fmt: skip
 
 
@@ -47,17 +47,17 @@ threads_option = click.option(
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors.")
 
 outside_option = click.option(
-    "--allow-outside", is_flag=True, help="Accept depth and masks outside of the pose file's folder."
+    "--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of the pose file."
 )
 
 masks_option = click.option(
     "--mask", "masks", metavar="FILE", multiple=True, type=FilePath(),
-    help="Image that is black where a panorama must not be used; once for each panorama, in their order.",
+    help="Image that is black where a panorama must not be used. Give one per panorama, in order.",
 )  # fmt: skip
 
 nadir_option = click.option(
     "--nadir", metavar="DEGREES", type=FiniteRange(0, 90, max_open=True), default=0.0,
-    help="Do not use what is this close to straight down in the panoramas: tripod, roof of a car.",
+    help="Exclude a cap of this radius around straight down: a tripod or a car roof.",
 )  # fmt: skip
 
 
@@ -65,25 +65,24 @@ tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
         "--poses", type=FilePath(),
-        help="JSON file that says where each panorama was taken; auto finds it in the pictures (see --baseline).  "
-        "[default: poses.json beside them]",
+        help="JSON file with the camera poses; auto estimates them from the pictures (see --baseline).  [default: "
+        "poses.json beside them]",
     ),
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
-        help="Distance of neighbours, for --poses auto: pictures do not tell it.  [default: 1]",
+        help="Distance between neighbours, for --poses auto.  [default: 1]",
     ),
-    click.option("--refine", is_flag=True, help="Correct the poses where the pictures fit better then."),
+    click.option("--refine", is_flag=True, help="Correct the poses where the pictures allow it."),
 )  # fmt: skip
 """Which panoramas, in walking order, and where they were taken; :func:`named` says what is meant."""
 
 depth_options = all_of(
     click.option(
         "--depth", type=click.Choice(["auto", *DEPTH_SOURCES]), default="auto", show_default=True,
-        help=f"Where depth comes from. {listed(DEPTH_SOURCES)}. auto: files where every panorama has one, else the "
-        "preset's.",
+        help=f"Source of depth. {listed(DEPTH_SOURCES)}; auto: files if every panorama has one, else the preset's.",
     ),
     click.option(
-        "--model", metavar="NAME|PATH", help="Another network for it, see `omnisyn models`.  [default: the preset's]"
+        "--model", metavar="NAME|PATH", help="Network for the depth, see `omnisyn models`.  [default: the preset's]"
     ),
 )  # fmt: skip
 """Where depth comes from."""
@@ -91,35 +90,34 @@ depth_options = all_of(
 cut_options = all_of(
     click.option(
         "--cut", type=FiniteRange(0, 1, min_open=True),
-        help="Cut the mesh where inverse depth changes by more than this share from pixel to pixel.  [default: the "
-        "preset's, 0.05 but for paper]",
+        help="Cut the mesh where inverse depth changes by more than this share between pixels.  [default: 0.05; "
+        "none for paper]",
     ),
     click.option(
         "--cut-metres", type=FiniteRange(0, min_open=True),
-        help="Cut at steps of depth instead, as the paper and its preset do (there 2).",
+        help="Cut at steps of depth instead, as the paper does.  [default: 2 for paper]",
     ),
 )  # fmt: skip
 """Where surfaces are cut; one of them."""
 
 size_options = all_of(
-    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1; they are resampled."),
+    click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1 and resample them."),
     click.option(
         "--max-pixels", type=WholeRange(1), default=2 * 16384 * 8192, show_default=True,
-        help="Refuse panoramas, masks and depth files with more, before they are decoded.",
+        help="Refuse panoramas, masks and depth files with more pixels, before decoding.",
     ),
 )  # fmt: skip
 """What of unusual panoramas is accepted."""
 
 preset_option = click.option(
     "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
-    help="How much time accuracy is worth: " + "; ".join(f"{p.name}: {p.summary}" for p in SCALE.values()) + ". Beside "
-    "that scale " + "; ".join(f"{p.name}: {p.summary}" for p in REPRODUCTIONS.values()) + ".",
+    help="Speed against accuracy. " + "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items()) + ".",
 )  # fmt: skip
 
 
 surface_options = all_of(
     preset_option, depth_options, cut_options, masks_option, nadir_option,
-    device_option("Where networks run; auto takes a GPU if ONNX Runtime has one."), threads_option, size_options,
+    device_option("Where networks run; auto uses a GPU if ONNX Runtime has one."), threads_option, size_options,
     outside_option,
 )  # fmt: skip
 """How the surfaces of panoramas are found, for what is made of surfaces instead of frames."""

@@ -41,7 +41,7 @@ overwrite_option = click.option("--overwrite", is_flag=True, help="Replace the o
 picture_options = all_of(
     masks_option,
     nadir_option,
-    click.option("--threads", type=WholeRange(1), help="At most this many.  [default: one per core]"),
+    click.option("--threads", type=WholeRange(1), help="At most this many threads.  [default: one per core]"),
     click.option("--allow-aspect", is_flag=True, help="Accept panoramas that are not 2:1."),
 )
 
@@ -84,7 +84,9 @@ def poses() -> None:
 @click.option(
     "--copy-images", is_flag=True, help="Copy panoramas (and depth) beside the pose file, under unique names."
 )
-@click.option("--origin", type=Place(), metavar="LAT,LON[,ALT]", help="Origin of a world on earth.  [default: first]")
+@click.option(
+    "--origin", type=Place(), metavar="LAT,LON[,ALT]", help="Origin of a georeferenced world.  [default: first]"
+)
 @click.option("--up", type=click.Choice(UP), help="Axis of SOURCE's world that points up.  [default: the format's]")
 @click.option(
     "--camera-axes", "camera", type=click.Choice(CAMERA_AXES), help="Axes of SOURCE's cameras.  [default: the format's]"
@@ -95,16 +97,16 @@ def poses() -> None:
     type=FiniteRange(0),
     default=0.02,
     show_default=True,
-    help="Seconds by which time stamps of a trajectory and of its images may differ.",
+    help="Largest difference in seconds between the time stamps of poses and images.",
 )
-@click.option("--allow-outside", is_flag=True, help="Accept images outside of SOURCE's folder.")
+@click.option("--allow-outside", is_flag=True, help="Accept images outside the folder of SOURCE.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @quiet_option
 def import_(
     sources: tuple[Path, ...], output: Path, format_name: str, copy_images: bool, overwrite: bool, quiet: bool,
     **options: Any,
 ) -> None:  # fmt: skip
-    """Make poses.json from what another program, or a camera, wrote.
+    """Convert poses of cameras and other programs to poses.json.
 
     \b
     exif        images with GPS and GPano tags, or their folder
@@ -117,7 +119,7 @@ def import_(
     zind        zind_data.json of the Zillow Indoor Dataset
     authors     rotations.npy and translations.npy of the OmniSyn authors
 
-    What had to be assumed is said on stderr, one line each.
+    Every assumption is printed on stderr, one line each.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.io import check_output
     from omnisyn_cli.io.outputs import check_kept
@@ -135,14 +137,14 @@ def import_(
 @click.option("-o", "--output", required=True, type=FilePath(), help="File to write; for colmap a folder.")
 @click.option("--format", "format_name", type=click.Choice(EXPORT_FORMATS), required=True)
 @click.option("--images", type=FilePath(), help="Folder of the panoramas.  [default: that of POSES]")
-@click.option("--size", type=Size(), help="Of all panoramas.  [default: read from their files]")
+@click.option("--size", type=Size(), help="Size of all panoramas.  [default: read from their files]")
 @click.option(
-    "--allow-outside", is_flag=True, help="Accept depth and masks outside of POSES' folder (none is exported)."
+    "--allow-outside", is_flag=True, help="Accept depth and masks outside the folder of POSES (none is exported)."
 )
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @quiet_option
 def export(poses: Path, output: Path, format_name: str, allow_outside: bool, quiet: bool, **options: Any) -> None:
-    """Write poses.json as another program wants it.
+    """Convert poses.json for another program.
 
     \b
     colmap      cameras.txt, images.txt, points3D.txt in a folder; EQUIRECTANGULAR cameras
@@ -166,10 +168,9 @@ def export(poses: Path, output: Path, format_name: str, allow_outside: bool, qui
 @outside_option
 @json_option("the measurements")
 def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: bool, **options: Any) -> None:
-    """Do the poses fit the pictures, and if not, what was done wrong?
+    """Check whether poses fit the pictures, and name the mistake if not.
 
-    Points that neighbouring panoramas have in common are compared with the poses. The distance between two panoramas
-    cannot be checked.
+    The command matches points of neighbouring panoramas and compares them with the poses. It cannot check distances.
     """
     import json
 
@@ -205,8 +206,8 @@ def refine(
 ) -> None:  # fmt: skip
     """Correct rotations and directions of poses that nearly fit.
 
-    The first panorama and the distances between neighbours stay as they are. What cannot be improved is written as it
-    was given; every pair's correction is printed.
+    The first pose and the distances between neighbours stay. Poses that cannot be improved stay too. The correction of
+    every pair is printed.
     """
     from omnisyn_cli.io import check_output
     from omnisyn_cli.io.outputs import check_kept
@@ -226,7 +227,7 @@ def refine(
 @images
 @click.option(
     "--baseline", "baselines", metavar="METRES", multiple=True, required=True,
-    type=FiniteRange(0, min_open=True), help="Distance of neighbours: once for all pairs, or once for each.",
+    type=FiniteRange(0, min_open=True), help="Distance between neighbours: once for all pairs, or once per pair.",
 )  # fmt: skip
 @output_option
 @overwrite_option
@@ -235,10 +236,10 @@ def refine(
 def estimate(
     images: tuple[Path, ...], baselines: tuple[float, ...], output: Path, overwrite: bool, quiet: bool, **options: Any
 ) -> None:
-    """Find the poses of panoramas in the pictures alone.
+    """Estimate the poses of panoramas from the pictures alone.
 
-    The first panorama is put at the origin and taken for level, looking along −z. Pictures do not tell distances: say
-    how far neighbours are apart.
+    The first panorama is at the origin, assumed level, looking along −z. Pictures carry no scale, so give the distance
+    between neighbours.
     """
     from omnisyn_cli.io import check_output
     from omnisyn_cli.io.outputs import check_kept

@@ -15,7 +15,7 @@ KINDS = ("street", "room", "home", "jumble", "yard")
 
 TEXTURES = click.option(
     "--textures", type=FilePath(file_okay=False), metavar="FOLDER",
-    help="Photographs that some of the walls, floors, fronts, pictures and things are made of.",
+    help="Photographs to use as materials of walls, floors, fronts, pictures and objects.",
 )  # fmt: skip
 """Of every command that makes scenes."""
 
@@ -33,27 +33,31 @@ OF_THE_SUITE = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"}
 @click.argument("out", type=FilePath())
 @click.option(
     "--suite", is_flag=True,
-    help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, three true frames between.",
+    help="Write the standard evaluation set: streets and rooms, 1, 2, 4 and 6 m apart, with three frames between.",
 )  # fmt: skip
 @click.option(
     "--wide", is_flag=True,
-    help="With --suite: ten scenes of every kind instead, each walked once, as far as is usual there.",
+    help="With --suite: ten scenes of every kind instead, each with one walk of its usual length.",
 )  # fmt: skip
-@click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="What to build.")
+@click.option("--kind", type=click.Choice(KINDS), default="street", show_default=True, help="Kind of scene.")
 @click.option(
-    "--seed", type=WholeRange(0), default=0, show_default=True, help="Of the first scene; the next ones count on."
+    "--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of the first scene; the next ones count up."
 )
 @click.option(
-    "--count", type=WholeRange(1), default=1, show_default=True, help="Scenes; above 1 each gets a folder in OUT."
+    "--count",
+    type=WholeRange(1),
+    default=1,
+    show_default=True,
+    help="Number of scenes; above 1 each gets a folder in OUT.",
 )
 @click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
-@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Of the panoramas.")
+@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
 @click.option(
-    "--baseline", type=FiniteRange(0, min_open=True), help="Metres from the first to the last.  [default: by chance]"
+    "--baseline",
+    type=FiniteRange(0, min_open=True),
+    help="Metres from the first panorama to the last.  [default: random]",
 )
-@click.option(
-    "--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Degrees by which cameras are held askew."
-)
+@click.option("--tilt", type=FiniteRange(0, 90), default=0.0, show_default=True, help="Camera tilt in degrees.")
 @click.option("--vertical", is_flag=True, help="Put the cameras one above the other.")
 @click.option(
     "--supersample", type=WholeRange(1, 8), default=3, show_default=True, help="Samples per pixel along each axis."

@@ -86,13 +86,13 @@ def _make_direct(settings: FuserSettings, network: Callable[[], Any]) -> Fuser:
 FUSIONS: Mapping[str, FusionStrategy] = MappingProxyType({
     fusion.name: fusion
     for fusion in (
-        FusionStrategy("geometric", "by rules", _make_geometric, runs_on_gpu=True),
+        FusionStrategy("geometric", "a visibility rule", _make_geometric, runs_on_gpu=True),
         FusionStrategy(
-            "network", "by rules that a network corrects", _make_residual, "fusion-residual",
+            "network", "the rule, corrected by a network", _make_residual, "fusion-residual",
             network_bytes=lambda pixels: 50e6, corrects_rules=True,
         ),
         FusionStrategy(
-            "painting", "painted by a network as in the paper", _make_direct, "fusion-paper-narrow",
+            "painting", "a network, as in the paper", _make_direct, "fusion-paper-narrow",
             network_bytes=lambda pixels: 230.0 * min(pixels, MAX_PAINTED_PIXELS), by_rules=False,
         ),
     )

@@ -34,10 +34,10 @@ def _by_name(*presets: Preset) -> Mapping[str, Preset]:
 
 
 SCALE: Mapping[str, Preset] = _by_name(
-    Preset("fast", "matching at ¾ of the size, refined by a network", _refined(384, edges=False)),
+    Preset("fast", "matching at ¾ of the size, completed by a network", _refined(384, edges=False)),
     Preset(
         "balanced",
-        "matching, refined by a network, sharpened at twice the size; another one fuses",
+        "matching completed by a network, refined at twice the size, with network fusion",
         _refined(1024, fusion="network"),
     ),
 )
@@ -45,7 +45,7 @@ SCALE: Mapping[str, Preset] = _by_name(
 
 REPRODUCTIONS: Mapping[str, Preset] = _by_name(
     Preset(
-        "paper", "the method of the paper with narrower networks, to compare with; far less accurate",
+        "paper", "the paper's method with narrower networks, for comparison, far less accurate",
         Recipe(
             DepthSource("network", 256, "depth-paper-narrow"), renderer="two-pass", cut=None, cut_metres=2.0,
             fusion="painting",
