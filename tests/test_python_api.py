@@ -12,7 +12,7 @@ import pytest
 import omnisyn_cli as omnisyn
 from omnisyn_cli.cli import cli
 from omnisyn_cli.errors import ImageError
-from omnisyn_cli.evaluation import api as verbs_that_compare
+from omnisyn_cli.evaluation import public_api as verbs_that_compare
 from omnisyn_cli.interpolation import api
 from omnisyn_cli.io import read_panorama
 from synthesis_samples import SIZE, hall_image, posed, write_hall, ws_psnr

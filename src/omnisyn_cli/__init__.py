@@ -1,6 +1,6 @@
 """OmniSyn: the 360° video between two panoramas (Li et al., IEEE VR 2022), as a library and the command ``omnisyn``.
 
-The names below are those of :mod:`omnisyn_cli.interpolation.api` and :mod:`omnisyn_cli.evaluation.api`, imported when
+The names below are those of :mod:`omnisyn_cli.interpolation.api` and :mod:`omnisyn_cli.evaluation.public_api`, imported when
 they are used, so that importing the package takes no time.
 """
 
@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from omnisyn_cli.evaluation.api import evaluate, score
+    from omnisyn_cli.evaluation.public_api import evaluate, score
     from omnisyn_cli.interpolation.api import (
         PRESETS,
         DepthEstimate,

@@ -39,7 +39,7 @@ class InlineExecutor:
     def ready(self) -> list[int]:
         return [0]
 
-    def give(self, worker: int, job: Job) -> None:
+    def submit(self, worker: int, job: Job) -> None:
         self._reports.append(Report(worker, self._worker.perform(job.payload)))
 
     def wait(self) -> list[Report]:
@@ -66,9 +66,9 @@ def make_tricks(folder: str) -> Callable[[tuple[str, Any]], Any]:
             case "die":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "die once":
-                mark = Path(folder) / str(value)
-                if not mark.exists():
-                    mark.touch()
+                stamp = Path(folder) / str(value)
+                if not stamp.exists():
+                    stamp.touch()
                     os.kill(os.getpid(), signal.SIGKILL)
         return os.getpid()
 

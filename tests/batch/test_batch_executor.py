@@ -10,7 +10,7 @@ from batch_samples import CAN_KILL, InlineExecutor
 from hypothesis import given
 from hypothesis import strategies as st
 
-from omnisyn_cli.batch.executor import MOST_DEATHS, Answer, Job, Outcome, Report, Work, run_jobs
+from omnisyn_cli.batch.executor import MAX_WORKER_DEATHS, Answer, Job, Outcome, Report, Work, run_jobs
 from omnisyn_cli.batch.local_executor import LocalExecutor
 
 TRICKS = "batch_samples:make_tricks"
@@ -33,7 +33,7 @@ class MortalExecutor:
     def ready(self) -> list[int]:
         return [worker for worker in range(self._size) if worker not in self._busy]
 
-    def give(self, worker: int, job: Job) -> None:
+    def submit(self, worker: int, job: Job) -> None:
         assert worker not in self._busy
         self._busy[worker] = job
         self.given.append((worker, job.key))
@@ -53,24 +53,22 @@ jobs_of_any_kind = st.lists(
 
 
 @given(jobs=jobs_of_any_kind, size=st.integers(1, 4), mortality=st.sampled_from([0.0, 0.3, 1.0]), seed=st.integers())
-def test_every_job_has_one_outcome_however_many_workers_die(
-    jobs: list[Job], size: int, mortality: float, seed: int
-) -> None:
+def test_every_job_has_one_outcome_however_many_workers_die(jobs, size, mortality, seed):
     executor = MortalExecutor(size, mortality, seed)
     outcomes = list(run_jobs(jobs, executor))
     assert sorted(o.job.key for o in outcomes) == sorted(job.key for job in jobs)
     tries = Counter(key for _, key in executor.given)
     for outcome in outcomes:
-        assert outcome.attempts == tries[outcome.job.key] <= MOST_DEATHS
+        assert outcome.attempts == tries[outcome.job.key] <= MAX_WORKER_DEATHS
         if outcome.answer.error is None:
             assert outcome.answer.value == outcome.job.payload
         else:
-            assert outcome.attempts == MOST_DEATHS
+            assert outcome.attempts == MAX_WORKER_DEATHS
             assert "signal 9" in outcome.answer.error
 
 
 @given(jobs=jobs_of_any_kind, size=st.integers(1, 4), seed=st.integers())
-def test_groups_stay_with_one_worker_in_their_order(jobs: list[Job], size: int, seed: int) -> None:
+def test_groups_stay_with_one_worker_in_their_order(jobs, size, seed):
     executor = MortalExecutor(size, 0.0, seed)
     list(run_jobs(jobs, executor))
     for name in "abc":
@@ -80,7 +78,7 @@ def test_groups_stay_with_one_worker_in_their_order(jobs: list[Job], size: int, 
 
 
 @given(jobs=jobs_of_any_kind)
-def test_the_most_expensive_group_begins_first(jobs: list[Job]) -> None:
+def test_the_most_expensive_group_begins_first(jobs):
     executor = MortalExecutor(1, 0.0, 0)
     list(run_jobs(jobs, executor))
     sums: dict[str, float] = {}
@@ -96,7 +94,7 @@ def run_tricks(folder: Path, *tricks: tuple[str, Any], workers: int = 2) -> dict
     return {outcome.job.key: outcome for outcome in run_jobs(jobs, executor)}
 
 
-def test_an_error_is_an_answer_and_bugs_keep_their_traceback(tmp_path: Path) -> None:
+def test_an_error_is_an_answer_and_bugs_keep_their_traceback(tmp_path):
     done = run_tricks(tmp_path, ("refuse", "worse"), ("stumble", "over"), ("echo", 1), workers=1)
     assert (done["0"].answer.error, done["0"].answer.trace) == ("expected better, got worse", None)
     assert done["1"].answer.error == "ZeroDivisionError: over"
@@ -106,7 +104,7 @@ def test_an_error_is_an_answer_and_bugs_keep_their_traceback(tmp_path: Path) -> 
 
 
 @pytest.mark.skipif(not CAN_KILL, reason="needs SIGKILL")
-def test_a_dead_worker_is_replaced_and_its_job_done_again_but_not_for_ever(tmp_path: Path) -> None:
+def test_a_dead_worker_is_replaced_and_its_job_done_again_but_not_for_ever(tmp_path):
     done = run_tricks(tmp_path, ("die", 0), ("die once", 1), ("echo", 2), ("echo", 3))
     error = done["0"].answer.error
     assert error is not None
@@ -116,12 +114,12 @@ def test_a_dead_worker_is_replaced_and_its_job_done_again_but_not_for_ever(tmp_p
     }  # fmt: skip
 
 
-def test_a_work_function_that_cannot_be_made_is_every_jobs_error() -> None:
+def test_a_work_function_that_cannot_be_made_is_every_jobs_error():
     outcomes = list(run_jobs([Job("a", 1), Job("b", 2)], InlineExecutor(Work("no_such_module:f"))))
     assert [o.answer.error for o in outcomes] == ["ModuleNotFoundError: No module named 'no_such_module'"] * 2
 
 
-def test_no_job_needs_no_worker() -> None:
+def test_no_job_needs_no_worker():
     class NoExecutor(MortalExecutor):
         def __enter__(self) -> "MortalExecutor":
             raise AssertionError
@@ -130,7 +128,7 @@ def test_no_job_needs_no_worker() -> None:
 
 
 @pytest.mark.skipif(not CAN_KILL, reason="looks at processes of Linux")
-def test_whoever_stops_listening_leaves_no_process_behind(tmp_path: Path) -> None:
+def test_whoever_stops_listening_leaves_no_process_behind(tmp_path):
     executor = LocalExecutor(Work(TRICKS, str(tmp_path)), 2, 1)
     outcomes = run_jobs([Job("0", ("echo", 0)), Job("1", ("sleep", 600)), Job("2", ("sleep", 600))], executor)
     pid = next(outcomes).answer.value[0]

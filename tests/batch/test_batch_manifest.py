@@ -19,7 +19,7 @@ def problems(folder: Path, *lines: Any) -> list[str]:
     return list(read_manifest(write_lines(folder / "jobs.jsonl", list(lines))).problems)
 
 
-def test_a_line_becomes_the_interpolation_it_describes(tmp_path: Path) -> None:
+def test_a_line_becomes_the_interpolation_it_describes(tmp_path):
     write_row(tmp_path, 3)
     options = {"frames": 9, "size": "64x32", "cut_metres": 2, "encoder_preset": "slow", "output": "d/a.mp4", "crf": 20}
     manifest = read_manifest(write_lines(tmp_path / "jobs.jsonl", [line(0, 1, **options, save_depth="depth")]))
@@ -32,7 +32,7 @@ def test_a_line_becomes_the_interpolation_it_describes(tmp_path: Path) -> None:
     assert (job.save_depth, job.threads, job.crf, job.fps) == (tmp_path / "out" / "depth", 3, 20, 30)
 
 
-def test_a_scene_is_its_first_and_last_panorama_unless_inputs_say_otherwise(tmp_path: Path) -> None:
+def test_a_scene_is_its_first_and_last_panorama_unless_inputs_say_otherwise(tmp_path):
     (tmp_path / "hall").mkdir()
     write_row(tmp_path / "hall", 4)
     lines = [{"id": "a", "scene": "hall"}, {"id": "b", "scene": "hall", "inputs": ["p2.png", "p1.png"]}]
@@ -42,13 +42,13 @@ def test_a_scene_is_its_first_and_last_panorama_unless_inputs_say_otherwise(tmp_
     assert first.places == ["a.mp4"]
 
 
-def test_every_option_of_interpolate_is_one_of_a_line() -> None:
+def test_every_option_of_interpolate_is_one_of_a_line():
     """But for those of a run, and a budget of seconds, with which the result would depend on the machine."""
     of_the_run = {"images", "threads", "overwrite", "dry_run", "as_json", "verbose", "quiet", "budget"}
     assert {option.name for option in interpolate.params} - of_the_run <= set(Line.model_fields)
 
 
-def test_csv_says_the_same_as_jsonl(tmp_path: Path) -> None:
+def test_csv_says_the_same_as_jsonl(tmp_path):
     write_row(tmp_path, 3)
     lines = [line(0, 1, fps=25, allow_aspect=True), line(1, 2, size="64x32", masks=["p0.png", "p1.png"])]
     columns = ["id", "inputs", "poses", "output", "frames", "fps", "allow_aspect", "size", "masks"]
@@ -63,7 +63,7 @@ def test_csv_says_the_same_as_jsonl(tmp_path: Path) -> None:
     assert from_csv.jobs == read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
 
 
-def test_all_problems_are_listed_with_their_lines(tmp_path: Path) -> None:
+def test_all_problems_are_listed_with_their_lines(tmp_path):
     write_row(tmp_path, 3)
     found = problems(
         tmp_path,
@@ -102,7 +102,7 @@ def test_all_problems_are_listed_with_their_lines(tmp_path: Path) -> None:
      ({"save_frames": "b.mp4x"}, ".mp4"), ({"method": "synsin", "fusion": "network"}, "synsin"),
      ({"threads": 2}, "threads"), ({"overwrite": True}, "overwrite")],
 )  # fmt: skip
-def test_what_no_job_may_say_is_refused(tmp_path: Path, changes: dict[str, Any], word: str) -> None:
+def test_what_no_job_may_say_is_refused(tmp_path, changes, word):
     write_row(tmp_path, 2)
     found = problems(tmp_path, line(0, 1) | changes)
     assert len(found) == 1
@@ -119,12 +119,12 @@ def test_what_no_job_may_say_is_refused(tmp_path: Path, changes: dict[str, Any],
      ({"inputs": ["p0.png"]}, "inputs: expected at least 2 items, got ['p0.png']; correct it"),
      ({"poses": None}, "expected inputs with poses, or a scene, got neither; name one of them")],
 )  # fmt: skip
-def test_problems_say_expected_got_and_what_to_do(tmp_path: Path, changes: dict[str, Any], sentence: str) -> None:
+def test_problems_say_expected_got_and_what_to_do(tmp_path, changes, sentence):
     write_row(tmp_path, 2)
     assert problems(tmp_path, line(0, 1) | changes) == [f"line 1: {sentence}"]
 
 
-def test_what_is_said_twice_or_is_no_number_is_refused(tmp_path: Path) -> None:
+def test_what_is_said_twice_or_is_no_number_is_refused(tmp_path):
     write_row(tmp_path, 2)
     text = json.dumps(line(0, 1))
     twice, endless = (f"{text[:-1]}, {more}}}" for more in ('"frames": 4', '"crf": NaN'))
@@ -142,7 +142,7 @@ def test_what_is_said_twice_or_is_no_number_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("one", "two"), [("a.mp4", "a.mp4"), ("a", "a/b.mp4"), ("a/b.mp4", "a"), ("a/%05d.png", "a"), ("./a.mp4", "a.mp4")]
 )
-def test_no_two_jobs_write_to_one_place(tmp_path: Path, one: str, two: str) -> None:
+def test_no_two_jobs_write_to_one_place(tmp_path, one, two):
     write_row(tmp_path, 3)
     found = problems(tmp_path, line(0, 1, output=one), line(1, 2, output=two), line(0, 2, output="b.mp4"))
     assert len(found) == 1
@@ -150,7 +150,7 @@ def test_no_two_jobs_write_to_one_place(tmp_path: Path, one: str, two: str) -> N
     assert found[0].startswith("line 2: ")
 
 
-def test_ten_thousand_lines_take_less_than_five_seconds(tmp_path: Path) -> None:
+def test_ten_thousand_lines_take_less_than_five_seconds(tmp_path):
     write_row(tmp_path, 3)
     lines = [line(k % 2, 2, id=f"job-{k}", output=f"{k}.mp4", size="512x256", fps=24) for k in range(9_999)]
     path = write_lines(tmp_path / "jobs.jsonl", [*lines, {**lines[0], "frames": "none"}])
@@ -162,7 +162,7 @@ def test_ten_thousand_lines_take_less_than_five_seconds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\n\n", b"\xff\xfe{"])
-def test_what_is_no_manifest_is_refused(tmp_path: Path, content: bytes | None) -> None:
+def test_what_is_no_manifest_is_refused(tmp_path, content):
     path = tmp_path / "jobs.jsonl"
     if content is not None:
         path.write_bytes(content)
@@ -170,9 +170,7 @@ def test_what_is_no_manifest_is_refused(tmp_path: Path, content: bytes | None) -
         read_manifest(path)
 
 
-def test_file_names_are_the_manifests_not_the_working_directorys(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_names_are_the_manifests_not_the_working_directorys(tmp_path, monkeypatch):
     write_row(tmp_path, 2)
     (tmp_path / "jobs").mkdir()
     inputs = ["../p0.png", "../p1.png"]

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ SECONDS = 240
 
 
 @pytest.fixture
-def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def cluster(monkeypatch):
     """A head without processors, which the command connects to, and nodes to be added and killed."""
     from ray.cluster_utils import Cluster
 
@@ -56,7 +55,7 @@ def workers(folder: Path) -> set[str]:
     return {record["worker"] for record in records(folder)} if (folder / "results.jsonl").exists() else set()
 
 
-def test_a_node_that_dies_midway_takes_nothing_with_it(tmp_path: Path, cluster: Any) -> None:
+def test_a_node_that_dies_midway_takes_nothing_with_it(tmp_path, cluster):
     """The other node's worker does what the lost one had begun, without waiting for a node to replace it."""
     write_row(tmp_path, 4, size=(64, 128))
     pairs = [(a, b) for a in range(4) for b in range(4) if a != b]
@@ -80,7 +79,7 @@ def test_a_node_that_dies_midway_takes_nothing_with_it(tmp_path: Path, cluster: 
     assert max(record["attempts"] for record in records(tmp_path / "out")) == 2, "nothing was lost with the node"
 
 
-def test_a_cluster_that_is_not_there_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_that_is_not_there_is_refused_in_one_line(monkeypatch):
     """Ray itself takes a minute and a half to find that out, so its words are put in its mouth."""
 
     def init(**arguments: Any) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,7 @@ from omnisyn_cli.batch.folder import Records
 from omnisyn_cli.errors import OutputPathError, WriteError
 
 
-def test_the_last_line_of_a_job_counts(tmp_path: Path) -> None:
+def test_the_last_line_of_a_job_counts(tmp_path):
     with Records(tmp_path / "r.jsonl") as records:
         for value in (1, 2):
             records.append({"id": "ä", "value": value})
@@ -21,14 +20,14 @@ def test_the_last_line_of_a_job_counts(tmp_path: Path) -> None:
         assert (records.last("ä"), records.last("b")) == ({"id": "ä", "value": 2}, {"id": "b"})
 
 
-def test_a_line_is_on_the_disk_when_append_returns(tmp_path: Path) -> None:
+def test_a_line_is_on_the_disk_when_append_returns(tmp_path):
     with Records(tmp_path / "r.jsonl") as records:
         records.append({"id": "a"})
         assert json.loads((tmp_path / "r.jsonl").read_text()) == {"id": "a"}
 
 
 @pytest.mark.parametrize("cut", range(1, 12))
-def test_half_a_line_is_as_if_it_had_not_been_written(tmp_path: Path, cut: int) -> None:
+def test_half_a_line_is_as_if_it_had_not_been_written(tmp_path, cut):
     path, whole, torn = tmp_path / "r.jsonl", b'{"id": "a"}\n', b'{"id": "b"}\n'
     path.write_bytes(whole + torn[:cut])
     with Records(path) as records:
@@ -37,7 +36,7 @@ def test_half_a_line_is_as_if_it_had_not_been_written(tmp_path: Path, cut: int) 
     assert path.read_bytes() == whole + b'{"id": "c"}\n'
 
 
-def test_a_second_run_is_refused(tmp_path: Path) -> None:
+def test_a_second_run_is_refused(tmp_path):
     with Records(tmp_path / "r.jsonl"), pytest.raises(OutputPathError, match="in use"), Records(tmp_path / "r.jsonl"):
         pass
     with Records(tmp_path / "r.jsonl") as records:
@@ -45,7 +44,7 @@ def test_a_second_run_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"text\n", b"[]\n", b'{"name": 1}\n'])
-def test_a_file_of_something_else_is_left_alone(tmp_path: Path, content: bytes) -> None:
+def test_a_file_of_something_else_is_left_alone(tmp_path, content):
     (tmp_path / "r.jsonl").write_bytes(content)
     with pytest.raises(OutputPathError, match="expected records"), Records(tmp_path / "r.jsonl"):
         pass
@@ -53,7 +52,7 @@ def test_a_file_of_something_else_is_left_alone(tmp_path: Path, content: bytes) 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")
-def test_a_full_disk_is_said_of_the_records_also_when_they_are_closed(tmp_path: Path) -> None:
+def test_a_full_disk_is_said_of_the_records_also_when_they_are_closed(tmp_path):
     import resource
 
     path, former = tmp_path / "r.jsonl", resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -2,12 +2,11 @@
 
 import os
 import weakref
-from pathlib import Path
 
 import numpy as np
 from batch_samples import write_row
 
-from omnisyn_cli.batch.interpolations import MOST_PANORAMAS, DepthMemory, PanoramaMemory
+from omnisyn_cli.batch.interpolations import MAX_CACHED_PANORAMAS, DepthCache, PanoramaCache
 from omnisyn_cli.fusion.photometry import equalized, rough_curve
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama, write_image
@@ -38,9 +37,9 @@ def values(depths: tuple[DepthEstimate, DepthEstimate]) -> list[float]:
     return [float(depth.inverse_depth[0, 0]) for depth in depths]
 
 
-def test_depth_of_both_directions_is_found_once_and_in_one_order() -> None:
+def test_depth_of_both_directions_is_found_once_and_in_one_order():
     inner, a, b = Counting(), view(1.0), view(2.0)
-    memory = DepthMemory(inner)
+    memory = DepthCache(inner)
     expected = [float(estimate(one).inverse_depth[0, 0]) for one in (a, b)]
     for _ in range(2):
         assert values(memory(b, a)) == expected[::-1]
@@ -49,9 +48,9 @@ def test_depth_of_both_directions_is_found_once_and_in_one_order() -> None:
     assert memory.found == 1
 
 
-def test_another_picture_pose_or_mask_is_another_pair() -> None:
+def test_another_picture_pose_or_mask_is_another_pair():
     inner, a, b = Counting(), view(1.0), view(2.0)
-    memory = DepthMemory(inner)
+    memory = DepthCache(inner)
     mask = np.ones((2, 4), bool)
     others = [view(2.5, b.image), view(2.0, b.image + 0.1), view(2.0, b.image, mask), view(2.0, b.image, ~mask)]
     for other in (b, *others):
@@ -63,10 +62,10 @@ def test_another_picture_pose_or_mask_is_another_pair() -> None:
     assert memory.found == 5, "an equal picture is the same picture"
 
 
-def test_pictures_that_were_darkened_to_one_exposure_are_known_again_in_either_direction() -> None:
+def test_pictures_that_were_darkened_to_one_exposure_are_known_again_in_either_direction():
     """They are made anew for each job."""
     bright = np.random.default_rng(0).uniform(0.2, 0.8, (64, 128, 3)).astype(np.float32)
-    memory, a, b = DepthMemory(Counting()), view(1.0, bright), view(2.0, np.float32(0.7) * bright[:, ::-1])
+    memory, a, b = DepthCache(Counting()), view(1.0, bright), view(2.0, np.float32(0.7) * bright[:, ::-1])
     for pair in ((a, b), (b, a), (a, b)):
         darkened = equalized(*pair, rough_curve(*pair))
         assert not any(one is other for one, other in zip(darkened, pair, strict=True) if other is a)
@@ -74,17 +73,17 @@ def test_pictures_that_were_darkened_to_one_exposure_are_known_again_in_either_d
     assert memory.found == 1
 
 
-def test_depth_keeps_no_picture_alive() -> None:
-    memory, image = DepthMemory(Counting()), np.full((2, 4, 3), 2.0)
+def test_depth_keeps_no_picture_alive():
+    memory, image = DepthCache(Counting()), np.full((2, 4, 3), 2.0)
     memory(view(1.0), view(2.0, image))
     picture = weakref.ref(image)
     del image
     assert picture() is None
 
 
-def test_a_panorama_is_decoded_once_until_its_file_changes(tmp_path: Path) -> None:
+def test_a_panorama_is_decoded_once_until_its_file_changes(tmp_path):
     write_row(tmp_path, 2)
-    memory, path = PanoramaMemory(), tmp_path / "p0.png"
+    memory, path = PanoramaCache(), tmp_path / "p0.png"
     first = memory(path)
     assert memory(path).original is first.original
     np.testing.assert_array_equal(first.image, read_panorama(path).image)
@@ -96,23 +95,23 @@ def test_a_panorama_is_decoded_once_until_its_file_changes(tmp_path: Path) -> No
     assert memory.decoded == 3
 
 
-def test_panoramas_are_remembered_as_the_samples_of_their_files(tmp_path: Path) -> None:
+def test_panoramas_are_remembered_as_the_samples_of_their_files(tmp_path):
     """And are the same numbers when they are made of these again."""
     write_row(tmp_path, 1)
-    memory, path = PanoramaMemory(), tmp_path / "p0.png"
+    memory, path = PanoramaCache(), tmp_path / "p0.png"
     numbers = weakref.ref(memory(path).image)
     assert numbers() is None
     np.testing.assert_array_equal(memory(path).image, read_panorama(path).image)
     assert memory.decoded == 1
 
 
-def test_only_a_few_panoramas_are_remembered(tmp_path: Path) -> None:
-    write_row(tmp_path, MOST_PANORAMAS + 1)
-    memory = PanoramaMemory()
-    for index in range(MOST_PANORAMAS + 1):
+def test_only_a_few_panoramas_are_remembered(tmp_path):
+    write_row(tmp_path, MAX_CACHED_PANORAMAS + 1)
+    memory = PanoramaCache()
+    for index in range(MAX_CACHED_PANORAMAS + 1):
         memory(tmp_path / f"p{index}.png")
-    assert len(memory._known._known) == MOST_PANORAMAS
+    assert len(memory._known._known) == MAX_CACHED_PANORAMAS
     memory(tmp_path / "p1.png")
-    assert memory.decoded == MOST_PANORAMAS + 1
+    assert memory.decoded == MAX_CACHED_PANORAMAS + 1
     memory(tmp_path / "p0.png")
-    assert memory.decoded == MOST_PANORAMAS + 2
+    assert memory.decoded == MAX_CACHED_PANORAMAS + 2

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from batch_samples import SIZE, InlineExecutor, contents, line, records, write_lines, write_row
 
-from omnisyn_cli.batch import batch as batch_module
 from omnisyn_cli.batch import interpolations, provenance
-from omnisyn_cli.batch.batch import BatchOptions, BatchReport, Progress, run_batch
+from omnisyn_cli.batch import runner as batch_module
 from omnisyn_cli.batch.executor import Work
-from omnisyn_cli.batch.folder import WORKSHOP, open_workshop, unpack
-from omnisyn_cli.batch.interpolations import Interpolator, Settings
+from omnisyn_cli.batch.folder import STAGING_DIR, open_staging_dir, write_outputs
+from omnisyn_cli.batch.interpolations import Interpolator, WorkerSettings
 from omnisyn_cli.batch.manifest import read_manifest
+from omnisyn_cli.batch.runner import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
@@ -37,7 +37,7 @@ from synthesis_samples import as_bytes, ws_psnr
 
 
 @pytest.fixture(autouse=True)
-def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def in_this_process(monkeypatch):
     """No processes: what they add is tested with the engine and with the command."""
 
     def inline(settings: Callable[[int], Any], options: BatchOptions, jobs: int) -> InlineExecutor:
@@ -55,7 +55,7 @@ def ids(found: list[dict[str, Any]]) -> list[str]:
     return sorted(record["id"] for record in found)
 
 
-def test_a_batch_makes_what_interpolating_makes(tmp_path: Path) -> None:
+def test_a_batch_makes_what_interpolating_makes(tmp_path):
     write_row(tmp_path, 3)
     lines = [line(0, 1, group="a"), line(1, 0, group="a", save_depth="depth/1-0"), line(0, 2, output="f/v_%03d.png")]
     report = batch(tmp_path, *lines)
@@ -65,10 +65,10 @@ def test_a_batch_makes_what_interpolating_makes(tmp_path: Path) -> None:
         run_interpolation(plan_interpolation(job.interpolation(tmp_path / "alone", threads=1)))
     assert contents(tmp_path / "out") == contents(tmp_path / "alone")
     assert "f/v_001.png" in contents(tmp_path / "out")
-    assert not (tmp_path / "out" / WORKSHOP).exists()
+    assert not (tmp_path / "out" / STAGING_DIR).exists()
 
 
-def test_a_record_says_what_a_result_was_made_of(tmp_path: Path) -> None:
+def test_a_record_says_what_a_result_was_made_of(tmp_path):
     write_row(tmp_path, 2)
     batch(tmp_path, line(0, 1))
     (record,) = records(tmp_path / "out")
@@ -81,9 +81,7 @@ def test_a_record_says_what_a_result_was_made_of(tmp_path: Path) -> None:
     assert record["summary"]["depth"] == "file"
 
 
-def test_shared_panoramas_are_decoded_and_their_depth_found_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shared_panoramas_are_decoded_and_their_depth_found_once(tmp_path, monkeypatch):
     """Four panoramas, three pairs, both ways: four pictures decoded, three pairs matched, the bytes of six jobs.
 
     The estimator gives the first of a pair another depth than the second, so that asking the other way round shows.
@@ -108,7 +106,7 @@ def lopsided(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
     return near, far
 
 
-def test_a_second_run_does_nothing(tmp_path: Path) -> None:
+def test_a_second_run_does_nothing(tmp_path):
     write_row(tmp_path, 3)
     lines = [line(0, 1), line(1, 2)]
     batch(tmp_path, *lines)
@@ -138,7 +136,7 @@ def change_output(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [change_picture, change_depth, change_pose, change_output, None])
-def test_only_what_changed_is_done_again(tmp_path: Path, change: Callable[[Path], None] | None) -> None:
+def test_only_what_changed_is_done_again(tmp_path, change):
     """A picture, a depth file, a pose, an output that went away, and an option (None)."""
     write_row(tmp_path, 3)
     batch(tmp_path, line(0, 1), line(1, 2))
@@ -171,7 +169,7 @@ def install(folder: Path, **contents: str) -> None:
 
 
 @pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def installed(tmp_path, monkeypatch):
     """A folder of networks that is the program's; nothing is computed with them."""
     folder = tmp_path / "models"
     folder.mkdir()
@@ -180,7 +178,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.setattr(module, "models_folder", lambda: folder)
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
     monkeypatch.setattr(
-        "omnisyn_cli.synthesis.making.make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1)
+        "omnisyn_cli.pipeline.methods.make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1)
     )
     return folder
 
@@ -197,9 +195,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
     ids=["the same", "touched", "of the preset", "for fusion", "of the user", "of the user touched"],
 )
-def test_another_network_does_the_jobs_again_that_use_it(
-    tmp_path: Path, installed: Path, change: Callable[[Path], Any], again: list[str]
-) -> None:
+def test_another_network_does_the_jobs_again_that_use_it(tmp_path, installed, change, again):
     """A job without a network, one with that of its preset, others with that for fusion, or of a file."""
     write_row(tmp_path, 2)
     (tmp_path / "mine.onnx").write_text("mine")
@@ -214,7 +210,7 @@ def test_another_network_does_the_jobs_again_that_use_it(
     assert ids(batch(tmp_path, *lines).kept) == sorted(wishes)
 
 
-def test_a_job_that_lacked_its_network_is_tried_again_when_there_is_one(tmp_path: Path, installed: Path) -> None:
+def test_a_job_that_lacked_its_network_is_tried_again_when_there_is_one(tmp_path, installed):
     write_row(tmp_path, 2)
     manifest = (installed / "manifest.toml").read_text()
     (installed / "manifest.toml").unlink()
@@ -225,9 +221,7 @@ def test_a_job_that_lacked_its_network_is_tried_again_when_there_is_one(tmp_path
     assert ids(batch(tmp_path, line(0, 1, depth="refined")).done) == ["0-1"]
 
 
-def test_a_worker_loads_a_network_once_and_again_when_it_changes(
-    tmp_path: Path, installed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_loads_a_network_once_and_again_when_it_changes(tmp_path, installed, monkeypatch):
     loaded = []
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: loaded.append(source.model) or lopsided)
     write_row(tmp_path, 3)
@@ -236,8 +230,8 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(
              line(0, 2, depth="network", model="mine.onnx")]  # fmt: skip
     jobs = read_manifest(write_lines(tmp_path / "jobs.jsonl", lines)).jobs
     (tmp_path / "out").mkdir()
-    with open_workshop(tmp_path / "out") as token:
-        work = Interpolator(Settings(tmp_path / "out", token, 1))
+    with open_staging_dir(tmp_path / "out") as token:
+        work = Interpolator(WorkerSettings(tmp_path / "out", token, 1))
         for _ in range(2):
             for job in jobs:
                 work(job)
@@ -250,7 +244,7 @@ def test_a_worker_loads_a_network_once_and_again_when_it_changes(
     assert loaded == ["completion-balanced", mine] * 2
 
 
-def test_masks_are_the_manifests_and_changing_one_does_the_job_again(tmp_path: Path) -> None:
+def test_masks_are_the_manifests_and_changing_one_does_the_job_again(tmp_path):
     write_row(tmp_path, 2)
     for name in ("m0.png", "m1.png"):
         write_image(tmp_path / name, np.full(SIZE, 255, np.uint8))
@@ -268,14 +262,14 @@ def test_masks_are_the_manifests_and_changing_one_does_the_job_again(tmp_path: P
     assert len(batch(tmp_path, asked).done) == 1
 
 
-def test_fewer_frames_leave_none_of_the_former_ones(tmp_path: Path) -> None:
+def test_fewer_frames_leave_none_of_the_former_ones(tmp_path):
     write_row(tmp_path, 2)
     batch(tmp_path, line(0, 1, frames=5))
     batch(tmp_path, line(0, 1, frames=3))
     assert len(contents(tmp_path / "out")) == 3
 
 
-def test_files_of_others_in_a_jobs_folder_stay_and_redo_nothing(tmp_path: Path) -> None:
+def test_files_of_others_in_a_jobs_folder_stay_and_redo_nothing(tmp_path):
     """Frames of another format and the ones that are too many go, whatever has other names stays."""
     write_row(tmp_path, 2)
     batch(tmp_path, line(0, 1, frames=5, codec="jpg"))
@@ -291,7 +285,7 @@ def test_files_of_others_in_a_jobs_folder_stay_and_redo_nothing(tmp_path: Path) 
     assert len(batch(tmp_path, line(0, 1, frames=3, codec="png")).done) == 1
 
 
-def test_poses_are_found_in_the_pictures_as_well_as_given(tmp_path: Path) -> None:
+def test_poses_are_found_in_the_pictures_as_well_as_given(tmp_path):
     """``auto`` and a baseline: the middle frame is the true one nearly as much as with the poses of the generator."""
     scene = generate_scene("street", 101)
     path = sample_path(scene, 101, 3, baseline=1.0)
@@ -316,9 +310,7 @@ def test_poses_are_found_in_the_pictures_as_well_as_given(tmp_path: Path) -> Non
     assert ids(batch(tmp_path, *lines).kept) == ["found", "given"]
 
 
-def test_another_baseline_or_picture_does_a_job_with_found_poses_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_baseline_or_picture_does_a_job_with_found_poses_again(tmp_path, monkeypatch):
     """And one that is tried without features in the pictures fails alone, saying what is missing."""
     write_row(tmp_path, 3)
     lines = [line(0, 1, poses="auto", baseline=1.5), line(1, 2)]
@@ -335,7 +327,7 @@ def test_another_baseline_or_picture_does_a_job_with_found_poses_again(
     assert (ids(batch(tmp_path, other, lines[1]).done)) == ["0-1"]
 
 
-def test_a_bad_pair_stops_nothing_and_is_tried_again_when_told_or_mended(tmp_path: Path) -> None:
+def test_a_bad_pair_stops_nothing_and_is_tried_again_when_told_or_mended(tmp_path):
     write_row(tmp_path, 3)
     good = (tmp_path / "p2.png").read_bytes()
     (tmp_path / "p2.png").write_bytes(good[:200])
@@ -354,7 +346,7 @@ def test_a_bad_pair_stops_nothing_and_is_tried_again_when_told_or_mended(tmp_pat
     assert (ids(fourth.done), ids(fourth.kept), fourth.failed) == (["1-2"], ["0-1"], [])
 
 
-def test_files_that_no_batch_has_written_are_safe(tmp_path: Path) -> None:
+def test_files_that_no_batch_has_written_are_safe(tmp_path):
     write_row(tmp_path, 2)
     (tmp_path / "out" / "0-1").mkdir(parents=True)
     (tmp_path / "out" / "0-1" / "mine.txt").write_text("mine")
@@ -364,7 +356,7 @@ def test_files_that_no_batch_has_written_are_safe(tmp_path: Path) -> None:
     assert len(batch(tmp_path, line(0, 1), overwrite=True).done) == 1
 
 
-def test_files_that_no_record_names_are_safe_beside_those_of_a_batch(tmp_path: Path) -> None:
+def test_files_that_no_record_names_are_safe_beside_those_of_a_batch(tmp_path):
     write_row(tmp_path, 3)
     batch(tmp_path, line(0, 1))
     mine = tmp_path / "out" / "1-2"
@@ -376,15 +368,15 @@ def test_files_that_no_record_names_are_safe_beside_those_of_a_batch(tmp_path: P
     assert len(batch(tmp_path, line(0, 1, frames=4)).done) == 1, "what the batch has made it may replace"
 
 
-def test_what_a_killed_run_had_no_time_to_record_is_replaced(tmp_path: Path) -> None:
+def test_what_a_killed_run_had_no_time_to_record_is_replaced(tmp_path):
     write_row(tmp_path, 2)
-    (tmp_path / "out" / WORKSHOP).mkdir(parents=True)
+    (tmp_path / "out" / STAGING_DIR).mkdir(parents=True)
     (tmp_path / "out" / "0-1").mkdir()
     assert len(batch(tmp_path, line(0, 1)).done) == 1
 
 
 @pytest.mark.parametrize("mistaken", ["depth1.exr", "mask.png"])
-def test_what_a_pose_file_names_is_never_an_output(tmp_path: Path, mistaken: str) -> None:
+def test_what_a_pose_file_names_is_never_an_output(tmp_path, mistaken):
     write_row(tmp_path, 2)
     poses = json.loads((tmp_path / "poses.json").read_text())
     poses["panoramas"]["p0.png"]["mask"] = "mask.png"
@@ -400,7 +392,7 @@ def test_what_a_pose_file_names_is_never_an_output(tmp_path: Path, mistaken: str
 
 
 @pytest.mark.parametrize("mistaken", ["p1.png", "poses.json", "jobs.jsonl"])
-def test_inputs_are_never_outputs(tmp_path: Path, mistaken: str) -> None:
+def test_inputs_are_never_outputs(tmp_path, mistaken):
     """Not even where their names are those of videos."""
     write_row(tmp_path, 2)
     names = {name: "a.mp4" if name == mistaken else name for name in ("p1.png", "poses.json", "jobs.jsonl")}
@@ -416,7 +408,7 @@ def test_inputs_are_never_outputs(tmp_path: Path, mistaken: str) -> None:
     assert contents(tmp_path) == before
 
 
-def test_a_folder_with_inputs_in_it_is_never_replaced(tmp_path: Path) -> None:
+def test_a_folder_with_inputs_in_it_is_never_replaced(tmp_path):
     (tmp_path / "tour").mkdir()
     write_row(tmp_path / "tour", 2)
     one = {"id": "a", "scene": "tour", "output": "tour", "frames": 3}
@@ -425,34 +417,34 @@ def test_a_folder_with_inputs_in_it_is_never_replaced(tmp_path: Path) -> None:
         run_batch(read_manifest(path), tmp_path, BatchOptions(overwrite=True))
 
 
-def test_a_manifest_with_problems_is_not_begun(tmp_path: Path) -> None:
+def test_a_manifest_with_problems_is_not_begun(tmp_path):
     write_row(tmp_path, 2)
     with pytest.raises(InputError, match="got 1"):
         batch(tmp_path, line(0, 1), "{")
     assert not (tmp_path / "out").exists()
 
 
-def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path: Path) -> None:
+def test_a_worker_that_does_not_see_the_folder_sends_the_files(tmp_path):
     write_row(tmp_path, 2)
     path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1, save_depth="depth", output="f/v_%02d.png")])
     (job,) = read_manifest(path).jobs
     there, elsewhere = tmp_path / "there", tmp_path / "elsewhere"
     there.mkdir()
-    with open_workshop(there) as token:
-        seen = Interpolator(Settings(there, token, 1))(job)
-        sent = Interpolator(Settings(elsewhere, token, 1))(job)
-        other = Interpolator(Settings(there, "another token", 1))(job)
+    with open_staging_dir(there) as token:
+        seen = Interpolator(WorkerSettings(there, token, 1))(job)
+        sent = Interpolator(WorkerSettings(elsewhere, token, 1))(job)
+        other = Interpolator(WorkerSettings(there, "another token", 1))(job)
     assert seen["files"] is None
     assert not elsewhere.exists()
     assert set(sent["files"]) == set(contents(there)) == set(other["files"])
     elsewhere.mkdir()
-    with open_workshop(elsewhere):
-        unpack(sent["files"], elsewhere, job.places)
+    with open_staging_dir(elsewhere):
+        write_outputs(sent["files"], elsewhere, job.places)
     assert contents(elsewhere) == contents(there)
     assert sent["outputs"] == seen["outputs"]
 
 
-def test_progress_counts_jobs_and_their_costs(tmp_path: Path) -> None:
+def test_progress_counts_jobs_and_their_costs(tmp_path):
     write_row(tmp_path, 3)
     path = write_lines(tmp_path / "jobs.jsonl", [line(0, 1), line(1, 2, frames=300, max_pixels=1), line(0, 2)])
     seen: list[Progress] = []

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from omnisyn_cli.batch.manifest import read_manifest
-from omnisyn_cli.batch.tours import TourOptions, neighbours, plan_tours, walks, write_manifest
+from omnisyn_cli.batch.pairing import TourOptions, group_pairs, neighbours, plan_tours, write_manifest
 from omnisyn_cli.errors import InputError, OutputPathError
 
 
@@ -26,13 +25,13 @@ def by_definition(positions: np.ndarray, count: int, farthest: float) -> list[tu
 
 @pytest.mark.parametrize("farthest", [0.5, 3.0, 100.0])
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_neighbours_are_those_of_the_definition(count: int, farthest: float) -> None:
+def test_neighbours_are_those_of_the_definition(count, farthest):
     positions = np.random.default_rng(count).normal(size=(60, 3)) * (4, 0.2, 4)
     positions[7] = positions[8]
     assert neighbours(positions, count, farthest) == by_definition(positions, count, farthest)
 
 
-def test_a_walk_of_panoramas_has_one_pair_per_step() -> None:
+def test_a_walk_of_panoramas_has_one_pair_per_step():
     positions = np.arange(6.0)[:, None] * (1.0, 0.0, 0.0)
     assert neighbours(positions, 2, 1.5) == [(k, k + 1) for k in range(5)]
 
@@ -41,20 +40,20 @@ graphs = st.sets(st.tuples(st.integers(0, 12), st.integers(0, 12)).filter(lambda
 
 
 @given(pairs=graphs, share=st.integers(1, 9))
-def test_walks_take_every_pair_once(pairs: set[tuple[int, int]], share: int) -> None:
-    groups = walks(sorted(pairs), share)
+def test_walks_take_every_pair_once(pairs, share):
+    groups = group_pairs(sorted(pairs), share)
     assert sorted((min(p), max(p)) for group in groups for p in group) == sorted(pairs)
     assert all(1 <= len(group) <= share for group in groups)
 
 
-def test_a_street_is_walked_from_end_to_end() -> None:
+def test_a_street_is_walked_from_end_to_end():
     street = [(k, k + 1) for k in range(9)]
-    (walk,) = walks(street, 100)
+    (walk,) = group_pairs(street, 100)
     assert walk == street
-    assert [len(group) for group in walks(street, 4)] == [4, 4, 1]
+    assert [len(group) for group in group_pairs(street, 4)] == [4, 4, 1]
 
 
-def test_a_tour_becomes_a_manifest_without_problems(tmp_path: Path) -> None:
+def test_a_tour_becomes_a_manifest_without_problems(tmp_path):
     write_row(tmp_path, 4)
     (tmp_path / "jobs").mkdir()
     path = tmp_path / "jobs" / "jobs.jsonl"
@@ -71,7 +70,7 @@ def test_a_tour_becomes_a_manifest_without_problems(tmp_path: Path) -> None:
         write_manifest(path, lines)
 
 
-def test_a_tour_whose_poses_are_rough_can_have_them_found(tmp_path: Path) -> None:
+def test_a_tour_whose_poses_are_rough_can_have_them_found(tmp_path):
     (tmp_path / "tour").mkdir()
     write_row(tmp_path / "tour", 2)
     options = TourOptions(options={"poses": "auto", "baseline": 1})
@@ -81,7 +80,7 @@ def test_a_tour_whose_poses_are_rough_can_have_them_found(tmp_path: Path) -> Non
     assert {job.poses for job in manifest.jobs} == {Path("auto")}
 
 
-def test_a_tour_with_depth_elsewhere_needs_what_its_jobs_need(tmp_path: Path) -> None:
+def test_a_tour_with_depth_elsewhere_needs_what_its_jobs_need(tmp_path):
     (tmp_path / "tour").mkdir()
     write_row(tmp_path, 2)
     for name in ("p0.png", "p1.png"):
@@ -97,7 +96,7 @@ def test_a_tour_with_depth_elsewhere_needs_what_its_jobs_need(tmp_path: Path) ->
     assert not read_manifest(tmp_path / "jobs.jsonl").problems
 
 
-def test_a_folder_of_scenes_keeps_them_apart(tmp_path: Path) -> None:
+def test_a_folder_of_scenes_keeps_them_apart(tmp_path):
     for name in ("hall", "the yard"):
         (tmp_path / name).mkdir()
         write_row(tmp_path / name, 2)
@@ -109,7 +108,7 @@ def test_a_folder_of_scenes_keeps_them_apart(tmp_path: Path) -> None:
     assert len({job.group for job in manifest.jobs}) == 2
 
 
-def test_places_without_neighbours_or_poses_are_refused(tmp_path: Path) -> None:
+def test_places_without_neighbours_or_poses_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"expected poses\.json"):
         plan_tours(tmp_path, TourOptions())
     write_row(tmp_path, 2)
@@ -121,8 +120,6 @@ def test_places_without_neighbours_or_poses_are_refused(tmp_path: Path) -> None:
     ("options", "words"),
     [({"foo": 1}, "'foo'; choose from .*fps"), ({"output": "a.mp4"}, "'output'"), ({"fps": "many"}, "fps: .*'many'")],
 )
-def test_options_that_no_job_could_have_are_refused_before_anything_is_planned(
-    tmp_path: Path, options: dict[str, Any], words: str
-) -> None:
+def test_options_that_no_job_could_have_are_refused_before_anything_is_planned(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         plan_tours(tmp_path / "gone", TourOptions(options=options))

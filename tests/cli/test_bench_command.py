@@ -1,22 +1,21 @@
 """``omnisyn bench`` from the command line, and ``interpolate --budget``, which chooses by its figures."""
 
 import json
-import sys
 from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from cli_samples import listing, run_cli, write_pair
 
+from cli.cli_samples import Omnisyn, listing, write_pair
 from omnisyn_cli.cli.bench import LAYOUTS
 from omnisyn_cli.compute.jit import announce_compiling, when_compiling
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import bench
-from omnisyn_cli.evaluation.bench import CHOICES, GENERATED, BenchJob
+from omnisyn_cli.evaluation import bench_settings
+from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob
 from omnisyn_cli.evaluation.bench_run import BenchRun
 from omnisyn_cli.evaluation.datasets import FORMATS
-from omnisyn_cli.evaluation.pareto import FIGURES, FRAME_STAGES, Figures, read_table
-from omnisyn_cli.synthesis.presets import SCALE
+from omnisyn_cli.interpolation.planning.figures import FIGURES, FRAME_STAGES, Figures, read_table
+from omnisyn_cli.pipeline.presets import SCALE
 from synthesis_samples import posed, write_hall
 
 POSES = [posed((0, 0, 0.6)), posed((0.2, 0.1, 0.1), 0.3), posed((0, 0, -0.6), 0.5)]
@@ -44,13 +43,12 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[BenchRun]:
         scores = {pair.scene: score for pair in run.pairs if run.is_scored}
         return Figures(run.setting, key=run.key, source=(32, 64), seconds=seconds, probe=1.0, scores=scores, pairs=1)
 
-    monkeypatch.setattr(bench, "_in_child", pretend)
+    monkeypatch.setattr(bench_settings, "_measure_in_child", pretend)
     return asked
 
 
-def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], scenes: Path, tmp_path: Path) -> None:
-    result = run_cli(
-        capsys, "bench", scenes, "--methods", "omnisyn-fast:rows=64", "--sizes", "64x32", "--frames", 1,
+def test_a_setting_is_measured_and_stored(omnisyn: Omnisyn, scenes: Path, tmp_path: Path) -> None:
+    result = omnisyn("bench", scenes, "--methods", "omnisyn-fast:rows=64", "--sizes", "64x32", "--frames", 1,
         "--threads", 1, "--report", tmp_path / "report", "--store", tmp_path / "table.json", "--json",
     )  # fmt: skip
     assert (result.code, result.err) == (0, "1/1 omnisyn-fast:rows=64, 64x32, 1 thread\n")
@@ -60,43 +58,29 @@ def test_a_setting_is_measured_and_stored(capsys: pytest.CaptureFixture[str], sc
     assert all(score > 10 for score in figures["scores"].values())
     (stored,) = read_table(tmp_path / "table.json")
     assert stored.to_json() == FIGURES.validate_python(figures).to_json()
-    assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
+    assert {"bench_settings.jsonl", "bench_settings.html", "bench_settings.png", "bench_settings.json"} <= set(listing(tmp_path / "report"))
 
 
-def test_tables_say_what_to_take(capsys: pytest.CaptureFixture[str], scenes: Path, runs: list[BenchRun]) -> None:
-    result = run_cli(capsys, "bench", scenes, "--sizes", "64x32,128x64", "--threads", "1,2")
-    assert result.code == 0
-    assert len(runs) == (len(CHOICES) + len(SCALE)) * 2
+def test_tables_say_what_to_take(omnisyn: Omnisyn, scenes: Path, runs: list[BenchRun]) -> None:
+    result = omnisyn.made("bench", scenes, "--sizes", "64x32,128x64", "--threads", "1,2")
+    assert len(runs) == (len(DEFAULT_BENCH_METHODS) + len(SCALE)) * 2
     assert result.out.count("What settings cost and are worth") == 1
     assert "● omnisyn-balanced, 64x32, 1 thread" in result.out
     assert "○ omnisyn-balanced:rows=512, 64x32, 2 threads" in result.out
     assert "28.00" in result.out
 
 
-def test_scenes_are_made_where_none_are_given(
-    capsys: pytest.CaptureFixture[str], runs: list[BenchRun], tmp_path: Path
-) -> None:
-    options = (
-        "--scene-size",
-        "32x16",
-        "--sizes",
-        "32x16",
-        "--methods",
-        "omnisyn-fast",
-        "--report",
-        tmp_path / "report",
-        "-q",
-    )
-    assert run_cli(capsys, "bench", *options).out == ""
-    assert len({pair.scene for run in runs for pair in run.pairs}) == len(GENERATED)
+def test_scenes_are_made_where_none_are_given(omnisyn: Omnisyn, runs: list[BenchRun], tmp_path: Path) -> None:
+    options = ("--scene-size", "32x16", "--sizes", "32x16", "--methods", "omnisyn-fast", "-q")
+    assert omnisyn("bench", *options, "--report", tmp_path / "report").out == ""
+    assert len({pair.scene for run in runs for pair in run.pairs}) == len(GENERATED_PAIRS)
 
 
 def test_a_failure_is_named_and_the_exit_code_is_1(
-    capsys: pytest.CaptureFixture[str], scenes: Path, monkeypatch: pytest.MonkeyPatch
+    omnisyn: Omnisyn, scenes: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bench, "_in_child", lambda run: Figures(run.setting, "failed", "no memory"))
-    result = run_cli(capsys, "bench", scenes, "--methods", "omnisyn-fast", "--sizes", "64x32", "--threads", 1)
-    assert result.code == 1
+    monkeypatch.setattr(bench_settings, "_measure_in_child", lambda run: Figures(run.setting, "failed", "no memory"))
+    result = omnisyn.refused("bench", scenes, "--methods", "omnisyn-fast", "--sizes", "64x32", "--threads", 1, code=1)
     assert "omnisyn-fast, 64x32, 1 thread: no memory" in result.out
 
 
@@ -106,22 +90,14 @@ def test_a_failure_is_named_and_the_exit_code_is_1(
         (["nosuch"], 3, "expected a folder of scenes"),
         (["--sizes", "64x64"], 2, "twice as wide"),
         (["--threads", "0"], 2, "--threads"),
+        (["--threads", "64,abc"], 2, "'--threads': 'abc' is not a valid integer."),
         (["--store", "nosuch/table.json"], 3, "expected an existing folder"),
     ],
 )
-def test_wrong_options_are_explained(
-    capsys: pytest.CaptureFixture[str], options: list[str], code: int, message: str
-) -> None:
-    result = run_cli(capsys, "bench", *options)
+def test_wrong_options_are_explained(omnisyn: Omnisyn, options: list[str], code: int, message: str) -> None:
+    result = omnisyn("bench", *options)
     assert (result.code, result.out) == (code, "")
     assert message in result.err
-
-
-def test_help_loads_nothing_heavy(capsys: pytest.CaptureFixture[str]) -> None:
-    before = set(sys.modules)
-    assert run_cli(capsys, "bench", "--help").code == 0
-    new = {name.partition(".")[0] for name in set(sys.modules) - before}
-    assert not new & {"torch", "onnxruntime", "numba", "cv2", "matplotlib", "pydantic"}
 
 
 def test_defaults_and_choices_are_those_of_the_library() -> None:
@@ -138,18 +114,22 @@ def images(tmp_path: Path) -> list[Path]:
     return write_pair(tmp_path)
 
 
-def budget_of(seconds: float, images: list[Path], *more: object) -> list[object]:
+def job_of(images: list[Path], *more: object) -> list[object]:
     poses, output = images[0].parent / "poses.json", images[0].parent / "out.mp4"
-    return ["interpolate", *images, "--poses", poses, "-o", output, "--frames", 9, "--budget", seconds, *more]
+    return ["interpolate", *images, "--poses", poses, "-o", output, "--frames", 9, *more]
+
+
+def budget_of(seconds: float, images: list[Path], *more: object) -> list[object]:
+    return job_of(images, "--budget", seconds, *more)
 
 
 @pytest.mark.parametrize(
     ("seconds", "words"), [(1e6, "preset {best} for a budget"), (1e-4, "even the fastest preset, fast")]
 )
 def test_a_budget_chooses_the_preset_and_says_so(
-    capsys: pytest.CaptureFixture[str], images: list[Path], seconds: float, words: str
+    omnisyn: Omnisyn, images: list[Path], seconds: float, words: str
 ) -> None:
-    result = run_cli(capsys, *budget_of(seconds, images, "--depth", "refined", "--dry-run", "--json"))
+    result = omnisyn(*budget_of(seconds, images, "--depth", "refined", "--dry-run", "--json"))
     plan = json.loads(result.out)
     best = plan["preset"]
     assert result.code == 0
@@ -158,8 +138,8 @@ def test_a_budget_chooses_the_preset_and_says_so(
     assert best == "fast" if seconds < 1 else best != "fast"
 
 
-def test_depth_from_files_leaves_nothing_to_choose(capsys: pytest.CaptureFixture[str], images: list[Path]) -> None:
-    plan = json.loads(run_cli(capsys, *budget_of(60, images, "--dry-run", "--json")).out)
+def test_depth_from_files_leaves_nothing_to_choose(omnisyn: Omnisyn, images: list[Path]) -> None:
+    plan = omnisyn.json(*budget_of(60, images, "--dry-run"))
     assert (plan["depth"], plan["preset"]) == ("file", "balanced")
     assert "presets make no difference" in plan["notes"][-1]
 
@@ -175,38 +155,29 @@ def test_depth_from_files_leaves_nothing_to_choose(capsys: pytest.CaptureFixture
     ],
 )
 def test_what_a_budget_does_not_go_with(
-    capsys: pytest.CaptureFixture[str], images: list[Path], more: list[str], code: int, message: str
+    omnisyn: Omnisyn, images: list[Path], more: list[str], code: int, message: str
 ) -> None:
-    result = run_cli(capsys, *budget_of(60, images, "--dry-run", *more))
+    result = omnisyn(*budget_of(60, images, "--dry-run", *more))
     assert (result.code, result.out) == (code, "")
     assert message in result.err
 
 
-def test_a_list_of_numbers_names_what_is_none(capsys: pytest.CaptureFixture[str]) -> None:
-    result = run_cli(capsys, "bench", "--threads", "64,abc")
-    assert result.code == 2
-    assert "'--threads': 'abc' is not a valid integer." in result.err
-
-
-def test_a_dry_run_says_how_long_it_will_take_and_how_that_is_known(
-    capsys: pytest.CaptureFixture[str], images: list[Path]
-) -> None:
-    arguments = [word for word in budget_of(1, images, "--dry-run", "--json") if word not in {"--budget", 1}]
-    plan = json.loads(run_cli(capsys, *arguments).out)
+def test_a_dry_run_says_how_long_it_will_take_and_how_that_is_known(omnisyn: Omnisyn, images: list[Path]) -> None:
+    plan = omnisyn.json(*job_of(images, "--dry-run"))
     assert plan["expected_seconds"] > 0
     assert "former run" in plan["expected_from"]
 
 
 def test_a_run_is_remembered_and_one_that_compiles_is_not(
-    capsys: pytest.CaptureFixture[str], images: list[Path], monkeypatch: pytest.MonkeyPatch
+    omnisyn: Omnisyn, images: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     remembered: list[object] = []
-    monkeypatch.setattr("omnisyn_cli.evaluation.duration.remember_run", remembered.append)
-    make = [word for word in budget_of(1, images, "-q", "--overwrite") if word not in {"--budget", 1}]
+    monkeypatch.setattr("omnisyn_cli.interpolation.planning.duration.remember_run", remembered.append)
+    make = job_of(images, "-q", "--overwrite")
     with when_compiling(lambda: None):  # the first run here may compile
-        run_cli(capsys, *make)
+        omnisyn(*make)
     remembered.clear()
-    assert run_cli(capsys, *make).code == 0
+    assert omnisyn(*make).code == 0
     assert len(remembered) == 1
 
     def compile_first(*_: object, **__: object) -> NoReturn:
@@ -214,5 +185,5 @@ def test_a_run_is_remembered_and_one_that_compiles_is_not(
         raise InputError("enough")
 
     monkeypatch.setattr("omnisyn_cli.interpolation.run.run_interpolation", compile_first)
-    assert run_cli(capsys, *make).code == 3
+    assert omnisyn(*make).code == 3
     assert len(remembered) == 1

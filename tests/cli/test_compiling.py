@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
-from cli_samples import run_cli, write_pair
 
+from cli.cli_samples import Omnisyn, write_pair
 from omnisyn_cli.cli import progress
 from omnisyn_cli.cli.progress import COMPILING, COMPILING_AGAIN, say_when_compiling
 from omnisyn_cli.compute import jit
@@ -59,14 +59,14 @@ def test_where_nothing_can_be_kept_it_is_said_what_to_do(
     ("work", "arguments"),
     [
         ("omnisyn_cli.evaluation.engine.plan_evaluation", ("eval", "scenes")),
-        ("omnisyn_cli.evaluation.bench.make_scenes", ("bench",)),
-        ("omnisyn_cli.evaluation.bench.plan_bench", ("bench", "scenes")),
-        ("omnisyn_cli.evaluation.depth_table.run_depth_table", ("depth-table",)),
+        ("omnisyn_cli.evaluation.bench_settings.make_scenes", ("bench",)),
+        ("omnisyn_cli.evaluation.bench_settings.plan_bench", ("bench", "scenes")),
+        ("omnisyn_cli.evaluation.depth_benchmark.run_depth_table", ("depth-table",)),
         ("omnisyn_cli.interpolation.run.run_interpolation", ("interpolate",)),
     ],
 )
 def test_commands_that_compile_say_so(
-    work: str, arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    work: str, arguments: tuple[object, ...], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:  # fmt: skip
     def compile_and_fail(*_: object) -> None:
@@ -79,4 +79,4 @@ def test_commands_that_compile_say_so(
         arguments = (*arguments, *images, "--poses", tmp_path / "poses.json", "-o", tmp_path / "out.mp4")
     name, *more = arguments
     for quiet, said in (((), f"{COMPILING}\n"), (("-q",), "")):
-        assert run_cli(capsys, name, *quiet, *more).raw_err == f"{said}omnisyn: enough\n"
+        assert omnisyn(name, *quiet, *more).raw_err == f"{said}omnisyn: enough\n"

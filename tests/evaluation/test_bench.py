@@ -16,11 +16,10 @@ from hall_samples import damage, hall_pair, run, write_halls
 
 from omnisyn_cli.compute.jit import kernel, when_compiling
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import bench_run
-from omnisyn_cli.evaluation import bench_settings
-from omnisyn_cli.evaluation.bench_settings import BenchJob, make_scenes, plan_bench, run_bench
+from omnisyn_cli.evaluation import bench_run, bench_settings
 from omnisyn_cli.evaluation.bench_report import bench_tables, write_bench_report
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
+from omnisyn_cli.evaluation.bench_settings import BenchJob, make_scenes, plan_bench, run_bench
 from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
 from omnisyn_cli.evaluation.methods import find_method
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -86,7 +85,7 @@ def test_every_combination_is_a_setting_in_a_process_of_its_own(
         runs.append(asked)
         return figures_of(asked.setting)
 
-    monkeypatch.setattr(bench, "_in_child", pretend)
+    monkeypatch.setattr(bench_settings, "_measure_in_child", pretend)
     sizes = ((32, 64), (64, 128))
     wanted = job(tmp_path, methods=f"{FAST},omnisyn-balanced,matching", sizes=sizes, threads=(1, 2))
     run_bench(plan_bench(wanted))
@@ -100,7 +99,7 @@ def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(
 ) -> None:
     write_halls(tmp_path / "data", "hall", "nave", "yard")
     runs: list[BenchRun] = []
-    monkeypatch.setattr(bench, "_in_child", lambda run: runs.append(run) or figures_of(run.setting))
+    monkeypatch.setattr(bench_settings, "_measure_in_child", lambda run: runs.append(run) or figures_of(run.setting))
     run_bench(plan_bench(job(tmp_path, sizes=((64, 128), (128, 256)))))
     assert [(run.is_scored, len(run.pairs)) for run in runs] == [(True, 3), (False, 2)]
     figures = measure_setting(BenchRun(runs[1].setting, runs[1].pairs[:1], 1, is_scored=False), tmp_path)
@@ -108,15 +107,15 @@ def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(
 
 
 def test_what_is_measured_is_what_users_may_choose() -> None:
-    chosen = [find_method(name).recipe for name in bench_settings.CHOICES]
+    chosen = [find_method(name).recipe for name in bench_settings.DEFAULT_BENCH_METHODS]
     assert {recipe.method for recipe in chosen} == {"crossfade", "flow", OMNISYN}
     assert {preset.recipe for preset in SCALE.values()} <= set(chosen)
     usual = SCALE[DEFAULT_PRESET].recipe
     for aspect in ("renderer", "fusion", "edges"):
         assert any(getattr(recipe, aspect) != getattr(usual, aspect) for recipe in chosen), aspect
-    assert len(bench_settings.GENERATED) >= 12
-    assert len({kind for kind, _, _ in bench_settings.GENERATED}) == 5
-    assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench_settings.GENERATED)
+    assert len(bench_settings.GENERATED_PAIRS) >= 12
+    assert len({kind for kind, _, _ in bench_settings.GENERATED_PAIRS}) == 5
+    assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench_settings.GENERATED_PAIRS)
 
 
 def test_what_is_measured_is_not_measured_again_and_failures_are(
@@ -130,7 +129,7 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(
         done = Figures(**{**vars(figures_of(each.setting)), "key": each.key})
         return done if each.setting.method == FAST else Figures(each.setting, "failed", "no memory", key=each.key)
 
-    monkeypatch.setattr(bench, "_in_child", pretend)
+    monkeypatch.setattr(bench_settings, "_measure_in_child", pretend)
     plan = plan_bench(job(tmp_path, methods=f"{FAST},matching"))
     first = run_bench(plan)
     with (tmp_path / "report" / "bench_settings.jsonl").open("a") as file:
@@ -146,10 +145,10 @@ def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path: Path)
     pair = hall_pair(tmp_path / "data")
     damage(tmp_path / "data" / "hall" / "p0.png")
     setting = Setting(FAST, (64, 128), 1)
-    failed = bench_settings._in_child(BenchRun(setting, (pair,), 1, key="key"))
+    failed = bench_settings._measure_in_child(BenchRun(setting, (pair,), 1, key="key"))
     assert (failed.status, failed.key) == ("failed", "key")
     assert "first.png" in failed.reason
-    died = bench_settings._in_child(BenchRun(setting, (Deadly(),), 1))  # type: ignore[arg-type]
+    died = bench_settings._measure_in_child(BenchRun(setting, (Deadly(),), 1))  # type: ignore[arg-type]
     assert (died.status, died.reason) == ("failed", "the process ended with exit code 3")
 
 
@@ -165,7 +164,7 @@ class Compiling:
 def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
     said: list[str] = []
     with when_compiling(lambda: said.append("compiling")):
-        failed = bench_settings._in_child(BenchRun(Setting(FAST, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
+        failed = bench_settings._measure_in_child(BenchRun(Setting(FAST, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
     assert (failed.status, failed.reason) == ("failed", "InputError: no panorama")
     assert said == ["compiling"]
 
@@ -179,8 +178,8 @@ def test_a_process_that_compiled_ends_before_it_measures(tmp_path: Path, monkeyp
         on_warm()
         return "figures"
 
-    monkeypatch.setattr(bench, "measure_setting", measure)
-    monkeypatch.setattr(bench, "end_with_parent", lambda: None)
+    monkeypatch.setattr(bench_settings, "measure_setting", measure)
+    monkeypatch.setattr(bench_settings, "end_with_parent", lambda: None)
     monkeypatch.setattr(bench_settings.signal, "signal", lambda *_: None)
     for frames, is_patient in ((1, False), (2, False), (2, True)):
         setting = Setting(FAST, (64, 128), 1)
@@ -193,8 +192,8 @@ def test_a_setting_that_had_to_compile_is_measured_again(has_compiled: bool, mon
     """Compiling takes a minute once, which is not what a clip takes."""
     first, second = (figures_of(Setting(FAST, (64, 128), threads)) for threads in (1, 2))
     answers = [None, second] if has_compiled else [first]
-    monkeypatch.setattr(bench, "_measured_once", lambda run, is_patient=False: answers.pop(0))
-    assert bench_settings._in_child(BenchRun(first.setting, (), 1)) is (second if has_compiled else first)
+    monkeypatch.setattr(bench_settings, "_measured_once", lambda run, is_patient=False: answers.pop(0))
+    assert bench_settings._measure_in_child(BenchRun(first.setting, (), 1)) is (second if has_compiled else first)
 
 
 class Deadly:
@@ -236,7 +235,9 @@ def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended
 def test_scenes_are_made_once(tmp_path: Path) -> None:
     make_scenes(tmp_path / "scenes", (16, 32))
     pairs = [pair for source in find_scenes(tmp_path / "scenes") for pair in choose_pairs(None)(source.read())]
-    assert sorted(pair.scene for pair in pairs) == sorted(f"{k}-{s}-{b:g}m" for k, s, b in bench_settings.GENERATED)
+    assert sorted(pair.scene for pair in pairs) == sorted(
+        f"{k}-{s}-{b:g}m" for k, s, b in bench_settings.GENERATED_PAIRS
+    )
     walked = [float(np.linalg.norm(pair.second.pose.position - pair.first.pose.position)) for pair in pairs]
     assert walked == pytest.approx([float(pair.scene.split("-")[2][:-1]) for pair in pairs])
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "scenes").rglob("*.png")}

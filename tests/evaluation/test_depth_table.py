@@ -11,7 +11,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import depth_benchmark
 from omnisyn_cli.evaluation.depth_benchmark import (
     FIRST_SEED,
-    LEAST_SEED,
+    MIN_SEED,
     DepthTableJob,
     depth_sources,
     depth_tables,
@@ -46,9 +46,9 @@ class Guess:
 def guesses(monkeypatch):
     guesses = {f"guess-{metres:.1f}": DepthSource("guess", metres) for metres in (3, 8)}
     make = depth_benchmark.make_estimator
-    monkeypatch.setattr(depth_table, "SOURCES", guesses | depth_benchmark.SOURCES)
+    monkeypatch.setattr(depth_benchmark, "TABLE_SOURCES", guesses | depth_benchmark.TABLE_SOURCES)
     monkeypatch.setattr(
-        depth_table, "make_estimator", lambda source, **more: (
+        depth_benchmark, "make_estimator", lambda source, **more: (
             Guess(source.rows) if source.kind == "guess" else make(source, **more)
         ),
     )  # fmt: skip
@@ -105,7 +105,9 @@ def test_a_second_run_measures_nothing_again_unless_something_changed(tmp_path, 
     first = run_depth_table(job(tmp_path / "report"))
     lines = (tmp_path / "report" / "results.jsonl").read_text().splitlines()
     made = []
-    monkeypatch.setattr(depth_table, "make_pair", lambda *arguments: made.append(arguments) or make_pair(*arguments))
+    monkeypatch.setattr(
+        depth_benchmark, "make_pair", lambda *arguments: made.append(arguments) or make_pair(*arguments)
+    )
     assert run_depth_table(job(tmp_path / "report")) == first
     assert made == []
     assert (tmp_path / "report" / "results.jsonl").read_text().splitlines() == lines
@@ -151,9 +153,9 @@ def test_a_method_that_breaks_does_not_end_the_others(tmp_path, guesses, monkeyp
 
 
 def test_seeds_of_training_are_refused_and_the_standard_scenes_are_others(tmp_path):
-    assert max(SUITE_SEEDS) < LEAST_SEED <= FIRST_SEED
+    assert max(SUITE_SEEDS) < MIN_SEED <= FIRST_SEED
     with pytest.raises(InputError, match="10,000,000"):
-        run_depth_table(job(tmp_path / "report", methods="synsin", seed=LEAST_SEED - 1))
+        run_depth_table(job(tmp_path / "report", methods="synsin", seed=MIN_SEED - 1))
     with pytest.raises(InputError, match="twice as wide as high, got 16x16"):
         run_depth_table(job(tmp_path / "report", methods="synsin", size=(16, 16)))
     assert not (tmp_path / "report").exists()

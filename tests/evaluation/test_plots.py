@@ -15,7 +15,7 @@ def test_every_diagram_is_a_picture_with_something_in_it() -> None:
     assert set(drawn) == set(plots.PLOT_TITLES)
     for data in drawn.values():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        assert image.shape[1] == plots.WIDTH * plots.DOTS_PER_INCH
+        assert image.shape[1] == plots.THUMBNAIL_WIDTH * plots.DOTS_PER_INCH
         assert (image[0] == 255).all(), "white all around"
         assert len(np.unique(image @ [1, 256, 256**2])) > 20
 
@@ -31,7 +31,7 @@ def test_lines_go_through_the_means_of_the_distances() -> None:
 
 
 def test_many_frames_are_shown_as_means_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plots, "MOST_POINTS", 10)
+    monkeypatch.setattr(plots, "MAX_POINTS", 10)
     axes = plots._quality_by_share(some_records()).axes[0]
     assert len(axes.lines) == 3
     assert not axes.collections

@@ -19,7 +19,7 @@ from omnisyn_cli.evaluation import report
 from omnisyn_cli.evaluation.report import (
     CSV_COLUMNS,
     FRAMES_PER_METHOD,
-    WIDTH,
+    THUMBNAIL_WIDTH,
     embedded_picture,
     frame_sections,
     write_report,
@@ -222,8 +222,8 @@ def test_pictures_are_embedded_small_and_as_they_are(tmp_path: Path) -> None:
     uri = embedded_picture(tmp_path / "wide.png")
     samples = np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8)
     image = cv2.imdecode(samples, cv2.IMREAD_COLOR)[..., ::-1]
-    assert image.shape == (WIDTH // 2, WIDTH, 3)
-    assert np.abs(image[10, WIDTH - 10].astype(int) - (200, 100, 50)).max() < 8
+    assert image.shape == (THUMBNAIL_WIDTH // 2, THUMBNAIL_WIDTH, 3)
+    assert np.abs(image[10, THUMBNAIL_WIDTH - 10].astype(int) - (200, 100, 50)).max() < 8
     assert image[10, 10].max() < 8
 
 

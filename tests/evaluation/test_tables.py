@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from report_samples import absent, depth, frame, some_records, unit
 
-from omnisyn_cli.evaluation.grouping import distance_band, gaps, is_bound, pair_names, ranked_methods, time_band
+from omnisyn_cli.evaluation.grouping import distance_band, gaps, is_oracle, pair_names, ranked_methods, time_band
 from omnisyn_cli.evaluation.tables import Table, format_value, mean_table, report_tables
 
 
@@ -106,8 +106,8 @@ def test_who_is_told_the_truth_or_measured_less_is_not_called_the_best() -> None
     assert not any(name == "lazy" for name, _ in best(table("Means per method", lazy)))
     assert {"one", "two"} == {name for name, _ in best(table("Means per method", lazy))}
     assert best(table("Scenes", lazy)) == {(scene, method) for scene in "abc" for method in ("one", "two")}
-    assert is_bound("oracle-depth:metres=2")
-    assert not is_bound("oracle")
+    assert is_oracle("oracle-depth:metres=2")
+    assert not is_oracle("oracle")
 
 
 def test_who_lacks_one_frame_is_not_called_the_best_even_where_nobody_has_more() -> None:

@@ -4,7 +4,14 @@ import matplotlib
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.visualization import ERROR_SCALE, KIND_COLOURS, KIND_FLOOR, error_map, kind_map, turbo
+from omnisyn_cli.evaluation.visualization import (
+    ERROR_SCALE,
+    KIND_COLOURS,
+    KIND_MIN_BRIGHTNESS,
+    error_map,
+    kind_map,
+    turbo,
+)
 
 
 def expected(name: str, share: np.ndarray) -> np.ndarray:
@@ -38,7 +45,7 @@ def test_errors_by_kind_have_the_colour_of_their_kind_and_are_the_brighter_the_l
     columns = np.arange(8)[None] % 4
     shown = kind_map(image, truth, {kind: columns == k for k, kind in enumerate(KIND_COLOURS)})
     colours = np.array(list(KIND_COLOURS.values()))
-    np.testing.assert_allclose(shown[0, :4], KIND_FLOOR * colours, atol=0.5)
+    np.testing.assert_allclose(shown[0, :4], KIND_MIN_BRIGHTNESS * colours, atol=0.5)
     np.testing.assert_array_equal(shown[0, 4:], colours)
     with pytest.raises(ValueError, match="one size"):
         kind_map(truth, truth[:, :4], {})

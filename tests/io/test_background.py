@@ -43,14 +43,14 @@ def threads() -> list[str]:
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("omnisyn-frames")]
 
 
-def test_all_frames_arrive_in_order() -> None:
+def test_all_frames_arrive_in_order():
     sink = Sink()
     write_all(sink)
     assert sink.levels == list(range(12))
     assert not threads()
 
 
-def test_finishing_waits_and_may_be_repeated() -> None:
+def test_finishing_waits_and_may_be_repeated():
     sink = Sink(lambda index: time.sleep(0.01))
     with BackgroundSink(sink) as background:
         for frame in FRAMES[:5]:
@@ -61,7 +61,7 @@ def test_finishing_waits_and_may_be_repeated() -> None:
 
 
 @pytest.mark.parametrize("where", [0, 5, 11])
-def test_an_error_of_the_sink_is_raised_where_frames_are_written(where: int) -> None:
+def test_an_error_of_the_sink_is_raised_where_frames_are_written(where):
     sink = Sink(fail_at(where))
     with pytest.raises(EncodingError, match="the encoder stopped"):
         write_all(sink)
@@ -69,7 +69,7 @@ def test_an_error_of_the_sink_is_raised_where_frames_are_written(where: int) -> 
     assert not threads()
 
 
-def test_after_an_error_no_frame_waits_for_ever() -> None:
+def test_after_an_error_no_frame_waits_for_ever():
     sink = Sink(fail_at(0))
     for _ in range(20):
         with pytest.raises(EncodingError):
@@ -86,7 +86,7 @@ def open_when_dropped(background: BackgroundSink, gate: threading.Event) -> None
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_an_error_of_the_writer_drops_what_waits_and_ends_the_thread(error: type[BaseException]) -> None:
+def test_an_error_of_the_writer_drops_what_waits_and_ends_the_thread(error):
     gate = threading.Event()
     sink = Sink(lambda index: gate.wait(300))
 
@@ -103,7 +103,7 @@ def test_an_error_of_the_writer_drops_what_waits_and_ends_the_thread(error: type
     assert not threads()
 
 
-def test_memory_is_bounded_by_the_queue() -> None:
+def test_memory_is_bounded_by_the_queue():
     gate = threading.Event()
     with BackgroundSink(Sink(lambda index: gate.wait(300))) as background:
         written = 0
@@ -124,7 +124,7 @@ def test_memory_is_bounded_by_the_queue() -> None:
 
 
 @pytest.mark.parametrize("waiting", [1, 2])
-def test_a_frame_keeps_its_place_in_the_ring_until_it_has_arrived(waiting: int) -> None:
+def test_a_frame_keeps_its_place_in_the_ring_until_it_has_arrived(waiting):
     """However slow the sink is: memory is given out again only when its frame cannot be needed any more."""
     sink, ring = Sink(lambda index: time.sleep(0.002 * (index % 3))), FrameRing((2, 4), waiting)
     with BackgroundSink(sink, waiting) as background:
@@ -136,6 +136,6 @@ def test_a_frame_keeps_its_place_in_the_ring_until_it_has_arrived(waiting: int) 
     assert len({ring().ctypes.data for _ in range(20)}) == waiting + 2
 
 
-def test_large_frames_wait_one_at_a_time() -> None:
+def test_large_frames_wait_one_at_a_time():
     assert frames_in_queue((2048, 4096)) == FRAMES_IN_QUEUE
     assert frames_in_queue((4096, 8192)) == 1

@@ -17,13 +17,13 @@ def some_depth() -> np.ndarray:
     return depth
 
 
-def test_depth_comes_back_exactly_infinity_included(tmp_path: Path) -> None:
+def test_depth_comes_back_exactly_infinity_included(tmp_path):
     write_depth(tmp_path / "d.exr", some_depth())
     np.testing.assert_array_equal(read_depth(tmp_path / "d.exr"), some_depth())
     np.testing.assert_array_equal(read_inverse_depth(tmp_path / "d.exr"), 1 / some_depth())
 
 
-def test_png_holds_millimetres_and_zero_is_nothing(tmp_path: Path) -> None:
+def test_png_holds_millimetres_and_zero_is_nothing(tmp_path):
     millimetres = np.full((4, 8), 1500, np.uint16)
     millimetres[1, 2] = 0
     write_image(tmp_path / "d.png", millimetres)
@@ -33,14 +33,14 @@ def test_png_holds_millimetres_and_zero_is_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("names", [("Z",), ("anything",), ("A", "Z"), ("View.Combined.R", "View.Depth.Z")])
-def test_depth_is_the_channel_z_or_the_only_one(tmp_path: Path, names: tuple[str, ...]) -> None:
+def test_depth_is_the_channel_z_or_the_only_one(tmp_path, names):
     samples = np.stack([some_depth()] * len(names), axis=-1)
     samples[..., :-1] = -7
     write_with(tmp_path / "d.exr", samples, names=names)
     np.testing.assert_array_equal(read_depth(tmp_path / "d.exr"), some_depth())
 
 
-def test_a_renderers_far_away_is_infinity(tmp_path: Path) -> None:
+def test_a_renderers_far_away_is_infinity(tmp_path):
     write_with(tmp_path / "d.exr", np.full((4, 8, 1), 1e10, np.float32), names=("Z",))
     assert np.isinf(read_depth(tmp_path / "d.exr")).all()
 
@@ -61,9 +61,7 @@ def write_windowed(path: Path, window: tuple[int, int, int, int], beyond: float 
 
 
 @pytest.mark.parametrize("window", WINDOWS)
-def test_a_data_window_is_the_whole_depth_inside_and_nothing_outside(
-    tmp_path: Path, window: tuple[int, int, int, int]
-) -> None:
+def test_a_data_window_is_the_whole_depth_inside_and_nothing_outside(tmp_path, window):
     """Whatever lies beyond the picture is cut off, numbers that are no depth included."""
     shown = write_windowed(tmp_path / "d.exr", window, beyond=np.nan)
     check_depth_header(read_header(tmp_path / "d.exr"))
@@ -72,7 +70,7 @@ def test_a_data_window_is_the_whole_depth_inside_and_nothing_outside(
     np.testing.assert_array_equal(read_inverse_depth(tmp_path / "d.exr"), 1 / expected)
 
 
-def test_autocropped_depth_of_a_panorama_is_accepted(tmp_path: Path) -> None:
+def test_autocropped_depth_of_a_panorama_is_accepted(tmp_path):
     """Sky at the top, a car's roof at the bottom: Nuke and Blender leave away both."""
     write_with(tmp_path / "d.exr", np.full((200, 512, 1), 2.5, np.float32), names=("Z",), window=(30, 0, 256, 512))
     header = read_header(tmp_path / "d.exr")
@@ -83,7 +81,7 @@ def test_autocropped_depth_of_a_panorama_is_accepted(tmp_path: Path) -> None:
     assert np.isinf(np.delete(depth, np.s_[30:230], axis=0)).all()
 
 
-def test_cropped_millimetres_take_the_place_that_their_tags_say(tmp_path: Path) -> None:
+def test_cropped_millimetres_take_the_place_that_their_tags_say(tmp_path):
     tags = {
         "GPano:FullPanoWidthPixels": 16, "GPano:FullPanoHeightPixels": 8, "GPano:CroppedAreaImageWidthPixels": 6,
         "GPano:CroppedAreaImageHeightPixels": 3, "GPano:CroppedAreaLeftPixels": 9, "GPano:CroppedAreaTopPixels": 4,
@@ -99,14 +97,14 @@ def test_cropped_millimetres_take_the_place_that_their_tags_say(tmp_path: Path) 
         read_depth(tmp_path / "d.png")
 
 
-def test_a_window_of_a_picture_that_is_not_2_to_1_is_refused(tmp_path: Path) -> None:
+def test_a_window_of_a_picture_that_is_not_2_to_1_is_refused(tmp_path):
     write_with(tmp_path / "d.exr", np.ones((4, 8, 1), np.float32), names=("Z",), window=(0, 0, 6, 8))
     for read in (read_depth, lambda path: check_depth_header(read_header(path))):
         with pytest.raises(ImageError, match="twice as wide as high, got 8×6"):
             read(tmp_path / "d.exr")
 
 
-def test_undefined_and_negative_depths_are_counted(tmp_path: Path) -> None:
+def test_undefined_and_negative_depths_are_counted(tmp_path):
     depth = some_depth()
     depth[1, 1:3] = np.nan
     depth[2, 2] = -1
@@ -115,7 +113,7 @@ def test_undefined_and_negative_depths_are_counted(tmp_path: Path) -> None:
         read_depth(tmp_path / "d.exr")
 
 
-def test_what_is_no_depth_is_an_image_error(tmp_path: Path) -> None:
+def test_what_is_no_depth_is_an_image_error(tmp_path):
     write_image(tmp_path / "rgb.png", np.zeros((4, 8, 3), np.uint8))
     write_image(tmp_path / "grey.png", np.zeros((4, 8), np.uint8))
     write_with(tmp_path / "rgb.exr", np.zeros((4, 8, 3), np.float32))
@@ -130,7 +128,7 @@ def test_what_is_no_depth_is_an_image_error(tmp_path: Path) -> None:
             read_depth(tmp_path / name)
 
 
-def test_only_depth_is_written_as_depth(tmp_path: Path) -> None:
+def test_only_depth_is_written_as_depth(tmp_path):
     with pytest.raises(OutputPathError, match=r"\.exr"):
         write_depth(tmp_path / "d.png", some_depth())
     for wrong in (np.full((4, 8), np.nan), np.full((4, 8), -1.0), np.zeros((4, 8, 1))):

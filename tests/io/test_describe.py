@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -24,7 +23,7 @@ GPS = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     write_with(tmp_path / "a.jpg", smooth_image(), **GPS, **{"GPano:PoseHeadingDegrees": 12.0})
     depth = np.full((4, 8), 2.0, np.float32)
     depth[0] = np.inf
@@ -41,60 +40,58 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_panorama_is_described(folder: Path) -> None:
+def test_a_panorama_is_described(folder):
     seen = describe_file(folder / "a.jpg")
     assert (seen["kind"], seen["width"], seen["height"], seen["usable"]) == ("panorama", 64, 32, True)
     assert seen["gps"] == {"latitude": pytest.approx(-48.51), "longitude": 11.0}
     assert seen["gpano"] == {"PoseHeadingDegrees": 12.0}
 
 
-def test_a_panorama_too_small_for_a_surface_is_not_usable(tmp_path: Path) -> None:
+def test_a_panorama_too_small_for_a_surface_is_not_usable(tmp_path):
     write_with(tmp_path / "dot.png", smooth_image()[:1, :2])
     seen = describe_file(tmp_path / "dot.png")
     assert (seen["usable"], seen["width"]) == (False, 2)
     assert "at least 4×2 pixels, got 2×1" in seen["problem"]
 
 
-def test_a_panorama_without_a_visible_pixel_is_not_usable(tmp_path: Path) -> None:
+def test_a_panorama_without_a_visible_pixel_is_not_usable(tmp_path):
     cv2.imwrite(str(tmp_path / "clear.png"), np.zeros((32, 64, 4), np.uint8))
     assert not describe_file(tmp_path / "clear.png")["usable"]
 
 
 @pytest.mark.parametrize(("reference", "sign"), [(0, 1), (1, -1), (2, 1), (3, -1)])
-def test_altitudes_below_the_sea_and_below_the_ellipsoid_are_negative(
-    tmp_path: Path, reference: int, sign: int
-) -> None:
+def test_altitudes_below_the_sea_and_below_the_ellipsoid_are_negative(tmp_path, reference, sign):
     tags = {**GPS, "GPS:Altitude": 5.0, "GPS:AltitudeRef": ("uint8", reference)}
     write_with(tmp_path / "deep.jpg", smooth_image(), **tags)
     assert describe_file(tmp_path / "deep.jpg")["gps"]["altitude"] == sign * 5.0
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
-def test_a_pipe_is_called_one(tmp_path: Path) -> None:
+def test_a_pipe_is_called_one(tmp_path):
     os.mkfifo(tmp_path / "pipe.png")
     with pytest.raises(ImageError, match="got a device or a pipe"):
         describe_file(tmp_path / "pipe.png")
 
 
-def test_depth_is_described(folder: Path) -> None:
+def test_depth_is_described(folder):
     seen = describe_file(folder / "a_depth.exr")
     assert (seen["kind"], seen["nearest_metres"], seen["infinite_share"]) == ("depth", 2.0, 0.25)
 
 
-def test_poses_are_described(folder: Path) -> None:
+def test_poses_are_described(folder):
     seen = describe_file(folder / "poses.json")
     assert seen["steps_metres"] == [5.0]
     assert [(row["image_exists"], row["depth_exists"]) for row in seen["panoramas"]] == [(True, True), (False, None)]
 
 
-def test_zero_has_no_sign(tmp_path: Path) -> None:
+def test_zero_has_no_sign(tmp_path):
     """As the first place of a tour has by its latitude."""
     place = {"latitude": 48.0, "longitude": 11.0, "altitude": 5.0, "heading": 0.0}
     (tmp_path / "poses.json").write_text(json.dumps({"version": 1, "panoramas": {"a.jpg": place}}))
     assert "position 0, 0, 0, image" in CliRunner().invoke(info, [str(tmp_path / "poses.json")]).stdout
 
 
-def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folder: Path) -> None:
+def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folder):
     (folder / "poses").mkdir()
     text = (folder / "poses.json").read_text().replace("a_depth.exr", "../a_depth.exr")
     (folder / "poses" / "poses.json").write_text(text)
@@ -106,7 +103,7 @@ def test_poses_with_depth_outside_of_their_folder_are_described_if_allowed(folde
     assert json.loads(allowed.stdout)[0]["panoramas"][0]["depth_exists"] is True
 
 
-def test_a_video_is_described(folder: Path) -> None:
+def test_a_video_is_described(folder):
     seen = describe_file(folder / "v.mp4")
     assert (seen["codec"], seen["width"], seen["height"], seen["fps"]) == ("h264", 64, 32, 10.0)
     assert seen["duration_seconds"] == pytest.approx(0.5)
@@ -115,7 +112,7 @@ def test_a_video_is_described(folder: Path) -> None:
     assert seen["spherical"]["version_2"]
 
 
-def test_info_goes_on_after_errors_and_ends_with_exit_code_3(folder: Path) -> None:
+def test_info_goes_on_after_errors_and_ends_with_exit_code_3(folder):
     (folder / "text.mp4").write_text("no video")
     write_with(folder / "tall.png", smooth_image(64, 32))
     names = ["none.png", "text.mp4", "tall.png", "a.jpg", "poses.json", "v.mp4", "a_depth.exr"]
@@ -127,11 +124,11 @@ def test_info_goes_on_after_errors_and_ends_with_exit_code_3(folder: Path) -> No
     assert "steps metres: 5" in result.stdout
 
 
-def test_info_writes_json_that_json_can_read(folder: Path) -> None:
+def test_info_writes_json_that_json_can_read(folder):
     names = ["a.jpg", "poses.json", "v.mp4", "a_depth.exr"]
     result = CliRunner().invoke(info, ["--json", *(str(folder / name) for name in names)])
     assert result.exit_code == 0
     assert [seen["kind"] for seen in json.loads(result.stdout)] == ["panorama", "poses", "video", "depth"]
-    broken = CliRunner().invoke(info, ["--json", str(folder / "none")])
-    assert broken.exit_code == 3
-    assert json.loads(broken.stdout)[0]["ok"] is False
+    broken_file_error = CliRunner().invoke(info, ["--json", str(folder / "none")])
+    assert broken_file_error.exit_code == 3
+    assert json.loads(broken_file_error.stdout)[0]["ok"] is False

@@ -40,7 +40,7 @@ def file_size_limit(size: int) -> Iterator[None]:
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_integer_samples_come_back_bit_by_bit(tmp_path: Path, suffix: str, dtype: type) -> None:
+def test_integer_samples_come_back_bit_by_bit(tmp_path, suffix, dtype):
     image = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (16, 32, 3), dtype, endpoint=True)
     write_image(tmp_path / f"a{suffix}", image)
     panorama = read_panorama(tmp_path / f"a{suffix}")
@@ -51,7 +51,7 @@ def test_integer_samples_come_back_bit_by_bit(tmp_path: Path, suffix: str, dtype
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".tif"])
-def test_floating_point_samples_come_back_exactly_and_may_exceed_one(tmp_path: Path, suffix: str) -> None:
+def test_floating_point_samples_come_back_exactly_and_may_exceed_one(tmp_path, suffix):
     image = np.random.default_rng(2).normal(1, 4, (8, 16, 3)).astype(np.float32)
     write_image(tmp_path / f"a{suffix}", image)
     panorama = read_panorama(tmp_path / f"a{suffix}")
@@ -60,7 +60,7 @@ def test_floating_point_samples_come_back_exactly_and_may_exceed_one(tmp_path: P
     assert panorama.mask is None
 
 
-def test_writing_what_was_read_from_8_bits_gives_the_same_bits(tmp_path: Path) -> None:
+def test_writing_what_was_read_from_8_bits_gives_the_same_bits(tmp_path):
     every_byte = np.resize(np.arange(256, dtype=np.uint8), (16, 32, 3))
     write_image(tmp_path / "a.png", every_byte)
     write_image(tmp_path / "b.png", read_panorama(tmp_path / "a.png").image)
@@ -68,14 +68,14 @@ def test_writing_what_was_read_from_8_bits_gives_the_same_bits(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".jpeg", ".JPG"])
-def test_jpeg_keeps_colours_in_their_channels(tmp_path: Path, suffix: str) -> None:
+def test_jpeg_keeps_colours_in_their_channels(tmp_path, suffix):
     colour = np.broadcast_to(np.array([200, 120, 30], np.uint8), (32, 64, 3))
     write_image(tmp_path / f"a{suffix}", colour)
     assert np.abs(read_panorama(tmp_path / f"a{suffix}").image * 255 - colour).max() <= 2
 
 
 @pytest.mark.parametrize("name", AWKWARD_NAMES)
-def test_any_file_name_works(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_any_file_name_works(tmp_path, name, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_image(Path(name), smooth_image())
     np.testing.assert_array_equal(read_panorama(Path(name)).original, smooth_image())
@@ -83,7 +83,7 @@ def test_any_file_name_works(tmp_path: Path, name: str, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_a_file_truncated_anywhere_is_an_image_error(tmp_path: Path, name: str) -> None:
+def test_a_file_truncated_anywhere_is_an_image_error(tmp_path, name):
     samples = smooth_image(16, 32)
     whole = write_with(
         tmp_path / name, samples.astype(np.float32) if name.endswith("exr") else samples, **DAMAGE[name]
@@ -97,7 +97,7 @@ def test_a_file_truncated_anywhere_is_an_image_error(tmp_path: Path, name: str) 
 
 
 @given(st.integers(1, 8))
-def test_orientations_are_the_eight_symmetries_of_a_rectangle(orientation: int) -> None:
+def test_orientations_are_the_eight_symmetries_of_a_rectangle(orientation):
     stored = np.arange(6).reshape(2, 3, 1)
     seen = upright(stored, orientation)
     corners = {1: (0, 0), 2: (0, -1), 3: (-1, -1), 4: (-1, 0), 5: (0, 0), 6: (-1, 0), 7: (-1, -1), 8: (0, -1)}
@@ -108,7 +108,7 @@ def test_orientations_are_the_eight_symmetries_of_a_rectangle(orientation: int) 
     assert seen[0, 1, 0] == right[orientation]
 
 
-def test_exif_orientation_is_applied(tmp_path: Path) -> None:
+def test_exif_orientation_is_applied(tmp_path):
     write_with(tmp_path / "a.tif", smooth_image(64, 32), Orientation=6)
     expected = np.rot90(smooth_image(64, 32), -1)
     np.testing.assert_array_equal(read_panorama(tmp_path / "a.tif").original, expected)
@@ -126,7 +126,7 @@ CROP = {
 
 
 @pytest.mark.parametrize("scale", [1, 2])
-def test_a_cropped_panorama_takes_its_place_and_the_rest_is_masked(tmp_path: Path, scale: int) -> None:
+def test_a_cropped_panorama_takes_its_place_and_the_rest_is_masked(tmp_path, scale):
     write_with(tmp_path / "a.jpg", smooth_image(20 * scale, 40 * scale), **CROP)
     panorama = read_panorama(tmp_path / "a.jpg")
     place = (slice(6 * scale, 26 * scale), slice(10 * scale, 50 * scale))
@@ -139,7 +139,7 @@ def test_a_cropped_panorama_takes_its_place_and_the_rest_is_masked(tmp_path: Pat
     assert panorama.original[place].any(axis=-1).all()
 
 
-def test_tags_of_a_whole_panorama_change_nothing(tmp_path: Path) -> None:
+def test_tags_of_a_whole_panorama_change_nothing(tmp_path):
     whole = {**CROP, "GPano:CroppedAreaImageWidthPixels": 64, "GPano:CroppedAreaImageHeightPixels": 32}
     write_with(tmp_path / "a.jpg", smooth_image(), **whole)
     assert read_panorama(tmp_path / "a.jpg").mask is None
@@ -154,13 +154,13 @@ def test_tags_of_a_whole_panorama_change_nothing(tmp_path: Path) -> None:
         {**CROP, "GPano:FullPanoHeightPixels": 31},
     ],
 )
-def test_impossible_tags_are_image_errors(tmp_path: Path, tags: dict[str, object]) -> None:
+def test_impossible_tags_are_image_errors(tmp_path, tags):
     write_with(tmp_path / "a.jpg", smooth_image(20, 40), **tags)
     with pytest.raises(ImageError, match="expected"):
         read_panorama(tmp_path / "a.jpg")
 
 
-def test_an_exr_data_window_takes_its_place(tmp_path: Path) -> None:
+def test_an_exr_data_window_takes_its_place(tmp_path):
     samples = smooth_image(20, 40).astype(np.float32)
     write_with(tmp_path / "a.exr", samples, window=(5, -3, 32, 64))
     panorama = read_panorama(tmp_path / "a.exr")
@@ -170,7 +170,7 @@ def test_an_exr_data_window_takes_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 2])
-def test_grey_becomes_rgb(tmp_path: Path, channels: int) -> None:
+def test_grey_becomes_rgb(tmp_path, channels):
     samples = smooth_image(channels=channels)
     samples[..., 1:] = 255
     write_with(tmp_path / "a.png", samples, names=("Y", "A")[:channels], **{"oiio:UnassociatedAlpha": 1})
@@ -178,7 +178,7 @@ def test_grey_becomes_rgb(tmp_path: Path, channels: int) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
-def test_alpha_becomes_the_mask_and_leaves_colours_alone(tmp_path: Path, suffix: str) -> None:
+def test_alpha_becomes_the_mask_and_leaves_colours_alone(tmp_path, suffix):
     samples = smooth_image(channels=4)
     samples[..., 3] = np.where(np.arange(64) < 20, 127, 128)
     write_with(tmp_path / f"a{suffix}", samples, **{"oiio:UnassociatedAlpha": 1})
@@ -187,28 +187,28 @@ def test_alpha_becomes_the_mask_and_leaves_colours_alone(tmp_path: Path, suffix:
     np.testing.assert_array_equal(panorama.original, samples[..., :3])
 
 
-def test_a_gif_is_read_though_its_reader_counts_alpha_from_one(tmp_path: Path) -> None:
+def test_a_gif_is_read_though_its_reader_counts_alpha_from_one(tmp_path):
     blue = np.broadcast_to(np.array([0, 0, 255], np.uint8), (4, 8, 3))
     panorama = read_panorama(write_with(tmp_path / "a.gif", blue))
     np.testing.assert_array_equal(panorama.image * 255, blue)
     assert panorama.mask is None
 
 
-def test_premultiplied_colours_are_divided_by_alpha(tmp_path: Path) -> None:
+def test_premultiplied_colours_are_divided_by_alpha(tmp_path):
     samples = np.full((8, 16, 4), 0.5, np.float32)
     samples[..., 3] = 0.8
     write_with(tmp_path / "a.exr", samples, names=("R", "G", "B", "A"))
     np.testing.assert_allclose(read_panorama(tmp_path / "a.exr").image, 0.625, rtol=1e-6)
 
 
-def test_layered_exr_channels_are_found_by_their_last_name(tmp_path: Path) -> None:
+def test_layered_exr_channels_are_found_by_their_last_name(tmp_path):
     samples = np.random.default_rng(0).random((8, 16, 4)).astype(np.float32)
     names = ("View.Depth.Z", "View.Combined.B", "View.Combined.G", "View.Combined.R")
     write_with(tmp_path / "a.exr", samples, names=names)
     np.testing.assert_array_equal(read_panorama(tmp_path / "a.exr").image, samples[..., :0:-1])
 
 
-def test_other_aspect_ratios_are_named_or_resampled(tmp_path: Path) -> None:
+def test_other_aspect_ratios_are_named_or_resampled(tmp_path):
     write_image(tmp_path / "a.png", np.full((40, 64, 3), 90, np.uint8))
     with pytest.raises(ImageError, match="64×40"):
         read_panorama(tmp_path / "a.png")
@@ -217,13 +217,13 @@ def test_other_aspect_ratios_are_named_or_resampled(tmp_path: Path) -> None:
     np.testing.assert_allclose(panorama.image, 90 / 255, rtol=1e-6)
 
 
-def test_masks_are_true_where_white(tmp_path: Path) -> None:
+def test_masks_are_true_where_white(tmp_path):
     write_image(tmp_path / "a.png", np.where(np.arange(32) < 8, 255, 0).astype(np.uint8)[None].repeat(16, 0))
     assert read_mask(tmp_path / "a.png").sum() == 8 * 16
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_undefined_samples_are_counted(tmp_path: Path, bad: float) -> None:
+def test_undefined_samples_are_counted(tmp_path, bad):
     samples = np.ones((8, 16, 3), np.float32)
     samples[1, 2, 0] = samples[3, 4, 1] = bad
     write_with(tmp_path / "a.exr", samples)
@@ -231,7 +231,7 @@ def test_undefined_samples_are_counted(tmp_path: Path, bad: float) -> None:
         read_panorama(tmp_path / "a.exr")
 
 
-def test_what_is_no_image_is_an_image_error(tmp_path: Path) -> None:
+def test_what_is_no_image_is_an_image_error(tmp_path):
     (tmp_path / "empty.jpg").touch()
     (tmp_path / "text.png").write_text("not a picture, whatever the name says " * 9)
     for name, words in [("empty.jpg", "empty file"), ("text.png", "expected an image"), ("none.jpg", "no such file")]:
@@ -243,14 +243,14 @@ def test_what_is_no_image_is_an_image_error(tmp_path: Path) -> None:
         read_panorama("nul\0byte.jpg")
 
 
-def test_too_many_pixels_are_refused_by_the_header_alone(tmp_path: Path) -> None:
+def test_too_many_pixels_are_refused_by_the_header_alone(tmp_path):
     whole = write_with(tmp_path / "a.png", smooth_image()).read_bytes()
     (tmp_path / "header.png").write_bytes(whole[: whole.index(b"IDAT") + 8])
     with pytest.raises(ImageError, match="64×32 = 2,048"):
         read_panorama(tmp_path / "header.png", max_pixels=2047)
 
 
-def test_headers_tell_gpano_and_gps(tmp_path: Path) -> None:
+def test_headers_tell_gpano_and_gps(tmp_path):
     gps = {"GPS:Latitude": ("float[3]", (48.0, 30.0, 36.0)), "GPS:LatitudeRef": "S"}
     header = read_header(write_with(tmp_path / "a.jpg", smooth_image(), **CROP, **gps))
     assert (header.format, header.height, header.width, header.dtype) == ("jpeg", 32, 64, "uint8")
@@ -259,7 +259,7 @@ def test_headers_tell_gpano_and_gps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".exr"])
-def test_a_full_disk_is_a_write_error_and_leaves_the_former_file(tmp_path: Path, suffix: str) -> None:
+def test_a_full_disk_is_a_write_error_and_leaves_the_former_file(tmp_path, suffix):
     target = tmp_path / f"a{suffix}"
     target.write_bytes(b"former")
     noise = np.random.default_rng(0).integers(0, 255, (128, 256, 3), np.uint8)
@@ -269,7 +269,7 @@ def test_a_full_disk_is_a_write_error_and_leaves_the_former_file(tmp_path: Path,
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_places_that_cannot_be_written_are_named_first(tmp_path: Path) -> None:
+def test_places_that_cannot_be_written_are_named_first(tmp_path):
     for path, words in [(tmp_path / "none" / "a.png", "create it first"), (tmp_path / "a.bmp", "ending")]:
         with pytest.raises(OutputPathError, match=words):
             write_image(path, smooth_image())
@@ -279,7 +279,7 @@ def test_places_that_cannot_be_written_are_named_first(tmp_path: Path) -> None:
     "image",
     [np.zeros((4, 8, 4), np.uint8), np.zeros((4, 8, 3), np.int32), np.full((4, 8, 3), np.nan), np.zeros((0, 0, 3))],
 )
-def test_what_is_no_picture_is_a_value_error(tmp_path: Path, image: np.ndarray) -> None:
+def test_what_is_no_picture_is_a_value_error(tmp_path, image):
     with pytest.raises(ValueError, match="expected"):
         write_image(tmp_path / "a.png", image)
     assert not list(tmp_path.iterdir())

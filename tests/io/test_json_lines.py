@@ -1,7 +1,6 @@
 """What was written before a kill is there after it, and nothing else."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,7 @@ from omnisyn_cli.io.json_lines import append_line, complete_lines
 
 
 @pytest.mark.parametrize("cut", [b'{"step": 2, "lo', b"\xc3", b'{"step": 2}'])
-def test_a_line_that_was_cut_short_is_no_line_and_spoils_no_other(tmp_path: Path, cut: bytes) -> None:
+def test_a_line_that_was_cut_short_is_no_line_and_spoils_no_other(tmp_path, cut):
     path = tmp_path / "log.jsonl"
     append_line(path, {"step": 1})
     path.write_bytes(path.read_bytes() + cut)
@@ -21,20 +20,20 @@ def test_a_line_that_was_cut_short_is_no_line_and_spoils_no_other(tmp_path: Path
 
 
 @pytest.mark.parametrize("content", [None, b"", b'{"step"'])
-def test_where_nothing_was_completed_there_are_no_lines(tmp_path: Path, content: bytes | None) -> None:
+def test_where_nothing_was_completed_there_are_no_lines(tmp_path, content):
     path = tmp_path / "log.jsonl"
     if content is not None:
         path.write_bytes(content)
     assert complete_lines(path) == []
 
 
-def test_numbers_that_json_does_not_know_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_numbers_that_json_does_not_know_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(ValueError, match="Out of range"):
         append_line(tmp_path / "log.jsonl", {"loss": float("nan")})
     assert not (tmp_path / "log.jsonl").exists()
 
 
-def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_text_is_refused(tmp_path):
     path = tmp_path / "log.jsonl"
     path.write_bytes(b"\xff\xfe\n")
     with pytest.raises(InputError, match=r"log\.jsonl: expected results of an earlier run"):

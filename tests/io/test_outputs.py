@@ -18,7 +18,7 @@ def write_two(folder: Path, error: type[BaseException] | None = None) -> None:
 
 
 @pytest.mark.parametrize("exists", [True, False])
-def test_files_appear_at_the_end(tmp_path: Path, exists: bool) -> None:
+def test_files_appear_at_the_end(tmp_path, exists):
     folder = tmp_path / "depth"
     if exists:
         folder.mkdir()
@@ -29,7 +29,7 @@ def test_files_appear_at_the_end(tmp_path: Path, exists: bool) -> None:
 
 @pytest.mark.parametrize("exists", [True, False])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
-def test_after_a_failure_nothing_is_there(tmp_path: Path, exists: bool, error: type[BaseException]) -> None:
+def test_after_a_failure_nothing_is_there(tmp_path, exists, error):
     folder = tmp_path / "depth"
     if exists:
         folder.mkdir()
@@ -39,14 +39,14 @@ def test_after_a_failure_nothing_is_there(tmp_path: Path, exists: bool, error: t
     assert not exists or not list(folder.iterdir())
 
 
-def test_strangers_in_the_folder_stay(tmp_path: Path) -> None:
+def test_strangers_in_the_folder_stay(tmp_path):
     (tmp_path / "c").write_text("mine")
     with staged_folder(tmp_path) as staged:
         (staged / "a").write_text("a")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a", "c"]
 
 
-def test_folders_in_it_are_made_or_added_to(tmp_path: Path) -> None:
+def test_folders_in_it_are_made_or_added_to(tmp_path):
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "mine").write_text("mine")
     for text in ("first", "second"):
@@ -67,7 +67,7 @@ def test_folders_in_it_are_made_or_added_to(tmp_path: Path) -> None:
     assert (tmp_path / "new" / "deep" / "a").read_text() == "second"
 
 
-def test_a_folder_that_cannot_be_filled_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_filled_is_refused(tmp_path):
     (tmp_path / "file").touch()
     check_staged_folder(tmp_path / "new")
     with pytest.raises(OutputPathError, match="create it first"):
@@ -76,7 +76,7 @@ def test_a_folder_that_cannot_be_filled_is_refused(tmp_path: Path) -> None:
         check_staged_folder(tmp_path / "file")
 
 
-def test_what_appeared_in_the_meantime_is_kept(tmp_path: Path) -> None:
+def test_what_appeared_in_the_meantime_is_kept(tmp_path):
     def write(name: str, theirs: str) -> None:
         with staged_folder(tmp_path, overwrite=False) as staged:
             for new in ("a", name):
@@ -89,7 +89,7 @@ def test_what_appeared_in_the_meantime_is_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("exists", [True, False])
-def test_errors_name_files_as_they_would_be_called(tmp_path: Path, exists: bool) -> None:
+def test_errors_name_files_as_they_would_be_called(tmp_path, exists):
     folder = tmp_path / "depth"
     if exists:
         folder.mkdir()

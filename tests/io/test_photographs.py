@@ -4,7 +4,7 @@ from io_samples import smooth_image, write_with
 
 from omnisyn_cli.errors import ImageError, InputError
 from omnisyn_cli.io import list_photographs, read_photographs
-from omnisyn_cli.io.images import LONGEST
+from omnisyn_cli.io.images import MAX_PHOTOGRAPH_SIDE
 
 
 def test_photographs_of_any_kind_are_read_in_the_order_of_their_names(tmp_path):
@@ -29,9 +29,9 @@ def test_photographs_of_any_kind_are_read_in_the_order_of_their_names(tmp_path):
 
 
 def test_large_photographs_are_reduced(tmp_path):
-    write_with(tmp_path / "wide.png", np.full((300, 2 * LONGEST, 3), 80, np.uint8))
+    write_with(tmp_path / "wide.png", np.full((300, 2 * MAX_PHOTOGRAPH_SIDE, 3), 80, np.uint8))
     (image,) = read_photographs(tmp_path)
-    assert image.shape == (150, LONGEST, 3)
+    assert image.shape == (150, MAX_PHOTOGRAPH_SIDE, 3)
     assert (image == 80).all()
 
 

@@ -1,7 +1,6 @@
 """Cropped panoramas that were scaled afterwards lie on a whole sphere, where they were cropped."""
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,9 +48,7 @@ def miss(start: int, length: int, tagged_start: float, tagged_length: float, sca
 @given(crops(), st.floats(0.02, 3.0), st.sampled_from(ROUNDINGS))
 @example((2048, 1400, 4096, 300, 0), 0.5001, round)
 @example((2048, 1023, 4096, 1025, 0), 0.5, math.floor)
-def test_a_scaled_crop_lies_on_a_whole_sphere_within_a_pixel_of_its_place(
-    crop: Crop, scale: float, rounding: Callable[[float], int]
-) -> None:
+def test_a_scaled_crop_lies_on_a_whole_sphere_within_a_pixel_of_its_place(crop, scale, rounding):
     tagged_full, tagged_height, tagged_width, tagged_top, tagged_left = crop
     height, width = rounding(tagged_height * scale), rounding(tagged_width * scale)
     assume(min(height, width) >= 1)
@@ -68,7 +65,7 @@ def test_a_scaled_crop_lies_on_a_whole_sphere_within_a_pixel_of_its_place(
 
 
 @given(crops(), st.floats(0.02, 3.0), st.sampled_from(ROUNDINGS))
-def test_pictures_as_wide_as_the_sphere_stay_so(crop: Crop, scale: float, rounding: Callable[[float], int]) -> None:
+def test_pictures_as_wide_as_the_sphere_stay_so(crop, scale, rounding):
     full_height = crop[0]
     height, width = rounding(crop[1] * scale), rounding(2 * full_height * scale)
     assume(height >= 1 and width >= 2 and crop[1] < full_height)
@@ -77,20 +74,20 @@ def test_pictures_as_wide_as_the_sphere_stay_so(crop: Crop, scale: float, roundi
 
 
 @given(crops())
-def test_a_crop_that_was_not_scaled_lies_exactly_where_its_tags_say(crop: Crop) -> None:
+def test_a_crop_that_was_not_scaled_lies_exactly_where_its_tags_say(crop):
     full_height, height, width, top, left = crop
     expected = Placement(height, width, top, left, full_height, 2 * full_height)
     assert placement_of(header_of(height, width, crop)) == expected
 
 
-def test_what_was_stretched_or_was_never_2_to_1_is_taken_as_its_tags_say() -> None:
+def test_what_was_stretched_or_was_never_2_to_1_is_taken_as_its_tags_say():
     stretched = placement_of(header_of(50, 200, (100, 100, 100, 0, 50)))
     assert stretched == Placement(50, 200, 0, 100, 50, 400)
     assert placement_of(header_of(50, 50, (100, 100, 100, 0, 50), full_width=180)) == Placement(50, 50, 0, 25, 50, 90)
 
 
 @pytest.mark.parametrize("scale", [0.25, 0.37, 0.5, 0.731])
-def test_a_scaled_strip_is_read_as_a_sphere(tmp_path: Path, scale: float) -> None:
+def test_a_scaled_strip_is_read_as_a_sphere(tmp_path, scale):
     """As stitched from a row of photographs: all around, without zenith and nadir."""
     height, width = round(141 * scale), round(512 * scale)
     tags = {
@@ -104,6 +101,6 @@ def test_a_scaled_strip_is_read_as_a_sphere(tmp_path: Path, scale: float) -> Non
     assert abs(np.flatnonzero(panorama.mask.any(axis=1))[0] - 67 * scale) <= 1
 
 
-def test_sizes_beyond_all_numbers_are_refused() -> None:
+def test_sizes_beyond_all_numbers_are_refused():
     with pytest.raises(ImageError, match="inside its full panorama"):
         placement_of(header_of(20, 40, (10**300, 1, 1, 0, 0), full_width=2e300))

@@ -24,7 +24,7 @@ def ffmpeg(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plain(tmp_path_factory):
     """A video with sound and without tags, moov last."""
     path = tmp_path_factory.mktemp("video") / "plain.mp4"
     video = ["-f", "lavfi", "-i", "testsrc2=s=64x32:r=10:d=1", "-f", "lavfi", "-i", "sine=d=1"]
@@ -33,7 +33,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def variants(plain: Path) -> dict[str, Path]:
+def variants(plain):
     """The same media with moov first, in a MOV file, and with a 64-bit mdat size and 64-bit offsets."""
     paths = {"moov last": plain, "moov first": plain.with_name("first.mp4"), "mov": plain.with_name("plain.mov")}
     ffmpeg("-i", plain, "-c", "copy", "-movflags", "+faststart", paths["moov first"])
@@ -59,7 +59,7 @@ def decoded(path: Path) -> str:
 
 
 @pytest.mark.parametrize("name", ["moov last", "moov first", "mov", "wide"])
-def test_tags_go_in_and_the_media_stay_the_same(tmp_path: Path, variants: dict[str, Path], name: str) -> None:
+def test_tags_go_in_and_the_media_stay_the_same(tmp_path, variants, name):
     source, target = variants[name], tmp_path / f"-tagged '1' ü{variants[name].suffix}"
     assert not read_spherical(source).has_version_1
     assert not read_spherical(source).has_version_2
@@ -75,13 +75,13 @@ def test_tags_go_in_and_the_media_stay_the_same(tmp_path: Path, variants: dict[s
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_tagging_twice_is_tagging_once(tmp_path: Path, plain: Path) -> None:
+def test_tagging_twice_is_tagging_once(tmp_path, plain):
     inject_spherical(plain, tmp_path / "once.mp4")
     inject_spherical(tmp_path / "once.mp4", tmp_path / "twice.mp4")
     assert (tmp_path / "once.mp4").read_bytes() == (tmp_path / "twice.mp4").read_bytes()
 
 
-def test_tagging_a_file_in_its_own_place_works(tmp_path: Path, plain: Path) -> None:
+def test_tagging_a_file_in_its_own_place_works(tmp_path, plain):
     copy = tmp_path / "a.mp4"
     copy.write_bytes(plain.read_bytes())
     inject_spherical(copy, copy)
@@ -89,9 +89,7 @@ def test_tagging_a_file_in_its_own_place_works(tmp_path: Path, plain: Path) -> N
     assert decoded(copy) == decoded(plain)
 
 
-def test_offsets_are_64_bit_where_the_file_needs_them(
-    tmp_path: Path, plain: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_offsets_are_64_bit_where_the_file_needs_them(tmp_path, plain, monkeypatch):
     monkeypatch.setattr("omnisyn_cli.io.spherical._is_wide", lambda boxes, movie: True)
     inject_spherical(plain, tmp_path / "a.mp4")
     data = (tmp_path / "a.mp4").read_bytes()
@@ -100,7 +98,7 @@ def test_offsets_are_64_bit_where_the_file_needs_them(
     assert decoded(tmp_path / "a.mp4") == decoded(plain)
 
 
-def test_a_file_beyond_4_gib_counts_as_wide(tmp_path: Path) -> None:
+def test_a_file_beyond_4_gib_counts_as_wide(tmp_path):
     large = tmp_path / "large.mp4"
     with large.open("wb") as file:
         file.write(serialize(Box(b"ftyp", b"isom")) + struct.pack(">I4sQ", 1, b"mdat", 5 << 30))
@@ -108,7 +106,7 @@ def test_a_file_beyond_4_gib_counts_as_wide(tmp_path: Path) -> None:
     assert _is_wide(top_level_boxes(large), Box(b"moov", b""))
 
 
-def test_fragmented_files_are_refused(tmp_path: Path, plain: Path) -> None:
+def test_fragmented_files_are_refused(tmp_path, plain):
     fragmented = tmp_path / "f.mp4"
     ffmpeg("-i", plain, "-c", "copy", "-movflags", "frag_keyframe+empty_moov", fragmented)
     with pytest.raises(InputError, match="fragments"):
@@ -116,14 +114,14 @@ def test_fragmented_files_are_refused(tmp_path: Path, plain: Path) -> None:
     assert list(tmp_path.iterdir()) == [fragmented]
 
 
-def test_sound_alone_is_refused(tmp_path: Path, plain: Path) -> None:
+def test_sound_alone_is_refused(tmp_path, plain):
     ffmpeg("-i", plain, "-vn", "-c", "copy", tmp_path / "sound.mp4")
     with pytest.raises(InputError, match="video track"):
         inject_spherical(tmp_path / "sound.mp4", tmp_path / "out.mp4")
 
 
 @pytest.mark.parametrize("name", ["moov last", "moov first"])
-def test_a_truncated_file_is_an_input_error(tmp_path: Path, variants: dict[str, Path], name: str) -> None:
+def test_a_truncated_file_is_an_input_error(tmp_path, variants, name):
     whole, cut = variants[name].read_bytes(), tmp_path / "cut.mp4"
     ends = {box.end for box in top_level_boxes(variants[name])}
     for length in {*range(0, len(whole), len(whole) // 150), *range(len(whole) - 20, len(whole))} - ends:
@@ -134,9 +132,7 @@ def test_a_truncated_file_is_an_input_error(tmp_path: Path, variants: dict[str, 
 
 @settings(max_examples=150)
 @given(st.data())
-def test_any_damage_to_the_movie_box_is_an_input_error_or_harmless(
-    plain: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
+def test_any_damage_to_the_movie_box_is_an_input_error_or_harmless(plain, tmp_path_factory, data):
     whole = bytearray(plain.read_bytes())
     start = whole.index(b"moov") - 4
     for _ in range(data.draw(st.integers(1, 4))):
@@ -152,23 +148,23 @@ def test_any_damage_to_the_movie_box_is_an_input_error_or_harmless(
     "data",
     [b"", b"moov", b"\0\0\0\0moov" * 50, b"\0\0\0\x01moov" + b"\xff" * 8, b"RIFF____AVI ", b"\0\0\0\x08free" * 200_000],
 )
-def test_hostile_bytes_are_an_input_error_at_once(tmp_path: Path, data: bytes) -> None:
+def test_hostile_bytes_are_an_input_error_at_once(tmp_path, data):
     (tmp_path / "a.mp4").write_bytes(data)
     with pytest.raises(InputError):
         read_spherical(tmp_path / "a.mp4")
 
 
-def test_a_missing_file_is_an_input_error(tmp_path: Path) -> None:
+def test_a_missing_file_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="No such file"):
         inject_spherical(tmp_path / "none.mp4", tmp_path / "out.mp4")
 
 
-def test_a_missing_folder_is_a_write_error(tmp_path: Path, plain: Path) -> None:
+def test_a_missing_folder_is_a_write_error(tmp_path, plain):
     with pytest.raises(WriteError):
         inject_spherical(plain, tmp_path / "none" / "out.mp4")
 
 
-def test_videos_of_ours_are_tagged(tmp_path: Path) -> None:
+def test_videos_of_ours_are_tagged(tmp_path):
     with open_video(tmp_path / "a.mp4", size=(32, 64), fps=10, preset="ultrafast") as sink:
         sink.write(np.zeros((32, 64, 3), np.uint8))
     assert read_spherical(tmp_path / "a.mp4").software == "OmniSyn"

@@ -58,9 +58,7 @@ def decoded(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("codec", "suffix", "dtype"), KINDS)
-def test_colours_survive_within_rounding_and_are_tagged_bt709(
-    tmp_path: Path, codec: str, suffix: str, dtype: str
-) -> None:
+def test_colours_survive_within_rounding_and_are_tagged_bt709(tmp_path, codec, suffix, dtype):
     path = tmp_path / f"-a 'b\" ü{suffix}"
     frame = FRAME if dtype == "uint8" else FRAME.astype(np.uint16) * 257
     with open_video(path, size=(128, 256), fps=25, codec=codec, preset=FAST[codec], dtype=dtype) as sink:
@@ -92,9 +90,7 @@ SAMPLES = (*MEDIA, b"minf", b"stbl")
 
 
 @pytest.mark.parametrize(("codec", "suffix"), [(name, end) for name, codec in CODECS.items() for end in codec.suffixes])
-def test_whatever_is_offered_is_encoded_and_says_its_colours_and_its_shape(
-    tmp_path: Path, codec: str, suffix: str
-) -> None:
+def test_whatever_is_offered_is_encoded_and_says_its_colours_and_its_shape(tmp_path, codec, suffix):
     path = tmp_path / f"a{suffix.upper()}"
     with open_video(path, size=(64, 128), fps=25, codec=codec, preset=FAST[codec]) as sink:
         for _ in range(2):
@@ -106,7 +102,7 @@ def test_whatever_is_offered_is_encoded_and_says_its_colours_and_its_shape(
     assert boxes[b"colr"][:10] == expected + struct.pack(">HHH", 1, 1, 1)
 
 
-def test_frames_keep_their_order_and_count(tmp_path: Path) -> None:
+def test_frames_keep_their_order_and_count(tmp_path):
     with open_video(tmp_path / "a.mp4", size=(128, 256), fps=30000 / 1001, preset="ultrafast") as sink:
         for level in range(0, 240, 8):
             sink.write(np.full((128, 256, 3), level, np.uint8))
@@ -123,7 +119,7 @@ RATES = {
 
 
 @pytest.mark.parametrize("fps", RATES)
-def test_rates_of_television_are_exact_in_the_file(tmp_path: Path, fps: float | Fraction) -> None:
+def test_rates_of_television_are_exact_in_the_file(tmp_path, fps):
     with open_video(tmp_path / "a.mp4", size=(32, 64), fps=fps, preset="ultrafast") as sink:
         for _ in range(3):
             sink.write(np.zeros((32, 64, 3), np.uint8))
@@ -141,9 +137,7 @@ def interrupted(path: Path, error: type[BaseException], *, overwrite: bool = Fal
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, OSError])
 @pytest.mark.parametrize("name", ["a.mp4", "frames", "view_%04d.jpg"])
-def test_an_interrupted_writer_leaves_nothing(
-    tmp_path: Path, error: type[BaseException], name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_writer_leaves_nothing(tmp_path, error, name, monkeypatch):
     started: list[subprocess.Popen[bytes]] = []
     monkeypatch.setattr(EncoderProcess, "_started", lambda self, command: remembered(started, command))
     with pytest.raises(error):
@@ -159,7 +153,7 @@ def remembered(started: list[subprocess.Popen[bytes]], command: list[str]) -> su
     return started[-1]
 
 
-def test_a_failed_overwrite_keeps_the_former_file(tmp_path: Path) -> None:
+def test_a_failed_overwrite_keeps_the_former_file(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"former")
     with pytest.raises(RuntimeError):
         interrupted(tmp_path / "a.mp4", RuntimeError, overwrite=True)
@@ -181,27 +175,27 @@ def write_many(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, count
             sink.write(np.zeros((32, 64, 3), np.uint8))
 
 
-def test_the_encoders_own_words_reach_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_encoders_own_words_reach_the_user(tmp_path, monkeypatch):
     script = "sys.stdin.buffer.read(10)\nsys.exit('level 9.9 is not supported')"
     with pytest.raises(EncodingError, match=r"level 9\.9 is not supported"):
         write_many(tmp_path, monkeypatch, script)
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_a_bad_exit_after_the_last_frame_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bad_exit_after_the_last_frame_is_an_error(tmp_path, monkeypatch):
     script = "sys.stdin.buffer.read()\nopen(sys.argv[1], 'w').write('half')\nsys.exit('muxer lost its mind')"
     with pytest.raises(EncodingError, match="muxer lost its mind"):
         write_many(tmp_path, monkeypatch, script)
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_a_talkative_encoder_does_not_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_talkative_encoder_does_not_block(tmp_path, monkeypatch):
     script = "sys.stderr.write('blah blah\\n' * 200_000)\nsys.stdin.buffer.read()\nsys.exit('enough said')"
     with pytest.raises(EncodingError, match="enough said"):
         write_many(tmp_path, monkeypatch, script)
 
 
-def test_a_full_disk_is_a_write_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_a_write_error(tmp_path, monkeypatch):
     script = "sys.stdin.buffer.read(10)\nsys.exit('av_interleaved_write_frame(): No space left on device')"
     with pytest.raises(WriteError, match="No space left"):
         write_many(tmp_path, monkeypatch, script)
@@ -215,16 +209,14 @@ def test_a_full_disk_is_a_write_error(tmp_path: Path, monkeypatch: pytest.Monkey
         ("SIGXFSZ", WriteError, "a limit on files"),
     ],
 )
-def test_an_encoder_that_is_killed_has_no_last_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, kind: type[Exception], words: str
-) -> None:
+def test_an_encoder_that_is_killed_has_no_last_words(tmp_path, monkeypatch, name, kind, words):
     script = f"import os, signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nos.kill(os.getpid(), signal.{name})"
     with pytest.raises(kind, match=words):
         write_many(tmp_path, monkeypatch, script)
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_ffmpegs_real_words_reach_the_user(tmp_path: Path) -> None:
+def test_ffmpegs_real_words_reach_the_user(tmp_path):
     settings = EncoderSettings((32, 64), 10)
     command = ["nosuch" if word == "libx264" else word for word in encoder_command(tmp_path / "a.mp4", settings)]
     result = subprocess.run(command, input=b"", capture_output=True, text=False, check=False)
@@ -232,14 +224,14 @@ def test_ffmpegs_real_words_reach_the_user(tmp_path: Path) -> None:
     assert b"nosuch" in result.stderr
 
 
-def test_no_frame_is_an_error(tmp_path: Path) -> None:
+def test_no_frame_is_an_error(tmp_path):
     for name in ("a.mp4", "frames"):
         with pytest.raises(EncodingError, match="at least one frame"), open_video(tmp_path / name, size=(2, 4), fps=9):
             pass
     assert not list(tmp_path.iterdir())
 
 
-def test_frames_of_another_shape_are_refused(tmp_path: Path) -> None:
+def test_frames_of_another_shape_are_refused(tmp_path):
     for name in ("a.mp4", "frames"):
         with (
             pytest.raises(ValueError, match="expected a frame"),
@@ -278,7 +270,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_work_is_refused_before_any_work(tmp_path: Path, case: str) -> None:
+def test_what_cannot_work_is_refused_before_any_work(tmp_path, case):
     changes, error, words = REFUSED[case]
     arguments: dict[str, object] = {"size": (32, 64), "fps": 10, "path": "a.mp4", **changes}
     arguments["path"] = tmp_path / str(arguments["path"])
@@ -289,7 +281,7 @@ def test_what_cannot_work_is_refused_before_any_work(tmp_path: Path, case: str) 
     assert not list(tmp_path.iterdir())
 
 
-def test_existing_targets_are_kept_unless_told_otherwise(tmp_path: Path) -> None:
+def test_existing_targets_are_kept_unless_told_otherwise(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"former")
     with pytest.raises(OutputPathError, match="allow overwriting"):
         check_output(tmp_path / "a.mp4")
@@ -315,7 +307,7 @@ def test_existing_targets_are_kept_unless_told_otherwise(tmp_path: Path) -> None
         ("v_%02d", "jpg", "v_00.jpg"),
     ],
 )
-def test_frames_become_numbered_images(tmp_path: Path, name: str, codec: str | None, first: str) -> None:
+def test_frames_become_numbered_images(tmp_path, name, codec, first):
     with open_video(tmp_path / name, size=(32, 64), fps=10, codec=codec) as sink:
         for level in (10, 200):
             sink.write(np.full((32, 64, 3), level, np.uint8))
@@ -324,7 +316,7 @@ def test_frames_become_numbered_images(tmp_path: Path, name: str, codec: str | N
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "frames/000000.png"])
-def test_what_appeared_in_the_meantime_is_kept_unless_told_otherwise(tmp_path: Path, name: str) -> None:
+def test_what_appeared_in_the_meantime_is_kept_unless_told_otherwise(tmp_path, name):
     """As when one command is given twice: the second run to end does not replace what the first one made."""
     mine = tmp_path / name
     target = mine if mine.suffix == ".mp4" else mine.parent
@@ -338,7 +330,7 @@ def test_what_appeared_in_the_meantime_is_kept_unless_told_otherwise(tmp_path: P
         assert [path for path in tmp_path.rglob("*") if path.is_file()] == [mine]
 
 
-def test_overwriting_a_sequence_leaves_no_stale_frames_and_no_stranger_touched(tmp_path: Path) -> None:
+def test_overwriting_a_sequence_leaves_no_stale_frames_and_no_stranger_touched(tmp_path):
     stranger = tmp_path / "notes.txt"
     stranger.write_text("mine")
     for count, overwrite in ((5, False), (2, True)):
@@ -350,13 +342,13 @@ def test_overwriting_a_sequence_leaves_no_stale_frames_and_no_stranger_touched(t
         check_video(tmp_path / "f_%02d.png", size=(2, 4), fps=10)
 
 
-def test_every_refusal_is_one_of_ours(tmp_path: Path) -> None:
+def test_every_refusal_is_one_of_ours(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OmnisynError, match="got a file"):
         check_video(tmp_path / "file", size=(2, 4), fps=1)
 
 
-def test_frames_of_a_video_can_be_read_again(tmp_path: Path) -> None:
+def test_frames_of_a_video_can_be_read_again(tmp_path):
     with open_video(tmp_path / "a.mp4", size=(128, 256), fps=25, preset="ultrafast", crf=1) as sink:
         for _ in range(3):
             sink.write(FRAME)

@@ -46,7 +46,7 @@ def write_crop(folder: Path, suffix: str, form: str, tags: dict[str, Any] = CROP
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_the_same_crop_is_the_same_sphere_in_every_format(tmp_path: Path, form: str) -> None:
+def test_the_same_crop_is_the_same_sphere_in_every_format(tmp_path, form):
     expected = np.zeros((32, 64), bool)
     expected[6:27, 10:50] = True
     for suffix in ("jpg", "png", "tif", "webp"):
@@ -56,7 +56,7 @@ def test_the_same_crop_is_the_same_sphere_in_every_format(tmp_path: Path, form: 
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_webp_has_the_attributes_that_the_same_packet_gives_a_png(tmp_path: Path, form: str) -> None:
+def test_webp_has_the_attributes_that_the_same_packet_gives_a_png(tmp_path, form):
     attributes = [read_header(write_crop(tmp_path, suffix, form)).attributes for suffix in ("png", "webp")]
     from_png, from_webp = ({name: value for name, value in of.items() if name in CROP} for of in attributes)
     assert len(from_png) == len(CROP)
@@ -64,7 +64,7 @@ def test_webp_has_the_attributes_that_the_same_packet_gives_a_png(tmp_path: Path
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_heading_and_place_are_imported(tmp_path: Path, form: str) -> None:
+def test_heading_and_place_are_imported(tmp_path, form):
     gps = {
         "GPS:Latitude": ("float[3]", (48.0, 7.0, 30.0)), "GPS:LatitudeRef": "N",
         "GPS:Longitude": ("float[3]", (11.0, 34.0, 2.0)), "GPS:LongitudeRef": "E", "GPS:Altitude": 520.0,
@@ -79,13 +79,13 @@ def test_heading_and_place_are_imported(tmp_path: Path, form: str) -> None:
     assert from_webp.pose.almost_equals(from_jpeg.pose)
 
 
-def test_another_projection_is_refused(tmp_path: Path) -> None:
+def test_another_projection_is_refused(tmp_path):
     path = write_crop(tmp_path, "webp", "elements", {**CROP, "GPano:ProjectionType": "cylindrical"})
     with pytest.raises(ImageError, match="projection 'cylindrical'"):
         read_panorama(path)
 
 
-def test_a_file_cut_short_anywhere_is_an_image_error(tmp_path: Path) -> None:
+def test_a_file_cut_short_anywhere_is_an_image_error(tmp_path):
     whole = write_crop(tmp_path, "webp", "attributes").read_bytes()
     cut = tmp_path / "cut.webp"
     for length in range(whole.index(b"XMP "), len(whole)):
@@ -94,7 +94,7 @@ def test_a_file_cut_short_anywhere_is_an_image_error(tmp_path: Path) -> None:
             read_header(cut)
 
 
-def test_chunks_of_odd_length_are_padded_and_chunks_after_the_end_are_no_part_of_the_file(tmp_path: Path) -> None:
+def test_chunks_of_odd_length_are_padded_and_chunks_after_the_end_are_no_part_of_the_file(tmp_path):
     path, packet = tmp_path / "a.webp", xmp_packet({"GPano:PoseRollDegrees": 1.5}, "attributes")
     path.write_bytes(riff_chunk(b"RIFF", b"WEBP" + riff_chunk(b"ODD ", b"XMP") + riff_chunk(b"XMP ", packet)))
     assert panorama_tags(path) == {"GPano:PoseRollDegrees": 1.5}
@@ -103,9 +103,7 @@ def test_chunks_of_odd_length_are_padded_and_chunks_after_the_end_are_no_part_of
 
 
 @given(st.binary(max_size=200), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
-def test_sizes_that_lie_and_bytes_that_are_no_text_are_passed_over(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes, riff_size: int, size: int
-) -> None:
+def test_sizes_that_lie_and_bytes_that_are_no_text_are_passed_over(tmp_path_factory, data, riff_size, size):
     path = tmp_path_factory.getbasetemp() / "lies.webp"
     for kind in (b"XMP ", b"EXIF"):
         path.write_bytes(b"RIFF" + riff_size.to_bytes(4, "little") + b"WEBP" + kind + size.to_bytes(4, "little") + data)
@@ -116,7 +114,7 @@ def test_sizes_that_lie_and_bytes_that_are_no_text_are_passed_over(
     "text",
     ["<GPano:a ", "<GPano:a>", " GPano:a='", " GPano:a=\"<GPano:a='", " GPano:a" + " " * 5000, " GPano:" + "a" * 5000],
 )
-def test_long_hostile_packets_and_many_chunks_take_no_time(tmp_path: Path, text: str) -> None:
+def test_long_hostile_packets_and_many_chunks_take_no_time(tmp_path, text):
     """Both are read in one pass: a second is ten times what they need."""
     path = tmp_path / "a.webp"
     many = riff_chunk(b"ODD ", b"") * 9000
@@ -128,6 +126,6 @@ def test_long_hostile_packets_and_many_chunks_take_no_time(tmp_path: Path, text:
 
 
 @pytest.mark.parametrize(("text", "value"), [("1e999", None), ("nan", None), ("-0", 0), ("+12.25", 12.25), ("", None)])
-def test_only_finite_numbers_are_numbers(tmp_path: Path, text: str, value: float | None) -> None:
+def test_only_finite_numbers_are_numbers(tmp_path, text, value):
     path = write_crop(tmp_path, "webp", "elements", {"GPano:PoseHeadingDegrees": text})
     assert read_header(path).number("GPano:PoseHeadingDegrees") == value

@@ -26,14 +26,14 @@ def split(samples: np.ndarray, size: tuple[int, int]) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("size", [(2, 4), (6, 12), (10, 1030), (4, 2048)])
-def test_every_plane_is_within_half_a_code_of_the_formula(size: tuple[int, int]) -> None:
+def test_every_plane_is_within_half_a_code_of_the_formula(size):
     frame = np.random.default_rng(size[1]).integers(0, 256, (*size, 3), np.uint8)
     found = split(PlanarFrames(size)(frame), size)
     for plane, exact in zip(found, planes_of(frame), strict=True):
         assert np.abs(plane - exact).max() <= 0.5 + 1e-3
 
 
-def test_black_white_and_primary_colours_have_the_codes_of_the_standard() -> None:
+def test_black_white_and_primary_colours_have_the_codes_of_the_standard():
     """White is (235, 128, 128), black (16, 128, 128); pure blue and red reach the end of their scale, 240."""
     colours = np.array([[0, 0, 0], [255, 255, 255], [0, 0, 255], [255, 0, 0], [0, 255, 0]], np.uint8)
     frame = np.ascontiguousarray(np.broadcast_to(np.repeat(colours, 4, axis=0), (2, 20, 3)))
@@ -43,7 +43,7 @@ def test_black_white_and_primary_colours_have_the_codes_of_the_standard() -> Non
     assert list(red[0, 1::2]) == [128, 128, 118, 240, 26]
 
 
-def test_chroma_lies_where_players_look_for_it() -> None:
+def test_chroma_lies_where_players_look_for_it():
     """Of a ramp it has the codes of the even columns, not of half a pixel beside them (H.264, figure E-1, type 0)."""
     ramp = np.arange(64, 192, dtype=np.uint8)
     frame = np.zeros((2, 128, 3), np.uint8)
@@ -53,7 +53,7 @@ def test_chroma_lies_where_players_look_for_it() -> None:
     assert abs((blue[0, 1:] - exact).mean()) < 0.02
 
 
-def test_the_memory_is_used_again() -> None:
+def test_the_memory_is_used_again():
     frames = PlanarFrames((2, 4))
     first = frames(np.zeros((2, 4, 3), np.uint8))
     second = frames(np.full((2, 4, 3), 255, np.uint8))

@@ -22,7 +22,7 @@ def headed_pair() -> tuple[Pose, Pose]:
 
 
 @every_mistake
-def test_a_mistake_in_matches_is_named(name: str) -> None:
+def test_a_mistake_in_matches_is_named(name):
     rng = np.random.default_rng(7)
     poses = random_pose(rng), random_pose(rng)
     matches = matches_of(rng, *poses, noise=0.2 * PIXEL, wrong=0.3)
@@ -34,7 +34,7 @@ def test_a_mistake_in_matches_is_named(name: str) -> None:
 
 
 @every_mistake
-def test_a_mistake_over_pictures_is_named(name: str) -> None:
+def test_a_mistake_over_pictures_is_named(name):
     diagnosis = diagnose(*MADE[name](*street_poses()), street_matches())
     assert diagnosis.verdict == "mistake"
     assert name in {explanation.hypothesis.name for explanation in diagnosis.explanations}
@@ -50,7 +50,7 @@ def test_a_mistake_over_pictures_is_named(name: str) -> None:
         ("position-quarter-right", lambda heading: heading + np.pi / 2),
     ],
 )
-def test_a_mistake_in_headings_is_named(name: str, change: object) -> None:
+def test_a_mistake_in_headings_is_named(name, change):
     rng, poses = np.random.default_rng(8), headed_pair()
     matches = matches_of(rng, *poses, noise=0.2 * PIXEL, wrong=0.3)
     wrong = [Pose(rotation_from_heading(change(heading_angles(p.rotation)[0])), p.position) for p in poses]  # type: ignore[operator]
@@ -59,7 +59,7 @@ def test_a_mistake_in_headings_is_named(name: str, change: object) -> None:
 
 
 @pytest.mark.parametrize("names", [("quaternion-order", "opencv-axes"), ("world-to-camera", "centre-at-edge")])
-def test_two_mistakes_at_once_are_named(names: tuple[str, str]) -> None:
+def test_two_mistakes_at_once_are_named(names):
     """They are made in the opposite order of the corrections."""
     rng = np.random.default_rng(9)
     poses = random_pose(rng), random_pose(rng)
@@ -69,7 +69,7 @@ def test_two_mistakes_at_once_are_named(names: tuple[str, str]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_right_poses_are_not_accused_and_inaccurate_ones_are_no_mistake(seed: int) -> None:
+def test_right_poses_are_not_accused_and_inaccurate_ones_are_no_mistake(seed):
     rng = np.random.default_rng(seed)
     first, second = random_pose(rng), random_pose(rng)
     matches = matches_of(rng, first, second, noise=0.2 * PIXEL, wrong=0.3)
@@ -83,7 +83,7 @@ def test_right_poses_are_not_accused_and_inaccurate_ones_are_no_mistake(seed: in
     assert near.given.rotation == pytest.approx(np.radians(3.0), abs=np.radians(0.2))
 
 
-def test_arbitrary_poses_are_a_contradiction_without_an_excuse() -> None:
+def test_arbitrary_poses_are_a_contradiction_without_an_excuse():
     rng = np.random.default_rng(3)
     matches = matches_of(rng, random_pose(rng), random_pose(rng), noise=0.2 * PIXEL)
     diagnosis = diagnose(random_pose(rng), random_pose(rng), matches)
@@ -91,14 +91,14 @@ def test_arbitrary_poses_are_a_contradiction_without_an_excuse() -> None:
     assert "no common mistake explains it" in diagnosis_sentences(diagnosis)[0]
 
 
-def test_without_matches_nothing_is_claimed() -> None:
+def test_without_matches_nothing_is_claimed():
     diagnosis = diagnose(Pose.identity(), Pose.identity(), Matches(np.zeros((0, 3)), np.zeros((0, 3)), PIXEL))
     assert (diagnosis.verdict, diagnosis.given, diagnosis.is_refinable) == ("unknown", None, False)
     assert "too few matches" in diagnosis_sentences(diagnosis)[0]
     assert diagnosis_values(diagnosis)["given"] is None
 
 
-def test_equal_positions_in_the_file_are_a_contradiction_if_the_pictures_differ() -> None:
+def test_equal_positions_in_the_file_are_a_contradiction_if_the_pictures_differ():
     rng = np.random.default_rng(4)
     first, second = random_pose(rng), random_pose(rng)
     matches = matches_of(rng, first, second, noise=0.2 * PIXEL)
@@ -111,7 +111,7 @@ def test_equal_positions_in_the_file_are_a_contradiction_if_the_pictures_differ(
     assert "median residual" not in sentences
 
 
-def test_one_place_is_said_and_its_rotations_are_judged() -> None:
+def test_one_place_is_said_and_its_rotations_are_judged():
     rng = np.random.default_rng(5)
     first = random_pose(rng)
     second = Pose(first.rotation @ rotation_from_heading(1.0), first.position)
@@ -122,7 +122,7 @@ def test_one_place_is_said_and_its_rotations_are_judged() -> None:
     assert "images-swapped" in {explanation.hypothesis.name for explanation in swapped.explanations}
 
 
-def test_names_and_words_are_complete() -> None:
+def test_names_and_words_are_complete():
     hypotheses = [*single_hypotheses(), *combined_hypotheses()]
     common = [hypothesis.name for hypothesis in single_hypotheses() if hypothesis.is_common]
     assert len(set(common)) == len(common)
@@ -130,6 +130,6 @@ def test_names_and_words_are_complete() -> None:
     assert {*MADE} <= {*(hypothesis.name for hypothesis in hypotheses), "degrees-for-radians"}
 
 
-def test_headings_come_back() -> None:
+def test_headings_come_back():
     for angles in ((0.3, 0.2, -0.1), (-3.0, -1.2, 2.0), (1.0, 0.0, 0.0)):
         np.testing.assert_allclose(heading_angles(rotation_from_heading(*angles)), angles, atol=1e-12)

@@ -20,7 +20,7 @@ seeds = pytest.mark.parametrize("seed", range(8))
 
 
 @seeds
-def test_exact_matches_have_no_residual_and_lie_in_front(seed: int) -> None:
+def test_exact_matches_have_no_residual_and_lie_in_front(seed):
     rng = np.random.default_rng(seed)
     first, second = random_pose(rng), random_pose(rng)
     relative, matches = relative_pose(first, second), matches_of(rng, first, second)
@@ -32,7 +32,7 @@ def test_exact_matches_have_no_residual_and_lie_in_front(seed: int) -> None:
 
 
 @seeds
-def test_the_residual_is_the_angle_to_the_great_circles(seed: int) -> None:
+def test_the_residual_is_the_angle_to_the_great_circles(seed):
     """The quadratic mean of both sides lies between them; each side by the angle to its plane."""
     rng = np.random.default_rng(seed)
     relative = relative_pose(random_pose(rng), random_pose(rng))
@@ -48,7 +48,7 @@ def test_the_residual_is_the_angle_to_the_great_circles(seed: int) -> None:
 
 
 @seeds
-def test_in_front_means_that_the_rays_meet_ahead(seed: int) -> None:
+def test_in_front_means_that_the_rays_meet_ahead(seed):
     """Against the two points where the rays come closest, by least squares."""
     rng = np.random.default_rng(seed)
     relative = relative_pose(random_pose(rng), random_pose(rng))
@@ -63,7 +63,7 @@ def test_in_front_means_that_the_rays_meet_ahead(seed: int) -> None:
         assert answer == bool((depths > 0).all())
 
 
-def test_far_points_count_as_in_front_only_with_slack() -> None:
+def test_far_points_count_as_in_front_only_with_slack():
     pose = Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
     backwards = Matches(unit(np.array([[1.0, 0, 0.0]])), unit(np.array([[1.0, 0, -1e-4]])), 0.01)
     assert not is_in_front(pose, backwards)[0]
@@ -78,7 +78,7 @@ def essential_matrix(first_from_second: Pose) -> np.ndarray:
 
 @pytest.mark.parametrize("shape", ["cloud", "plane"])
 @seeds
-def test_five_points_find_the_pose_even_on_a_plane(seed: int, shape: str) -> None:
+def test_five_points_find_the_pose_even_on_a_plane(seed, shape):
     rng = np.random.default_rng(seed)
     relative = relative_pose(Pose.identity(), random_pose(rng))
     matches = seen(Pose.identity(), relative, world_points(rng, 5, shape))
@@ -92,7 +92,7 @@ def test_five_points_find_the_pose_even_on_a_plane(seed: int, shape: str) -> Non
     assert direction_error(ahead[0], relative) < 1e-5
 
 
-def test_all_candidates_are_essential_and_explain_their_sample() -> None:
+def test_all_candidates_are_essential_and_explain_their_sample():
     rng = np.random.default_rng(0)
     first, second = unit(rng.normal(size=(2, 40, 5, 3)))
     for k in range(40):

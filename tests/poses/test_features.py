@@ -13,7 +13,7 @@ from omnisyn_cli.poses.registration.robust import estimate_relative_pose
 
 
 @pytest.mark.parametrize("vector", [(0.0, 1.0, 0.0), (1.5, 0.3, -0.4)], ids=["yaw", "poles on the horizon"])
-def test_turned_pictures_match_as_they_were_turned(vector: tuple[float, ...]) -> None:
+def test_turned_pictures_match_as_they_were_turned(vector):
     image, rotation = street_image(0), rotation_from_rotation_vector(np.array(vector))
     turned = sample_bicubic(image, pixel_directions(*image.shape[:2]) @ rotation.T)
     matches = match_features(find_features(image), find_features(turned))
@@ -30,7 +30,7 @@ def test_turned_pictures_match_as_they_were_turned(vector: tuple[float, ...]) ->
     assert seam.sum() >= 3
 
 
-def test_a_mask_keeps_features_away() -> None:
+def test_a_mask_keeps_features_away():
     image = street_image(0)
     usable = np.zeros(image.shape[:2], bool)
     usable[:, 100:300] = True
@@ -40,19 +40,19 @@ def test_a_mask_keeps_features_away() -> None:
     assert col.max() <= 299.5
 
 
-def test_the_number_of_threads_changes_nothing() -> None:
+def test_the_number_of_threads_changes_nothing():
     one, two = find_features(street_image(0), threads=1), find_features(street_image(0), threads=2)
     np.testing.assert_array_equal(one.direction, two.direction)
     np.testing.assert_array_equal(one.descriptor, two.descriptor)
 
 
-def test_an_empty_picture_has_no_matches() -> None:
+def test_an_empty_picture_has_no_matches():
     nothing = find_features(np.full((64, 128, 3), 0.5))
     assert nothing.direction.shape == (0, 3)
     assert len(match_features(nothing, find_features(street_image(0)))) == 0
 
 
-def test_the_pose_of_a_generated_pair_is_found() -> None:
+def test_the_pose_of_a_generated_pair_is_found():
     """Cameras that are tilted and look different ways, exact truth."""
     estimate = estimate_relative_pose(street_matches())
     assert estimate is not None

@@ -48,7 +48,7 @@ def given(scene: str) -> tuple[Pose, Pose]:
 
 
 @every_pair
-def test_estimated_poses_agree_with_the_given_ones(scene: str) -> None:
+def test_estimated_poses_agree_with_the_given_ones(scene):
     estimate, truth = estimate_relative_pose(matched(scene)), relative_pose(*given(scene))
     assert estimate is not None
     assert np.degrees(rotation_error(estimate.first_from_second, truth)) < 1.0
@@ -56,7 +56,7 @@ def test_estimated_poses_agree_with_the_given_ones(scene: str) -> None:
     assert np.degrees(estimate.residual) < 0.1
 
 
-def test_where_both_disagree_the_pictures_side_with_the_estimate() -> None:
+def test_where_both_disagree_the_pictures_side_with_the_estimate():
     """Two halves of the matches, which share nothing, agree with each other and not with the given pose."""
     matches, truth = matched(NOMINAL), relative_pose(*given(NOMINAL))
     halves = [estimate_relative_pose(matches.select(np.arange(k, len(matches), 2))) for k in range(2)]
@@ -73,13 +73,13 @@ def test_where_both_disagree_the_pictures_side_with_the_estimate() -> None:
 
 
 @every_pair
-def test_three_degrees_are_brought_back(scene: str) -> None:
+def test_three_degrees_are_brought_back(scene):
     matches, (first, second) = matched(scene), given(scene)
     rng, undisturbed = np.random.default_rng(1), estimate_relative_pose(matches)
     turn = rotation_from_rotation_vector(unit(rng.normal(size=3)) * np.radians(3.0))
     across = unit(np.cross(second.position - first.position, rng.normal(size=3)))
-    moved = across * np.linalg.norm(second.position - first.position) * np.tan(np.radians(3.0))
-    diagnosis = diagnose(first, Pose(turn @ second.rotation, second.position + moved), matches)
+    retract = across * np.linalg.norm(second.position - first.position) * np.tan(np.radians(3.0))
+    diagnosis = diagnose(first, Pose(turn @ second.rotation, second.position + retract), matches)
     assert undisturbed is not None
     assert (diagnosis.verdict, diagnosis.is_refinable) == ("close", True)
     assert diagnosis.estimate is not None
@@ -91,7 +91,7 @@ def test_three_degrees_are_brought_back(scene: str) -> None:
 
 @pytest.mark.parametrize("name", FREQUENT)
 @pytest.mark.parametrize("scene", ["campus-pair", "vertical-hall", "warehouse_1"])
-def test_a_mistake_is_named(scene: str, name: str) -> None:
+def test_a_mistake_is_named(scene, name):
     """Unless it changes nothing: turning both images by 180° does not show where one stands above the other."""
     first, second = (WORLD @ pose for pose in given(scene))
     wrong, truth = MADE[name](first, second), relative_pose(first, second)
@@ -105,7 +105,7 @@ def test_a_mistake_is_named(scene: str, name: str) -> None:
 
 
 @every_pair
-def test_given_poses_are_not_accused(scene: str) -> None:
+def test_given_poses_are_not_accused(scene):
     diagnosis = diagnose(*given(scene), matched(scene))
     assert diagnosis.verdict == ("close" if scene == NOMINAL else "fits")
     assert diagnosis.is_refinable == (scene in PHOTOGRAPHS)

@@ -33,11 +33,11 @@ def one(entry: Any) -> dict[str, Any]:
     return {"version": 1, "panoramas": {"a.jpg": entry}}
 
 
-def pose_of(folder: Path, entry: Any) -> Pose:
+def pose_from_entry(folder: Path, entry: Any) -> Pose:
     return read_poses(wrote(folder, one(entry))).of("a.jpg").pose
 
 
-def test_the_example_of_the_convention_is_understood(tmp_path: Path) -> None:
+def test_the_example_of_the_convention_is_understood(tmp_path):
     second = {"position": [0.1, 0, -5.0], "rotation": [1, 0, 0, 0], "depth": "sub/b depth.exr", "mask": "b.png"}
     poses = read_poses(wrote(tmp_path, {"version": 1, "panoramas": {"b.jpg": second, "a.jpg": RIGID}}))
     assert list(poses.panoramas) == ["b.jpg", "a.jpg"]
@@ -51,9 +51,7 @@ def test_the_example_of_the_convention_is_understood(tmp_path: Path) -> None:
 
 @settings(max_examples=25)
 @given(st.lists(numbers, min_size=3, max_size=3), st.lists(st.floats(-1, 1), min_size=4, max_size=4))
-def test_writing_and_reading_is_exact_in_position_and_a_rounding_in_rotation(
-    tmp_path_factory: pytest.TempPathFactory, position: list[float], quaternion: list[float]
-) -> None:
+def test_writing_and_reading_is_exact_in_position_and_a_rounding_in_rotation(tmp_path_factory, position, quaternion):
     if np.linalg.norm(quaternion) < 1e-3:
         quaternion = [1.0, 0.0, 0.0, 0.0]
     folder = tmp_path_factory.mktemp("poses")
@@ -65,7 +63,7 @@ def test_writing_and_reading_is_exact_in_position_and_a_rounding_in_rotation(
     assert panorama.depth == folder / "d" / "x.exr"
 
 
-def test_quaternion_3x3_and_4x4_say_the_same(tmp_path: Path) -> None:
+def test_quaternion_3x3_and_4x4_say_the_same(tmp_path):
     rotation = rotation_from_quaternion(np.array([0.5, 0.5, -0.5, 0.5]))
     position = [1.0, 2.0, 3.0]
     full = np.block([[rotation, np.array(position)[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
@@ -76,15 +74,15 @@ def test_quaternion_3x3_and_4x4_say_the_same(tmp_path: Path) -> None:
         {"matrix": full.tolist(), "position": position},
     ]
     expected = Pose(rotation, np.array(position))
-    assert all(pose_of(tmp_path, entry).almost_equals(expected) for entry in entries)
+    assert all(pose_from_entry(tmp_path, entry).almost_equals(expected) for entry in entries)
 
 
-def test_nearly_unit_quaternions_are_normalised(tmp_path: Path) -> None:
-    rotation = pose_of(tmp_path, {"position": [0, 0, 0], "rotation": [0.7071, 0.7071, 0, 0]}).rotation
+def test_nearly_unit_quaternions_are_normalised(tmp_path):
+    rotation = pose_from_entry(tmp_path, {"position": [0, 0, 0], "rotation": [0.7071, 0.7071, 0, 0]}).rotation
     np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
 
 
-def test_the_first_geographic_place_is_the_origin_and_north_is_minus_z(tmp_path: Path) -> None:
+def test_the_first_geographic_place_is_the_origin_and_north_is_minus_z(tmp_path):
     metre = 1 / 111_200
     north = {**PLACE, "latitude": 48.1 + 10 * metre, "altitude": 521.0, "heading": 0}
     poses = read_poses(wrote(tmp_path, {"version": 1, "panoramas": {"a.jpg": PLACE, "b.jpg": north}}))
@@ -152,7 +150,7 @@ BROKEN: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_every_broken_file_gets_one_line_that_says_what_is_wrong(tmp_path: Path, case: str) -> None:
+def test_every_broken_file_gets_one_line_that_says_what_is_wrong(tmp_path, case):
     document, words = BROKEN[case]
     with pytest.raises(PoseError, match=words) as caught:
         read_poses(wrote(tmp_path, document))
@@ -162,7 +160,7 @@ def test_every_broken_file_gets_one_line_that_says_what_is_wrong(tmp_path: Path,
     assert "expected" in message
 
 
-def test_unreadable_files_are_pose_errors(tmp_path: Path) -> None:
+def test_unreadable_files_are_pose_errors(tmp_path):
     (tmp_path / "binary.json").write_bytes(b"\xff\xfe\x00{")
     with (tmp_path / "huge.json").open("wb") as huge:
         huge.truncate((64 << 20) + 1)
@@ -176,7 +174,7 @@ def test_unreadable_files_are_pose_errors(tmp_path: Path) -> None:
             read_poses(tmp_path / name)
 
 
-def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+def test_a_byte_order_mark_does_no_harm(tmp_path):
     path = wrote(tmp_path, one(RIGID))
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     assert list(read_poses(path).panoramas) == ["a.jpg"]
@@ -188,19 +186,19 @@ def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     )
 )
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_any_entry_is_a_pose_or_a_pose_error(tmp_path_factory: pytest.TempPathFactory, entry: Any) -> None:
+def test_any_entry_is_a_pose_or_a_pose_error(tmp_path_factory, entry):
     path = wrote(tmp_path_factory.mktemp("any"), one(entry))
     with pytest.raises(PoseError):
         read_poses(path)
 
 
-def test_an_unknown_image_is_answered_with_the_names_there_are(tmp_path: Path) -> None:
+def test_an_unknown_image_is_answered_with_the_names_there_are(tmp_path):
     poses = read_poses(wrote(tmp_path, {"version": 1, "panoramas": {"left.jpg": RIGID, "right.jpg": RIGID}}))
     with pytest.raises(PoseError, match=r"'rigth.jpg', got 'left.jpg', 'right.jpg'; did you mean 'right.jpg'\?"):
         poses.of("rigth.jpg")
 
 
-def test_nothing_is_written_that_could_not_be_read(tmp_path: Path) -> None:
+def test_nothing_is_written_that_could_not_be_read(tmp_path):
     good, mirrored = Pose.identity(), Pose(-np.eye(3), np.zeros(3))
     bad: list[tuple[str, PosedPanorama]] = [
         ("a.jpg", PosedPanorama(mirrored)),

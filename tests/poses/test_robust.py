@@ -8,18 +8,18 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.poses.registration.features import Matches
 from omnisyn_cli.poses.registration.least_squares import (
     direction_error,
-    moved,
     refine_pose,
     relative_pose,
+    retract,
     rotation_error,
     uncertainty,
 )
-from omnisyn_cli.poses.registration.robust import LEAST_INLIERS, estimate_relative_pose, inlier_scale
+from omnisyn_cli.poses.registration.robust import MIN_INLIERS, estimate_relative_pose, inlier_threshold
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.6])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_truth_is_found_among_wrong_matches(seed: int, wrong: float) -> None:
+def test_the_truth_is_found_among_wrong_matches(seed, wrong):
     rng = np.random.default_rng(seed)
     first, second = random_pose(rng), random_pose(rng)
     matches = matches_of(rng, first, second, 400, noise=0.2 * PIXEL, wrong=wrong)
@@ -30,7 +30,7 @@ def test_the_truth_is_found_among_wrong_matches(seed: int, wrong: float) -> None
     assert abs(estimate.inliers.mean() - (1 - wrong)) < 0.1
 
 
-def test_points_on_one_plane_are_enough() -> None:
+def test_points_on_one_plane_are_enough():
     rng = np.random.default_rng(5)
     pose = Pose(rotation_from_rotation_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.2, 0.3]))
     exact = seen(Pose.identity(), pose, world_points(rng, 300, "plane"))
@@ -41,35 +41,35 @@ def test_points_on_one_plane_are_enough() -> None:
 
 
 @pytest.mark.parametrize("metres", [0.0, 1e-3])
-def test_one_place_is_recognised(metres: float) -> None:
+def test_one_place_is_recognised(metres):
     rng = np.random.default_rng(1)
     turn = rotation_from_rotation_vector(np.array([0.2, -1.4, 0.1]))
     second = Pose(turn, np.array([metres, 0.0, 0.0]))
     estimate = estimate_relative_pose(matches_of(rng, Pose.identity(), second, noise=0.2 * PIXEL, wrong=0.3))
     assert estimate is not None
-    assert estimate.is_in_place
+    assert estimate.have_same_position
     assert not estimate.first_from_second.position.any()
     assert rotation_error(estimate.first_from_second, second) < np.radians(0.1)
 
 
-def test_one_picture_twice_is_one_place() -> None:
+def test_one_picture_twice_is_one_place():
     """All samples of equal directions are degenerate: no essential matrix follows from them."""
     directions = unit(np.random.default_rng(3).normal(size=(200, 3)))
     estimate = estimate_relative_pose(Matches(directions, directions, PIXEL))
     assert estimate is not None
-    assert estimate.is_in_place
+    assert estimate.have_same_position
     assert rotation_error(estimate.first_from_second, Pose.identity()) < 1e-6
 
 
-def test_noise_alone_has_no_pose() -> None:
+def test_noise_alone_has_no_pose():
     rng = np.random.default_rng(2)
     noise = Matches(unit(rng.normal(size=(300, 3))), unit(rng.normal(size=(300, 3))), PIXEL)
     assert estimate_relative_pose(noise) is None
-    assert estimate_relative_pose(noise.select(np.arange(LEAST_INLIERS - 1))) is None
+    assert estimate_relative_pose(noise.select(np.arange(MIN_INLIERS - 1))) is None
     assert estimate_relative_pose(noise.select(np.arange(0))) is None
 
 
-def test_equal_matches_give_equal_poses() -> None:
+def test_equal_matches_give_equal_poses():
     rng = np.random.default_rng(3)
     matches = matches_of(rng, random_pose(rng), random_pose(rng), noise=0.3 * PIXEL, wrong=0.5)
     a, b = estimate_relative_pose(matches), estimate_relative_pose(matches)
@@ -80,20 +80,20 @@ def test_equal_matches_give_equal_poses() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_refining_brings_three_degrees_back(seed: int) -> None:
+def test_refining_brings_three_degrees_back(seed):
     rng = np.random.default_rng(seed)
     first, second = random_pose(rng), random_pose(rng)
     matches, truth = matches_of(rng, first, second, noise=0.1 * PIXEL, wrong=0.2), relative_pose(first, second)
     step = np.concatenate([unit(rng.normal(size=3)), unit(rng.normal(size=2))]) * np.radians(3.0)
-    disturbed = moved(truth, step)
+    disturbed = retract(truth, step)
     assert rotation_error(disturbed, truth) == pytest.approx(np.radians(3.0))
-    refined = refine_pose(disturbed, matches, 10 * inlier_scale(matches))
-    refined = refine_pose(refined, matches, inlier_scale(matches))
+    refined = refine_pose(disturbed, matches, 10 * inlier_threshold(matches))
+    refined = refine_pose(refined, matches, inlier_threshold(matches))
     assert rotation_error(refined, truth) < np.radians(0.05)
     assert direction_error(refined, truth) < np.radians(0.3)
 
 
-def test_the_uncertainty_is_what_repeating_shows() -> None:
+def test_the_uncertainty_is_what_repeating_shows():
     """Errors of forty repetitions scatter as widely as the stated standard deviation says, within a factor of two."""
     rng = np.random.default_rng(4)
     first, second = random_pose(rng), random_pose(rng)

@@ -17,7 +17,7 @@ from omnisyn_cli.scenes.materials import Material, MaterialColumn, Pattern
 from omnisyn_cli.scenes.noise import cell_hash, noise_lattice
 from omnisyn_cli.scenes.photos import PhotoMapping, with_photos
 from omnisyn_cli.scenes.scene import PhotoTextures
-from omnisyn_cli.scenes.shading import FITTED, UNDER, photo_at
+from omnisyn_cli.scenes.shader import FITTED, UNDER, photo_at
 from omnisyn_cli.scenes.textures import FacePoint
 from omnisyn_cli.training.data import load_scene
 from omnisyn_cli.training.pool import PoolConfig, render_to_pool
@@ -156,7 +156,7 @@ def test_shapes_and_depth_are_those_of_the_procedural_scene(photos):
 
 def test_equal_seeds_and_photographs_make_equal_scenes(photos):
     one, same = (generate_scene("room", 4, pack_photos(photographs())) for _ in range(2))
-    np.testing.assert_array_equal(one.photo_textures.assignment, same.photo_textures.chosen)
+    np.testing.assert_array_equal(one.photo_textures.assignment, same.photo_textures.assignment)
     pose = sample_path(one, 4, 2)[0]
     pictures = [render_panorama(scene, pose, (24, 48), threads=1)[0].tobytes() for scene in (one, same)]
     assert pictures[0] == pictures[1]

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from omnisyn_cli.errors import OmnisynError
 
-MOST_DEATHS = 2
+MAX_WORKER_DEATHS = 2
 """A job during which so many workers died is not tried again."""
 
 
@@ -88,11 +88,7 @@ class Report:
 
 
 class Worker:
-    """The inside of a worker: answers instead of exceptions.
-
-    Args:
-        work: what to do; the function is made at the first job.
-    """
+    """The inside of a worker: answers instead of exceptions. The work function is made at the first job."""
 
     def __init__(self, work: Work) -> None:
         self._work = work
@@ -122,7 +118,7 @@ class Executor(AbstractContextManager["Executor"], Protocol):
     def ready(self) -> list[int]:
         """Workers that can be given a job."""
 
-    def give(self, worker: int, job: Job) -> None:
+    def submit(self, worker: int, job: Job) -> None:
         """Start a job on a worker that is ready."""
 
     def wait(self) -> list[Report]:
@@ -135,49 +131,49 @@ def run_jobs(jobs: Iterable[Job], executor: Executor) -> Generator[Outcome, None
     An error of a job and the death of a worker stop nothing: a dead worker is replaced, its job is tried once more, and
     fails when that kills its worker again.
     """
-    roster = _Roster(jobs)
-    if not roster.is_open():
+    queue = _JobQueue(jobs)
+    if not queue.is_open():
         return
     with executor:
-        while roster.is_open():
+        while queue.is_open():
             for worker in executor.ready():
-                if (job := roster.next_for(worker)) is not None:
-                    executor.give(worker, job)
+                if (job := queue.next_for(worker)) is not None:
+                    executor.submit(worker, job)
             for report in executor.wait():
-                if (outcome := roster.settle(report)) is not None:
+                if (outcome := queue.finish_report(report)) is not None:
                     yield outcome
 
 
-class _Roster:
+class _JobQueue:
     """What waits, and who works on what."""
 
     def __init__(self, jobs: Iterable[Job]) -> None:
         self._waiting: deque[deque[Job]] = deque(deque(group) for group in _groups(jobs))
-        self._share: dict[int, deque[Job]] = {}
+        self._groups_of_workers: dict[int, deque[Job]] = {}
         self._running: dict[int, Job] = {}
         self._deaths: Counter[str] = Counter()
 
     def is_open(self) -> bool:
         """Whether anything waits or runs."""
-        return bool(self._waiting or self._running or any(self._share.values()))
+        return bool(self._waiting or self._running or any(self._groups_of_workers.values()))
 
     def next_for(self, worker: int) -> Job | None:
         """The next job of the worker's group, or of the next group."""
-        if not self._share.get(worker):
+        if not self._groups_of_workers.get(worker):
             if not self._waiting:
                 return None
-            self._share[worker] = self._waiting.popleft()
-        job = self._running[worker] = self._share[worker].popleft()
+            self._groups_of_workers[worker] = self._waiting.popleft()
+        job = self._running[worker] = self._groups_of_workers[worker].popleft()
         return job
 
-    def settle(self, report: Report) -> Outcome | None:
+    def finish_report(self, report: Report) -> Outcome | None:
         """The outcome of the job that a report is about; None if it has to be tried again."""
         job = self._running.pop(report.worker)
         if report.answer is not None:
             return Outcome(job, report.answer, self._deaths[job.key] + 1)
         self._deaths[job.key] += 1
-        rest = self._share.pop(report.worker)
-        is_lost = self._deaths[job.key] >= MOST_DEATHS
+        rest = self._groups_of_workers.pop(report.worker)
+        is_lost = self._deaths[job.key] >= MAX_WORKER_DEATHS
         if not is_lost:
             rest.appendleft(job)
         if rest:
@@ -195,7 +191,7 @@ def _groups(jobs: Iterable[Job]) -> Sequence[list[Job]]:
 
 def _lost(death: str) -> Answer:
     message = (
-        f"expected a worker to survive this job, got {MOST_DEATHS} that died of it ({death}); if memory ran out, take "
-        "fewer workers or a smaller size"
+        f"expected a worker to survive this job, got {MAX_WORKER_DEATHS} that died of it ({death}); if memory ran "
+        "out, take fewer workers or a smaller size"
     )
     return Answer(None, message, None, "")

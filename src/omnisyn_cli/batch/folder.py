@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from omnisyn_cli.batch.manifest import RECORDS, WORKSHOP
+from omnisyn_cli.batch.manifest import RECORDS, STAGING_DIR
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
 from omnisyn_cli.io.outputs import check_folder, check_kept, temporary_name, write_errors
@@ -32,7 +32,7 @@ else:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def recorded_places(path: Path) -> set[str]:
+def recorded_outputs(path: Path) -> set[str]:
     """Files and folders that any record of a file names as made by a batch; none where there is no such file.
 
     Lines that are no records are passed over: :class:`Records` refuses them.
@@ -50,11 +50,7 @@ def recorded_places(path: Path) -> set[str]:
 
 
 class Records:
-    """The records of a batch, open for one run; a second run at the same time is refused.
-
-    Args:
-        path: the file; it is made if it does not exist.
-    """
+    """The records of a batch in a file, which is made if needed; a second run at the same time is refused."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -86,11 +82,7 @@ class Records:
         return record
 
     def append(self, record: dict[str, Any]) -> None:
-        """Add the line of a job and wait until it is on the disk.
-
-        Raises:
-            WriteError: the disk is full.
-        """
+        """Add the line of a job and wait until it is on the disk; WriteError: the disk is full."""
         with write_errors(self._path):
             self._file.write((json.dumps(record, ensure_ascii=False) + "\n").encode())
             self._file.flush()
@@ -129,9 +121,7 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
     """Refuse a folder in which a batch would destroy something, and make it if there is none.
 
     What a batch has recorded may be replaced, and, where a run was killed, what it had no time to record.
-
-    Raises:
-        OutputPathError: an output would replace an input, or a file that no batch has written.
+    OutputPathError: an output would replace an input, or a file that no batch has written.
     """
     if not folder.exists():
         check_folder(folder.parent)
@@ -139,9 +129,9 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
     check_folder(folder)
     outputs = list(outputs)
     check_kept((folder / place for place in outputs), inputs, whole_folders=True)
-    if overwrite or (folder / WORKSHOP).exists():
+    if overwrite or (folder / STAGING_DIR).exists():
         return
-    recorded = recorded_places(folder / RECORDS)
+    recorded = recorded_outputs(folder / RECORDS)
     if existing := [place for place in outputs if place not in recorded and (folder / place).exists()]:
         raise OutputPathError(
             f"{folder / existing[0]}: expected new outputs, got {len(existing)} that exist and no record of {RECORDS} "
@@ -150,25 +140,25 @@ def prepare_folder(folder: Path, outputs: Iterable[str], inputs: Iterable[Path],
 
 
 @contextmanager
-def open_workshop(folder: Path) -> Iterator[str]:
+def open_staging_dir(folder: Path) -> Iterator[str]:
     """Make the hidden folder for work in progress, without what a run that was killed left there; remove it again.
 
-    Yields a token by which a worker can tell whether it sees this folder: :func:`workshop_is_seen`.
+    Yields a token by which a worker can tell whether it sees this folder: :func:`shares_staging_dir`.
     """
-    workshop, token = folder / WORKSHOP, secrets.token_hex(16)
-    shutil.rmtree(workshop, ignore_errors=True)
+    staging, token = folder / STAGING_DIR, secrets.token_hex(16)
+    shutil.rmtree(staging, ignore_errors=True)
     try:
-        with write_errors(workshop):
-            workshop.mkdir()
-            (workshop / token).touch()
+        with write_errors(staging):
+            staging.mkdir()
+            (staging / token).touch()
         yield token
     finally:
-        shutil.rmtree(workshop, ignore_errors=True)
+        shutil.rmtree(staging, ignore_errors=True)
 
 
-def workshop_is_seen(folder: Path, token: str) -> bool:
-    """Whether this is the folder in which somebody, maybe on another machine, called :func:`open_workshop`."""
-    return (folder / WORKSHOP / token).exists()
+def shares_staging_dir(folder: Path, token: str) -> bool:
+    """Whether this is the folder in which somebody, maybe on another machine, called :func:`open_staging_dir`."""
+    return (folder / STAGING_DIR / token).exists()
 
 
 @contextmanager
@@ -178,7 +168,7 @@ def attempt_folder(folder: Path | None) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="omnisyn-batch-") as name:
             yield Path(name)
         return
-    attempt = temporary_name(folder / WORKSHOP)
+    attempt = temporary_name(folder / STAGING_DIR)
     try:
         with write_errors(attempt):
             attempt.mkdir()
@@ -187,17 +177,17 @@ def attempt_folder(folder: Path | None) -> Iterator[Path]:
         shutil.rmtree(attempt, ignore_errors=True)
 
 
-def measure(folder: Path, places: Iterable[str]) -> dict[str, dict[str, Any]]:
+def output_stats(folder: Path, places: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Number of files, bytes, and kinds of names of every place below a folder; 0 files where there is nothing."""
-    return {place: _measured(_files(folder / place)) for place in places}
+    return {place: _file_stats(_files(folder / place)) for place in places}
 
 
-def is_as_measured(folder: Path, places: Iterable[str], measured: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Whether there is what :func:`measure` found, whatever else there is with names of other kinds."""
+def is_unchanged(folder: Path, places: Iterable[str], measured: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether there is what :func:`output_stats` found, whatever else there is with names of other kinds."""
     if set(places) != set(measured):
         return False
     for place, figures in measured.items():
-        found = _measured(_of_kinds(_files(folder / place), figures.get("names")))
+        found = _file_stats(_of_name_kinds(_files(folder / place), figures.get("names")))
         if any(found.get(name) != figure for name, figure in figures.items()):
             return False
     return True
@@ -206,32 +196,31 @@ def is_as_measured(folder: Path, places: Iterable[str], measured: Mapping[str, M
 def publish(attempt: Path, folder: Path, places: Iterable[str]) -> None:
     """Move what an attempt has made to its final name, in folders in place of files with names of the same kinds.
 
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    WriteError: the disk is full, or the folder went away.
     """
     for place in places:
-        made, target = attempt / place, folder / place
+        produced, target = attempt / place, folder / place
         with write_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             if not target.is_dir():
-                made.replace(target)
+                produced.replace(target)
                 continue
-            files = sorted(made.iterdir())
-            for former in _of_kinds(list(target.iterdir()), {_kind(file) for file in files}):
+            files = sorted(produced.iterdir())
+            for former in _of_name_kinds(list(target.iterdir()), {_name_kind(file) for file in files}):
                 former.unlink()
             for file in files:
                 file.replace(target / file.name)
 
 
-def pack(attempt: Path, places: Iterable[str]) -> dict[str, bytes]:
+def read_outputs(attempt: Path, places: Iterable[str]) -> dict[str, bytes]:
     """All files that an attempt has made, by their place."""
     return {
         file.relative_to(attempt).as_posix(): file.read_bytes() for place in places for file in _files(attempt / place)
     }
 
 
-def unpack(files: Files, folder: Path, places: Iterable[str]) -> None:
-    """Write what :func:`pack` took, under final names."""
+def write_outputs(files: Files, folder: Path, places: Iterable[str]) -> None:
+    """Write what :func:`read_outputs` took, under final names."""
     with attempt_folder(folder) as attempt:
         for name, content in files.items():
             target = attempt / name
@@ -241,17 +230,17 @@ def unpack(files: Files, folder: Path, places: Iterable[str]) -> None:
         publish(attempt, folder, places)
 
 
-def _measured(files: Sequence[Path]) -> dict[str, Any]:
+def _file_stats(files: Sequence[Path]) -> dict[str, Any]:
     sizes = [file.stat().st_size for file in files]
-    return {"files": len(sizes), "bytes": sum(sizes), "names": sorted({_kind(file) for file in files})}
+    return {"files": len(sizes), "bytes": sum(sizes), "names": sorted({_name_kind(file) for file in files})}
 
 
-def _of_kinds(files: Iterable[Path], kinds: Collection[str] | None) -> list[Path]:
+def _of_name_kinds(files: Iterable[Path], kinds: Collection[str] | None) -> list[Path]:
     """Those with a name of one of the kinds; all where kinds are None, as in records of former versions."""
-    return [file for file in files if kinds is None or (_kind(file) in kinds and not file.is_dir())]
+    return [file for file in files if kinds is None or (_name_kind(file) in kinds and not file.is_dir())]
 
 
-def _kind(file: Path) -> str:
+def _name_kind(file: Path) -> str:
     """A name without its numbers and, of an image, without its ending: that of all frames of a job, in any format."""
     suffix = file.suffix.lower()
     return re.sub(r"[0-9]+", "#", file.stem) + ("" if suffix in IMAGE_SUFFIXES else suffix)

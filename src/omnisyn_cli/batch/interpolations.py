@@ -14,9 +14,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from omnisyn_cli.batch.folder import attempt_folder, measure, pack, publish, workshop_is_seen
+from omnisyn_cli.batch.folder import attempt_folder, output_stats, publish, read_outputs, shares_staging_dir
 from omnisyn_cli.batch.manifest import BatchJob
-from omnisyn_cli.batch.provenance import digest_of_network, sources, stamp
+from omnisyn_cli.batch.provenance import digest_of_network, file_stamp, job_sources
 from omnisyn_cli.interpolation.loading import KeptPanorama
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
@@ -24,15 +24,15 @@ from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-MOST_PANORAMAS = 3
+MAX_CACHED_PANORAMAS = 3
 """Two for the pair at work, one that it shares with the next pair."""
 
-MOST_DEPTHS = 4
+MAX_CACHED_DEPTHS = 4
 
 T = TypeVar("T")
 
 
-class Recent(Generic[T]):
+class LRUCache(Generic[T]):
     """The values that were asked for last.
 
     Args:
@@ -43,7 +43,7 @@ class Recent(Generic[T]):
     """
 
     def __init__(self, most: int) -> None:
-        self.made = 0
+        self.misses = 0
         self._most = most
         self._known: OrderedDict[Hashable, T] = OrderedDict()
 
@@ -53,24 +53,24 @@ class Recent(Generic[T]):
             while len(self._known) >= self._most:
                 self._known.popitem(last=False)
             self._known[key] = make()
-            self.made += 1
+            self.misses += 1
         self._known.move_to_end(key)
         return self._known[key]
 
 
-class PanoramaMemory:
+class PanoramaCache:
     """:func:`omnisyn_cli.io.read_panorama` that remembers the last panoramas, as long as their files do not change.
 
     What is remembered is held as the samples of its file where these say everything: a quarter of the numbers.
     """
 
     def __init__(self) -> None:
-        self._known = Recent[KeptPanorama](MOST_PANORAMAS)
+        self._known = LRUCache[KeptPanorama](MAX_CACHED_PANORAMAS)
 
     @property
     def decoded(self) -> int:
         """How many were read from files so far."""
-        return self._known.made
+        return self._known.misses
 
     def __call__(self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> Panorama:
         """The panorama of a file."""
@@ -80,30 +80,27 @@ class PanoramaMemory:
 
         if not path.exists():
             read()  # which says what is wrong
-        kept = self._known.get((*stamp(path), allow_aspect, max_pixels), read)
+        kept = self._known.get((*file_stamp(path), allow_aspect, max_pixels), read)
         panorama = Panorama(kept.image(), kept.mask, kept.original, path)
         kept.forget_numbers()
         return panorama
 
 
-class DepthMemory:
+class DepthCache:
     """A :class:`~omnisyn_cli.types.DepthEstimator` that remembers the last pairs, whichever way round they are asked.
 
-    A pair is always handed to the estimator in one order, given by its positions: so the way there and the way back
-    have the same depth, and no result depends on what was asked before.
-
-    Args:
-        estimator: what finds depth.
+    A pair is always handed to the estimator in one order, given by its positions: so both directions have the same
+    depth, and no result depends on what was asked before.
     """
 
     def __init__(self, estimator: DepthEstimator) -> None:
         self._estimator = estimator
-        self._known = Recent[tuple[DepthEstimate, DepthEstimate]](MOST_DEPTHS)
+        self._known = LRUCache[tuple[DepthEstimate, DepthEstimate]](MAX_CACHED_DEPTHS)
 
     @property
     def found(self) -> int:
         """How many pairs it was asked for so far."""
-        return self._known.made
+        return self._known.misses
 
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``."""
@@ -123,12 +120,12 @@ def _digest(view: View) -> bytes:
     return digest.digest()
 
 
-MOST_ESTIMATORS = 4
+MAX_CACHED_ESTIMATORS = 4
 """Kept at a time by a worker; jobs that want depth found in more ways than that load networks again."""
 
 
 @dataclass(frozen=True)
-class Settings:
+class WorkerSettings:
     """What all jobs of a run have in common.
 
     Attributes:
@@ -145,30 +142,30 @@ class Settings:
 class Interpolator:
     """The work function for a worker."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: WorkerSettings) -> None:
         self._settings = settings
-        self._panoramas = PanoramaMemory()
-        self._estimators = Recent[DepthMemory](MOST_ESTIMATORS)
+        self._panoramas = PanoramaCache()
+        self._estimators = LRUCache[DepthCache](MAX_CACHED_ESTIMATORS)
 
     def __call__(self, job: BatchJob) -> dict[str, Any]:
         """Make the outputs of a job; what there is to say about it, and the files if they could not be put in place."""
-        begin, made_of, folder = time.perf_counter(), sources(job), self._settings.folder
-        is_shared = workshop_is_seen(folder, self._settings.token)
+        begin, sources, folder = time.perf_counter(), job_sources(job), self._settings.folder
+        is_shared = shares_staging_dir(folder, self._settings.token)
         with attempt_folder(folder if is_shared else None) as attempt:
             for place in job.places:
                 (attempt / place).parent.mkdir(parents=True, exist_ok=True)
-            made = self._interpolate(job, attempt, made_of)
-            outputs = measure(attempt, job.places)
-            files = None if is_shared else pack(attempt, job.places)
+            details = self._interpolate(job, attempt, sources)
+            outputs = output_stats(attempt, job.places)
+            files = None if is_shared else read_outputs(attempt, job.places)
             if is_shared:
                 publish(attempt, folder, job.places)
         seconds = round(time.perf_counter() - begin, 3)
-        return {"seconds": seconds, "outputs": outputs, **made, "sources": made_of, "files": files}
+        return {"seconds": seconds, "outputs": outputs, **details, "sources": sources, "files": files}
 
-    def _interpolate(self, job: BatchJob, attempt: Path, made_of: Mapping[str, Any]) -> dict[str, Any]:
+    def _interpolate(self, job: BatchJob, attempt: Path, sources: Mapping[str, Any]) -> dict[str, Any]:
         plan = plan_interpolation(job.interpolation(attempt, self._settings.threads))
         finds_depth = plan.recipe.estimates_depth
-        memory = self._memory(plan, made_of) if finds_depth else None
+        memory = self._memory(plan, sources) if finds_depth else None
         decoded, found = self._panoramas.decoded, memory.found if memory else 0
         summary = run_interpolation(plan, read=self._panoramas, estimator=memory).describe()
         return {
@@ -177,10 +174,10 @@ class Interpolator:
             "summary": {key: value for key, value in summary.items() if key not in ("inputs", "output")},
         }
 
-    def _memory(self, plan: InterpolationPlan, made_of: Mapping[str, Any]) -> DepthMemory:
+    def _memory(self, plan: InterpolationPlan, sources: Mapping[str, Any]) -> DepthCache:
         """The estimator that jobs with the same wishes for depth share; a network is loaded once, until it changes."""
         source, device = plan.recipe.depth, plan.recipe.device
-        key = (source, device, *(digest_of_network(network, made_of) for network in source.networks))
+        key = (source, device, *(digest_of_network(network, sources) for network in source.networks))
         return self._estimators.get(
-            key, lambda: DepthMemory(make_estimator(source, device=device, threads=plan.job.threads))
+            key, lambda: DepthCache(make_estimator(source, device=device, threads=plan.job.threads))
         )

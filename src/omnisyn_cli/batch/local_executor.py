@@ -16,13 +16,13 @@ from omnisyn_cli.batch.executor import Job, Report, Work, Worker
 
 __all__ = ["end_with_parent"]
 
-SECONDS_TO_LEAVE = 10
+SHUTDOWN_TIMEOUT_SECONDS = 10
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class _Hired:
+class _WorkerProcess:
     process: SpawnProcess
     connection: Connection
 
@@ -38,36 +38,36 @@ class LocalExecutor:
 
     def __init__(self, work: Work, workers: int, threads: int) -> None:
         self._work, self._size, self._threads = work, workers, threads
-        self._workers: dict[int, _Hired] = {}
+        self._workers: dict[int, _WorkerProcess] = {}
         self._busy: set[int] = set()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        for hired in self._workers.values():
-            hired.connection.close()
+        for worker_process in self._workers.values():
+            worker_process.connection.close()
             if kind is not None:
-                hired.process.kill()
-        for hired in self._workers.values():
-            hired.process.join(SECONDS_TO_LEAVE)
-            if hired.process.is_alive():
-                hired.process.kill()
-                hired.process.join()
+                worker_process.process.kill()
+        for worker_process in self._workers.values():
+            worker_process.process.join(SHUTDOWN_TIMEOUT_SECONDS)
+            if worker_process.process.is_alive():
+                worker_process.process.kill()
+                worker_process.process.join()
         self._workers.clear()
 
     def ready(self) -> list[int]:
         """Those without a job."""
         return [worker for worker in range(self._size) if worker not in self._busy]
 
-    def give(self, worker: int, job: Job) -> None:
+    def submit(self, worker: int, job: Job) -> None:
         """Start a job; a process that died while it had nothing to do is replaced."""
-        hired = self._workers.get(worker)
-        if hired is None or not hired.process.is_alive():
-            hired = self._workers[worker] = self._hire()
+        worker_process = self._workers.get(worker)
+        if worker_process is None or not worker_process.process.is_alive():
+            worker_process = self._workers[worker] = self._spawn()
         self._busy.add(worker)
         try:
-            hired.connection.send(job)
+            worker_process.connection.send(job)
         except BrokenPipeError:
             return  # it died just now, which wait() will report
 
@@ -77,24 +77,24 @@ class LocalExecutor:
         return [self._report(connections[ended]) for ended in wait(list(connections)) if isinstance(ended, Connection)]
 
     def _report(self, worker: int) -> Report:
-        hired = self._workers[worker]
+        worker_process = self._workers[worker]
         self._busy.discard(worker)
         try:
-            return Report(worker, hired.connection.recv())
+            return Report(worker, worker_process.connection.recv())
         except (EOFError, OSError):
-            hired.process.join()
-            hired.connection.close()
+            worker_process.process.join()
+            worker_process.connection.close()
             del self._workers[worker]
-            code = hired.process.exitcode
+            code = worker_process.process.exitcode
             return Report(worker, None, f"signal {-code}" if code is not None and code < 0 else f"exit code {code}")
 
-    def _hire(self) -> _Hired:
+    def _spawn(self) -> _WorkerProcess:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._work, self._threads), daemon=True)
         process.start()
         theirs.close()
-        return _Hired(process, ours)
+        return _WorkerProcess(process, ours)
 
 
 def _serve(connection: Connection, work: Work, threads: int) -> None:
@@ -114,10 +114,10 @@ def _serve(connection: Connection, work: Work, threads: int) -> None:
 
 def end_with_parent() -> None:
     """End this process with the one that started it, in the middle of whatever is done: nobody wants it any more."""
-    threading.Thread(target=_outlive_nobody, daemon=True).start()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _outlive_nobody() -> None:
+def _exit_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from omnisyn_cli.batch.schema import OUTPUTS, PLACES, Line, explained, read_lines
+from omnisyn_cli.batch.schema import JOB_KEYS, OUTPUTS, Line, problem_sentences, read_lines
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.checks import check_choices
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets
@@ -31,10 +31,10 @@ __all__ = ["Manifest", "read_manifest"]
 RECORDS = "results.jsonl"
 """File in the folder of a batch that says what became of every job."""
 
-WORKSHOP = ".omnisyn-batch"
+STAGING_DIR = ".omnisyn-batch"
 """Hidden folder for what is not finished yet."""
 
-EVEN_SIZE = (2, 4)
+MIN_EVEN_SIZE = (2, 4)
 """Rows and columns that every encoder takes."""
 
 
@@ -101,9 +101,7 @@ def read_manifest(path: Path) -> Manifest:
     """Read and check a manifest: its lines, the files they name, and that no two jobs write to one place.
 
     Pictures are not opened; what is wrong with them fails the job that needs them.
-
-    Raises:
-        InputError: the file cannot be read, or it is empty.
+    InputError: the file cannot be read, or it is empty.
     """
     reader = _Reader(path)
     for number, value in read_lines(path):
@@ -136,7 +134,7 @@ class _Reader:
             self._check_unique(job, number)
             _check_feasible(job.interpolation(Path()))
         except ValidationError as error:
-            self.problems.extend(f"line {number}: {problem}" for problem in explained(error))
+            self.problems.extend(f"line {number}: {problem}" for problem in problem_sentences(error))
         except InputError as error:
             self.problems.append(f"line {number}: {error}")
         else:
@@ -155,7 +153,7 @@ class _Reader:
         if pose_file is not None:
             for image in images:
                 pose_file.of(image)
-        options = line.model_dump(exclude=set(PLACES), exclude_defaults=True)
+        options = line.model_dump(exclude=set(JOB_KEYS), exclude_defaults=True)
         _check_together(options, is_found=pose_file is None)
         if "masks" in options:
             options["masks"] = [str(self._file(self._folder / name, "a mask")) for name in options["masks"]]
@@ -242,7 +240,7 @@ def _check_feasible(job: InterpolationJob) -> None:
     """What can be refused without a look at the panoramas; a size that follows from them is always an even one."""
     check_choices(job)
     frame_count(job)
-    size = job.size or EVEN_SIZE
+    size = job.size or MIN_EVEN_SIZE
     for place, encoding in targets(job).items():
         check_encoding(place, size=size, **encoding)
     if job.save_confidence is not None:
@@ -258,6 +256,6 @@ def _inside(place: str) -> PurePosixPath:
         if len(path.parts) < 2:
             raise InputError(f"expected a folder for numbered images, got {place!r}; write one such as a/{place}")
         path = path.parent
-    if path.parts[0] in (RECORDS, WORKSHOP):
+    if path.parts[0] in (RECORDS, STAGING_DIR):
         raise InputError(f"expected another name than {path.parts[0]}, which the batch itself uses; choose one")
     return path

@@ -14,10 +14,10 @@ from omnisyn_cli.interpolation.recipes import recipe_of
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, read_poses
 from omnisyn_cli.runtime.models import MANIFEST, ModelEntry, models_folder, read_manifest
 
-Stamp = tuple[str, int, int]
+FileStamp = tuple[str, int, int]
 
 
-def stamp(path: Path) -> Stamp:
+def file_stamp(path: Path) -> FileStamp:
     """Name, bytes and time of the last change (nanoseconds): where these are equal the content is taken to be."""
     status = path.stat()
     return str(path), status.st_size, status.st_mtime_ns
@@ -26,21 +26,21 @@ def stamp(path: Path) -> Stamp:
 def hash_file(path: Path) -> dict[str, Any]:
     """Hash of a file with the stamp that it belongs to; hashes of None if the file cannot be read."""
     try:
-        _, size, changed = mark = stamp(path)
-        return {"sha256": _hash(mark), "bytes": size, "changed": changed}
+        _, size, changed = stamp = file_stamp(path)
+        return {"sha256": _hash(stamp), "bytes": size, "changed": changed}
     except OSError:
         return {"sha256": None, "bytes": None, "changed": None}
 
 
 def files_of(job: BatchJob) -> Iterator[Path]:
     """Every file that is read for a job."""
-    yield from _made_of(job)[1]
+    yield from _settings_and_files(job)[1]
     yield job.poses
 
 
-def sources(job: BatchJob) -> dict[str, Any]:
+def job_sources(job: BatchJob) -> dict[str, Any]:
     """What the result of a job depends on, as plain values for JSON."""
-    settings, files = _made_of(job)
+    settings, files = _settings_and_files(job)
     return {**settings, "files": {str(path): hash_file(path) for path in files}}
 
 
@@ -48,19 +48,19 @@ def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     """Whether a job would be made of the same as a recorded one; files are only read if they have been touched."""
     if not isinstance(recorded, dict):
         return False
-    known, (settings, files) = recorded.get("files"), _made_of(job)
+    known, (settings, files) = recorded.get("files"), _settings_and_files(job)
     if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in settings.items()):
         return False
     return {str(path) for path in files} == set(known) and all(_is_same(path, known[str(path)]) for path in files)
 
 
-def digest_of_network(name: str, made_of: Mapping[str, Any]) -> str | None:
-    """The digest of a network, by its name or path, in what :func:`sources` says of a job that uses it."""
-    known = made_of["files"].get(str(Path(name)), {}).get("sha256") if _is_path(name) else made_of["models"].get(name)
+def digest_of_network(name: str, sources: Mapping[str, Any]) -> str | None:
+    """The digest of a network, by its name or path, in what :func:`job_sources` says of a job that uses it."""
+    known = sources["files"].get(str(Path(name)), {}).get("sha256") if _is_path(name) else sources["models"].get(name)
     return None if known is None else str(known)
 
 
-def _made_of(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
+def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     """Settings as plain values, and the files, but for the pose file, of which only the entries of panoramas count.
 
     Networks that come with the program are not among the files: they lie elsewhere on every machine.
@@ -97,32 +97,32 @@ def _is_path(network: str) -> bool:
 def _installed() -> Mapping[str, ModelEntry]:
     """The networks that come with the program; their files are compared with these entries when they are loaded."""
     try:
-        return _manifest(stamp(models_folder() / MANIFEST))
+        return _manifest(file_stamp(models_folder() / MANIFEST))
     except (OmnisynError, OSError):
         return {}
 
 
 @lru_cache(maxsize=1)
-def _manifest(mark: Stamp) -> Mapping[str, ModelEntry]:
-    return read_manifest(Path(mark[0]).parent)
+def _manifest(stamp: FileStamp) -> Mapping[str, ModelEntry]:
+    return read_manifest(Path(stamp[0]).parent)
 
 
 def _entries(job: BatchJob) -> list[PosedPanorama]:
     try:
-        poses = _poses(stamp(job.poses), bool(job.options.get("allow_outside")))
+        poses = _poses(file_stamp(job.poses), bool(job.options.get("allow_outside")))
         return [poses.of(image) for image in job.images]
     except (OmnisynError, OSError):  # gone since the manifest was read: the job itself says why it cannot be done
         return []
 
 
 @lru_cache(maxsize=64)
-def _poses(mark: Stamp, allow_outside: bool) -> PoseFile:
-    return read_poses(Path(mark[0]), allow_outside=allow_outside)
+def _poses(stamp: FileStamp, allow_outside: bool) -> PoseFile:
+    return read_poses(Path(stamp[0]), allow_outside=allow_outside)
 
 
 @lru_cache(maxsize=4096)
-def _hash(mark: Stamp) -> str:
-    with Path(mark[0]).open("rb") as file:
+def _hash(stamp: FileStamp) -> str:
+    with Path(stamp[0]).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -130,7 +130,7 @@ def _is_same(path: Path, recorded: Any) -> bool:
     if not isinstance(recorded, dict) or not {"sha256", "bytes", "changed"} <= recorded.keys():
         return False
     try:
-        _, size, changed = stamp(path)
+        _, size, changed = file_stamp(path)
     except OSError:
         return recorded["sha256"] is None
     if (size, changed) == (recorded["bytes"], recorded["changed"]):

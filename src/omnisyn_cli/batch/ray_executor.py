@@ -53,7 +53,7 @@ class RayExecutor:
         """Actors that live and have nothing to do."""
         return sorted(self._idle)
 
-    def give(self, worker: int, job: Job) -> None:
+    def submit(self, worker: int, job: Job) -> None:
         """Start a job."""
         self._idle.discard(worker)
         self._running[self._actors[worker].perform.remote(job.payload)] = worker

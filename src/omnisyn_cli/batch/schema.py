@@ -15,19 +15,18 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob
-from omnisyn_cli.io.documents import parse_json, place_of, read_text, sentence
+from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
 
 LARGEST_FILE = 1 << 30
 
-LISTS = frozenset({"inputs", "masks"})
+LIST_COLUMNS = frozenset({"inputs", "masks"})
 """Columns of CSV with several file names, separated by semicolons."""
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
     """Number and fields of every line that is not empty; a string says what is wrong with one.
 
-    Raises:
-        InputError: the file cannot be read.
+    InputError: the file cannot be read.
     """
     text = read_text(path, "a manifest", LARGEST_FILE, InputError)
     if path.suffix.lower() == ".csv":
@@ -65,7 +64,7 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
     if None in row:
         return f"expected as many cells as columns, got {len(row[None])} more; correct it there"
     cells: dict[str, Any] = {key: cell for key, cell in row.items() if cell not in (None, "")}
-    for key in LISTS & cells.keys():
+    for key in LIST_COLUMNS & cells.keys():
         cells[key] = [name.strip() for name in cells[key].split(";")]
     return cells
 
@@ -73,10 +72,10 @@ def _cells(row: dict[str | Any, Any]) -> dict[str, Any] | str:
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
 """What a job can leave behind, as it is called in a manifest and in :class:`InterpolationJob`."""
 
-NAMED = ("scene", "poses", "group", *OUTPUTS)
+OPTIONAL_KEYS = ("scene", "poses", "group", *OUTPUTS)
 """What a line may name beside that."""
 
-PLACES = ("id", "inputs", *NAMED)
+JOB_KEYS = ("id", "inputs", *OPTIONAL_KEYS)
 """What a line says beside the options of its interpolation."""
 
 Name = Annotated[str, StringConstraints(min_length=1)]
@@ -94,7 +93,7 @@ def _size(text: str) -> str:
     return text
 
 
-class _Places(BaseModel):
+class JobKeys(BaseModel):
     """What every line says."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -103,7 +102,7 @@ class _Places(BaseModel):
     inputs: Annotated[list[Name], Field(min_length=2)] | None = None
 
 
-CONSTRAINED: Mapping[str, Any] = {
+MANIFEST_TYPES: Mapping[str, Any] = {
     "size": Annotated[str, AfterValidator(_size)] | None,
     "encoder_preset": Name | None,
     "masks": list[Name] | None,
@@ -112,41 +111,40 @@ CONSTRAINED: Mapping[str, Any] = {
 }
 """Types of options that a line writes in another way than :class:`InterpolationJob`, which says all other ranges."""
 
-OF_THE_RUN = {"images", "threads", "overwrite"}
+RUN_FIELDS = {"images", "threads", "overwrite"}
 """Fields of :class:`InterpolationJob` that a line does not choose."""
 
 
 def _options() -> dict[str, Any]:
     """Type and default of everything that a line may name, and of every option that it may have."""
-    hints = {**get_type_hints(InterpolationJob, include_extras=True), **CONSTRAINED}
-    return dict.fromkeys(NAMED, (Name | None, None)) | {
+    hints = {**get_type_hints(InterpolationJob, include_extras=True), **MANIFEST_TYPES}
+    return dict.fromkeys(OPTIONAL_KEYS, (Name | None, None)) | {
         field.name: (hints[field.name], None if field.default == () else field.default)
         for field in fields(InterpolationJob)
-        if field.name not in OF_THE_RUN | set(PLACES)
+        if field.name not in RUN_FIELDS | set(JOB_KEYS)
     }
 
 
-Line: Any = create_model("Line", __base__=_Places, **_options())
+Line: Any = create_model("Line", __base__=JobKeys, **_options())
 """One line of a manifest."""
 
 
 def check_options(options: Mapping[str, Any]) -> None:
     """Refuse what the jobs of a manifest cannot all say.
 
-    Raises:
-        InputError: an unknown option, one that is different for every job, or a value that it does not take.
+    InputError: an unknown option, one that is different for every job, or a value that it does not take.
     """
-    common = sorted(set(Line.model_fields) - set(PLACES) | {"poses"})
+    common = sorted(set(Line.model_fields) - set(JOB_KEYS) | {"poses"})
     for name in options:
         if name not in common:
             raise InputError(f"expected an option for all jobs, got {name!r}; choose from {', '.join(common)}")
     try:
         Line.model_validate({"id": "job", "scene": "scene", **options})
     except ValidationError as error:
-        raise InputError("; ".join(explained(error))) from None
+        raise InputError("; ".join(problem_sentences(error))) from None
 
 
-def explained(error: ValidationError) -> Iterator[str]:
+def problem_sentences(error: ValidationError) -> Iterator[str]:
     """Every problem of a line: where, what was expected, what came and what to do."""
     for problem in error.errors(include_url=False):
-        yield f"{place_of(problem['loc'])}: {sentence(problem, Line)}"
+        yield f"{json_path(problem['loc'])}: {problem_sentence(problem, Line)}"

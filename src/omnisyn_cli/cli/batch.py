@@ -15,8 +15,8 @@ from omnisyn_cli.cli.progress import is_watched
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from omnisyn_cli.batch.batch import BatchReport, Progress
     from omnisyn_cli.batch.manifest import Manifest
+    from omnisyn_cli.batch.runner import BatchReport, Progress
 
 MOST_SHOWN = 20
 """Failures in the table at the end; all of them are in results.jsonl and in --json."""
@@ -72,8 +72,8 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
     became of every job; started again, the command does what is missing or has changed, and nothing else.
     `omnisyn batch plan --help` says how a manifest is made.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.batch.batch import BatchOptions, run_batch
     from omnisyn_cli.batch.manifest import read_manifest
+    from omnisyn_cli.batch.runner import BatchOptions, run_batch
 
     checked = read_manifest(manifest)
     _refuse_problems(checked)
@@ -111,7 +111,7 @@ def plan(
     Both directions of a pair stand next to each other: its depth is found once and each panorama is decoded once for
     all pairs that one worker does in a row (--share).
     """
-    from omnisyn_cli.batch.tours import TourOptions, plan_tours, write_manifest
+    from omnisyn_cli.batch.pairing import TourOptions, plan_tours, write_manifest
 
     if output.suffix != ".jsonl":
         raise InputError(f"{output}: expected a name that ends in .jsonl, got {output.suffix or 'no ending'}; add it")

@@ -40,7 +40,7 @@ def depth_table(report: Path | None, as_json: bool, quiet: bool, **options: Any)
     that are not installed are listed with the reason.
     """  # noqa: D301 - click's \b is a backspace
     with working_folder(report, "depth-table", is_quiet=quiet) as folder:
-        from omnisyn_cli.evaluation.depth_table import (
+        from omnisyn_cli.evaluation.depth_benchmark import (
             DepthTableJob,
             depth_sources,
             depth_tables,

@@ -9,8 +9,17 @@ from omnisyn_cli import __version__
 from omnisyn_cli.evaluation.bench_settings import DEFAULT_METHOD, machine_in_words
 from omnisyn_cli.evaluation.plots import pareto_plot
 from omnisyn_cli.evaluation.tables import Cell, Column, Row, Table, render_page
-from omnisyn_cli.interpolation.planning import figures
-from omnisyn_cli.interpolation.planning.figures import Figures
+from omnisyn_cli.interpolation.planning.figures import (
+    FRAME_STAGES,
+    STANDARD_FRAMES,
+    Figures,
+    first_seconds,
+    frame_seconds,
+    gain,
+    pair_stages,
+    pareto_front,
+    standard_seconds,
+)
 from omnisyn_cli.io.outputs import staged_folder, write_errors
 
 __all__ = ["bench_tables", "write_bench_report"]
@@ -21,18 +30,13 @@ WS_PSNR = Column("WS-PSNR, dB", 1)
 
 MEMORY = Column("Memory, MB", -1, 0)
 
-FRONT, OTHER = "●", "○"
+FRONT_MARK, OTHER_MARK = "●", "○"
 
 
 def write_bench_report(folder: Path, measured: Sequence[Figures]) -> None:
-    """Write ``bench.html``, ``bench.json`` and, where there is accuracy, ``bench.png``.
+    """Write ``bench.html``, ``bench.json`` and, where there is accuracy, ``bench.png``; the folder's parent exists.
 
-    Args:
-        folder: where to; its parent must exist.
-        measured: figures of all settings.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    WriteError: the disk is full, or the folder went away.
     """
     diagram, tables = pareto_plot(measured, DEFAULT_METHOD), bench_tables(measured)
     about = {"version": __version__, "machine": machine_in_words()}
@@ -57,32 +61,35 @@ def _trade_table(measured: Sequence[Figures], size: tuple[int, int]) -> Table:
     usual = next((f for f in measured if f.setting.method == DEFAULT_METHOD), measured[0])
     columns = {
         WS_PSNR: _ws_psnr,
-        Column(f"against {usual.setting.method}, dB", 1): lambda f: figures.gain(f, usual)[0],
-        Column("± dB", 0): lambda f: figures.gain(f, usual)[1],
-        Column(f"{figures.STANDARD_FRAMES} frames, s", -1, 1): figures.standard_seconds,
-        Column("First frame, s", -1, 1): figures.first_seconds,
-        Column("Each further frame, s", -1, 3): figures.frame_seconds,
+        Column(f"against {usual.setting.method}, dB", 1): lambda f: gain(f, usual)[0],
+        Column("± dB", 0): lambda f: gain(f, usual)[1],
+        Column(f"{STANDARD_FRAMES} frames, s", -1, 1): standard_seconds,
+        Column("First frame, s", -1, 1): first_seconds,
+        Column("Each further frame, s", -1, 3): frame_seconds,
         MEMORY: _megabytes,
     }
-    front = figures.pareto_front(measured)
+    front = pareto_front(measured)
     rows = tuple(
-        Row(f"{FRONT if f in front else OTHER} {f.setting.name}", tuple(Cell(of(f)) for of in columns.values()))
-        for f in sorted(measured, key=figures.standard_seconds)
+        Row(
+            f"{FRONT_MARK if f in front else OTHER_MARK} {f.setting.name}",
+            tuple(Cell(of(f)) for of in columns.values()),
+        )
+        for f in sorted(measured, key=standard_seconds)
     )
     note = (
         f"Mean of {len(usual.scores)} pairs; ± is the standard error of the mean difference from pair to pair. "
-        f"{FRONT}: nothing else is both faster and more accurate. Seconds are of computing, of one core."
+        f"{FRONT_MARK}: nothing else is both faster and more accurate. Seconds are of computing, of one core."
     )
     return Table(f"What settings cost and are worth, {size[1]}x{size[0]}", note, "Setting", tuple(columns), rows)
 
 
 def _stage_table(measured: Sequence[Figures]) -> Table:
-    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in figures.pair_stages(figures)))
-    stages = ("start", *of_pairs, *figures.FRAME_STAGES)
-    columns = (*(Column(stage, -1, 3 if stage in figures.FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
+    of_pairs = list(dict.fromkeys(stage for figures in measured for stage in pair_stages(figures)))
+    stages = ("start", *of_pairs, *FRAME_STAGES)
+    columns = (*(Column(stage, -1, 3 if stage in FRAME_STAGES else 2) for stage in stages), MEMORY, WS_PSNR)
     rows = tuple(_stage_row(figures, stages) for figures in measured)
     note = (
-        f"Seconds of computing: start once, {', '.join(of_pairs)} for each pair, {', '.join(figures.FRAME_STAGES)} for "
+        f"Seconds of computing: start once, {', '.join(of_pairs)} for each pair, {', '.join(FRAME_STAGES)} for "
         "each frame; encode is the encoder's work and all that is in no other stage. Memory is the peak of the program "
         "without the encoder."
     )

@@ -35,10 +35,10 @@ from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.synthesis.frames import synthesize, turned_panorama
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
-PHOTOGRAPHS = 2
+PHOTOGRAPHS_PER_CLIP = 2
 """The first and the last frame of a clip, which are not rendered."""
 
-MEASURED_PEAK = "VmHWM:"
+PEAK_MEMORY_FIELD = "VmHWM:"
 
 PROCESS_STATUS = Path("/proc/self/status")
 
@@ -71,14 +71,9 @@ def computing() -> float:
 
 
 def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = lambda: None) -> Figures:
-    """Measure a setting.
+    """Measure a setting; copies and clips go into an empty folder.
 
-    The first clip is made twice: what it takes longer the first time is ``start``.
-
-    Args:
-        run: what to do.
-        folder: an empty one for copies and clips.
-        on_warm: called when all that is done once has been done.
+    The first clip is made twice: what it takes longer the first time is ``start``. ``on_warm`` is called in between.
 
     Raises:
         InputError: a picture cannot be read, or a network is missing.
@@ -86,10 +81,10 @@ def measure_setting(run: BenchRun, folder: Path, on_warm: Callable[[], None] = l
     """
     setting = run.setting
     recipe = replace(find_method(setting.method).recipe, device=run.device)
-    estimator = _Remembering(make_estimator(recipe.depth, device=run.device, threads=setting.threads))
+    estimator = _RecordingEstimator(make_estimator(recipe.depth, device=run.device, threads=setting.threads))
     plans = _plans(run, recipe, folder)
     first_plan = next(plans)
-    short = plan_interpolation(replace(first_plan.job, frames=1 + PHOTOGRAPHS))
+    short = plan_interpolation(replace(first_plan.job, frames=1 + PHOTOGRAPHS_PER_CLIP))
     _clip(replace(short, recipe=recipe), estimator)
     started = computing()
     on_warm()
@@ -112,7 +107,7 @@ def _name(pair: Pair) -> str:
     return f"{pair.scene} {pair.first.name} {pair.second.name}"
 
 
-class _Remembering:
+class _RecordingEstimator:
     """An estimator that keeps what it found last."""
 
     def __init__(self, estimator: DepthEstimator) -> None:
@@ -133,7 +128,7 @@ def _plans(run: BenchRun, recipe: Recipe, folder: Path) -> Iterator[Interpolatio
         write_poses(place / "poses.json", entries)
         job = InterpolationJob(
             tuple(place / name for name in entries), place / "poses.json", place / "clip.mp4",
-            frames=run.frames + PHOTOGRAPHS, size=run.setting.size, device=run.device,
+            frames=run.frames + PHOTOGRAPHS_PER_CLIP, size=run.setting.size, device=run.device,
             threads=run.setting.threads, overwrite=True,
         )  # fmt: skip
         yield replace(plan_interpolation(job), recipe=recipe)
@@ -162,13 +157,7 @@ def _per_pair_and_frame(seconds: dict[str, float], frames: int) -> dict[str, flo
 
 
 def _scores(pair: Pair, depths: tuple[DepthEstimate, DepthEstimate] | None, plan: InterpolationPlan) -> list[float]:
-    """WS-PSNR of the true frames between, at their own size: frames of another size are resampled to it.
-
-    Args:
-        pair: with or without true frames.
-        depths: that were found, if they were looked for.
-        plan: of any pair with the same setting.
-    """
+    """WS-PSNR of the true frames between, at their own size, to which frames are resampled."""
     if not pair.between:
         return []
     threads = plan.job.threads
@@ -193,7 +182,7 @@ def _peak_memory() -> int | None:
     """
     if PROCESS_STATUS.exists():
         lines = PROCESS_STATUS.read_text(encoding="ascii", errors="replace").splitlines()
-        peaks = [line.split() for line in lines if line.startswith(MEASURED_PEAK)]
+        peaks = [line.split() for line in lines if line.startswith(PEAK_MEMORY_FIELD)]
         if peaks:
             return int(peaks[0][1]) * 1024
     if sys.platform == "win32":

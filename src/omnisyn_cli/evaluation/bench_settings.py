@@ -33,7 +33,7 @@ __all__ = ["BenchJob", "machine_in_words", "make_scenes", "plan_bench", "run_ben
 
 RESULTS_NAME = "bench.jsonl"
 
-GENERATED = (
+GENERATED_PAIRS = (
     ("street", 5_000_001, 1.0), ("street", 5_000_002, 3.0), ("street", 5_000_003, 6.0),
     ("room", 5_000_001, 1.0), ("room", 5_000_003, 3.0),
     ("home", 5_000_002, 1.0), ("home", 5_000_003, 2.0), ("home", 5_000_004, 4.0),
@@ -42,7 +42,7 @@ GENERATED = (
 )  # fmt: skip
 """Pairs that are made where no others are given: kind, seed, metres. Nothing was trained or tuned with these seeds."""
 
-NAMES = tuple(f"{frame:04d}.png" for frame in range(5))
+PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(5))
 """Of the panoramas of a scene that is made: two inputs, and three true frames between."""
 
 SUPERSAMPLE = 2
@@ -50,13 +50,13 @@ SUPERSAMPLE = 2
 DEFAULT_METHOD = f"omnisyn-{DEFAULT_PRESET}"
 """What others are compared with."""
 
-IN_EVERY_SIZE = tuple(f"omnisyn-{name}" for name in SCALE)
+ALL_SIZE_METHODS = tuple(f"omnisyn-{name}" for name in SCALE)
 """What is measured in further sizes as well."""
 
-CHOICES = (
+DEFAULT_BENCH_METHODS = (
     "crossfade",
     "flow",
-    *IN_EVERY_SIZE,
+    *ALL_SIZE_METHODS,
     "matching",
     *(
         f"{DEFAULT_METHOD}:{change}"
@@ -73,7 +73,7 @@ CHOICES = (
 )
 """What is measured unless something else is asked for: everything that costs time and that users may choose."""
 
-PAIRS_TIMED = 2
+TIMED_PAIRS = 2
 """Pairs between which frames are made that are larger than the panoramas: they cost time, but show no more."""
 
 
@@ -95,7 +95,7 @@ class BenchJob:
 
     dataset: Path
     report: Path
-    methods: str = ",".join(CHOICES)
+    methods: str = ",".join(DEFAULT_BENCH_METHODS)
     sizes: tuple[tuple[int, int], ...] = ((512, 1024), (1024, 2048), (2048, 4096))
     threads: tuple[int, ...] = ()
     frames: int = 6
@@ -114,18 +114,18 @@ class BenchPlan:
 
 
 def make_scenes(folder: Path, size: tuple[int, int]) -> None:
-    """Write the scenes of :data:`GENERATED` into a folder; those that are there already stay.
+    """Write the scenes of :data:`GENERATED_PAIRS` into a folder; those that are there already stay.
 
     OutputPathError, WriteError: the folder cannot be written.
     """
     make_folder(folder, "results")
-    for kind, seed, baseline in GENERATED:
+    for kind, seed, baseline in GENERATED_PAIRS:
         place = folder / f"{kind}-{seed}-{baseline:g}m"
         if not place.exists():
             scene = generate_scene(kind, seed)
-            path = sample_path(scene, seed, len(NAMES), baseline=baseline, vertical=0.0)
+            path = sample_path(scene, seed, len(PANORAMA_NAMES), baseline=baseline, vertical=0.0)
             with staged_folder(place) as staged:
-                write_scene(staged, scene, path, NAMES, size, SUPERSAMPLE)
+                write_scene(staged, scene, path, PANORAMA_NAMES, size, SUPERSAMPLE)
 
 
 def plan_bench(job: BenchJob) -> BenchPlan:
@@ -149,16 +149,14 @@ def _settings(job: BenchJob, methods: Sequence[str]) -> Iterator[Setting]:
     for size in job.sizes:
         for threads in job.threads or (available_threads(),):
             for method in methods:
-                if size == job.sizes[0] or method in IN_EVERY_SIZE:
+                if size == job.sizes[0] or method in ALL_SIZE_METHODS:
                     yield Setting(method, size, threads)
 
 
 def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None = None) -> list[Figures]:
     """Measure what is not measured yet; the figures of all settings in their order.
 
-    Args:
-        plan: from :func:`plan_bench`.
-        on_setting: called with the number of finished settings and the figures of the last one.
+    ``on_setting`` is called with the number of finished settings and the figures of the last one.
 
     Raises:
         InputError: the results of an earlier run cannot be read, or a file of the data set is missing.
@@ -173,7 +171,7 @@ def run_bench(plan: BenchPlan, on_setting: Callable[[int, Figures], None] | None
         key = _key(plan, setting, files)
         figures = known.get(key)
         if figures is None:
-            figures = _in_child(_run(plan, setting, key))
+            figures = _measure_in_child(_run(plan, setting, key))
             append_line(path, figures.to_json())
         measured.append(figures)
         if on_setting:
@@ -185,7 +183,7 @@ def _run(plan: BenchPlan, setting: Setting, key: str) -> BenchRun:
     """What to do for a setting."""
     truth = next((frame.image for pair in plan.pairs for frame in pair.between), plan.pairs[0].first.image)
     is_scored = setting.size[0] <= read_header(truth).height
-    pairs = plan.pairs if is_scored else plan.pairs[:PAIRS_TIMED]
+    pairs = plan.pairs if is_scored else plan.pairs[:TIMED_PAIRS]
     return BenchRun(setting, pairs, plan.job.frames, plan.job.device, key, is_scored)
 
 
@@ -208,11 +206,11 @@ def _read(path: Path) -> list[Figures]:
         raise InputError(f"{path}: expected results of an earlier run, got '{error}'; name another folder") from error
 
 
-COMPILING = "compiling"
+COMPILING_MESSAGE = "compiling"
 """What a process says, before its figures, when it compiles kernels."""
 
 
-def _in_child(run: BenchRun) -> Figures:
+def _measure_in_child(run: BenchRun) -> Figures:
     """A run in a process of its own; another one where that had to compile kernels, which would count as its time."""
     return _measured_once(run) or _measured_once(run, is_patient=True) or _failed(run, "it compiled and did no more")
 
@@ -231,7 +229,7 @@ def _measured_once(run: BenchRun, *, is_patient: bool = False) -> Figures | None
         theirs.close()
         try:
             figures = ours.recv()
-            if figures == COMPILING:
+            if figures == COMPILING_MESSAGE:
                 announce_compiling()
                 figures = ours.recv()
         except EOFError:
@@ -253,8 +251,8 @@ def _serve(connection: Connection, run: BenchRun, folder: Path, is_patient: bool
     compiled: list[str] = []
 
     def say() -> None:
-        compiled.append(COMPILING)
-        connection.send(COMPILING)
+        compiled.append(COMPILING_MESSAGE)
+        connection.send(COMPILING_MESSAGE)
 
     def on_warm() -> None:
         if compiled and not is_patient:

@@ -18,7 +18,7 @@ import numpy as np
 
 import omnisyn_cli
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.engine import Known, one_line, recorded
+from omnisyn_cli.evaluation.engine import KnownRecords, one_line, recorded
 from omnisyn_cli.evaluation.fingerprint import digest_of_sources
 from omnisyn_cli.evaluation.grouping import gaps
 from omnisyn_cli.evaluation.measure import depth_records
@@ -36,10 +36,10 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 __all__ = ["DepthTableJob", "depth_sources", "depth_tables", "run_depth_table", "write_depth_tables"]
 
-BASELINE = 1.0
+BASELINE_METRES = 1.0
 """Metres between the two panoramas (the paper's)."""
 
-LEAST_SEED = 10_000_000
+MIN_SEED = 10_000_000
 """Seeds from here on are never used in training or in the standard scenes."""
 
 FIRST_SEED = 20_000_000
@@ -49,17 +49,17 @@ SUPERSAMPLE = 2
 
 TABLE_NAME = "depth-table.md"
 
-FORM = 1
+RECORD_VERSION = 1
 """Counts up when the same scenes are measured or recorded in another way."""
 
-SOURCES: Mapping[str, DepthSource] = {
+TABLE_SOURCES: Mapping[str, DepthSource] = {
     "synsin": find_method("monocular").recipe.depth,
     "matching": find_method("matching").recipe.depth,
     **{f"omnisyn-{preset.name}": preset.recipe.depth for preset in PRESETS.values()},
 }
 """The rows of the table: SynSin's monocular network, matching alone, and the presets; ``paper`` is a network alone."""
 
-NETWORK = "network:"
+NETWORK_PREFIX = "network:"
 """Before a model's name in the manifest or its ONNX file: that stereo network alone."""
 
 
@@ -69,17 +69,18 @@ def depth_sources(text: str) -> dict[str, DepthSource]:
     InputError: a name that there is no method of, or no name.
     """
     if text == "all":
-        return dict(SOURCES)
+        return dict(TABLE_SOURCES)
     names = [name.strip() for name in text.split(",") if name.strip()]
     return {name: _source(name) for name in names or [text]}
 
 
 def _source(name: str) -> DepthSource:
-    if name.startswith(NETWORK):
-        return DepthSource("network", model=name.removeprefix(NETWORK))
-    if name not in SOURCES:
-        raise InputError(f"expected one of {', '.join((*SOURCES, NETWORK + 'FILE.onnx'))} as method, got {name!r}")
-    return SOURCES[name]
+    if name.startswith(NETWORK_PREFIX):
+        return DepthSource("network", model=name.removeprefix(NETWORK_PREFIX))
+    if name not in TABLE_SOURCES:
+        known = ", ".join((*TABLE_SOURCES, f"{NETWORK_PREFIX}FILE.onnx"))
+        raise InputError(f"expected one of {known} as method, got {name!r}")
+    return TABLE_SOURCES[name]
 
 
 @dataclass(frozen=True)
@@ -108,9 +109,7 @@ class DepthTableJob:
 def run_depth_table(job: DepthTableJob, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
     """Measure what is not measured yet; the records of everything, scene by scene.
 
-    Args:
-        job: what was asked for.
-        on_unit: called with the number of finished units and the record of the last one.
+    ``on_unit`` is called with the number of finished units and the record of the last one.
 
     Raises:
         InputError: no such method, a seed that networks may have been trained with, a size that is not 2:1, or earlier
@@ -118,12 +117,12 @@ def run_depth_table(job: DepthTableJob, on_unit: Callable[[int, UnitRecord], Non
         OutputPathError, WriteError: the folder of the report cannot be written.
     """
     sources = depth_sources(job.methods)
-    if job.seed < LEAST_SEED:
-        raise InputError(f"expected a seed of at least {LEAST_SEED:,}, got {job.seed:,}; smaller ones are for training")
+    if job.seed < MIN_SEED:
+        raise InputError(f"expected a seed of at least {MIN_SEED:,}, got {job.seed:,}; smaller ones are for training")
     if job.size[1] != 2 * job.size[0]:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
     records: list[UnitRecord] = []
-    for record in recorded(job.report, _Worker(job, sources).records):
+    for record in recorded(job.report, _UnitRunner(job, sources).records):
         records.append(record)
         if on_unit:
             on_unit(len(records), record)
@@ -145,25 +144,15 @@ def _scenes(job: DepthTableJob) -> Iterator[tuple[str, int, Scene]]:
 
 def _has_room(scene: Scene, seed: int) -> bool:
     try:
-        sample_path(scene, seed, 2, baseline=BASELINE, vertical=0.0)
+        sample_path(scene, seed, 2, baseline=BASELINE_METRES, vertical=0.0)
     except ValueError:
         return False
     return True
 
 
 def make_pair(scene: Scene, seed: int, size: tuple[int, int], threads: int | None = None) -> tuple[View, View]:
-    """Two panoramas a metre apart on level ground, upright, with their true depth.
-
-    Args:
-        scene: with room for them.
-        seed: of the way through it.
-        size: height and width.
-        threads: at most this many; the result does not depend on it.
-
-    Raises:
-        ValueError: the scene has no room.
-    """
-    path = sample_path(scene, seed, 2, baseline=BASELINE, vertical=0.0)
+    """Two upright panoramas a metre apart on level ground, with their true depth; ValueError: there is no room."""
+    path = sample_path(scene, seed, 2, baseline=BASELINE_METRES, vertical=0.0)
     positions = np.stack([pose.position for pose in path])
     images, depths = render_views(
         scene, path[0].rotation, positions, size, supersample=SUPERSAMPLE, threads=threads
@@ -175,7 +164,7 @@ def make_pair(scene: Scene, seed: int, size: tuple[int, int], threads: int | Non
     return first, second
 
 
-class _Worker:
+class _UnitRunner:
     """Measures methods on one scene after the other; every network is loaded once."""
 
     def __init__(self, job: DepthTableJob, sources: Mapping[str, DepthSource]) -> None:
@@ -183,14 +172,16 @@ class _Worker:
         self._made: dict[str, DepthEstimator] = {}
         self._weights: dict[str | None, str] = {None: ""}
         program = digest_of_sources(Path(omnisyn_cli.__file__).parent)
-        self._fixed = [FORM, omnisyn_cli.__version__, program, list(job.size), job.device]
+        self._fixed = [RECORD_VERSION, omnisyn_cli.__version__, program, list(job.size), job.device]
 
-    def records(self, known: Known) -> Iterator[UnitRecord]:
+    def records(self, known: KnownRecords) -> Iterator[UnitRecord]:
         """One record for every method on every scene, the known one where nothing has changed."""
         for kind, seed, scene in _scenes(self._job):
             pair = cache(partial(make_pair, scene, seed, self._job.size, self._job.threads))
             for name, source in self._sources.items():
-                blank = UnitRecord("", f"{kind}-{seed}", "first", "second", name, "unavailable", baseline=BASELINE)
+                blank = UnitRecord(
+                    "", f"{kind}-{seed}", "first", "second", name, "unavailable", baseline=BASELINE_METRES
+                )
                 try:
                     blank = replace(blank, key=self._key(name, source, kind, seed))
                     estimator = self._estimator(name, source)
@@ -240,9 +231,9 @@ def _table(kind: str, records: Sequence[UnitRecord]) -> Table:
     rows = {row.name: row for row in table.rows}
     methods = dict.fromkeys(record.method for record in records)
     reasons = {record.method: record.reason for record in records if record.status != "done"}
-    order = sorted(methods, key=lambda name: list(SOURCES).index(name) if name in SOURCES else -1)
+    order = sorted(methods, key=lambda name: list(TABLE_SOURCES).index(name) if name in TABLE_SOURCES else -1)
     every = tuple(rows.get(name) or Row(name, (), reasons[name]) for name in order)
-    return replace(table, title=f"{kind.capitalize()}s, {BASELINE:g} m", rows=every)
+    return replace(table, title=f"{kind.capitalize()}s, {BASELINE_METRES:g} m", rows=every)
 
 
 def write_depth_tables(folder: Path, records: Sequence[UnitRecord]) -> Path:

@@ -38,15 +38,15 @@ from omnisyn_cli.io.outputs import make_folder
 
 __all__ = ["EvaluationJob", "evaluate", "plan_evaluation", "run_evaluation"]
 
-Known = dict[tuple[str, str, str, str], UnitRecord]
+KnownRecords = dict[tuple[str, str, str, str], UnitRecord]
 """The last record of every unit."""
 
-NO_TRUTH = "expected true frames between the two panoramas, got none"
+NO_TRUE_FRAMES = "expected true frames between the two panoramas, got none"
 
-EVERY_SECOND = "every:2"
+DEFAULT_TOUR_PAIRS = "every:2"
 """Pairs of tours unless others are asked for."""
 
-TOO_FEW = "expected panoramas enough for a pair, got fewer"
+TOO_FEW_PANORAMAS = "expected panoramas enough for a pair, got fewer"
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
         raise InputError(f"expected a size twice as wide as high, got {job.size[1]}x{job.size[0]}; correct it")
     methods = also_in_tours(find_methods(job.methods)) if job.tours else find_methods(job.methods)
     has_tours = any(method.is_in_tour for method in methods)
-    choose = choose_pairs(job.pairs or (EVERY_SECOND if job.tours else None))
+    choose = choose_pairs(job.pairs or (DEFAULT_TOUR_PAIRS if job.tours else None))
     pairs: list[Pair] = []
     findings: list[UnitRecord] = []
     for source in find_scenes(job.dataset, job.layout, allow_outside=job.allow_outside):
@@ -130,7 +130,7 @@ def plan_evaluation(job: EvaluationJob) -> EvaluationPlan:
             pairs += [pair for pair in found if pair.between]
             findings += [_without_truth(pair) for pair in found if not pair.between]
             if not found and (job.pairs is None or not Path(job.pairs).is_file()):
-                findings.append(_finding(source, "skipped", TOO_FEW))
+                findings.append(_finding(source, "skipped", TOO_FEW_PANORAMAS))
     if not pairs and not findings:
         raise InputError(f"{job.pairs}: expected pairs of the scenes in {job.dataset}, got none; check the names")
     if job.methods == "usual" and not any(_has_depth(pair) for pair in pairs):
@@ -163,9 +163,7 @@ def evaluate(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | 
 def run_evaluation(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], None] | None = None) -> list[UnitRecord]:
     """Do what is not done yet; the records of everything, pair by pair, and of what could not be evaluated.
 
-    Args:
-        plan: from :func:`plan_evaluation`.
-        on_unit: called with the number of finished units and the record of the last one.
+    ``on_unit`` is called with the number of finished units and the record of the last one.
 
     Raises:
         InputError: the results of an earlier run cannot be read, or the network for ``lpips`` is not one.
@@ -183,12 +181,10 @@ def _written_records(plan: EvaluationPlan, on_unit: Callable[[int, UnitRecord], 
             on_unit(units, record)
 
 
-def recorded(report: Path, records: Callable[[Known], Iterable[UnitRecord]]) -> Iterator[UnitRecord]:
+def recorded(report: Path, records: Callable[[KnownRecords], Iterable[UnitRecord]]) -> Iterator[UnitRecord]:
     """Every record once it is a line of ``results.jsonl``, which it may have been before.
 
-    Args:
-        report: folder of the results; made if it is not there.
-        records: makes them, given the last line of every unit.
+    ``records`` makes them, given the last line of every unit.
 
     Raises:
         InputError: the results of an earlier run cannot be read.
@@ -210,17 +206,17 @@ def _finding(source: SceneSource, status: Status, reason: str) -> UnitRecord:
 
 def _without_truth(pair: Pair) -> UnitRecord:
     names = (pair.first.name, pair.second.name)
-    return UnitRecord("", pair.scene, *names, "", "skipped", NO_TRUTH, baseline=baseline_of(pair))
+    return UnitRecord("", pair.scene, *names, "", "skipped", NO_TRUE_FRAMES, baseline=baseline_of(pair))
 
 
-def _records(plan: EvaluationPlan, known: Known) -> Iterator[UnitRecord]:
+def _records(plan: EvaluationPlan, known: KnownRecords) -> Iterator[UnitRecord]:
     yield from plan.findings
-    worker = _Worker(plan.job)
+    worker = _UnitRunner(plan.job)
     for pair in plan.pairs:
         yield from worker.records(pair, plan.methods, known)
 
 
-class _Worker:
+class _UnitRunner:
     """Does units of work; holds the pictures of one pair."""
 
     def __init__(self, job: EvaluationJob) -> None:
@@ -233,7 +229,7 @@ class _Worker:
             self._perceptual = Lpips(job.lpips, threads=job.threads)
             self._options["lpips"] = self._fingerprints.of_file(job.lpips)
 
-    def records(self, pair: Pair, methods: tuple[ComparedMethod, ...], known: Known) -> Iterator[UnitRecord]:
+    def records(self, pair: Pair, methods: tuple[ComparedMethod, ...], known: KnownRecords) -> Iterator[UnitRecord]:
         """One record for every method, the known one where nothing has changed."""
         loaded: LoadedPair | str | None = None
         depths = PairDepths()

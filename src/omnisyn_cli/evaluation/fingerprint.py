@@ -12,23 +12,23 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation.datasets import Pair
 from omnisyn_cli.runtime.models import sha256_of
 
-FORM = 2
+RECORD_VERSION = 2
 """Counts up when the same inputs are measured or recorded in another way."""
 
-WITHOUT_EFFECT = frozenset({"batch", "cli", "networks", "training"})
+IGNORED_ROOMS = frozenset({"batch", "cli", "networks", "training"})
 """Parts of the program that no method goes through."""
 
 
 @cache
 def digest_of_sources(package: Path) -> str:
-    """Hexadecimal digest of a package's Python files but for :data:`WITHOUT_EFFECT`; the same until the program ends.
+    """Hexadecimal digest of a package's Python files but for :data:`IGNORED_ROOMS`; the same until the program ends.
 
     Between two releases, which have one version, only this tells that a method works differently now.
     """
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         name = path.relative_to(package)
-        if name.parts[0] not in WITHOUT_EFFECT:
+        if name.parts[0] not in IGNORED_ROOMS:
             digest.update(f"{name.as_posix()}\n{path.stat().st_size}\n".encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -38,18 +38,12 @@ class Fingerprints:
 
     def __init__(self) -> None:
         self._files: dict[Path, str] = {}
-        self._program = [FORM, omnisyn_cli.__version__, digest_of_sources(Path(omnisyn_cli.__file__).parent)]
+        self._program = [RECORD_VERSION, omnisyn_cli.__version__, digest_of_sources(Path(omnisyn_cli.__file__).parent)]
 
     def of(self, pair: Pair, method: Sequence[str], options: Mapping[str, Any]) -> str:
         """Hexadecimal digest of everything that the result of a method on a pair depends on.
 
-        Args:
-            pair: files and poses.
-            method: its name and ingredients.
-            options: what else was asked for, plain values.
-
-        Raises:
-            ImageError: a file is missing or cannot be read.
+        ``method`` is its name and ingredients, ``options`` are plain values. ImageError: a file cannot be read.
         """
         frames = [
             [frame.name, frame.pose.position.tolist(), frame.pose.rotation.tolist(), *map(self.of_file, frame.files)]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
-BOUNDS = frozenset({"oracle-depth"})
+ORACLE_METHODS = frozenset({"oracle-depth"})
 """Methods that are told what the others have to find out, whatever their parameters."""
 
-IN_TOUR = "neighbours=2"
+TOUR_PARAMETER = "neighbours=2"
 """The parameter of a method that lets depth come from both neighbours of a panorama."""
 
 MAIN_SCORE = "ws_psnr"
@@ -30,9 +30,9 @@ def finished(records: Iterable[UnitRecord], method: str | None = None) -> list[U
     return [record for record in records if record.status == "done" and method in (None, record.method)]
 
 
-def is_bound(method: str) -> bool:
+def is_oracle(method: str) -> bool:
     """Whether a method is an upper bound, which is shown but never called the best."""
-    return method.partition(":")[0] in BOUNDS
+    return method.partition(":")[0] in ORACLE_METHODS
 
 
 def ranked_methods(records: Sequence[UnitRecord]) -> list[str]:

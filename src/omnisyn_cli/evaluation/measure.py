@@ -32,7 +32,7 @@ CLIP_STEP = 1 / 60
 
 CLIP_HEIGHT = 256
 
-END = 1e-6
+END_SHARE = 1e-6
 """Share of the way from a panorama at which a frame is rendered rather than the photograph shown."""
 
 WINDOW = 11
@@ -82,16 +82,11 @@ def measure(
 ) -> Measurement:
     """Let a method make the true frames of a pair, a clip and both ends, and measure them.
 
-    Args:
-        method: at work on this pair.
-        pair: with at least one true frame.
-        names: of the two panoramas.
-        perceptual: a further distance of pictures, ``lpips`` in the scores.
-        threads: at most this many.
+    ``names`` are those of the panoramas. ``perceptual`` is a further distance of pictures, ``lpips`` in the scores.
     """
     clock = Stopwatch()
     made = method(pair.size, clock)
-    images = tuple(_shown(made.frame(truth.waypoint).image) for truth in pair.truths)
+    images = tuple(_clip_to_unit(made.frame(truth.waypoint).image) for truth in pair.truths)
     seconds = dict(clock.seconds)
     scores = _scores(images, pair, perceptual)
     kinds = tuple(kinds_at(made, truth.waypoint, pair.size) for truth in pair.truths)
@@ -122,7 +117,7 @@ def _scores(
 
 
 def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
-    """Where pixels of each kind are in a frame, by :mod:`omnisyn_cli.fusion.pixel_classes`; its ends without geometry."""
+    """Where pixels of each kind are in a frame; without geometry only the ends."""
     shown = made.renderings(waypoint)
     if shown is None:
         return metrics.end_masks(size)
@@ -134,7 +129,7 @@ def _has_parallax(pair: LoadedPair) -> bool:
     return bool(np.linalg.norm(second.pose.position - first.pose.position) > STILL)
 
 
-def _shown(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
+def _clip_to_unit(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:
     """As a video holds it: black and white are the ends, whatever interpolation makes of edges."""
     return np.asarray(np.clip(image, 0.0, 1.0))
 
@@ -204,7 +199,7 @@ def _clip_measures(method: PairMaker, made: Pair, pair: LoadedPair) -> dict[str,
         return {}
     height = min(CLIP_HEIGHT, pair.size[0])
     clip = method((height, 2 * height), Stopwatch())
-    frames = [_shown(clip.frame(waypoint).image) for waypoint in path]
+    frames = [_clip_to_unit(clip.frame(waypoint).image) for waypoint in path]
     inverse_depths = [seen for waypoint in path if (seen := clip.inverse_depth(waypoint)) is not None]
     poses = [waypoint.pose for waypoint in path]
     try:
@@ -219,9 +214,9 @@ def _clip_measures(method: PairMaker, made: Pair, pair: LoadedPair) -> dict[str,
 def _end_errors(made: Pair, pair: LoadedPair, threads: int | None) -> dict[str, float]:
     """How far both ends are from the photographs that are shown there: what would pop."""
     errors = []
-    for t, view in zip((END, 1 - END), pair.views, strict=True):
-        shown, truth = _shown(made.frame(Waypoint(0, t, view.pose)).image), view.image
+    for t, view in zip((END_SHARE, 1 - END_SHARE), pair.views, strict=True):
+        shown, truth = _clip_to_unit(made.frame(Waypoint(0, t, view.pose)).image), view.image
         if truth.shape[:2] != pair.size:
             truth = turned_panorama(truth, Pose.identity(), pair.size, threads)
-        errors.append(math.sqrt(mean_over_sphere((shown.astype(np.float64) - _shown(truth)) ** 2)))
+        errors.append(math.sqrt(mean_over_sphere((shown.astype(np.float64) - _clip_to_unit(truth)) ** 2)))
     return {"end_first": errors[0], "end_second": errors[1]}

@@ -25,7 +25,7 @@ import numpy as np
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.evaluation.grouping import IN_TOUR
+from omnisyn_cli.evaluation.grouping import TOUR_PARAMETER
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -294,7 +294,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
             return replace(method, recipe=replace(recipe, **LEFT_OUT[parameter]))
         if parameter == ONE_VIEW:
             return replace(method, shows_first_only=True)
-        if parameter == IN_TOUR and recipe.estimates_depth:
+        if parameter == TOUR_PARAMETER and recipe.estimates_depth:
             return replace(method, is_in_tour=True)
         if key == "depth":
             width, height = (int(number) for number in value.lower().split("x"))
@@ -304,7 +304,7 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     raise InputError(
         f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSED_BY, *LEFT_OUT))}, "
-        f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {IN_TOUR} (where depth is "
+        f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {TOUR_PARAMETER} (where depth is "
         f"looked for) after the colon, got {parameter!r} in {name!r}"
     )
 
@@ -332,7 +332,7 @@ def also_in_tours(methods: Sequence[ComparedMethod]) -> list[ComparedMethod]:
     asked = dict.fromkeys(
         name
         for method in methods
-        for name in (method.name, f"{method.name}:{IN_TOUR}")
+        for name in (method.name, f"{method.name}:{TOUR_PARAMETER}")
         if name == method.name or _can_be_in_tour(method)
     )
     return [find_method(name) for name in asked]

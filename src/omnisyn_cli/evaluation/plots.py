@@ -32,9 +32,9 @@ PLOT_TITLES = {
     "reliability": "Reliability of depth: the share within 10 % (full) and 5 % (dotted) by confidence",
 }
 
-WIDTH = 6.4
-HEIGHT = 3.8
-LEGEND_LINE = 0.22
+FIGURE_WIDTH = 6.4
+FIGURE_HEIGHT = 3.8
+LEGEND_LINE_HEIGHT = 0.22
 """Inches; the writing is large enough for a telephone."""
 
 LEGEND_COLUMNS = 3
@@ -46,7 +46,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#0
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
-MOST_POINTS = 2000
+MAX_POINTS = 2000
 """Single frames are drawn only up to this many; beyond, the means say it better."""
 
 
@@ -70,10 +70,7 @@ def _quality_by_share(records: Sequence[UnitRecord]) -> Figure | None:
 def _quality_by(records: Sequence[UnitRecord], coordinates: Any, title: str) -> Figure | None:
     """Frames as points, means over bands as lines, one colour for each method.
 
-    Args:
-        records: of all methods.
-        coordinates: of a frame, its place on the axis and the number of its band.
-        title: of the axis.
+    ``coordinates`` gives the place of a frame on the axis ``title``, and the number of its band.
     """
     drawn = {
         method: [(*coordinates(frame), score) for score, frame in frames_of(records, method) if math.isfinite(score)]
@@ -83,12 +80,12 @@ def _quality_by(records: Sequence[UnitRecord], coordinates: Any, title: str) -> 
     if not drawn:
         return None
     figure, axes = _new_figure(len(drawn))
-    shows_points = sum(map(len, drawn.values())) <= MOST_POINTS
+    shows_points = sum(map(len, drawn.values())) <= MAX_POINTS
     for index, (method, points) in enumerate(drawn.items()):
         style = _style(index)
         if shows_points:
             axes.scatter([x for x, _, _ in points], [y for _, _, y in points], s=9, alpha=0.3, color=style["color"])
-        axes.plot(*_band_means(points), linewidth=1.6, markersize=5, label=_plain(method), **style)
+        axes.plot(*_band_means(points), linewidth=1.6, markersize=5, label=_legend_label(method), **style)
     axes.set_xlim(left=0.0)
     _finish(figure, axes, title, "WS-PSNR, dB")
     return figure
@@ -116,7 +113,7 @@ def _quality_by_seconds(records: Sequence[UnitRecord]) -> Figure | None:
         return None
     figure, axes = _new_figure(len(points))
     for index, (method, (seconds, score)) in enumerate(points.items()):
-        axes.plot([seconds], [score], linestyle="none", markersize=8, label=_plain(method), **_style(index))
+        axes.plot([seconds], [score], linestyle="none", markersize=8, label=_legend_label(method), **_style(index))
     axes.set_xscale("log", subs=(2, 5))
     _finish(figure, axes, "Seconds per pair", "WS-PSNR, dB")
     return figure
@@ -133,7 +130,13 @@ def _seconds_by_stage(records: Sequence[UnitRecord]) -> Figure | None:
     left = [0.0] * len(methods)
     for index, stage in enumerate(stages):
         widths = [mean(u.seconds.get(stage, 0.0) for u in units if u.method == method) for method in methods]
-        axes.barh([_plain(method) for method in methods], widths, left=left, label=_plain(stage), color=_colour(index))
+        axes.barh(
+            [_legend_label(method) for method in methods],
+            widths,
+            left=left,
+            label=_legend_label(stage),
+            color=_colour(index),
+        )
         left = [edge + width for edge, width in zip(left, widths, strict=True)]
     axes.invert_yaxis()
     axes.set_xlim(left=0.0, right=1.03 * max(left))
@@ -154,7 +157,7 @@ def _reliability(records: Sequence[UnitRecord]) -> Figure | None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1.0, zorder=1)
     for index, (method, diagram) in enumerate(diagrams.items()):
         at, ten, five = (list(diagram[name].values()) for name in ("confidence", "within_10", "within_5"))
-        axes.plot(at, ten, linewidth=1.6, markersize=5, label=_plain(method), **_style(index))
+        axes.plot(at, ten, linewidth=1.6, markersize=5, label=_legend_label(method), **_style(index))
         axes.plot(at, five, linewidth=1.2, linestyle=":", color=_colour(index))
     axes.set(xlim=(0, 1), ylim=(0, 1))
     _finish(figure, axes, "Confidence", "Share of the values")
@@ -170,7 +173,7 @@ def pareto_plot(measured: Sequence[Figures], usual_method: str) -> bytes | None:
     rated = sorted((f for f in measured if f.status == "done" and f.scores), key=standard_seconds)
     if not rated:
         return None
-    figure, axes = _new_figure(len(rated), HEIGHT + 0.8)
+    figure, axes = _new_figure(len(rated), FIGURE_HEIGHT + 0.8)
     front = pareto_front(rated)
     axes.plot([standard_seconds(f) for f in front], [quality(f) for f in front], color="0.6", zorder=1)
     usual = next((f for f in rated if f.setting.method == usual_method), rated[0])
@@ -182,19 +185,19 @@ def pareto_plot(measured: Sequence[Figures], usual_method: str) -> bytes | None:
         )
         axes.errorbar(
             standard_seconds(figures), quality(figures), yerr=None if math.isnan(error) else error,
-            linestyle="none", markersize=7, capsize=2, linewidth=1.0, label=_plain(label), **style,
+            linestyle="none", markersize=7, capsize=2, linewidth=1.0, label=_legend_label(label), **style,
         )  # fmt: skip
     axes.set_xscale("log", subs=(2, 3, 5))
     _finish(figure, axes, f"Seconds of computing for {STANDARD_FRAMES} frames between two panoramas", "WS-PSNR, dB")
     return _png(figure)
 
 
-def _new_figure(entries: int, height: float = HEIGHT) -> tuple[Figure, Axes]:
+def _new_figure(entries: int, height: float = FIGURE_HEIGHT) -> tuple[Figure, Axes]:
     """A diagram with room for a legend of so many entries below it."""
     from matplotlib.figure import Figure
 
     figure = Figure(
-        figsize=(WIDTH, height + LEGEND_LINE * math.ceil(entries / LEGEND_COLUMNS)),
+        figsize=(FIGURE_WIDTH, height + LEGEND_LINE_HEIGHT * math.ceil(entries / LEGEND_COLUMNS)),
         dpi=DOTS_PER_INCH,
         layout="constrained",
     )
@@ -227,7 +230,7 @@ def _colour(index: int) -> str:
     return COLOURS[index % len(COLOURS)]
 
 
-def _plain(name: str) -> str:
+def _legend_label(name: str) -> str:
     """A name as it is: no formulas, and no leading underscore, which would hide it from a legend."""
     shown = name.replace("$", r"\$")
     return f"\u200b{shown}" if shown.startswith("_") else shown

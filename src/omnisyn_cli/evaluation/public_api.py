@@ -19,17 +19,11 @@ def evaluate(
 ) -> list[UnitRecord]:
     """Compare methods with true frames and true depth, as ``omnisyn eval`` does.
 
-    Args:
-        dataset: folder of scenes, or a scene.
-        methods: ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
-        report: folder for results and pictures; None keeps nothing.
-        options: of :class:`omnisyn_cli.evaluation.engine.EvaluationJob`.
+    ``methods`` are ``usual``, ``all`` or names separated by commas, see :mod:`omnisyn_cli.evaluation.methods`.
+    ``report`` is a folder for results and pictures; None keeps nothing. ``options`` are those of
+    :class:`omnisyn_cli.evaluation.engine.EvaluationJob`. Returns a record for every method on every pair.
 
-    Returns:
-        One record for every method on every pair, with the scores of its frames.
-
-    Raises:
-        OmnisynError: no scenes, no such method, or a folder that cannot be written.
+    OmnisynError: no scenes, no such method, or a folder that cannot be written.
     """
     if report is not None:
         return engine.evaluate(

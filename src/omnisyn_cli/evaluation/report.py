@@ -39,11 +39,11 @@ or ``seconds``; ``name`` is that of the frame or panorama; ``distance`` is to th
 FRAMES_PER_METHOD = 4
 """The worst frames of each method that are shown."""
 
-MOST_PANORAMAS = 8
+MAX_PANORAMAS = 8
 """The panoramas whose depth is shown."""
 
-WIDTH = 512
-QUALITY = 78
+THUMBNAIL_WIDTH = 512
+THUMBNAIL_JPEG_QUALITY = 78
 """Of the JPEG files inside the page; the full pictures stay in the folder."""
 
 FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
@@ -59,13 +59,8 @@ def write_report(folder: Path, records: Iterable[UnitRecord]) -> None:
     """Write ``report.html``, ``report.md``, ``report.json``, ``report.csv`` and the diagrams as PNG files.
 
     Files of an earlier report are replaced all together at the end. Of several records of one unit the last one counts.
-
-    Args:
-        folder: where the files go, and where the pictures lie that the records name; its parent must exist.
-        records: all that was measured until now.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    Pictures that the records name lie in ``folder``, whose parent exists. WriteError: the disk is full, or the folder
+    went away.
     """
     units = latest_records(records)
     tables, plots = report_tables(units), report_plots(units)
@@ -133,14 +128,14 @@ def depth_sections(folder: Path, records: Sequence[UnitRecord]) -> Sections:
             if depth.pictures:
                 found.setdefault(f"{names[record.pair]}, {depth.view}", {})[record.method] = depth
     sections: Sections = {}
-    for panorama, depths in list(found.items())[:MOST_PANORAMAS]:
+    for panorama, depths in list(found.items())[:MAX_PANORAMAS]:
         if pictures := _depth_pictures(folder, {method: depths[method] for method in ranked if method in depths}):
             sections[panorama] = {"": pictures}
     return sections
 
 
 def embedded_picture(path: Path) -> str | None:
-    """A picture file as a data URI of a JPEG at most :data:`WIDTH` pixels wide; None if it cannot be read."""
+    """A picture file as a data URI of a JPEG at most :data:`THUMBNAIL_WIDTH` pixels wide; None if it cannot be read."""
     try:
         samples = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError:
@@ -149,10 +144,10 @@ def embedded_picture(path: Path) -> str | None:
     if image is None:
         return None
     height, width = image.shape[:2]
-    if width > WIDTH:
-        size = (WIDTH, max(1, round(height * WIDTH / width)))
+    if width > THUMBNAIL_WIDTH:
+        size = (THUMBNAIL_WIDTH, max(1, round(height * THUMBNAIL_WIDTH / width)))
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, THUMBNAIL_JPEG_QUALITY])
     return data_uri(encoded.tobytes(), "jpeg")
 
 

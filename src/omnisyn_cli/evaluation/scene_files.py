@@ -20,7 +20,7 @@ from omnisyn_cli.scenes.suite import (
 
 __all__ = ["depth_name", "suite_files", "suite_scenes", "wide_scenes", "write_scene", "write_suite_scene"]
 
-NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
+PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 """Of the panoramas of every scene of the standard set."""
 
 SUPERSAMPLE = 3
@@ -43,23 +43,13 @@ def wide_scenes(seeds: Mapping[str, Sequence[int]] = WIDE_SEEDS) -> Iterator[Sui
 
 def suite_files() -> list[str]:
     """Names of the files of every scene of the standard set."""
-    return [*NAMES, *map(depth_name, NAMES), POSES_NAME]
+    return [*PANORAMA_NAMES, *map(depth_name, PANORAMA_NAMES), POSES_NAME]
 
 
 def write_suite_scene(folder: Path, walk: SuiteScene, size: tuple[int, int], threads: int | None = None) -> None:
-    """Write one scene of the standard set into a folder.
-
-    Args:
-        folder: exists.
-        walk: one that there is room for.
-        size: height and width.
-        threads: at most this many; the result does not depend on it.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
-    """
+    """Write one scene of the standard set into a folder that exists; WriteError: the disk is full."""
     scene = generate_scene(walk.kind, walk.seed)
-    write_scene(folder, scene, walk.path, NAMES, size, SUPERSAMPLE, threads)
+    write_scene(folder, scene, walk.path, PANORAMA_NAMES, size, SUPERSAMPLE, threads)
 
 
 def write_scene(
@@ -73,20 +63,9 @@ def write_scene(
     *,
     with_depth: bool = True,
 ) -> None:
-    """Write the panoramas along a path, their depth (EXR, metres) and their poses.
+    """Write the panoramas along a path under ``names``, their depth (EXR, metres) if it is wanted, and their poses.
 
-    Args:
-        folder: exists.
-        scene: what to render.
-        path: a pose for every panorama.
-        names: image files of the panoramas.
-        size: height and width.
-        supersample: samples per pixel along each axis.
-        threads: at most this many; the result does not depend on it.
-        with_depth: whether to write depth as well.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    The folder exists. A pixel has ``supersample``² samples. WriteError: the disk is full, or the folder went away.
     """
     panoramas = {}
     for name, pose in zip(names, path, strict=True):

@@ -95,7 +95,7 @@ TRUE_FRAMES_COLUMNS = {
     "flying": Column("Flying pixels, share of the sphere", -1, 5),
 }
 
-DOUBT_COLUMNS = {
+CONFIDENCE_COLUMNS = {
     "unsure_area": Column("Unsure area", 0, 4),
     "within_5_unsure": Column("within 5 % there", 1, 4),
     "within_5_sure": Column("within 5 % elsewhere", 1, 4),
@@ -143,7 +143,7 @@ WORST_TABLES = (
 )
 """Titles, what is said below them, scores."""
 
-Placed = tuple[tuple[tuple[str, str, str], int], Mapping[str, float]]
+PlacedValues = tuple[tuple[tuple[str, str, str], int], Mapping[str, float]]
 """Values with their pair and their number there."""
 
 
@@ -158,7 +158,7 @@ def report_tables(records: Sequence[UnitRecord]) -> list[Table]:
         *(_worst_table(records, *each) for each in WORST_TABLES),
         depth_table(records, weighted=False),
         depth_table(records, weighted=True),
-        _doubt_table(records),
+        _confidence_table(records),
         _temporal_table(records),
         _seconds_table(records),
     ]
@@ -180,7 +180,7 @@ def tour_table(records: Sequence[UnitRecord]) -> Table:
     rows = [
         Row(base, _difference_cells(found))
         for base in grouping.ranked_methods(records)
-        if (found := grouping.differences(records, base, f"{base}:{grouping.IN_TOUR}"))
+        if (found := grouping.differences(records, base, f"{base}:{grouping.TOUR_PARAMETER}"))
     ]
     return Table("In tours", note, "Method", DIFFERENCE_COLUMNS, tuple(rows))
 
@@ -234,13 +234,13 @@ def _worst_table(records: Sequence[UnitRecord], title: str, note: str, score: st
     return Table(title, note, "Pair", tuple(Column(method, 1) for method in methods), tuple(rows))
 
 
-def _doubt_table(records: Sequence[UnitRecord]) -> Table:
+def _confidence_table(records: Sequence[UnitRecord]) -> Table:
     note = (
         "On pixels with a true depth between 1 m and 50 m, weighted by solid angle. Unsure is where both directions of "
         "matching did not agree. Doubt is 1 − confidence, error is relative (Spearman). Calibration error: how far "
         "confidence is from the share of the values within 10 %, in bins of confidence, on average."
     )
-    return _method_table("What is known of errors of depth", note, "Panoramas", records, "doubt", DOUBT_COLUMNS)
+    return _method_table("What is known of errors of depth", note, "Panoramas", records, "doubt", CONFIDENCE_COLUMNS)
 
 
 def _temporal_table(records: Sequence[UnitRecord]) -> Table:
@@ -279,15 +279,15 @@ def _method_table(
     title: str, note: str, counted: str, records: Sequence[UnitRecord], subject: str, columns: Mapping[str, Column]
 ) -> Table:
     """One row for each method, best first; columns that nobody has are left out, the last one counts the values."""
-    found = {method: _placed(records, method, subject, columns) for method in grouping.ranked_methods(records)}
+    found = {method: _placed_values(records, method, subject, columns) for method in grouping.ranked_methods(records)}
     placed = {method: listed for method, listed in found.items() if listed}
     every = [one for listed in placed.values() for one in listed]
     present = [key for key in columns if any(key in values for _, values in every)]
     marked = [
-        _marked(
+        _mark_best(
             [_cell(listed, key) for listed in placed.values()],
             len({where for where, values in every if key in values}),
-            [0 if grouping.is_bound(method) else columns[key].better for method in placed],
+            [0 if grouping.is_oracle(method) else columns[key].better for method in placed],
         )
         for key in present
     ]
@@ -295,11 +295,11 @@ def _method_table(
     rows = zip(placed, zip(*marked, counts, strict=True), strict=True)
     shown = (*(columns[key] for key in present), Column(counted, 0, 0))
     return Table(
-        title, note, "Method", shown, tuple(Row(name, cells, "", grouping.is_bound(name)) for name, cells in rows)
+        title, note, "Method", shown, tuple(Row(name, cells, "", grouping.is_oracle(name)) for name, cells in rows)
     )
 
 
-def _placed(records: Sequence[UnitRecord], method: str, subject: str, keys: Iterable[str]) -> list[Placed]:
+def _placed_values(records: Sequence[UnitRecord], method: str, subject: str, keys: Iterable[str]) -> list[PlacedValues]:
     """What a method measured of a subject, each with its pair and its number there, which are the same for all."""
     return [
         ((record.pair, number), values)
@@ -317,7 +317,7 @@ def _score_table(
 ) -> Table:
     """Mean WS-PSNR with a column for each method and a row for each ``group`` of frames, which has order and name."""
     methods = [method for method in grouping.ranked_methods(records) if any(grouping.frames_of(records, method))]
-    better = [0 if grouping.is_bound(method) else 1 for method in methods]
+    better = [0 if grouping.is_oracle(method) else 1 for method in methods]
     groups: defaultdict[tuple[float, str], list[tuple[str, tuple[str, ...], float]]] = defaultdict(list)
     for record in grouping.finished(records):
         for frame in record.frames:
@@ -328,11 +328,11 @@ def _score_table(
     for (_, name), listed in sorted(groups.items(), key=lambda item: item[0][0]):
         scores = [[score for by, _, score in listed if by == method] for method in methods]
         cells = [Cell(mean(values), len(values)) for values in scores]
-        rows.append(Row(name, _marked(cells, len({which for _, which, _ in listed}), better)))
+        rows.append(Row(name, _mark_best(cells, len({which for _, which, _ in listed}), better)))
     return Table(title, "Mean WS-PSNR, dB.", corner, tuple(Column(method, 1) for method in methods), tuple(rows))
 
 
-def _marked(cells: Sequence[Cell], every: int, better: Sequence[int]) -> tuple[Cell, ...]:
+def _mark_best(cells: Sequence[Cell], every: int, better: Sequence[int]) -> tuple[Cell, ...]:
     """The cells with the best of them marked, equal ones together.
 
     Means over less than ``every`` value take no part, nor do cells of which neither more nor less is ``better``.
@@ -348,7 +348,7 @@ def _marked(cells: Sequence[Cell], every: int, better: Sequence[int]) -> tuple[C
     return tuple(replace(cell, is_best=standing == best) for cell, standing in zip(cells, standings, strict=True))
 
 
-def _cell(listed: Sequence[Placed], key: str) -> Cell:
+def _cell(listed: Sequence[PlacedValues], key: str) -> Cell:
     values = [values[key] for _, values in listed if key in values]
     return Cell(mean(values), len(values))
 
@@ -366,7 +366,7 @@ def format_value(value: float, digits: int) -> str:
     return ("∞" if value > 0 else "−∞") if math.isinf(value) else f"{value:.{digits}f}"
 
 
-SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
+MARKDOWN_SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|!~&])")
 
 
 def render_page(template: str, **values: Any) -> str:
@@ -400,4 +400,4 @@ def _environment(**options: Any) -> Environment:
 
 def _escaped(value: Any) -> str:
     """Text that Markdown shows as it is, on one line."""
-    return SPECIAL.sub(r"\\\1", " ".join(str(value).split()))
+    return MARKDOWN_SPECIAL.sub(r"\\\1", " ".join(str(value).split()))

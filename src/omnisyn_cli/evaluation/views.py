@@ -15,7 +15,7 @@ from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["load_pair"]
 
-UNTURNED = Pose.identity()
+IDENTITY_POSE = Pose.identity()
 
 
 @dataclass(frozen=True)
@@ -64,15 +64,9 @@ def _share_of_way(pair: Pair, pose: Pose) -> tuple[float, float]:
 
 
 def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | None = None) -> LoadedPair:
-    """Read all pictures, masks and depth of a pair.
+    """Read all pictures, masks and depth of a pair; frames are compared at ``size`` or that of the first true frame.
 
-    Args:
-        pair: from :func:`omnisyn_cli.evaluation.datasets.choose_pairs`.
-        size: height and width of the comparison; by default that of the first true frame.
-        threads: at most this many.
-
-    Raises:
-        InputError: a file is missing or damaged, or a mask has another size than its panorama.
+    InputError: a file is missing or damaged, or a mask has another size than its panorama.
     """
     truths = []
     for frame in pair.between:
@@ -80,7 +74,7 @@ def load_pair(pair: Pair, size: tuple[int, int] | None = None, threads: int | No
         size = size or (image.shape[0], image.shape[1])
         t, distance = _share_of_way(pair, frame.pose)
         if image.shape[:2] != size:
-            image = np.clip(turned_panorama(image, UNTURNED, size, threads), 0, 1)
+            image = np.clip(turned_panorama(image, IDENTITY_POSE, size, threads), 0, 1)
         truths.append(TrueFrame(frame.name, Waypoint(0, t, frame.pose), distance, image))
     views = (_view(pair.first), _view(pair.second))
     height, width = views[0].image.shape[:2]

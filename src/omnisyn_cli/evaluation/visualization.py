@@ -22,7 +22,7 @@ from omnisyn_cli.types import DepthEstimate
 ERROR_SCALE = 0.25
 """Mean absolute difference of the channels that has the brightest colour; fixed, so that maps can be compared."""
 
-NEAREST_SHARE = 99.0
+NEAREST_PERCENTILE = 99.0
 """Percentile of inverse depth that has the last colour: a few stray near pixels do not darken all the others."""
 
 KIND_COLOURS = {
@@ -33,12 +33,12 @@ KIND_COLOURS = {
 }
 """RGB of the largest error of each kind: white, magenta, orange, blue."""
 
-KIND_FLOOR = 0.15
+KIND_MIN_BRIGHTNESS = 0.15
 """Brightness without any error, so that the area of a kind is seen as well."""
 
-FOLDER = "pictures"
+PICTURES_FOLDER = "pictures"
 
-LONGEST_NAME = 80
+MAX_NAME_CHARS = 80
 
 
 def error_map(
@@ -46,12 +46,7 @@ def error_map(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Mean difference of the channels in the Inferno colours: black 0, pale yellow :data:`ERROR_SCALE` or more.
 
-    Args:
-        image: RGB in [0, 1].
-        truth: RGB in [0, 1], of the same size.
-
-    Raises:
-        ValueError: the pictures differ in size.
+    Both are RGB in [0, 1]; ValueError: they differ in size.
     """
     return _coloured(_error_share(image, truth), cv2.COLORMAP_INFERNO)
 
@@ -62,15 +57,9 @@ def kind_map(
 ) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
     """The error as of :func:`error_map`, as brightness of the colour of its kind of pixel, :data:`KIND_COLOURS`.
 
-    Args:
-        image: RGB in [0, 1].
-        truth: RGB in [0, 1], of the same size.
-        kinds: where pixels of each kind are; those without a colour are not shown.
-
-    Raises:
-        ValueError: the pictures differ in size.
+    ``kinds`` says where pixels of each kind are; those without a colour are not shown.
     """
-    brightness = KIND_FLOOR + (1.0 - KIND_FLOOR) * np.clip(_error_share(image, truth), 0.0, 1.0)
+    brightness = KIND_MIN_BRIGHTNESS + (1.0 - KIND_MIN_BRIGHTNESS) * np.clip(_error_share(image, truth), 0.0, 1.0)
     colour = np.zeros(image.shape)
     for kind, of_kind in KIND_COLOURS.items():
         colour[kinds[kind]] = of_kind
@@ -108,7 +97,7 @@ def turbo(
 
 def _nearest_shown(inverse_depth: Float[np.ndarray, "height width"]) -> float:
     positive = inverse_depth[(inverse_depth > 0) & np.isfinite(inverse_depth)]
-    return float(np.percentile(positive, NEAREST_SHARE)) if positive.size else 1.0
+    return float(np.percentile(positive, NEAREST_PERCENTILE)) if positive.size else 1.0
 
 
 def _coloured(share: np.ndarray, colours: int) -> np.ndarray:
@@ -161,7 +150,7 @@ class PictureWriter:
 
     def _write(self, owner: str, title: str, image: np.ndarray) -> str:
         """Write a picture; its name relative to the report."""
-        path = Path(FOLDER, self._pair, owner, f"{_slug(title)}.jpg")
+        path = Path(PICTURES_FOLDER, self._pair, owner, f"{_slug(title)}.jpg")
         folder = (self._report / path).parent
         with write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -177,5 +166,5 @@ def has_all_pictures(report: Path, record: UnitRecord) -> bool:
 
 def _slug(name: str) -> str:
     """A file name that every system takes; names that had to be changed get a hash, so that they stay different."""
-    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:LONGEST_NAME]
+    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:MAX_NAME_CHARS]
     return safe if safe == name else f"{safe}-{hashlib.sha256(name.encode('utf-8', 'replace')).hexdigest()[:8]}"

@@ -13,15 +13,15 @@ from omnisyn_cli.io.video import FrameSink
 __all__ = ["BackgroundSink", "FrameRing", "frames_in_queue"]
 
 FRAMES_IN_QUEUE = 2
-"""More would only cost memory: whoever is slower decides the pace."""
+"""More would only cost memory: the slower side, rendering or encoding, decides the pace."""
 
-LARGE = 2**25
-"""Pixels from which on a frame takes so long that one in the queue does."""
+LARGE_FRAME_PIXELS = 2**25
+"""Pixels (8192×4096) from which on one frame in the queue is enough: each takes long, and much memory."""
 
 
 def frames_in_queue(size: tuple[int, int]) -> int:
     """How many frames of a size wait for a sink at most."""
-    return FRAMES_IN_QUEUE if size[0] * size[1] < LARGE else 1
+    return FRAMES_IN_QUEUE if size[0] * size[1] < LARGE_FRAME_PIXELS else 1
 
 
 class FrameRing:

@@ -16,19 +16,19 @@ from typing import BinaryIO
 
 from omnisyn_cli.errors import InputError
 
-LARGEST_MOVIE_BOX = 256 << 20
+MAX_MOVIE_BYTES = 256 << 20
 """Bytes of ``moov`` that are read into memory; hours of video need a few of these megabytes."""
 
-MOST_BOXES = 100_000
-"""Boxes side by side; a file with more is not a video that anybody made."""
+MAX_BOXES = 100_000
+"""Boxes side by side; no real video has so many."""
 
-CONTAINERS = {b"moov": b"trak", b"trak": b"mdia", b"mdia": b"minf", b"minf": b"stbl", b"stbl": b"stsd"}
-"""Which child of which box is opened, so that depth is bounded whatever the file says."""
+OPENED_CHILD = {b"moov": b"trak", b"trak": b"mdia", b"mdia": b"minf", b"minf": b"stbl", b"stbl": b"stsd"}
+"""By box the child that is opened: the path to the sample entries, which bounds the depth of the recursion."""
 
-SAMPLE_DESCRIPTION_HEAD = 8
+SAMPLE_DESCRIPTION_BYTES = 8
 """``stsd``: version, flags and entry count before its entries."""
 
-VISUAL_SAMPLE_ENTRY_HEAD = 78
+VISUAL_SAMPLE_ENTRY_BYTES = 78
 """Fixed fields of a video sample entry before its boxes."""
 
 
@@ -66,15 +66,13 @@ def top_level_boxes(path: Path) -> tuple[FileBox, ...]:
             size = file.seek(0, 2)
             boxes = tuple(_scan(path, file, size))
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path}: expected a readable video file, got '{error}'; check name and permissions"
-        ) from error
+        raise InputError(f"{path}: expected a readable video file, got '{error}'; check the name") from error
     if not boxes or boxes[0].kind not in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
-        raise broken(path, "no MP4 box at its beginning")
+        raise broken_file_error(path, "no MP4 box at its beginning")
     return boxes
 
 
-def broken(path: Path, what: str) -> InputError:
+def broken_file_error(path: Path, what: str) -> InputError:
     """The error for a file whose boxes do not hold together."""
     return InputError(f"{path}: expected a complete MP4 or MOV file, got {what}; encode it anew")
 
@@ -83,10 +81,10 @@ def parse_movie(path: Path, boxes: tuple[FileBox, ...]) -> Box:
     """The ``moov`` box of a file, opened down to the boxes inside the video sample entries."""
     movies = [box for box in boxes if box.kind == b"moov"]
     if len(movies) != 1:
-        raise broken(path, f"{len(movies)} moov boxes where there must be one")
+        raise broken_file_error(path, f"{len(movies)} moov boxes where there must be one")
     content, end = movies[0].content, movies[0].end
-    if end - content > LARGEST_MOVIE_BOX:
-        raise broken(path, f"a moov box of {end - content:,} bytes, more than {LARGEST_MOVIE_BOX:,}")
+    if end - content > MAX_MOVIE_BYTES:
+        raise broken_file_error(path, f"a moov box of {end - content:,} bytes, more than {MAX_MOVIE_BYTES:,}")
     with path.open("rb") as file:
         file.seek(content)
         data = file.read(end - content)
@@ -104,17 +102,17 @@ def child(box: Box, kind: bytes) -> Box | None:
 def children_of(path: Path, data: bytes, head: int = 0) -> Box:
     """``data`` as an anonymous box with children after ``head`` bytes, none of them opened."""
     if len(data) < head:
-        raise broken(path, "a box too short for its fields")
+        raise broken_file_error(path, "a box too short for its fields")
     children: list[Box] = []
     position = head
     while len(data) - position >= 8:
-        if len(children) >= MOST_BOXES:
-            raise broken(path, f"more than {MOST_BOXES} boxes in one")
+        if len(children) >= MAX_BOXES:
+            raise broken_file_error(path, f"more than {MAX_BOXES} boxes in one")
         kind, start, size = _header(data[position : position + 16])
         if size == 0 and not any(data[position:]):
             break
         if size < start or size > len(data) - position:
-            raise broken(path, f"a box {kind!r} of impossible size {size}")
+            raise broken_file_error(path, f"a box {kind!r} of impossible size {size}")
         children.append(Box(kind, data[position + start : position + size]))
         position += size
     return Box(b"", data[:head], tuple(children), data[position:])
@@ -128,29 +126,29 @@ def serialize(box: Box) -> bytes:
     return struct.pack(">I4sQ", 1, box.kind, len(content) + 16) + content
 
 
-def mapped(box: Box, change: Callable[[Box], Box]) -> Box:
+def map_boxes(box: Box, change: Callable[[Box], Box]) -> Box:
     """A box with everything that is opened in it, and then itself, changed."""
     if box.children is not None:
-        box = replace(box, children=tuple(mapped(each, change) for each in box.children))
+        box = replace(box, children=tuple(map_boxes(each, change) for each in box.children))
     return change(box)
 
 
-def shift_offsets(path: Path, movie: Box, moved: Callable[[int], int], *, wide: bool) -> Box:
-    """The movie box with every chunk offset mapped by ``moved``; ``wide`` writes 64-bit tables throughout."""
+def shift_offsets(path: Path, movie: Box, new_offset: Callable[[int], int], *, wide: bool) -> Box:
+    """The movie box with every chunk offset mapped by ``new_offset``; ``wide`` writes 64-bit tables throughout."""
 
-    def shifted(box: Box) -> Box:
+    def shift_box(box: Box) -> Box:
         is_table = box.kind in (b"stco", b"co64") and box.children is None
-        return _moved_table(path, box, moved, wide=wide) if is_table else box
+        return _moved_table(path, box, new_offset, wide=wide) if is_table else box
 
-    return mapped(movie, shifted)
+    return map_boxes(movie, shift_box)
 
 
-def _moved_table(path: Path, box: Box, moved: Callable[[int], int], *, wide: bool) -> Box:
+def _moved_table(path: Path, box: Box, new_offset: Callable[[int], int], *, wide: bool) -> Box:
     letter, width = ("I", 4) if box.kind == b"stco" else ("Q", 8)
     count = int.from_bytes(box.head[4:8], "big")
     if len(box.head) < 8 + count * width:
-        raise broken(path, "a truncated table of chunk offsets")
-    offsets = [moved(offset) for offset in struct.unpack_from(f">{count}{letter}", box.head, 8)]
+        raise broken_file_error(path, "a truncated table of chunk offsets")
+    offsets = [new_offset(offset) for offset in struct.unpack_from(f">{count}{letter}", box.head, 8)]
     kind, letter = (b"co64", "Q") if wide else (box.kind, letter)
     return Box(kind, box.head[:8] + struct.pack(f">{count}{letter}", *offsets))
 
@@ -163,21 +161,21 @@ def _header(data: bytes) -> tuple[bytes, int, int]:
 
 def _scan(path: Path, file: BinaryIO, file_size: int) -> Iterator[FileBox]:
     position = 0
-    for _ in range(MOST_BOXES):
+    for _ in range(MAX_BOXES):
         if position == file_size:
             return
         file.seek(position)
         header = file.read(16)
         if len(header) < 8:
-            raise broken(path, f"{file_size - position} stray bytes at its end")
+            raise broken_file_error(path, f"{file_size - position} stray bytes at its end")
         kind, start, size = _header(header)
         content = position + start
         end = file_size if size == 0 else position + size
         if end < content or end > file_size:
-            raise broken(path, f"a box {kind!r} that ends at byte {end} of {file_size}")
+            raise broken_file_error(path, f"a box {kind!r} that ends at byte {end} of {file_size}")
         yield FileBox(kind, position, content, end)
         position = end
-    raise broken(path, f"more than {MOST_BOXES} boxes")
+    raise broken_file_error(path, f"more than {MAX_BOXES} boxes")
 
 
 def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
@@ -188,7 +186,7 @@ def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
     if box.kind == b"mdia":
         handler = child(opened, b"hdlr")
         is_video = handler is not None and handler.head[8:12] == b"vide"
-    inner = CONTAINERS[box.kind]
+    inner = OPENED_CHILD[box.kind]
     children = tuple(
         _opened(path, each, is_video=is_video) if each.kind == inner else each for each in opened.children or ()
     )
@@ -196,9 +194,9 @@ def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
 
 
 def _opened_sample_entries(path: Path, box: Box) -> Box:
-    listed = children_of(path, box.head, SAMPLE_DESCRIPTION_HEAD)
+    listed = children_of(path, box.head, SAMPLE_DESCRIPTION_BYTES)
     entries = tuple(
-        replace(children_of(path, entry.head, VISUAL_SAMPLE_ENTRY_HEAD), kind=entry.kind)
+        replace(children_of(path, entry.head, VISUAL_SAMPLE_ENTRY_BYTES), kind=entry.kind)
         for entry in listed.children or ()
     )
     return replace(listed, kind=box.kind, children=entries)

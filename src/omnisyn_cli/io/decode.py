@@ -26,30 +26,30 @@ __all__ = ["MAX_PIXELS", "ImageHeader", "check_is_file", "read_header"]
 MAX_PIXELS = 2 * 16384 * 8192
 """Twice the pixels of the largest panorama worth reading; more is taken for a mistake or an attack."""
 
-MOST_SAMPLES_PER_PIXEL = 4
-"""Times ``max_pixels``: how many samples an image of many layers may have altogether."""
+MAX_SAMPLES_PER_PIXEL = 4
+"""An image of many layers may have this many times ``max_pixels`` samples altogether."""
 
-LONGEST_COMPLAINT = 500
+MAX_COMPLAINT_CHARS = 500
 """Characters of what a decoder says that are passed on."""
 
-BELOW = (1, 3)
-"""Values of EXIF's GPSAltitudeRef for depths below the sea level and below the ellipsoid."""
+BELOW_ZERO_ALTITUDE_REFS = (1, 3)
+"""Values of EXIF's GPSAltitudeRef that mean below sea level and below the ellipsoid."""
 
-HARMLESS = ("extraneous bytes before marker",)
+HARMLESS_COMPLAINTS = ("extraneous bytes before marker",)
 """What decoders say about files that are complete nevertheless."""
 
-MOST_CHUNKS = 10_000
-"""A picture has a dozen; whoever writes more of them means to keep us busy."""
+MAX_RIFF_CHUNKS = 10_000
+"""A picture has a dozen chunks; a file with more is hostile."""
 
-LONGEST_XMP = 4 << 20
-"""Bytes that are looked at; cameras and stitchers write some kilobytes."""
+MAX_XMP_BYTES = 4 << 20
+"""Bytes of XMP that are read; cameras and stitchers write some kilobytes."""
 
-ATTRIBUTE = re.compile(r"\s(GPano:\w+)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
+GPANO_ATTRIBUTE = re.compile(r"\s(GPano:\w+)\s*=\s*(?:\"([^\"<]*)\"|'([^'<]*)')")
 
-ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")
+GPANO_ELEMENT = re.compile(r"<(GPano:\w+)(?:\s[^<>]*)?>([^<]*)</")
 
-FLAGS = {"true": 1, "false": 0}
-"""XMP's words, as OpenImageIO tells them of other formats."""
+XMP_BOOLEANS = {"true": 1, "false": 0}
+"""XMP's booleans as the integers that OpenImageIO gives for other formats."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class ImageHeader:
     def altitude(self) -> float | None:
         """Metres of EXIF's GPS altitude, negative below the sea level or the ellipsoid; None without one."""
         metres = self.number("GPS:Altitude")
-        return -metres if metres is not None and self.number("GPS:AltitudeRef") in BELOW else metres
+        return -metres if metres is not None and self.number("GPS:AltitudeRef") in BELOW_ZERO_ALTITUDE_REFS else metres
 
     def number(self, name: str) -> float | None:
         """A finite numeric attribute, or None where it is missing or not a number."""
@@ -127,14 +127,13 @@ def decode_image(
 ) -> tuple[ImageHeader, Shaped[np.ndarray, "height width channels"]]:
     """Header and samples ``(height, width, channels)`` in the file's own type, neither turned nor premultiplied.
 
-    Raises:
-        ImageError: missing, empty, not an image, larger than ``max_pixels``, truncated or damaged.
+    ImageError: missing, empty, not an image, larger than ``max_pixels``, truncated or damaged.
     """
     source = Path(path)
     with _opened(source) as (header, reader):
         check_pixel_count(source, header.full_height, header.full_width, max_pixels)
         check_pixel_count(source, header.height, header.width, max_pixels)
-        samples, most = header.height * header.width * len(header.channels), MOST_SAMPLES_PER_PIXEL * max_pixels
+        samples, most = header.height * header.width * len(header.channels), MAX_SAMPLES_PER_PIXEL * max_pixels
         if samples > most:  # small pictures with thousands of layers
             raise ImageError(
                 f"{source}: expected at most {most:,} samples, got {len(header.channels)} channels of "
@@ -175,10 +174,7 @@ def _opened(path: Path) -> Iterator[tuple[ImageHeader, Any]]:
     reader = OpenImageIO.ImageInput.open(str(path), config)
     complaint = _complaint(OpenImageIO.geterror)
     if reader is None:
-        raise ImageError(
-            f"{path}: expected an image (JPEG, PNG, TIFF, EXR, WebP), got '{complaint or 'unknown format'}'; "
-            "check that this is the file you meant"
-        )
+        raise ImageError(f"{path}: expected an image, got '{complaint or 'unknown format'}'; check the file")
     try:
         yield _header(path, reader), reader
     finally:
@@ -243,9 +239,9 @@ def _complaint(message: Callable[[], str]) -> str:
     except UnicodeDecodeError as error:
         text = error.object.decode("utf-8", "backslashreplace")
     lines = [line.strip() for line in text.splitlines()]
-    harmful = [line for line in lines if line and not any(harmless in line for harmless in HARMLESS)]
+    harmful = [line for line in lines if line and not any(harmless in line for harmless in HARMLESS_COMPLAINTS)]
     told = (line for k, line in enumerate(harmful) if not any(line in other for other in harmful[k + 1 :]))
-    return "; ".join(told)[:LONGEST_COMPLAINT]
+    return "; ".join(told)[:MAX_COMPLAINT_CHARS]
 
 
 def _check_png_is_complete(path: Path) -> None:
@@ -273,8 +269,8 @@ def panorama_tags(path: Path) -> dict[str, int | float | str]:
     Source: Google, "WebP Container Specification"; Google, "Photo Sphere XMP Metadata".
     """
     packet = _xmp(path)
-    attributes = {name: double or single for name, double, single in ATTRIBUTE.findall(packet)}
-    found = {**attributes, **dict(ELEMENT.findall(packet))}
+    attributes = {name: double or single for name, double, single in GPANO_ATTRIBUTE.findall(packet)}
+    found = {**attributes, **dict(GPANO_ELEMENT.findall(packet))}
     return {name: _value(html.unescape(text).strip()) for name, text in found.items()}
 
 
@@ -282,21 +278,21 @@ def _xmp(path: Path) -> str:
     """The text of the chunk ``XMP `` as far as it lies in the file, else nothing."""
     with path.open("rb") as file:
         end = 8 + int.from_bytes(file.read(12)[4:8], "little")
-        for _ in range(MOST_CHUNKS):
+        for _ in range(MAX_RIFF_CHUNKS):
             head = file.read(8)
             size = int.from_bytes(head[4:], "little")
             if len(head) < 8 or file.tell() > end:
                 break
             if head[:4] == b"XMP ":
-                return file.read(min(size, end - file.tell(), LONGEST_XMP)).decode("utf-8", "replace")
+                return file.read(min(size, end - file.tell(), MAX_XMP_BYTES)).decode("utf-8", "replace")
             file.seek(size + size % 2, os.SEEK_CUR)
     return ""
 
 
 def _value(text: str) -> int | float | str:
     """A number where it is one."""
-    if text.lower() in FLAGS:
-        return FLAGS[text.lower()]
+    if text.lower() in XMP_BOOLEANS:
+        return XMP_BOOLEANS[text.lower()]
     try:
         number = float(text)
     except ValueError:

@@ -16,13 +16,13 @@ __all__ = ["check_depth_header", "depth_size", "is_depth_header", "read_depth"]
 
 DEPTH_CHANNEL = "Z"
 
-LEAST_DEPTH = 1e-6
-"""Metres; what is nearer is taken to be here, so that inverse depths stay finite."""
+MIN_DEPTH = 1e-6
+"""Metres; smaller depths become this, so that inverse depths stay finite."""
 
-BEYOND_EVERYTHING = 1e9
+MAX_DEPTH = 1e9
 """Metres; renderers write such numbers (Blender: 1e10) where their rays hit nothing."""
 
-METRES_PER_UNIT = np.float32(1e-3)
+METRES_PER_PNG_UNIT = np.float32(1e-3)
 """16-bit PNGs hold millimetres."""
 
 
@@ -32,14 +32,12 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.nd
     EXR: channel ``Z``, or the only channel, in metres; infinity, zero and anything from 1e9 on mean "nothing there".
     PNG of 16 bits, one channel: millimetres; zero means unknown or nothing. What is cropped (OpenEXR data window, GPano
     tags) is put in its place as panoramas are, with nothing around it.
-
-    Raises:
-        ImageError: missing, damaged, too large, not 2:1, of another kind, or with negative or undefined (NaN) depths.
+    ImageError: missing, damaged, too large, not 2:1, of another kind, or with negative or undefined (NaN) depths.
     """
     header, samples = decode_image(path, max_pixels=max_pixels)
     depth = upright(samples, header.orientation)[..., _depth_channel(header)].astype(np.float32)
     if header.dtype == "uint16":
-        depth *= METRES_PER_UNIT
+        depth *= METRES_PER_PNG_UNIT
     check_pixel_count(header.path, *depth_size(header), max_pixels)
     depth = placement_of(header).put(depth)
     undefined, negative = np.count_nonzero(np.isnan(depth)), np.count_nonzero(depth < 0)
@@ -48,12 +46,12 @@ def read_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.nd
             f"{path}: expected depths in metres or infinity, got {undefined} NaN and {negative} negative of "
             f"{depth.size} pixels; write infinity where nothing is there"
         )
-    return np.where((depth > 0) & (depth < BEYOND_EVERYTHING), depth, np.float32(np.inf))
+    return np.where((depth > 0) & (depth < MAX_DEPTH), depth, np.float32(np.inf))
 
 
 def read_inverse_depth(path: Path | str, *, max_pixels: int = MAX_PIXELS) -> Float[np.ndarray, "height width"]:
     """As :func:`read_depth`, in 1/metre: zero where there is nothing."""
-    depth = np.maximum(read_depth(path, max_pixels=max_pixels), np.float32(LEAST_DEPTH))
+    depth = np.maximum(read_depth(path, max_pixels=max_pixels), np.float32(MIN_DEPTH))
     inverse: np.ndarray = np.float32(1) / depth
     return inverse
 

@@ -11,23 +11,33 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from omnisyn_cli.errors import InputError, PoseError
 
-__all__ = ["ForeignModel", "listed", "parse_json", "place_of", "read_json", "read_text", "sentence", "validated"]
+__all__ = [
+    "ForeignModel",
+    "json_path",
+    "listed",
+    "parse_json",
+    "problem_sentence",
+    "read_json",
+    "read_text",
+    "validated",
+]
 
 Model = TypeVar("Model", bound=BaseModel)
 
-LARGEST_FILE = 1 << 30
-"""Bytes; reconstructions carry their point clouds along."""
+MAX_DOCUMENT_BYTES = 1 << 30
+"""A gigabyte: reconstructions carry their point clouds along."""
 
-LONGEST_SHOWN = 60
+MAX_SHOWN_CHARS = 60
+"""Of a value that a message quotes."""
 
-MOST_LISTED = 20
+MAX_LISTED_KEYS = 20
 """Keys of a model that a message names when another came."""
 
-PYDANTICS_OWN = (
+PYDANTIC_PHRASES = (
     r"^(Input|List|Dictionary|String) should (be|have) | after validation, .*|, unable to .*"
     r"|, got a number with a fractional part"
 )
-"""What its messages have besides what was expected."""
+"""Parts of pydantic's messages that do not say what was expected."""
 
 
 class ForeignModel(BaseModel):
@@ -41,7 +51,7 @@ class _DisagreementError(Exception):
 
 
 def read_text(
-    path: Path, what: str = "a readable file", largest: int = LARGEST_FILE, error: type[InputError] = PoseError
+    path: Path, what: str = "a readable file", largest: int = MAX_DOCUMENT_BYTES, error: type[InputError] = PoseError
 ) -> str:
     """The text of a file that users write, in UTF-8 with or without a byte order mark.
 
@@ -58,7 +68,7 @@ def read_text(
         raise error(f"{path}: expected UTF-8 text, got '{failure}'; save the file as UTF-8") from failure
 
 
-def read_json(path: Path, what: str = "a readable file", largest: int = LARGEST_FILE) -> Any:
+def read_json(path: Path, what: str = "a readable file", largest: int = MAX_DOCUMENT_BYTES) -> Any:
     """The JSON of a file; PoseError: as :func:`read_text`, and what :func:`parse_json` refuses."""
     try:
         return parse_json(read_text(path, what, largest, PoseError))
@@ -83,9 +93,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     seen: dict[str, Any] = {}
     for key, value in pairs:
         if key in seen:
-            raise _DisagreementError(
-                f"expected every key once, got '{key:.60}' twice in one object; remove one of them"
-            )
+            raise _DisagreementError(f"expected every key once, got '{key:.60}' twice in one object; remove one")
         seen[key] = value
     return seen
 
@@ -103,24 +111,24 @@ def validated(path: Path, model: type[Model], value: Any, where: tuple[str, ...]
         return model.model_validate(value, context=context)
     except ValidationError as error:
         problems = error.errors(include_url=False)
-        place = place_of((*where, *problems[0]["loc"]))
+        place = json_path((*where, *problems[0]["loc"]))
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise PoseError(f"{path}: {place}: {sentence(problems[0], model)}{more}") from error
+        raise PoseError(f"{path}: {place}: {problem_sentence(problems[0], model)}{more}") from error
 
 
-def place_of(parts: tuple[str | int, ...]) -> str:
+def json_path(parts: tuple[str | int, ...]) -> str:
     """A JSON path such as ``panoramas.'a.jpg'.position[1]``."""
     text = ""
     for part in parts:
         if isinstance(part, int):
             text += f"[{part}]"
         else:
-            name = part if part.isidentifier() and len(part) <= LONGEST_SHOWN else f"'{part:.{LONGEST_SHOWN}}'"
+            name = part if part.isidentifier() and len(part) <= MAX_SHOWN_CHARS else f"'{part:.{MAX_SHOWN_CHARS}}'"
             text += f".{name}" if text else name
     return text or "top level"
 
 
-def sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
+def problem_sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
     """What was expected, what came and what to do about one of pydantic's problems."""
     key = problem["loc"][-1] if problem["loc"] else ""
     match problem["type"]:
@@ -129,10 +137,10 @@ def sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
             hint = f"did you mean '{near[0]}'?" if near else "remove it"
             known = (
                 f"one of the keys {', '.join(model.model_fields)}"
-                if len(model.model_fields) <= MOST_LISTED
+                if len(model.model_fields) <= MAX_LISTED_KEYS
                 else "a known key"
             )
-            return f"expected {known}, got '{key!s:.{LONGEST_SHOWN}}'; {hint}"
+            return f"expected {known}, got '{key!s:.{MAX_SHOWN_CHARS}}'; {hint}"
         case "missing":
             return f"expected the key '{key}', got none; add it"
         case "value_error":
@@ -141,16 +149,16 @@ def sentence(problem: Mapping[str, Any], model: type[BaseModel]) -> str:
             return f"expected an object in braces, got {_shown(problem['input'])}; correct it"
         case "bool_parsing":
             return f"expected true or false, got {_shown(problem['input'])}; correct it"
-    wanted = re.sub(r"^(?=greater|less)", "a number ", re.sub(PYDANTICS_OWN, "", problem["msg"]))
+    wanted = re.sub(r"^(?=greater|less)", "a number ", re.sub(PYDANTIC_PHRASES, "", problem["msg"]))
     return f"expected {wanted}, got {_shown(problem['input'])}; correct it"
 
 
 def listed(names: Iterable[str], most: int = 5) -> str:
     """Some names for a message."""
-    quoted = [f"'{name:.{LONGEST_SHOWN}}'" for name in names]
+    quoted = [f"'{name:.{MAX_SHOWN_CHARS}}'" for name in names]
     return ", ".join(quoted[:most]) + (f" and {len(quoted) - most} more" if len(quoted) > most else "")
 
 
 def _shown(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
+    return text if len(text) <= MAX_SHOWN_CHARS else f"{text[:MAX_SHOWN_CHARS]}…"

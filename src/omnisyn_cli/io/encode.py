@@ -16,13 +16,13 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".tif", ".tiff")
 
 JPEG_QUALITY = 95
 
-PNG_LEVEL = 1
+PNG_COMPRESSION_LEVEL = 1
 """Ten times faster than zlib's default level, for files a few percent larger."""
 
 OIIO_TYPES = {"uint8": "uint8", "uint16": "uint16", "float32": "float"}
 
-UNRELATED = "Exif data"
-"""OpenImageIO's TIFF writer always regrets some EXIF directory that nobody asked for."""
+IGNORED_COMPLAINT = "Exif data"
+"""OpenImageIO's TIFF writer always complains about an EXIF directory that nobody asked for."""
 
 
 def write_image(path: Path | str, image: Shaped[np.ndarray, "height width *channels"]) -> None:
@@ -62,14 +62,14 @@ def write_channels(temporary: Path, samples: np.ndarray, channels: tuple[str, ..
     height, width = samples.shape[:2]
     spec = OpenImageIO.ImageSpec(width, height, len(channels), OIIO_TYPES[str(samples.dtype)])
     spec.channelnames = channels
-    spec["png:compressionLevel"] = PNG_LEVEL
+    spec["png:compressionLevel"] = PNG_COMPRESSION_LEVEL
     spec["DateTime"] = ""  # OpenEXR would write the present time: equal pictures are equal files
     writer = OpenImageIO.ImageOutput.create(str(temporary))
     contiguous = np.ascontiguousarray(samples.reshape(height, width, len(channels)))
     is_written = writer is not None and writer.open(str(temporary), spec) and writer.write_image(contiguous)
     is_closed = writer is not None and writer.close()
     message = OpenImageIO.geterror() if writer is None else writer.geterror()
-    complaints = [line.strip() for line in message.splitlines() if line.strip() and UNRELATED not in line]
+    complaints = [line.strip() for line in message.splitlines() if line.strip() and IGNORED_COMPLAINT not in line]
     if is_written and is_closed and not complaints:
         if temporary.suffix.lower() != ".exr" or _is_readable(temporary):
             return
@@ -93,11 +93,7 @@ def _is_readable(path: Path) -> bool:
 
 
 def jpeg_bytes(samples: UInt8[np.ndarray, "height width *channels"], quality: int = JPEG_QUALITY) -> bytes:
-    """An image of 8 bits as JPEG, of a quality from 1 to 100.
-
-    Raises:
-        ValueError: it is larger than JPEG allows.
-    """
+    """An image of 8 bits as JPEG, of a quality from 1 to 100; ValueError: it is larger than JPEG allows."""
     # OpenImageIO's JPEG writer ends the whole process when the disk is full (libjpeg's default), so the file is made in
     # memory by OpenCV's.
     import cv2

@@ -13,7 +13,7 @@ import ffmpeg
 import imageio_ffmpeg
 
 from omnisyn_cli.errors import EncodingError, InputError, OutputPathError
-from omnisyn_cli.io.sequence import is_doubtful
+from omnisyn_cli.io.sequence import is_ambiguous
 
 __all__ = ["CODECS", "ffmpeg_program"]
 
@@ -23,8 +23,8 @@ X26X_PRESETS = (
 
 PRORES_PROFILES = ("proxy", "lt", "standard", "hq")
 
-PLANAR = "yuv420p"
-"""What most encoders work on: frames are handed over like this where they are wanted like this."""
+PLANAR_FORMAT = "yuv420p"
+"""What most encoders work on; for it frames are converted here (:mod:`.yuv`) and not by ffmpeg."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class VideoCodec:
     preset: str = "medium"
     presets: tuple[str, ...] = X26X_PRESETS
     suffixes: tuple[str, ...] = (".mp4", ".mov", ".m4v")
-    pixel_formats: Mapping[str, str] = field(default_factory=lambda: {"uint8": PLANAR, "uint16": "yuv420p10le"})
+    pixel_formats: Mapping[str, str] = field(default_factory=lambda: {"uint8": PLANAR_FORMAT, "uint16": "yuv420p10le"})
     tag: str | None = None
 
 
 CODECS: Mapping[str, VideoCodec] = {
-    "h264": VideoCodec(("libx264",), 17, preset="veryfast", pixel_formats={"uint8": PLANAR}),
+    "h264": VideoCodec(("libx264",), 17, preset="veryfast", pixel_formats={"uint8": PLANAR_FORMAT}),
     "h265": VideoCodec(("libx265",), 20, tag="hvc1"),
     "av1": VideoCodec(
         ("libsvtav1", "libaom-av1"), 28, 63, "8", tuple(str(speed) for speed in range(13, -1, -1)), (".mp4",)
@@ -72,8 +72,8 @@ NTSC_RATES = tuple(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120)
 RAW_FORMATS = {"uint8": "rgb24", "uint16": "rgb48le"}
 """ffmpeg's names of the frames that are handed to it, where it converts them."""
 
-WITHOUT_REMARKS = "filter_units=remove_types=6"
-"""x264 writes its settings into the video, the number of threads among them: equal pictures shall be equal files."""
+STRIP_SEI_FILTER = "filter_units=remove_types=6"
+"""Removes x264's SEI message with its settings (and threads) from the video: equal pictures are equal files."""
 
 SLOWEST_AOM_SPEED = 8
 """libaom's speeds end here; SVT-AV1's go on to 13."""
@@ -103,7 +103,7 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
         raise InputError(f"expected a codec among {', '.join(CODECS)}, got '{settings.codec}'; choose one of them")
     codec = CODECS[settings.codec]
     if path.suffix.lower() not in codec.suffixes:
-        folder = " (a folder of frames: end its name with /)" if is_doubtful(path) else ""
+        folder = " (a folder of frames: end its name with /)" if is_ambiguous(path) else ""
         raise OutputPathError(
             f"{path}: expected a name ending in {' or '.join(codec.suffixes)} for {settings.codec}, got "
             f"'{path.suffix}'; change the name or the codec{folder}"
@@ -114,10 +114,7 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
     if not (0 < settings.fps <= 1000 and as_fraction(settings.fps) > 0):
         raise InputError(f"expected a frame rate from 0.001 to 1000 per second, got {settings.fps}; choose another")
     if settings.preset is not None and settings.preset not in codec.presets:
-        raise InputError(
-            f"expected a preset for {settings.codec} among {', '.join(codec.presets)}, got '{settings.preset}'; "
-            "choose one of them"
-        )
+        raise InputError(f"expected a preset among {', '.join(codec.presets)}, got '{settings.preset}'; choose one")
     if settings.crf is not None and codec.crf is None:
         raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
     if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
@@ -143,7 +140,7 @@ def as_fraction(fps: float | Fraction) -> Fraction:
 def raw_format(settings: EncoderSettings) -> str:
     """Name, in ffmpeg, of the frames that :func:`encoder_command` expects."""
     wanted = CODECS[settings.codec].pixel_formats[settings.dtype]
-    return PLANAR if wanted == PLANAR else RAW_FORMATS[settings.dtype]
+    return PLANAR_FORMAT if wanted == PLANAR_FORMAT else RAW_FORMATS[settings.dtype]
 
 
 def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
@@ -159,7 +156,7 @@ def encoder_command(path: Path, settings: EncoderSettings) -> list[str]:
     rate = str(as_fraction(settings.fps))
     expected = raw_format(settings)
     frames = ffmpeg.input("pipe:0", format="rawvideo", pix_fmt=expected, s=f"{width}x{height}", framerate=rate)
-    if expected != PLANAR:
+    if expected != PLANAR_FORMAT:
         flags = "bicubic+accurate_rnd+full_chroma_int"
         frames = frames.filter("scale", out_color_matrix="bt709", out_range="tv", flags=flags)
         frames = frames.filter("format", codec.pixel_formats[settings.dtype])
@@ -216,4 +213,4 @@ def _quality_options(encoder: str, settings: EncoderSettings, codec: VideoCodec)
     if encoder == "libx265":
         pools = f":pools={threads}" if threads else ""
         return {"preset": preset, "crf": crf, "x265-params": f"log-level=error:info=0{pools}"}
-    return {"preset": preset, "crf": crf, "bsf:v": WITHOUT_REMARKS}
+    return {"preset": preset, "crf": crf, "bsf:v": STRIP_SEI_FILTER}

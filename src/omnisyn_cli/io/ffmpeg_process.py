@@ -18,19 +18,21 @@ from omnisyn_cli.io.encoders import ffmpeg_program
 
 __all__ = ["read_frames"]
 
-LAST_LINES = 12
+MAX_STDERR_LINES = 12
+"""The last lines of ffmpeg that an error message quotes."""
 
-SECONDS_TO_DIE = 10
+KILL_TIMEOUT_SECONDS = 10
+"""That ffmpeg has to end once its input is closed or it has failed."""
 
 PIPE_BYTES = 1 << 20
 """Asked for where the size of a pipe can be chosen, else it is 64 KiB: fewer turns between the two processes."""
 
-FULL_DISK = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
+FULL_DISK_MESSAGES = ("No space left on device", "File too large", "Disk quota exceeded", "Input/output error")
 
-TOO_LARGE = "SIGXFSZ"
-"""Ends a process that writes a larger file than its user may."""
+FILE_SIZE_SIGNAL = "SIGXFSZ"
+"""The signal that ends a process whose file grows beyond the user's limit."""
 
-CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
+ENCODER_CHATTER = ("Svt[info]", "Svt[warn]", "x265 [info]")
 
 
 Packing = Callable[[np.ndarray], np.ndarray]
@@ -57,7 +59,7 @@ class EncoderProcess:
         self._target = target
         self._shape = shape
         self._dtype = np.dtype(dtype).newbyteorder("<")
-        self._words: deque[str] = deque(maxlen=LAST_LINES)
+        self._words: deque[str] = deque(maxlen=MAX_STDERR_LINES)
         self._process = self._started(command)
         self._stdin: IO[bytes] = self._process.stdin  # type: ignore[assignment]  # a pipe was asked for
         _widen(self._stdin)
@@ -106,15 +108,13 @@ class EncoderProcess:
     def _listen(self) -> None:
         for line in self._process.stderr or ():
             text = line.decode("utf-8", "replace").strip()
-            if text and not text.startswith(CHATTER):
+            if text and not text.startswith(ENCODER_CHATTER):
                 self._words.append(text)
 
     def _finish(self) -> None:
         """Close the input and wait until ffmpeg has written everything."""
         if self.frame_count == 0:
-            raise EncodingError(
-                f"{self._target}: expected at least one frame to encode, got none; check the trajectory"
-            )
+            raise EncodingError(f"{self._target}: expected a frame to encode, got none; check the trajectory")
         try:
             self._stdin.close()
         except OSError:
@@ -125,17 +125,17 @@ class EncoderProcess:
     def _failure(self) -> EncodingError | WriteError:
         """What ffmpeg died of, in its own words."""
         try:
-            code: int | str = self._process.wait(SECONDS_TO_DIE)
+            code: int | str = self._process.wait(KILL_TIMEOUT_SECONDS)
         except subprocess.TimeoutExpired:
             code = "no exit"
-        self._listener.join(SECONDS_TO_DIE)
+        self._listener.join(KILL_TIMEOUT_SECONDS)
         words = " | ".join(self._words) or "no word"
         ended_by = signal.Signals(-code).name if isinstance(code, int) and code < 0 else ""
-        if ended_by == TOO_LARGE:
+        if ended_by == FILE_SIZE_SIGNAL:
             return WriteError(
                 f"{self._target}: expected room for the video, got a limit on files; raise it (ulimit -f)"
             )
-        if not ended_by and any(sign in words for sign in FULL_DISK):
+        if not ended_by and any(sign in words for sign in FULL_DISK_MESSAGES):
             return WriteError(f"{self._target}: expected room for the video, got '{words}'; free some space")
         expected = f"{self._target}: expected ffmpeg to encode {self.frame_count} frames, got"
         if ended_by:  # without last words
@@ -152,7 +152,7 @@ class EncoderProcess:
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
-        self._listener.join(SECONDS_TO_DIE)
+        self._listener.join(KILL_TIMEOUT_SECONDS)
         for pipe in (self._process.stdin, self._process.stderr):
             with suppress(OSError):  # closing flushes; to a dead process that fails and does not matter
                 if pipe is not None:

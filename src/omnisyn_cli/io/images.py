@@ -18,12 +18,12 @@ __all__ = ["INTEGER_PEAKS", "check_mask_size", "read_panorama", "sphere_size", "
 INTEGER_PEAKS = {"uint8": 255, "uint16": 65535}
 """Samples of white, by their type."""
 
-FLOATS = frozenset({"float16", "float32", "float64"})
+FLOAT_TYPES = frozenset({"float16", "float32", "float64"})
 
-LEAST_HEIGHT = 2
+MIN_PANORAMA_HEIGHT = 2
 """Rows of the smallest panorama that a surface can be made of."""
 
-USABLE_ALPHA = 0.5
+MIN_USABLE_ALPHA = 0.5
 """Pixels that are less opaque than this are not usable."""
 
 
@@ -72,10 +72,10 @@ def sphere_size(header: ImageHeader, *, allow_aspect: bool = False, max_pixels: 
     placement = placement_of(header)
     height, width = placement.full_height, placement.full_width
     check_pixel_count(header.path, height, width, max_pixels)
-    if min(height, width // 2) < LEAST_HEIGHT:
+    if min(height, width // 2) < MIN_PANORAMA_HEIGHT:
         raise ImageError(
-            f"{header.path}: expected a panorama of at least {2 * LEAST_HEIGHT}×{LEAST_HEIGHT} pixels, got "
-            f"{width}×{height}; choose a larger image"
+            f"{header.path}: expected a panorama of at least {2 * MIN_PANORAMA_HEIGHT}×{MIN_PANORAMA_HEIGHT}, "
+            f"got {width}×{height}; choose a larger image"
         )
     if width == 2 * height:
         return height, width
@@ -166,16 +166,11 @@ def unit_range(samples: np.ndarray, path: Path) -> Float[np.ndarray, "*shape"]:
     if name in INTEGER_PEAKS:
         unit: np.ndarray = np.divide(samples, np.float32(INTEGER_PEAKS[name]), dtype=np.float32)
         return unit
-    if name not in FLOATS:
-        raise ImageError(
-            f"{path}: expected 8- or 16-bit or floating-point samples, got {name}; convert the image first"
-        )
+    if name not in FLOAT_TYPES:
+        raise ImageError(f"{path}: expected 8- or 16-bit or floating-point samples, got {name}; convert it first")
     finite = np.isfinite(samples)
     if not finite.all():
-        raise ImageError(
-            f"{path}: expected finite samples, got {np.count_nonzero(~finite)} that are NaN or infinite; "
-            "repair or export the image anew"
-        )
+        raise ImageError(f"{path}: expected finite samples, got {np.count_nonzero(~finite)} others; export it anew")
     return samples.astype(np.float32)
 
 
@@ -184,7 +179,7 @@ def _panorama(header: ImageHeader, colour: np.ndarray, alpha: np.ndarray | None,
     image, usable = unit_range(colour, header.path), None
     if alpha is not None:
         opacity = unit_range(alpha, header.path)
-        usable = opacity >= USABLE_ALPHA
+        usable = opacity >= MIN_USABLE_ALPHA
         if header.is_alpha_associated and bool(np.any(usable & (opacity < 1))):
             image = image / np.where(usable, opacity, np.float32(1))[..., None]
             is_integer = False
@@ -206,9 +201,7 @@ def colour_and_alpha(header: ImageHeader, samples: np.ndarray) -> tuple[np.ndarr
     others = [index for index in range(len(header.channels)) if index != alpha]
     chosen = next((c for c in (red_green_blue, others * 3 if len(others) == 1 else others) if len(c) == 3), None)
     if chosen is None:
-        raise ImageError(
-            f"{header.path}: expected grey or RGB channels, got {', '.join(header.channels)}; export an RGB image"
-        )
+        raise ImageError(f"{header.path}: expected grey or RGB, got {', '.join(header.channels)}; export an RGB image")
     colour = samples if chosen == list(range(samples.shape[2])) else samples[..., chosen]
     return colour, None if alpha is None else samples[..., alpha]
 
@@ -233,12 +226,12 @@ def _resampled(panorama: Panorama, size: tuple[int, int]) -> Panorama:
     return Panorama(image, mask, None, panorama.path)
 
 
-SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
+PHOTOGRAPH_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 
-LONGEST = 768
+MAX_PHOTOGRAPH_SIDE = 768
 """Pixels of the longer side that are kept: two megabytes a photograph, with its mip levels."""
 
-MOST = 1000
+MAX_PHOTOGRAPHS = 1000
 """Photographs in a folder: two gigabytes."""
 
 
@@ -249,17 +242,17 @@ def list_photographs(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(f"expected a folder of photographs at {folder}, found none; check the name")
-    paths = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
+    paths = [path for path in folder.rglob("*") if path.suffix.lower() in PHOTOGRAPH_SUFFIXES and path.is_file()]
     if not paths:
-        known = ", ".join(sorted(SUFFIXES))
+        known = ", ".join(sorted(PHOTOGRAPH_SUFFIXES))
         raise InputError(f"expected photographs ({known}) in {folder}, found none; put some into it")
-    if len(paths) > MOST:
-        raise InputError(f"expected at most {MOST} photographs in {folder}, found {len(paths)}; name a smaller folder")
+    if len(paths) > MAX_PHOTOGRAPHS:
+        raise InputError(f"expected at most {MAX_PHOTOGRAPHS} photographs in {folder}, found {len(paths)}; move some")
     return sorted(paths, key=lambda path: path.relative_to(folder).as_posix())
 
 
 def read_photographs(folder: Path) -> list[UInt8[np.ndarray, "height width 3"]]:
-    """All photographs of a folder, upright, sRGB, at most :data:`LONGEST` pixels long; alpha is ignored.
+    """All photographs of a folder, upright, sRGB, at most :data:`MAX_PHOTOGRAPH_SIDE` pixels long; alpha is ignored.
 
     Raises:
         InputError: as :func:`list_photographs`.
@@ -272,7 +265,7 @@ def _read(path: Path) -> UInt8[np.ndarray, "height width 3"]:
     header, samples = decode_image(path)
     colour, _ = colour_and_alpha(header, upright(samples, header.orientation))
     image = np.clip(unit_range(colour, path), 0.0, 1.0)
-    scale = min(1.0, LONGEST / max(image.shape[:2]))
+    scale = min(1.0, MAX_PHOTOGRAPH_SIDE / max(image.shape[:2]))
     if scale < 1.0:
         import cv2  # loaded only here: a plan needs this package, and no more
 

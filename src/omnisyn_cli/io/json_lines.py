@@ -29,8 +29,7 @@ def append_line(path: Path, value: Any) -> None:
 def complete_lines(path: Path) -> list[str]:
     """All lines but what a killed run left of one; none where there is no such file.
 
-    Raises:
-        InputError: the file cannot be read.
+    InputError: the file cannot be read.
     """
     if not path.exists():
         return []

@@ -39,9 +39,7 @@ def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders
     """Refuse outputs that would overwrite what they are made of.
 
     With ``whole_folders`` outputs that are folders are replaced with everything in them, not added to.
-
-    Raises:
-        OutputPathError: one would.
+    OutputPathError: one would.
     """
     replaced = {output.resolve() for output in outputs}
     for path in inputs:
@@ -53,8 +51,7 @@ def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders
 def check_output(path: Path | str, overwrite: bool = False) -> None:
     """Refuse a file that could not be written, before any work is done for it.
 
-    Raises:
-        OutputPathError: it exists and ``overwrite`` is off, it is a folder, or its folder is missing or read-only.
+    OutputPathError: it exists and ``overwrite`` is off, it is a folder, or its folder is missing or read-only.
     """
     target = Path(path)
     check_name(target)
@@ -63,9 +60,7 @@ def check_output(path: Path | str, overwrite: bool = False) -> None:
     if is_folder:
         raise OutputPathError(f"{target}: expected a file name, got a folder; add a file name to it")
     if exists and not overwrite:
-        raise OutputPathError(
-            f"{target}: expected a new file, got one that exists; choose another or allow overwriting (--overwrite)"
-        )
+        raise OutputPathError(f"{target}: expected a new file, got one that exists; choose another or use --overwrite")
 
 
 def check_name(path: Path) -> None:
@@ -84,9 +79,7 @@ def check_folder(folder: Path) -> None:
     if not folder.is_dir():
         raise OutputPathError(f"{folder}: expected a folder to write into, got a file; choose another output path")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputPathError(
-            f"{folder}: expected a writable folder, got a read-only one; choose another or change its permissions"
-        )
+        raise OutputPathError(f"{folder}: expected a writable folder, got a read-only one; change its permissions")
 
 
 def temporary_name(folder: Path, suffix: str = "") -> Path:
@@ -109,8 +102,7 @@ def replaced_when_complete(path: Path) -> Iterator[Path]:
 def write_parts(path: Path, parts: Iterable[bytes | memoryview]) -> None:
     """Write a file of parts, one after the other; it appears whole or not at all, in place of one of its name.
 
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    WriteError: the disk is full, or the folder went away.
     """
     with replaced_when_complete(path) as temporary, temporary.open("wb") as file:
         for part in parts:
@@ -137,10 +129,7 @@ def check_empty_folder(folder: Path, overwrite: bool) -> None:
     """Refuse (OutputPathError) what is no folder of its own for new files, unless others of their names may go."""
     check_staged_folder(folder)
     if not overwrite and folder.is_dir() and any(folder.iterdir()):
-        raise OutputPathError(
-            f"{folder}: expected a new or empty folder, got one with files in it; choose another, or let files of the "
-            "same names be replaced (--overwrite)"
-        )
+        raise OutputPathError(f"{folder}: expected an empty folder, got files in it; choose another or use --overwrite")
 
 
 @contextmanager

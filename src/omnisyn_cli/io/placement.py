@@ -12,8 +12,8 @@ __all__ = ["placement_of"]
 
 TRANSPOSING_ORIENTATIONS = frozenset({5, 6, 7, 8})
 
-MOST_TAGGED = 2**31
-"""Pixels; no tag of a size means more, and what is made of it has to stay a number."""
+MAX_TAGGED_PIXELS = 2**31
+"""Largest size in a tag that is believed, in pixels: products of two sizes stay exact."""
 
 Crop = tuple[float, float, float, float, float, float]
 """As :class:`Placement`, in pixels of the stitched panorama, before it was scaled."""
@@ -105,7 +105,7 @@ def _tagged_crop(header: ImageHeader, height: int, width: int) -> Crop | None:
     if (crop_width, crop_height) == (full_width, full_height):
         return None
     fits = 0 <= left <= full_width - crop_width and 0 <= top <= full_height - crop_height
-    if not fits or crop_width < 1 or crop_height < 1 or max(full_width, full_height) > MOST_TAGGED:
+    if not fits or crop_width < 1 or crop_height < 1 or max(full_width, full_height) > MAX_TAGGED_PIXELS:
         raise ImageError(
             f"{header.path}: expected a GPano crop inside its full panorama, got {crop_width:g}×{crop_height:g} at "
             f"({left:g}, {top:g}) of {full_width:g}×{full_height:g}; correct or remove the GPano tags"

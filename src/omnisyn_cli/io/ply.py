@@ -16,15 +16,9 @@ TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
 def write_ply(path: Path, vertices: np.ndarray, comments: Sequence[str] = ()) -> None:
-    """Write records as the vertices of a PLY file, a property for each of their fields.
+    """Write records (fields ``<f4`` and ``u1``) as the vertices of a PLY file; an existing file is replaced.
 
-    Args:
-        path: the file; one that exists is replaced.
-        vertices: one-dimensional, of a structured type with fields ``<f4`` and ``u1``.
-        comments: lines for people, in ASCII.
-
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    WriteError: the disk is full, or the folder went away.
     """
     names = vertices.dtype.names or ()
     properties = [f"property {TYPES[vertices.dtype[name].str]} {name}" for name in names]

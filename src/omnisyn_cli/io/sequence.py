@@ -19,13 +19,13 @@ DEFAULT_NUMBER = "%06d"
 
 NUMBER = re.compile(r"%0?(\d{0,2})d")
 
-OTHER_SUFFIXES = (
+UNSUPPORTED_SUFFIXES = (
     ".264", ".265", ".3g2", ".3gp", ".avi", ".bmp", ".gif", ".h264", ".h265", ".heic", ".hevc", ".ivf", ".m2ts", ".m4v",
     ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".webm", ".webp", ".wmv",
 )  # fmt: skip
 """Endings of videos, and of images that are not written here: such a name means a file."""
 
-FOLDER_ENDING = re.compile(r"\.v?\d.*", re.IGNORECASE)
+VERSION_SUFFIX = re.compile(r"\.v?\d.*", re.IGNORECASE)
 """Numbers and versions, as in ``walk_1.5m``, ``frames.2024`` and ``walk.v2``: no file's ending."""
 
 
@@ -50,7 +50,7 @@ class ImageSequence:
         return [file for file, match in found if match and self.name(int(match.group(1))) == file.name]
 
 
-class SequenceWriter:
+class ImageSequenceWriter:
     """Writes one image after another into a folder."""
 
     def __init__(self, folder: Path, sequence: ImageSequence, size: tuple[int, int]) -> None:
@@ -77,10 +77,10 @@ def is_sequence(path: Path) -> bool:
     return not _is_known(suffix)
 
 
-def is_doubtful(path: Path) -> bool:
+def is_ambiguous(path: Path) -> bool:
     """Whether a name can mean a folder, but looks like a file's: it ends in a dot and letters, such as ``.mpx``."""
     is_plain = path.suffix == "" or path.is_dir() or _is_known(path.suffix.lower())
-    return not (is_plain or FOLDER_ENDING.fullmatch(path.suffix))
+    return not (is_plain or VERSION_SUFFIX.fullmatch(path.suffix))
 
 
 def image_sequence(path: Path, suffix: str = ".png") -> ImageSequence:
@@ -96,15 +96,13 @@ def image_sequence(path: Path, suffix: str = ".png") -> ImageSequence:
     image_suffix(path)
     numbers = list(NUMBER.finditer(path.name))
     if len(numbers) != 1:
-        raise OutputPathError(
-            f"{path}: expected one frame number such as %06d in the name, got {len(numbers)}; change the pattern"
-        )
+        raise OutputPathError(f"{path}: expected one frame number such as %06d, got {len(numbers)}; change the pattern")
     number = numbers[0]
     return ImageSequence(path.parent, path.name[: number.start()], int(number.group(1) or 1), path.name[number.end() :])
 
 
 def _is_known(suffix: str) -> bool:
-    return suffix in IMAGE_SUFFIXES or suffix in OTHER_SUFFIXES
+    return suffix in IMAGE_SUFFIXES or suffix in UNSUPPORTED_SUFFIXES
 
 
 def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
@@ -121,12 +119,12 @@ def check_sequence(sequence: ImageSequence, overwrite: bool) -> None:
 @contextmanager
 def open_sequence(
     sequence: ImageSequence, size: tuple[int, int], *, overwrite: bool = False
-) -> Iterator[SequenceWriter]:
+) -> Iterator[ImageSequenceWriter]:
     """A place for frames that appears in its folder when it is complete; former frames of it are removed then."""
     check_sequence(sequence, overwrite)
     folder = sequence.folder
     with hidden_folder(folder) as temporary:
-        writer = SequenceWriter(temporary, sequence, size)
+        writer = ImageSequenceWriter(temporary, sequence, size)
         yield writer
         if writer.frame_count == 0:
             raise EncodingError(f"{folder}: expected at least one frame to write, got none; check the trajectory")

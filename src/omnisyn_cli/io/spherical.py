@@ -18,10 +18,10 @@ from omnisyn_cli.errors import InputError, WriteError
 from omnisyn_cli.io.boxes import (
     Box,
     FileBox,
-    broken,
+    broken_file_error,
     child,
     children_of,
-    mapped,
+    map_boxes,
     parse_movie,
     serialize,
     shift_offsets,
@@ -50,7 +50,7 @@ STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}
 
 PROJECTIONS = {b"equi": "equirectangular", b"cbmp": "cubemap", b"mshp": "mesh"}
 
-COPY_BYTES = 4 << 20
+COPY_BLOCK_BYTES = 4 << 20
 
 
 @dataclass(frozen=True)
@@ -87,12 +87,12 @@ def inject_spherical(source: Path | str, target: Path | str) -> None:
     boxes = tuple(sorted(top_level_boxes(origin), key=lambda box: ranks.get(box.kind, 2)))
     movie = parse_movie(origin, boxes)
     _first_video_track(origin, movie)  # without one there is nothing to tag
-    movie = mapped(movie, _tagged)
+    movie = map_boxes(movie, _tagged)
     # A table of offsets has the same size wherever it points, so the new movie's size is known before its content.
     wide = _is_wide(boxes, movie)
     new_size = len(serialize(shift_offsets(origin, movie, lambda offset: offset, wide=wide)))
-    moved = _offset_map(origin, boxes, new_size)
-    movie_bytes = serialize(shift_offsets(origin, movie, moved, wide=wide))
+    new_offset = _offset_map(origin, boxes, new_size)
+    movie_bytes = serialize(shift_offsets(origin, movie, new_offset, wide=wide))
     with replaced_when_complete(destination) as temporary:
         _copy_boxes(origin, temporary, boxes, movie_bytes)
 
@@ -152,13 +152,13 @@ def _offset_map(path: Path, boxes: tuple[FileBox, ...], movie_size: int) -> Call
     shifts.sort()
     starts = [start for start, _, _ in shifts]
 
-    def moved(offset: int) -> int:
+    def new_offset(offset: int) -> int:
         _, end, shift = shifts[max(bisect_right(starts, offset) - 1, 0)]
         if offset > end:
-            raise broken(path, f"media data at byte {offset}, outside of it")
+            raise broken_file_error(path, f"media data at byte {offset}, outside of it")
         return offset + shift
 
-    return moved
+    return new_offset
 
 
 def _copy_boxes(source: Path, target: Path, boxes: tuple[FileBox, ...], movie: bytes) -> None:
@@ -170,11 +170,9 @@ def _copy_boxes(source: Path, target: Path, boxes: tuple[FileBox, ...], movie: b
             reader.seek(box.start)
             remaining = box.end - box.start
             while remaining:
-                block = reader.read(min(remaining, COPY_BYTES))
+                block = reader.read(min(remaining, COPY_BLOCK_BYTES))
                 if not block:
-                    raise WriteError(
-                        f"{source}: expected {remaining} more bytes, got none; it changed while it was read"
-                    )
+                    raise WriteError(f"{source}: expected {remaining} more bytes, got none; leave the file alone")
                 writer.write(block)
                 remaining -= len(block)
 

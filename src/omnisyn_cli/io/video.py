@@ -11,14 +11,14 @@ from jaxtyping import Shaped
 
 from omnisyn_cli.errors import OutputPathError
 from omnisyn_cli.io.encode import IMAGE_SUFFIXES
-from omnisyn_cli.io.encoders import CODECS, PLANAR, EncoderSettings, check_settings, encoder_command, raw_format
+from omnisyn_cli.io.encoders import CODECS, PLANAR_FORMAT, EncoderSettings, check_settings, encoder_command, raw_format
 from omnisyn_cli.io.ffmpeg_process import EncoderProcess, Packing
 from omnisyn_cli.io.outputs import check_output, temporary_name
 from omnisyn_cli.io.sequence import (
     ImageSequence,
     check_sequence,
     image_sequence,
-    is_doubtful,
+    is_ambiguous,
     is_sequence,
     open_sequence,
 )
@@ -125,9 +125,7 @@ def _resolved(path: Path, *, codec: str | None = None, **encoding: Any) -> Image
         check_settings(path, settings)
         return settings
     if encoding.get("crf") is not None or encoding.get("preset") is not None:
-        raise OutputPathError(
-            f"{path}: expected no quality or encoder preset for a folder of frames, got one; leave it out"
-        )
+        raise OutputPathError(f"{path}: expected no quality or preset for a folder of frames, got one; leave it out")
     return sequence
 
 
@@ -137,7 +135,7 @@ def _encoded(target: Path, settings: EncoderSettings, *, overwrite: bool) -> Ite
     encoded = temporary_name(target.parent, target.suffix)
     command, shape = encoder_command(encoded, settings), (*settings.size, 3)
     packed: Packing | None = None
-    if raw_format(settings) == PLANAR:
+    if raw_format(settings) == PLANAR_FORMAT:
         from omnisyn_cli.io.yuv import PlanarFrames  # a kernel, which a plan does without
 
         packed = PlanarFrames(settings.size)
@@ -155,7 +153,7 @@ def _sequence_of(path: Path, codec: str | None) -> ImageSequence | None:
 
     A name that may be a slip of the pen is that of a video, unless images are asked for.
     """
-    if codec not in IMAGE_CODECS and is_doubtful(path):
+    if codec not in IMAGE_CODECS and is_ambiguous(path):
         return None
     if not is_sequence(path):
         if path.suffix.lower() in IMAGE_SUFFIXES:

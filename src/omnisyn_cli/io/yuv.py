@@ -15,26 +15,27 @@ from jaxtyping import UInt8
 from omnisyn_cli.compute.jit import fast_kernel
 
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
-"""Shares of the channels in luma."""
+"""Weights of the channels in luma (BT.709-6, item 3.2)."""
 
-BLACK, LUMA_RANGE = 16.0, 219.0
-"""Code of black, and how far above it white is."""
+BLACK_LUMA, LUMA_RANGE = 16.0, 219.0
+"""8-bit code of black, and how far above it white is (limited range)."""
 
-GREY, CHROMA_RANGE = 128.0, 224.0
+NEUTRAL_CHROMA, CHROMA_RANGE = 128.0, 224.0
+"""8-bit code of grey, and the range of the colour differences around it."""
 
-HALF = 0.5
-"""Added before a number is cut to a whole one."""
+ROUNDING = 0.5
+"""Added before a code is truncated to an integer, so that it is rounded."""
 
-RUN = 512
-"""Pixels of two rows that are converted together: their sums stay in the nearest cache."""
+PIXELS_PER_RUN = 512
+"""Pixels of two rows that are converted together: their sums (6 KiB) stay in the L1 cache."""
 
-CHANNEL = RUN + 1
-"""Sums of a channel: those of a run and, first, that of the column before it."""
+STRIDE = PIXELS_PER_RUN + 1
+"""Chroma sums of a channel: that of the column before the run, then those of the run."""
 
-TWICE = np.float32(2.0)
+TWO = np.float32(2.0)
 
 
-def _shares(of_channels: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
+def _luma_weights(of_channels: np.ndarray) -> tuple[np.float32, np.float32, np.float32]:
     red, green, blue = of_channels.astype(np.float32)
     return red, green, blue
 
@@ -42,13 +43,13 @@ def _shares(of_channels: np.ndarray) -> tuple[np.float32, np.float32, np.float32
 def _chroma_shares(axis: int) -> tuple[np.float32, np.float32, np.float32]:
     """What a sample of each channel adds to the code of blue (2) or red (0) difference; weights sum up to eight."""
     luma = np.array((RED, GREEN, BLUE))
-    return _shares((np.eye(3)[axis] - luma) * (0.5 * CHROMA_RANGE / 255.0 / (1.0 - luma[axis]) / 8.0))
+    return _luma_weights((np.eye(3)[axis] - luma) * (0.5 * CHROMA_RANGE / 255.0 / (1.0 - luma[axis]) / 8.0))
 
 
-YR, YG, YB = _shares(np.array((RED, GREEN, BLUE)) * LUMA_RANGE / 255.0)
+YR, YG, YB = _luma_weights(np.array((RED, GREEN, BLUE)) * LUMA_RANGE / 255.0)
 UR, UG, UB = _chroma_shares(2)
 VR, VG, VB = _chroma_shares(0)
-LUMA_ZERO, CHROMA_ZERO = np.float32(BLACK + HALF), np.float32(GREY + HALF)
+LUMA_ZERO, CHROMA_ZERO = np.float32(BLACK_LUMA + ROUNDING), np.float32(NEUTRAL_CHROMA + ROUNDING)
 
 
 class PlanarFrames:
@@ -62,11 +63,7 @@ class PlanarFrames:
         self._chroma = tuple(plane.reshape(height // 2, width // 2) for plane in (blue, red))
 
     def __call__(self, frame: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, " samples"]:
-        """Luma, blue difference and red difference, one after the other; the next call overwrites them.
-
-        Args:
-            frame: RGB of the announced size, contiguous; height and width are even.
-        """
+        """Luma, blue and red difference of a contiguous RGB frame of even size; the next call overwrites them."""
         _convert_rows(frame, self._luma, *self._chroma, 0, len(frame) // 2)
         return self._samples
 
@@ -75,48 +72,48 @@ class PlanarFrames:
 def _convert_rows(rgb, luma, blue, red, begin, end):
     """Rows ``begin`` to ``end`` of the chroma planes and the two rows of luma for each."""
     width = luma.shape[1]
-    sums, flat = np.empty(3 * CHANNEL, np.float32), rgb.reshape(-1)
+    sums, flat = np.empty(3 * STRIDE, np.float32), rgb.reshape(-1)
     for row in range(begin, end):
         upper, lower = 6 * row * width, (6 * row + 3) * width
         for k in range(3):  # the column before the first is the last one
             last = 3 * (width - 1) + k
-            sums[k * CHANNEL] = np.float32(flat[upper + last]) + np.float32(flat[lower + last])
-        for left in range(0, width, RUN):
-            right = min(left + RUN, width)
-            _begin_sums(flat[upper + 3 * left : upper + 3 * right], luma[2 * row, left:right], sums)
-            _end_sums(flat[lower + 3 * left : lower + 3 * right], luma[2 * row + 1, left:right], sums)
-            _differences(sums, blue[row, left // 2 : right // 2], red[row, left // 2 : right // 2])
+            sums[k * STRIDE] = np.float32(flat[upper + last]) + np.float32(flat[lower + last])
+        for left in range(0, width, PIXELS_PER_RUN):
+            right = min(left + PIXELS_PER_RUN, width)
+            _start_chroma_sums(flat[upper + 3 * left : upper + 3 * right], luma[2 * row, left:right], sums)
+            _add_chroma_sums(flat[lower + 3 * left : lower + 3 * right], luma[2 * row + 1, left:right], sums)
+            _write_chroma(sums, blue[row, left // 2 : right // 2], red[row, left // 2 : right // 2])
             for k in range(3):
-                sums[k * CHANNEL] = sums[k * CHANNEL + right - left]
+                sums[k * STRIDE] = sums[k * STRIDE + right - left]
 
 
 @fast_kernel()
-def _begin_sums(rgb, luma, sums):
+def _start_chroma_sums(rgb, luma, sums):
     """Luma of a run of pixels, three samples each; they are put into ``sums``, channel after channel."""
     for col in range(len(luma)):
         r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
-        sums[1 + col], sums[CHANNEL + 1 + col], sums[2 * CHANNEL + 1 + col] = r, g, b
+        sums[1 + col], sums[STRIDE + 1 + col], sums[2 * STRIDE + 1 + col] = r, g, b
 
 
 @fast_kernel()
-def _end_sums(rgb, luma, sums):
-    """As :func:`_begin_sums`; the samples are added."""
+def _add_chroma_sums(rgb, luma, sums):
+    """As :func:`_start_chroma_sums`; the samples are added."""
     for col in range(len(luma)):
         r, g, b = np.float32(rgb[3 * col]), np.float32(rgb[3 * col + 1]), np.float32(rgb[3 * col + 2])
         luma[col] = np.uint8(np.int32(YR * r + YG * g + YB * b + LUMA_ZERO))
         sums[1 + col] += r
-        sums[CHANNEL + 1 + col] += g
-        sums[2 * CHANNEL + 1 + col] += b
+        sums[STRIDE + 1 + col] += g
+        sums[2 * STRIDE + 1 + col] += b
 
 
 @fast_kernel()
-def _differences(sums, blue, red):
+def _write_chroma(sums, blue, red):
     """Chroma of every other pixel, of the columns beside it and of both rows; the first sum is of the column before."""
     for col in range(len(blue)):
         before, at, after = 2 * col, 2 * col + 1, 2 * col + 2
-        r = sums[before] + TWICE * sums[at] + sums[after]
-        g = sums[CHANNEL + before] + TWICE * sums[CHANNEL + at] + sums[CHANNEL + after]
-        b = sums[2 * CHANNEL + before] + TWICE * sums[2 * CHANNEL + at] + sums[2 * CHANNEL + after]
+        r = sums[before] + TWO * sums[at] + sums[after]
+        g = sums[STRIDE + before] + TWO * sums[STRIDE + at] + sums[STRIDE + after]
+        b = sums[2 * STRIDE + before] + TWO * sums[2 * STRIDE + at] + sums[2 * STRIDE + after]
         blue[col] = np.uint8(np.int32(UR * r + UG * g + UB * b + CHROMA_ZERO))
         red[col] = np.uint8(np.int32(VR * r + VG * g + VB * b + CHROMA_ZERO))

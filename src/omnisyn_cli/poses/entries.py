@@ -19,14 +19,15 @@ from omnisyn_cli.geometry.pose import (
 )
 
 UNIT_TOLERANCE = 1e-3
-"""How far from unit length a quaternion, and from orthonormal a matrix, may be written."""
+"""Deviation of a quaternion from unit length, or of a matrix from orthonormal: room for four written digits."""
 
 POSITION_TOLERANCE = 1e-6
+"""Metres by which a position and a 4×4 matrix may disagree, and deviation of its last row."""
 
-EARTH = 1e8
-"""Metres; coordinates beyond are a mistake in units."""
+MAX_COORDINATE = 1e8
+"""Metres, more than twice around the earth; coordinates beyond are a mistake in units."""
 
-Metres = Annotated[float, Field(ge=-EARTH, le=EARTH)]
+Metres = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
@@ -118,17 +119,19 @@ RIGID_KEYS = frozenset(RigidEntry.model_fields) - FILE_KEYS
 GEOGRAPHIC_KEYS = frozenset(GeographicEntry.model_fields) - FILE_KEYS
 
 
-def pose_of(entry: RigidEntry | GeographicEntry, where: str, origin: tuple[float, float, float] | None) -> Pose:
+def pose_from_entry(entry: RigidEntry | GeographicEntry, where: str, origin: tuple[float, float, float] | None) -> Pose:
     """Camera-to-world, metres, in the world that begins at ``origin``, else at the entry; ``where`` begins errors."""
     if isinstance(entry, RigidEntry):
         return _rigid_pose(where, entry)
     # Headings are taken as if north were the same everywhere, which is right within arc seconds over a walk.
-    east, north, up = enu_from_geographic(entry.latitude, entry.longitude, entry.altitude, origin or origin_of(entry))
+    east, north, up = enu_from_geographic(
+        entry.latitude, entry.longitude, entry.altitude, origin or entry_origin(entry)
+    )
     angles = (math.radians(angle) for angle in (entry.heading, entry.pitch, entry.roll))
     return Pose(rotation_from_heading(*angles), np.array([east, up, -north]))
 
 
-def origin_of(entry: GeographicEntry) -> tuple[float, float, float]:
+def entry_origin(entry: GeographicEntry) -> tuple[float, float, float]:
     """Latitude and longitude in degrees and altitude in metres: where a world may begin."""
     return entry.latitude, entry.longitude, entry.altitude
 
@@ -155,10 +158,7 @@ def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -
     """Pose of a 3×3 rotation with a position, or of a 4×4 transform."""
     if len(matrix) == 4:
         if np.abs(matrix[3] - (0, 0, 0, 1)).max() > POSITION_TOLERANCE:
-            raise PoseError(
-                f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; "
-                "write it row by row, not transposed"
-            )
+            raise PoseError(f"{where}.matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
         translation = matrix[:3, 3]
         if position is not None and np.abs(translation - position).max() > POSITION_TOLERANCE:
             raise PoseError(
@@ -191,16 +191,11 @@ def checked_rotation(
     """The rotation that a matrix of limited precision stands for.
 
     Messages begin with ``where``, call it ``kind`` and end with what to do about scale and shear, or a mirror image.
-
-    Raises:
-        PoseError: scale, shear, a mirror image, NaN.
+    PoseError: scale, shear, a mirror image, NaN.
     """
     deviation = float(np.abs(matrix.T @ matrix - np.eye(3)).max())
     if not deviation <= UNIT_TOLERANCE:
-        raise PoseError(
-            f"{where}: expected {kind} (RᵀR = 1 within {UNIT_TOLERANCE:g}), got a deviation of {deviation:.3g}; "
-            f"{unscaled}"
-        )
+        raise PoseError(f"{where}: expected {kind} (RᵀR = 1), got a deviation of {deviation:.3g}; {unscaled}")
     if np.linalg.det(matrix) < 0:
         raise PoseError(f"{where}: expected a rotation (determinant +1), got a mirror image (−1); {unmirrored}")
     return nearest_rotation(matrix)

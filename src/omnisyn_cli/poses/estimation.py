@@ -20,7 +20,7 @@ from omnisyn_cli.io.images import usable_part
 from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
-from omnisyn_cli.poses.registration.robust import LEAST_INLIERS, Estimate, estimate_relative_pose
+from omnisyn_cli.poses.registration.robust import MIN_INLIERS, Estimate, estimate_relative_pose
 
 __all__ = ["PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
 
@@ -93,10 +93,7 @@ def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOp
 
     Distances between neighbours stay. A pair is left as it is where too few matches agree, where nothing is gained, and
     where its poses contradict the pictures, which is a mistake to be found and not an inaccuracy. Later panoramas move
-    along with the earlier ones.
-
-    Raises:
-        InputError, PoseError: as :func:`check_poses`; also for a panorama that is named twice.
+    along with the earlier ones. InputError, PoseError: as :func:`check_poses`; also for a panorama that is named twice.
     """
     _check_images(images, may_repeat=False)
     entries, notes, changed = dict(pose_file.panoramas), [], 0
@@ -141,7 +138,7 @@ def estimate_poses(
         estimate = estimate_relative_pose(matches)
         if estimate is None:
             raise PoseError(
-                f"{first} and {second}: expected at least {LEAST_INLIERS} matches that agree with a pose, got fewer "
+                f"{first} and {second}: expected at least {MIN_INLIERS} matches that agree with a pose, got fewer "
                 f"(of {len(matches)}); give their poses in a file, or take panoramas that have more in common"
             )
         relative = estimate.first_from_second
@@ -156,9 +153,7 @@ def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
         raise InputError(f"expected two or more panoramas, got {len(images)}; name at least a first and a second one")
     name, count = Counter(image.name for image in images).most_common(1)[0]
     if count > 1 and not may_repeat:
-        raise InputError(
-            f"expected every panorama once, got '{name}' several times; leave it out or rename one of the files"
-        )
+        raise InputError(f"expected every panorama once, got '{name}' several times; rename one of the files")
     for image in images:
         check_is_file(image)
 
@@ -173,9 +168,7 @@ def _lengths(baselines: Sequence[float], pairs: int) -> list[float]:
 
 def _matched_pairs(images: Sequence[Path], masks: Sequence[Path | None], options: PictureOptions) -> Iterator[Matches]:
     if options.masks and len(options.masks) != len(images):
-        raise InputError(
-            f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}; name them in their order"
-        )
+        raise InputError(f"expected one mask for each of {len(images)} panoramas, got {len(options.masks)}")
     given = options.masks or (None,) * len(images)
     features = (_features(image, both, options) for image, *both in zip(images, masks, given, strict=True))
     for first, second in pairwise(features):
@@ -193,7 +186,7 @@ def _features(image: Path, masks: Sequence[Path | None], options: PictureOptions
 
 def _estimate_note(estimate: Estimate, matches: Matches) -> str:
     agreed = f"{int(estimate.inliers.sum())} of {len(matches)} matches agree"
-    if estimate.is_in_place:
+    if estimate.have_same_position:
         return f"{agreed} with a turn on the spot, no distance between them can be seen; both get one position"
     spread = np.degrees([estimate.residual, estimate.uncertainty.rotation, estimate.uncertainty.direction])
     return f"{agreed} within {spread[0]:.3f}° (median); rotation ± {spread[1]:.3f}°, direction ± {spread[2]:.3f}°"

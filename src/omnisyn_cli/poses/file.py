@@ -23,9 +23,9 @@ from omnisyn_cli.poses.entries import (
     GeographicEntry,
     PoseDocument,
     RigidEntry,
-    origin_of,
+    entry_origin,
     path_problem,
-    pose_of,
+    pose_from_entry,
     rigid_rotation,
 )
 
@@ -44,10 +44,10 @@ POSES_NAME = "poses.json"
 
 VERSION = 1
 
-MOST_LISTED = 8
+MAX_LISTED_NAMES = 8
 """Names of panoramas in an error."""
 
-LARGEST_FILE = 64 << 20
+MAX_FILE_BYTES = 64 << 20
 """Bytes; a hundred thousand panoramas need less."""
 
 
@@ -87,7 +87,7 @@ class PoseFile:
         near = same or difflib.get_close_matches(name, self.panoramas, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "add an entry for it"
         raise PoseError(
-            f"{self.path}: expected an entry for '{name}', got {listed(self.panoramas, MOST_LISTED)}; {hint}"
+            f"{self.path}: expected an entry for '{name}', got {listed(self.panoramas, MAX_LISTED_NAMES)}; {hint}"
         )
 
 
@@ -97,10 +97,7 @@ def check_names_tell_apart(images: Iterable[Path]) -> None:
     for image in images:
         former = known.setdefault(image.name, image)
         if former.resolve() != image.resolve():
-            raise PoseError(
-                f"{image}: expected a name of its own, got that of {former}; pose files know panoramas by their names, "
-                "so rename one"
-            )
+            raise PoseError(f"{image}: expected a name of its own, got that of {former}; rename one of them")
 
 
 def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
@@ -110,12 +107,10 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     depth and mask files are looked for.
 
     With ``allow_outside`` depth and masks may lie outside of the file's folder.
-
-    Raises:
-        PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
+    PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
-    return _pose_file(source, read_json(source, "a pose file", LARGEST_FILE), allow_outside)
+    return _pose_file(source, read_json(source, "a pose file", MAX_FILE_BYTES), allow_outside)
 
 
 def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:
@@ -131,7 +126,7 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
     """
     target = Path(path)
     check_output(target, overwrite=True)
-    entries = {name: _written(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
+    entries = {name: _entry_values(target, name, panorama, allow_outside) for name, panorama in panoramas.items()}
     _pose_file(target, {"version": VERSION, "panoramas": entries}, allow_outside)  # it can be read back
     lines = ",\n".join(f"  {_json(name)}: {_json(entry)}" for name, entry in entries.items())
     write_parts(target, [f'{{"version": {VERSION}, "panoramas": {{\n{lines}\n}}}}\n'.encode()])
@@ -140,7 +135,7 @@ def write_poses(path: Path | str, panoramas: Mapping[str, PosedPanorama], *, all
 def check_companions_named(path: Path, panoramas: Mapping[str, PosedPanorama], *, allow_outside: bool = False) -> None:
     """Refuse (PoseError) depth and mask files that :func:`write_poses` could not name, before any work."""
     for name, panorama in panoramas.items():
-        _companions(path, name, panorama, allow_outside)
+        _companion_names(path, name, panorama, allow_outside)
 
 
 def _json(value: Any) -> str:
@@ -151,11 +146,11 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     document = validated(path, PoseDocument, value)
     entries = {name: _entry(path, name, entry, allow_outside) for name, entry in document.panoramas.items()}
     _check_one_world(path, entries)
-    origin = next((origin_of(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
+    origin = next((entry_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {}
     for name, entry in entries.items():
         files = (None if file is None else path.parent / file for file in (entry.depth, entry.mask))
-        panoramas[name] = PosedPanorama(pose_of(entry, f"{path}: panoramas.'{name}'", origin), *files)
+        panoramas[name] = PosedPanorama(pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin), *files)
     return PoseFile(path, panoramas)
 
 
@@ -190,13 +185,13 @@ def _check_one_world(path: Path, entries: Mapping[str, RigidEntry | GeographicEn
         )
 
 
-def _written(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
+def _entry_values(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, Any]:
     rotation = quaternion_from_rotation(rigid_rotation(f"{path}: panoramas.'{name}'", panorama.pose.rotation))
     pose = {"position": panorama.pose.position.tolist(), "rotation": rotation.tolist()}
-    return {**pose, **_companions(path, name, panorama, allow_outside)}
+    return {**pose, **_companion_names(path, name, panorama, allow_outside)}
 
 
-def _companions(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:
+def _companion_names(path: Path, name: str, panorama: PosedPanorama, allow_outside: bool) -> dict[str, str]:
     """The names by which a pose file calls depth and mask of an entry."""
     files = {"depth": panorama.depth, "mask": panorama.mask}
     return {k: _relative(path, name, k, file, allow_outside) for k, file in files.items() if file is not None}

@@ -37,19 +37,12 @@ GENERATORS: Mapping[str, Callable[[int], Scene]] = {
 
 
 def generate_scene(kind: str, seed: int, photos: Photos | None = None) -> Scene:
-    """Generate a scene; equal arguments give equal scenes.
+    """Generate a scene of a kind of :data:`GENERATORS`; equal arguments give equal scenes.
 
-    Args:
-        kind: a key of :data:`GENERATORS`.
-        seed: any non-negative number.
-        photos: some of the materials are made of; the shapes are the same with them and without.
-
-    Raises:
-        ValueError: there is no such kind, or the seed is negative.
+    ``photos`` replace some of the materials; the shapes are the same with them and without. ValueError: there is no
+    such kind, or the seed is negative.
     """
     if kind not in GENERATORS or seed < 0:
-        raise ValueError(
-            f"expected a kind of {', '.join(GENERATORS)} and a seed of at least 0, got {kind!r} and {seed}"
-        )
+        raise ValueError(f"expected a kind of {', '.join(GENERATORS)} and a seed from 0 on, got {kind!r} and {seed}")
     scene = GENERATORS[kind](seed)
     return scene if photos is None else with_photos(scene, photos, seed)

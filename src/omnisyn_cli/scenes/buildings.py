@@ -34,14 +34,8 @@ def town_house(
 ) -> None:
     """Add a house of several floors with windows, ledges, balconies, shop signs and awnings.
 
-    Args:
-        build: what to add to.
-        base: middle of the foot of the front.
-        wide: width of the front.
-        side: sign of x on which the house stands; it faces the other way.
-        floors: how many.
-        detailed: whether to add what is seen from near by only.
-        facing_z: whether the front looks along z, to close a street.
+    ``base`` is the middle of the foot of the front, which faces −x where ``side`` is 1. Only a ``detailed`` house has
+    what is seen from near by. With ``facing_z`` the front looks along z, to close a street.
     """
     rng = build.rng
     floor = rng.uniform(2.8, 3.6)

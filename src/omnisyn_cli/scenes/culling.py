@@ -8,7 +8,7 @@ import math
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnisyn_cli.scenes.jit import kernel
+from omnisyn_cli.scenes.kernel_decorators import kernel
 
 LIGHT_GRID_CELLS = 96
 """Cells of the light grid along each axis."""

@@ -18,12 +18,7 @@ ALL_COLOURS = (*palette.INTERIOR, *palette.CLOTH, *palette.SIGN, *palette.WOOD, 
 
 
 def wall_finish(rng: np.random.Generator, use: str) -> Material:
-    """Draw paint, wallpaper, brick, boards or sheets for a wall.
-
-    Args:
-        rng: random numbers.
-        use: "home", "office" or "hall".
-    """
+    """Draw paint, wallpaper, brick, boards or sheets for a wall; ``use`` is "home", "office" or "hall"."""
     tone = pick(rng, palette.INTERIOR if use != "hall" else palette.CONCRETE)
     seed = int(rng.integers(1, 1000))
     kind = rng.random()

@@ -34,14 +34,7 @@ OccupiedDisks = list[tuple[float, float, float]]
 
 
 def furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> None:
-    """Line the walls and fill the floor; things that would overlap are left out.
-
-    Args:
-        build: what to add to.
-        cell: the room.
-        use: "home" or "office".
-        openings: windows and doors, to keep clear.
-    """
+    """Line the walls of a room ("home" or "office") and fill its floor; openings stay clear, and nothing overlaps."""
     rng = build.rng
     occupied: OccupiedDisks = []
     size = (cell.high[0] - cell.low[0], cell.high[1] - cell.low[1])

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.scenes.jit import kernel
+from omnisyn_cli.scenes.kernel_decorators import kernel
 
 _PERIOD = 128  # lattice points before the noise repeats, a power of two
 _MASK = _PERIOD - 1

@@ -15,10 +15,10 @@ from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
 from omnisyn_cli.scenes.culling import cull_tile, tile_planes
-from omnisyn_cli.scenes.jit import kernel
+from omnisyn_cli.scenes.kernel_decorators import kernel
 from omnisyn_cli.scenes.raycast import cast_rays, first_hit
 from omnisyn_cli.scenes.scene import Scene
-from omnisyn_cli.scenes.shading import shade, tone
+from omnisyn_cli.scenes.shader import shade, tone
 from omnisyn_cli.scenes.world import SKY_ID, Scalar, pack_scene, seen_from
 
 EXPOSURE = int(Scalar.EXPOSURE)
@@ -122,18 +122,10 @@ def render_tiles(world, photos, bounds, rays, tiles, output, begin, end):  # typ
 def render_panorama(
     scene: Scene, pose: Pose, size: tuple[int, int], *, supersample: int = 2, threads: int | None = None
 ) -> tuple[Float[np.ndarray, "height width 3"], Float[np.ndarray, "height width"]]:
-    """Render one panorama.
+    """Render one panorama: RGB in [0, 1], and metres along the ray of each pixel's centre, inf where there is only sky.
 
-    Args:
-        scene: what to render.
-        pose: world from camera.
-        size: ``(height, width)`` in pixels.
-        supersample: colour samples per pixel along each axis.
-        threads: how many to use; None = one per core. The result does not depend on it.
-
-    Returns:
-        ``(image, depth)``: RGB in [0, 1] and Euclidean metres along the ray of the pixel's centre, inf where there is
-        only sky.
+    ``pose`` is world from camera and ``size`` (height, width). A pixel has ``supersample``² colour samples. The result
+    does not depend on ``threads`` (None: one per core).
     """
     images, depths = render_views(
         scene, pose.rotation, pose.position[None], size, supersample=supersample, threads=threads
@@ -150,18 +142,9 @@ def render_views(
     supersample: int = 2,
     threads: int | None = None,
 ) -> tuple[Float[np.ndarray, "views height width 3"], Float[np.ndarray, "views height width"]]:
-    """Render panoramas from several positions in one rotated frame, e.g. the one whose poles are the epipoles.
+    """Images and depths, as of :func:`render_panorama`, from several positions in one rotated frame.
 
-    Args:
-        scene: what to render.
-        rotation: world from camera, shared by all views.
-        positions: optical centres in the world, metres.
-        size: ``(height, width)`` in pixels.
-        supersample: colour samples per pixel along each axis.
-        threads: how many to use; None = one per core.
-
-    Returns:
-        ``(images, depths)``.
+    ``rotation`` is world from camera, for example with the epipoles at the poles; ``positions`` are in metres.
     """
     height, width = size
     if height < 1 or width < 1 or supersample < 1:
@@ -180,15 +163,9 @@ def render_views(
 def trace_rays(
     scene: Scene, position: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Cast single rays from one position.
+    """Cast single rays (unit vectors) from a position.
 
-    Args:
-        scene: what to look at.
-        position: where the rays start, metres.
-        directions: unit vectors.
-
-    Returns:
-        Metres (inf = sky), and what is hit: the number of a shape, -1 for the ground, -2 for the sky.
+    Returns metres (inf for the sky) and what is hit: the index of a shape, ``GROUND_ID`` or ``SKY_ID``.
     """
     world, _ = seen_from(pack_scene(scene), scene, np.asarray(position, dtype=np.float64))
     distance, hit = np.empty(len(directions)), np.empty(len(directions), dtype=np.int64)

@@ -65,9 +65,7 @@ def sample_path(
                 continue
             shares = np.linspace(0.0, 1.0, frames)[:, None]
             return [Pose(_draw_rotation(rng, heading, tilt), position) for position in start + shares * (end - start)]
-    raise ValueError(
-        f"expected room for a path of {frames} frames, found none in {_MAX_ATTEMPTS} attempts: try a shorter baseline"
-    )
+    raise ValueError(f"expected room for a path, found none in {_MAX_ATTEMPTS} attempts: try a shorter baseline")
 
 
 def _draw_baseline(rng: np.random.Generator, walkway: Walkway, attempt: int, share: float) -> float:

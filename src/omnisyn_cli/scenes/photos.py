@@ -77,8 +77,7 @@ class Photos:
 def pack_photos(images: Sequence[UInt8[np.ndarray, "height width 3"]]) -> Photos:
     """Photographs of any sizes, averaged as light, with the scenes' own curve: light is the square of a sample.
 
-    Raises:
-        ValueError: there are none.
+    ValueError: there are none.
     """
     if not images:
         raise ValueError("expected at least one photograph, got none")

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from omnisyn_cli.scenes.culling import LIGHT_GRID_CELLS
-from omnisyn_cli.scenes.jit import inlined, kernel
+from omnisyn_cli.scenes.kernel_decorators import inlined, kernel
 from omnisyn_cli.scenes.textures import FacePoint, is_hole
 from omnisyn_cli.scenes.world import GROUND_ID, SKY_ID, AttributeColumn, Scalar, ShapeColumn
 

@@ -71,10 +71,7 @@ class SuiteScene:
 def suite_walks(kind: str, seed: int, scene: Scene) -> Iterator[SuiteScene]:
     """The walks through a scene, the shortest first; those that it has no room for have an empty path.
 
-    Args:
-        kind: of the scene.
-        seed: of the scene and of the way through it.
-        scene: made with both.
+    The scene was made with ``kind`` and ``seed``; the seed chooses the way as well.
     """
     longest = suite_path(scene, seed)
     for baseline in BASELINES:

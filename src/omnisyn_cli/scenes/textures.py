@@ -9,7 +9,7 @@ Sizes and strengths inside the patterns were chosen by eye.
 import math
 from typing import NamedTuple
 
-from omnisyn_cli.scenes.jit import kernel
+from omnisyn_cli.scenes.kernel_decorators import kernel
 from omnisyn_cli.scenes.materials import MaterialColumn, Pattern
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, pulse, smooth_noise, smooth_noise_3d
 

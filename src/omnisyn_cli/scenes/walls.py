@@ -50,13 +50,8 @@ def add_room_shell(
 ) -> None:
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
-    Args:
-        build: what to add to.
-        cell: the room.
-        openings: windows and doors.
-        use: "home", "office" or "hall".
-        casts_shadow: whether the ceiling stops the light from above.
-        finish: draws what walls are made of, see :func:`omnisyn_cli.scenes.finishes.wall_finish`.
+    ``use`` is "home", "office" or "hall". The ceiling stops the light from above if it ``casts_shadow``. ``finish``
+    draws the material of walls, as :func:`omnisyn_cli.scenes.finishes.wall_finish` does.
     """
     rng = build.rng
     paint = finish(rng, use)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics.flying import TOLERANCE, flying_pixels, flying_share, is_around
+from omnisyn_cli.evaluation.metrics.flying import COLOUR_TOLERANCE, flying_pixels, flying_share, is_around
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, solid_angles
 from omnisyn_cli.types import DepthEstimate, View
@@ -56,7 +56,7 @@ def test_colours_are_found_within_the_square_and_not_beyond(reach: int) -> None:
     colours = rng.random((50, 3), np.float32)
     side = 2 * reach + 1
     near = np.stack([wide[r : r + side, c : c + side].reshape(-1, 3) for r, c in zip(rows, cols, strict=True)])
-    expected = (np.abs(near - colours[:, None]) <= TOLERANCE).all(axis=-1).any(axis=-1)
+    expected = (np.abs(near - colours[:, None]) <= COLOUR_TOLERANCE).all(axis=-1).any(axis=-1)
     assert 0 < expected.sum() < 50
     np.testing.assert_array_equal(is_around(wide, reach, rows, cols, colours), expected)
 

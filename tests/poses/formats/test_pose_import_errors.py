@@ -1,7 +1,6 @@
 """Sources that cannot be used say where and why in one line; what was assumed is said too."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("case", TEXTS)
-def test_malformed_text(tmp_path: Path, case: str) -> None:
+def test_malformed_text(tmp_path, case):
     name, text, message = TEXTS[case]
     (tmp_path / name).write_bytes(text.encode("utf-8", errors="surrogateescape"))
     with pytest.raises(PoseError, match=message) as caught:
@@ -85,7 +84,7 @@ DOCUMENTS: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize("case", DOCUMENTS)
-def test_malformed_json(tmp_path: Path, case: str) -> None:
+def test_malformed_json(tmp_path, case):
     document, message = DOCUMENTS[case]
     with pytest.raises(PoseError, match=message) as caught:
         import_poses([write_json(tmp_path / "a.json", document)], "auto", ImportOptions())
@@ -93,7 +92,7 @@ def test_malformed_json(tmp_path: Path, case: str) -> None:
 
 
 @pytest.mark.parametrize("broken", ["pickle", "shape", "missing", "nan", "text"])
-def test_arrays_of_the_authors(tmp_path: Path, broken: str) -> None:
+def test_arrays_of_the_authors(tmp_path, broken):
     np.save(tmp_path / "rotations.npy", np.broadcast_to(np.eye(3), (2, 3, 3)))
     values = {"pickle": np.array([None, {}]), "shape": np.zeros((3, 3)), "nan": np.full((2, 3), np.nan)}
     if broken in values:
@@ -104,14 +103,14 @@ def test_arrays_of_the_authors(tmp_path: Path, broken: str) -> None:
         import_poses([tmp_path], "auto", ImportOptions())
 
 
-def test_images_have_to_be_countable(tmp_path: Path) -> None:
+def test_images_have_to_be_countable(tmp_path):
     trajectory = write_text(tmp_path / "a.tum", "0 0 0 0 0 0 0 1", "1 0 0 0 0 0 0 1")
     write_images(tmp_path, ["a.png"])
     with pytest.raises(PoseError, match=r"as many panoramas as poses \(2\), got 1 .*--images"):
         import_poses([trajectory], "auto", ImportOptions())
 
 
-def test_time_stamps_name_images(tmp_path: Path) -> None:
+def test_time_stamps_name_images(tmp_path):
     """Names in the order of the trajectory; poses between the images are left out."""
     lines = [f"{100 + 0.1 * index:.1f} {index} 0 0 0 0 0 1" for index in range(10)]
     trajectory = write_text(tmp_path / "a.tum", *lines)
@@ -124,7 +123,7 @@ def test_time_stamps_name_images(tmp_path: Path) -> None:
     assert [(view.name, view.pose.position[0]) for view in result.views] == [("rgb/a.png", 0), ("rgb/b.png", 3)]
 
 
-def test_time_stamps_that_are_too_far_apart_name_nothing(tmp_path: Path) -> None:
+def test_time_stamps_that_are_too_far_apart_name_nothing(tmp_path):
     lines = [f"{100 + 0.1 * index:.1f} {index} 0 0 0 0 0 1" for index in range(10)]
     trajectory = write_text(tmp_path / "a.tum", *lines)
     write_images(tmp_path / "rgb", ["100.24.png", "100.69.png"])
@@ -134,14 +133,14 @@ def test_time_stamps_that_are_too_far_apart_name_nothing(tmp_path: Path) -> None
     assert [view.pose.position[0] for view in result.views] == [2, 7]
 
 
-def test_numbers_come_in_natural_order(tmp_path: Path) -> None:
+def test_numbers_come_in_natural_order(tmp_path):
     write_images(tmp_path, ["frame10.png", "frame9.png", "frame9b.png"])
     lines = [row(np.c_[np.eye(3), [index, 0, 0]]) for index in range(3)]
     result = imported(write_text(tmp_path / "a.txt", *lines), expected="kitti")
     assert [view.name for view in result.views] == ["frame9.png", "frame9b.png", "frame10.png"]
 
 
-def test_formats_at_once_are_ambiguous(tmp_path: Path) -> None:
+def test_formats_at_once_are_ambiguous(tmp_path):
     write_json(tmp_path / "transforms.json", {})
     write_text(tmp_path / "images.txt", IMAGE, "")
     with pytest.raises(PoseError, match="one program, got colmap, nerfstudio; choose with --format"):
@@ -149,7 +148,7 @@ def test_formats_at_once_are_ambiguous(tmp_path: Path) -> None:
     assert import_poses([tmp_path], "colmap", ImportOptions())[0] == "colmap"
 
 
-def test_binary_models_and_empty_folders_are_explained(tmp_path: Path) -> None:
+def test_binary_models_and_empty_folders_are_explained(tmp_path):
     with pytest.raises(PoseError, match="a format that is known"):
         import_poses([tmp_path], "auto", ImportOptions())
     write_text(tmp_path / "images.bin", "")
@@ -159,7 +158,7 @@ def test_binary_models_and_empty_folders_are_explained(tmp_path: Path) -> None:
         import_poses([tmp_path / "nosuch"], "auto", ImportOptions())
 
 
-def test_images_without_place_or_heading(tmp_path: Path) -> None:
+def test_images_without_place_or_heading(tmp_path):
     write_images(tmp_path, ["a.jpg"])
     with pytest.raises(PoseError, match="expected images with EXIF GPS, got none in 1 images"):
         import_poses([tmp_path], "auto", ImportOptions())
@@ -173,13 +172,13 @@ def test_images_without_place_or_heading(tmp_path: Path) -> None:
     ("option", "values"),
     [("--origin", {"origin": (1.0, 2.0, 3.0)}), ("--floor", {"floor": "floor_01"})],
 )
-def test_options_that_do_not_fit_are_refused(tmp_path: Path, option: str, values: dict[str, Any]) -> None:
+def test_options_that_do_not_fit_are_refused(tmp_path, option, values):
     write_text(tmp_path / "images.txt", IMAGE, "")
     with pytest.raises(PoseError, match=f"expected no {option} with format colmap"):
         import_poses([tmp_path], "auto", ImportOptions(**values))
 
 
-def test_axes_can_be_overruled(tmp_path: Path) -> None:
+def test_axes_can_be_overruled(tmp_path):
     """A body with x forward, y left, z up in a world with z up: at rest it looks east, that is along our x."""
     write_images(tmp_path, ["a.png"])
     trajectory = write_text(tmp_path / "a.tum", "0 1 2 3 0 0 0 1")
@@ -191,7 +190,7 @@ def test_axes_can_be_overruled(tmp_path: Path) -> None:
     assert not any(note.startswith(("world:", "cameras:")) for note in result.notes)
 
 
-def test_up_of_the_cameras_levels_the_world(tmp_path: Path) -> None:
+def test_up_of_the_cameras_levels_the_world(tmp_path):
     """A world that was tilted as a whole comes back level, and nothing moves against anything else."""
     tilt = axis_angle((0.4, 0.2, -0.3))[0]
     lines = []
@@ -215,7 +214,7 @@ def _rotation_vector(matrix: np.ndarray) -> np.ndarray:
     return axis / (2 * np.sin(angle)) * angle
 
 
-def test_equal_names_need_copies_which_are_whole_or_not_there(tmp_path: Path) -> None:
+def test_equal_names_need_copies_which_are_whole_or_not_there(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     images = write_images(tmp_path, ["0/rgb.png", "1/rgb.png"])
@@ -238,7 +237,7 @@ def test_equal_names_need_copies_which_are_whole_or_not_there(tmp_path: Path) ->
     assert (out / "1_rgb.png").read_bytes() == images[1].read_bytes()
 
 
-def test_depth_is_referred_to_within_the_folder_of_the_pose_file(tmp_path: Path) -> None:
+def test_depth_is_referred_to_within_the_folder_of_the_pose_file(tmp_path):
     image, depth = write_images(tmp_path / "scene", ["0/rgb.png", "0/depth.png"])
     imported_poses = ImportedPoses((ImportedView("0/rgb.png", Pose.identity(), image, depth),), ())
     write_imported(tmp_path / "scene" / "poses.json", imported_poses)

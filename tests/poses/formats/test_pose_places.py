@@ -1,7 +1,6 @@
 """Panoramas with a place on earth see a landmark where compass and horizon say, from EXIF and from tables."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,7 @@ def pano_pose(heading: float, pitch: float | None = None, roll: float | None = N
 
 
 @pytest.mark.parametrize("origin", [None, (48.0, 11.0, 0.0)])
-def test_exif(tmp_path: Path, origin: tuple[float, float, float] | None) -> None:
+def test_exif(tmp_path, origin):
     """Degrees, minutes and seconds are 32-bit in OpenImageIO: 0.2 mm; headings too: 0.00002°."""
     for index, (*place, heading) in enumerate(PLACES):
         write_images(tmp_path, [f"{index}.jpg"], **gps(*place), **pano_pose(heading % 360))
@@ -86,7 +85,7 @@ def test_exif(tmp_path: Path, origin: tuple[float, float, float] | None) -> None
 
 
 @pytest.mark.parametrize("origin", [None, (47.0, 12.0, -100.0)])
-def test_tables(tmp_path: Path, origin: tuple[float, float, float] | None) -> None:
+def test_tables(tmp_path, origin):
     lines = [f"{index}.jpg;{lat!r};{lng!r};{alt};{heading}" for index, (lat, lng, alt, heading) in enumerate(PLACES)]
     table = write_text(tmp_path / "walk.csv", "Image;LAT;lng;elevation;Heading", *lines)
     rows = [
@@ -99,14 +98,14 @@ def test_tables(tmp_path: Path, origin: tuple[float, float, float] | None) -> No
     assert "ignored: columns 'date'" in result.notes
 
 
-def test_south_west_and_below_the_sea(tmp_path: Path) -> None:
+def test_south_west_and_below_the_sea(tmp_path):
     write_images(tmp_path, ["a.jpg"], **gps(-33.5, -70.25, -12.5), **pano_pose(0.0))
     result = imported(tmp_path / "a.jpg", expected="exif")
     assert "origin: latitude -33.5, longitude -70.25, altitude -12.5 m; x east, −z north" in result.notes
     np.testing.assert_allclose(result.views[0].pose.position, 0, atol=1e-9)
 
 
-def test_fractions_of_degrees_are_read_and_their_loss_of_digits_is_said(tmp_path: Path) -> None:
+def test_fractions_of_degrees_are_read_and_their_loss_of_digits_is_said(tmp_path):
     tags = gps(*ORIGIN) | {"GPS:Latitude": ("float[3]", (48.25, 0.0, 0.0)), "GPS:LatitudeRef": "S"}
     write_images(tmp_path, ["a.jpg"], **tags, **pano_pose(0.0))
     notes = imported(tmp_path, expected="exif").notes
@@ -115,7 +114,7 @@ def test_fractions_of_degrees_are_read_and_their_loss_of_digits_is_said(tmp_path
 
 
 @pytest.mark.parametrize("latitude", [90.0, -90.0, 0.0])
-def test_poles_and_equator_are_no_special_places(tmp_path: Path, latitude: float) -> None:
+def test_poles_and_equator_are_no_special_places(tmp_path, latitude):
     table = write_text(
         tmp_path / "t.csv", "image,lat,lng,heading", f"a.jpg,{latitude},180,0", f"b.jpg,{latitude},-180,0"
     )
@@ -124,7 +123,7 @@ def test_poles_and_equator_are_no_special_places(tmp_path: Path, latitude: float
     assert second.almost_equals(first, metres=1e-6)
 
 
-def test_pitch_lifts_the_centre_and_roll_turns_the_horizon_counter_clockwise(tmp_path: Path) -> None:
+def test_pitch_lifts_the_centre_and_roll_turns_the_horizon_counter_clockwise(tmp_path):
     """Google: pitch is that of the image centre; as roll grows, the horizon rotates counter-clockwise in the image."""
     write_images(tmp_path, ["pitch.jpg"], **gps(*ORIGIN), **pano_pose(90.0, 30.0, 0.0))
     write_images(tmp_path, ["roll.jpg"], **gps(*ORIGIN), **pano_pose(90.0, 0.0, 20.0))
@@ -139,7 +138,7 @@ def test_pitch_lifts_the_centre_and_roll_turns_the_horizon_counter_clockwise(tmp
     assert south[1] == pytest.approx(0.75 * width - 0.5, abs=1e-3)
 
 
-def test_the_compass_stands_in_for_gpano(tmp_path: Path) -> None:
+def test_the_compass_stands_in_for_gpano(tmp_path):
     tags = gps(*ORIGIN) | {"GPS:ImgDirection": 45.0, "GPS:ImgDirectionRef": "M"}
     write_images(tmp_path, ["a.jpg"], **tags)
     result = imported(tmp_path, expected="exif")
@@ -151,7 +150,7 @@ def test_the_compass_stands_in_for_gpano(tmp_path: Path) -> None:
     assert "GPSImgDirection" in notes
 
 
-def test_tables_mean_what_the_same_places_mean_in_a_pose_file(tmp_path: Path) -> None:
+def test_tables_mean_what_the_same_places_mean_in_a_pose_file(tmp_path):
     """Within what a pose file neglects: how meridians and horizons turn over these 1.9 km, 0.015° and 0.017°."""
     keys = ("latitude", "longitude", "altitude", "heading")
     entries = {f"{index}.jpg": dict(zip(keys, place, strict=True)) for index, place in enumerate(PLACES)}
@@ -160,7 +159,7 @@ def test_tables_mean_what_the_same_places_mean_in_a_pose_file(tmp_path: Path) ->
         assert view.pose.almost_equals(poses.of(view.name).pose, metres=1e-9, radians=math.radians(0.023))
 
 
-def test_altitudes_are_for_all_or_none(tmp_path: Path) -> None:
+def test_altitudes_are_for_all_or_none(tmp_path):
     without = imported(write_text(tmp_path / "a.csv", "image,lat,lng,heading", "a,1,2,3", "b,1,2,3"), expected="table")
     assert any("equally high" in note for note in without.notes)
     mixed = write_text(tmp_path / "b.csv", "image,lat,lng,heading,alt", "a,1,2,3,5", "b,1,2,3,")
@@ -168,14 +167,14 @@ def test_altitudes_are_for_all_or_none(tmp_path: Path) -> None:
         import_poses([mixed], "auto", ImportOptions())
 
 
-def test_radians_are_suspected(tmp_path: Path) -> None:
+def test_radians_are_suspected(tmp_path):
     result = imported(
         write_text(tmp_path / "a.csv", "image,lat,lng,heading", "a,1,2,3.1", "b,1,2,-1.5"), expected="table"
     )
     assert any("are they radians" in note for note in result.notes)
 
 
-def test_images_of_one_name_in_two_folders_are_two_images(tmp_path: Path) -> None:
+def test_images_of_one_name_in_two_folders_are_two_images(tmp_path):
     """Cameras start counting anew in every folder; a file that is in a folder that is given too counts once."""
     names = ["g/a/R1.JPG", "g/b/R1.JPG", "g/b/R2.JPG"]
     for index, name in enumerate(names):

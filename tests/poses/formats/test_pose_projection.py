@@ -1,7 +1,6 @@
 """A point of the foreign world falls on the same pixel by the foreign formula and by ours, for every format."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ NAMES = [f"{index:02d}.png" for index in range(COUNT)]
 PIXELS = 1e-6
 
 
-def test_colmap(tmp_path: Path) -> None:
+def test_colmap(tmp_path):
     lines = []
     for index, (turn, translation, _) in enumerate(samples(COUNT), start=1):
         lines += [
@@ -47,7 +46,7 @@ def test_colmap(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("projection", ["spherical", "equirectangular"])
-def test_opensfm(tmp_path: Path, projection: str) -> None:
+def test_opensfm(tmp_path, projection):
     """``x = lon / 2π · w + (w − 1) / 2`` and ``y = −lat / 2π · w + (h − 1) / 2`` in indices of pixels."""
     shots = {
         name: {"camera": "c", "rotation": list(turn), "translation": list(translation)}
@@ -66,7 +65,7 @@ def test_opensfm(tmp_path: Path, projection: str) -> None:
         np.testing.assert_allclose(our_pixel(view.pose, z_up(point)), foreign, atol=PIXELS)
 
 
-def test_nerfstudio(tmp_path: Path) -> None:
+def test_nerfstudio(tmp_path):
     """The ray that nerfstudio shoots through a pixel meets a point that falls on that pixel."""
     frames = [
         {
@@ -88,7 +87,7 @@ def test_nerfstudio(tmp_path: Path) -> None:
         np.testing.assert_allclose(our_pixel(view.pose, z_up(point)), (at_row, at_col), atol=PIXELS)
 
 
-def test_nerfstudio_scales_are_undone(tmp_path: Path) -> None:
+def test_nerfstudio_scales_are_undone(tmp_path):
     """``applied = s · original``: distances come back to those of the original, pixels stay."""
     turn, place, point = samples(1)[0]
     frame = {"file_path": "a.png", "transform_matrix": np.c_[axis_angle(turn)[0], place * 6].tolist()}
@@ -103,7 +102,7 @@ def test_nerfstudio_scales_are_undone(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose.inverse().transform(z_up(point)), local, atol=1e-12)
 
 
-def test_tum(tmp_path: Path) -> None:
+def test_tum(tmp_path):
     """Camera-to-world, quaternion with w last."""
     lines = []
     for index, (turn, place, _) in enumerate(samples(COUNT)):
@@ -117,7 +116,7 @@ def test_tum(tmp_path: Path) -> None:
         np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
 
 
-def test_kitti(tmp_path: Path) -> None:
+def test_kitti(tmp_path):
     lines = [row(np.c_[axis_angle(turn)[0], place]) for turn, place, _ in samples(COUNT)]
     write_images(tmp_path, NAMES)
     result = imported(write_text(tmp_path / "00.txt", *lines), expected="kitti")
@@ -127,7 +126,7 @@ def test_kitti(tmp_path: Path) -> None:
         np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
 
 
-def test_habitat(tmp_path: Path) -> None:
+def test_habitat(tmp_path):
     """PanSplat turns these files into OpenCV cameras in a world with z up by two matrices; both sides must agree."""
     world = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     camera = np.diag([1, -1, -1])
@@ -145,7 +144,7 @@ def test_habitat(tmp_path: Path) -> None:
         assert view.depth == tmp_path / str(index) / "depth.png"
 
 
-def test_zind(tmp_path: Path) -> None:
+def test_zind(tmp_path):
     """A corner of the room falls where ZInD's own code draws it: ``θ = atan2(−x, y)``, ``φ = asin(z / ρ)``."""
     rng = np.random.default_rng(0)
     metres = 3.5
@@ -178,7 +177,7 @@ def test_zind(tmp_path: Path) -> None:
         np.testing.assert_allclose(our_pixel(view.pose, point), drawn, atol=0.5)  # its code has another pixel centre
 
 
-def test_authors(tmp_path: Path) -> None:
+def test_authors(tmp_path):
     """Arrays made as their CARLA reader makes them see a point where CARLA's own (left-handed) axes put it."""
     rng = np.random.default_rng(0)
     places, yaws = rng.normal(size=(COUNT, 3)) * 4, rng.uniform(-3, 3, COUNT)
@@ -193,10 +192,10 @@ def test_authors(tmp_path: Path) -> None:
         cosine, sine = math.cos(yaws[index]), math.sin(yaws[index])
         return np.array([cosine * y - sine * x, z, -(cosine * x + sine * y)])
 
-    moved = places[:, [1, 2, 0]] * (1, 1, -1)
+    retract = places[:, [1, 2, 0]] * (1, 1, -1)
     turns = [about_up(-yaw) for yaw in yaws]
     rotations = np.stack([turns[reference] @ turn.T for turn in turns])
-    translations = np.stack([-(turns[reference].T @ (place - moved[reference])) for place in moved])
+    translations = np.stack([-(turns[reference].T @ (place - retract[reference])) for place in retract])
     np.save(tmp_path / "rotations.npy", rotations[None])
     np.save(tmp_path / "translations.npy", translations[None])
     write_images(tmp_path, ["0.png", "5.png"])
@@ -214,7 +213,7 @@ UPWARD = {"y": (0, 1, 0), "-y": (0, -1, 0), "z": (0, 0, 1), "-z": (0, 0, -1)}
 LOOKING = {"opengl": ((0, 0, -1), (0, 1, 0)), "opencv": ((0, 0, 1), (0, -1, 0)), "flu": ((1, 0, 0), (0, 0, 1))}
 
 
-def test_axes_are_what_their_names_say() -> None:
+def test_axes_are_what_their_names_say():
     """Rotations, x stays x in a world; a camera's forward and upward axes come from ours."""
     assert set(WORLD_UP) == set(UPWARD)
     assert set(CAMERA_AXES) == set(LOOKING)
@@ -229,7 +228,7 @@ def test_axes_are_what_their_names_say() -> None:
         assert np.linalg.det(matrix) == pytest.approx(1)
 
 
-def test_opensfm_moves_to_another_origin(tmp_path: Path) -> None:
+def test_opensfm_moves_to_another_origin(tmp_path):
     """A shot at the reference is where a table puts that place; without a reference there is nothing to move from."""
     reference = {"latitude": 48.2, "longitude": 11.4, "altitude": 505.0}
     shots = {"a.png": {"camera": "c", "rotation": [0, 0, 0], "translation": [0, 0, 0]}}

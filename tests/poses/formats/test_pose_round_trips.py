@@ -42,7 +42,7 @@ def back(folder: Path, format_name: str) -> ImportedPoses:
 
 
 @every_format
-def test_round_trip(tmp_path: Path, format_name: str) -> None:
+def test_round_trip(tmp_path, format_name):
     poses = written(tmp_path)
     export_poses(poses, tmp_path / OUTPUTS[format_name], format_name)
     result = back(tmp_path, format_name)
@@ -58,14 +58,14 @@ def test_round_trip(tmp_path: Path, format_name: str) -> None:
         np.testing.assert_allclose(pose.position / scale, panorama.pose.position / scale, atol=1e-9)
 
 
-def test_colmap_knows_the_sizes(tmp_path: Path) -> None:
+def test_colmap_knows_the_sizes(tmp_path):
     export_poses(written(tmp_path), tmp_path / "model", "colmap")
     lines = (tmp_path / "model" / "cameras.txt").read_text(encoding="utf-8").splitlines()
     assert lines[1:] == ["1 EQUIRECTANGULAR 32 16 32 16", "2 EQUIRECTANGULAR 64 32 64 32"]
     assert (tmp_path / "model" / "points3D.txt").is_file()
 
 
-def test_nerfstudio_paths_are_relative_to_the_file(tmp_path: Path) -> None:
+def test_nerfstudio_paths_are_relative_to_the_file(tmp_path):
     poses = written(tmp_path)
     (tmp_path / "sub").mkdir()
     export_poses(poses, tmp_path / "sub" / "transforms.json", "nerfstudio")
@@ -79,7 +79,7 @@ def test_nerfstudio_paths_are_relative_to_the_file(tmp_path: Path) -> None:
 
 
 @every_format
-def test_nothing_is_overwritten_unasked(tmp_path: Path, format_name: str) -> None:
+def test_nothing_is_overwritten_unasked(tmp_path, format_name):
     poses, output = written(tmp_path), tmp_path / OUTPUTS[format_name]
     export_poses(poses, output, format_name)
     files = [output] if output.is_file() else sorted(output.iterdir())
@@ -92,7 +92,7 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, format_name: str) -> Non
 
 
 @pytest.mark.parametrize("format_name", ["colmap", "nerfstudio"])
-def test_sizes_are_read_or_given(tmp_path: Path, format_name: str) -> None:
+def test_sizes_are_read_or_given(tmp_path, format_name):
     write_poses(tmp_path / "poses.json", {"a.png": PosedPanorama(Pose.identity())})
     poses, output = read_poses(tmp_path / "poses.json"), tmp_path / OUTPUTS[format_name]
     with pytest.raises(PoseError, match=r"expected the panorama 'a\.png' .* for its size"):
@@ -103,7 +103,7 @@ def test_sizes_are_read_or_given(tmp_path: Path, format_name: str) -> None:
 
 
 @every_format
-def test_a_full_disk_is_said_of_the_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, format_name: str) -> None:
+def test_a_full_disk_is_said_of_the_output(tmp_path, monkeypatch, format_name):
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 

@@ -38,7 +38,7 @@ FORMATS: Mapping[str, Finder] = {
 }
 """What finds the scenes of a folder, by the name of the layout; tried in this order."""
 
-EXPECTED = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
+EXPECTED_FILES = "poses.json, gnss_data.json, NN/tran.txt or zind_data.json"
 
 
 def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = False) -> list[SceneSource]:
@@ -58,5 +58,5 @@ def find_scenes(folder: Path, layout: str = "auto", *, allow_outside: bool = Fal
     for name in finders if layout == "auto" else (layout,):
         if scenes := finders[name](folder):
             return scenes
-    wanted = EXPECTED if layout == "auto" else f"the layout '{layout}'"
+    wanted = EXPECTED_FILES if layout == "auto" else f"the layout '{layout}'"
     raise InputError(f"{folder}: expected scenes with {wanted}, got none; check the folder and --format")

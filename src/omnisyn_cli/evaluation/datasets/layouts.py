@@ -116,10 +116,10 @@ def _room_frames(folder: Path, floor: str, panoramas: dict[str, Panorama], scale
 
 RUN_POSES = "gnss_data.json"
 
-SAME_LENGTH = 0.05
+LENGTH_TOLERANCE = 0.05
 """Relative difference of two measures of one length that is put down to the shape of the earth."""
 
-FARTHEST = 65.535
+MAX_PNG_DEPTH = 65.535
 """Metres; the largest number that the files can hold."""
 
 
@@ -157,8 +157,8 @@ def carla_scenes(folder: Path) -> list[SceneSource]:
       y right, z up, yaw clockwise seen from above, pitch up, roll clockwise. ``latitude`` and ``longitude`` (degrees)
       are there as well.
     * Here the position is ``(y, z, −x)``. Directions come from the locations, lengths from the geographic positions, as
-      the authors take them, where both differ by more than :data:`SAME_LENGTH`: then locations are not in metres. Where
-      they agree, the locations are kept, which are exact.
+      the authors take them, where both differ by more than :data:`LENGTH_TOLERANCE`: then locations are not in
+      metres. Where they agree, the locations are kept, which are exact.
     * The image centre looks along the car.
     * ``depth`` is a 16-bit PNG in millimetres, in equirectangular pixels, but *along the axis of the cube face* that
       each pixel was rendered on (``use_euclidean_dist`` of the authors' reader): the Euclidean distance is that value
@@ -196,7 +196,7 @@ def _scaled(positions: np.ndarray, entries: list[_Entry]) -> Float[np.ndarray, "
     offsets = positions - positions[0]
     farthest = int(np.argmax(np.linalg.norm(offsets, axis=1)))
     length, geographic = np.linalg.norm(offsets[farthest]), np.linalg.norm(there[farthest])
-    if length == 0 or geographic == 0 or abs(geographic / length - 1) < SAME_LENGTH:
+    if length == 0 or geographic == 0 or abs(geographic / length - 1) < LENGTH_TOLERANCE:
         return positions
     return np.asarray(positions[0] + offsets * (geographic / length))
 
@@ -205,5 +205,5 @@ def read_face_depth(path: Path) -> Float[np.ndarray, "height width"]:
     """Inverse Euclidean distance of depth along the axes of cube faces, see :func:`carla_scenes`."""
     inverse = read_inverse_depth(path)
     along_axis = np.abs(pixel_directions(*inverse.shape)).max(axis=-1)
-    is_known = inverse > 1.0 / (FARTHEST - 5e-4)
+    is_known = inverse > 1.0 / (MAX_PNG_DEPTH - 5e-4)
     return np.where(is_known, inverse * along_axis, 0.0).astype(np.float32)

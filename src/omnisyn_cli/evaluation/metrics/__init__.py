@@ -1,7 +1,7 @@
 """How good pictures, depth and video are; ``temporal`` and ``lpips`` are modules of their own."""
 
-from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pixels
 from omnisyn_cli.evaluation.metrics.confidence import confidence_metrics, merged_reliability, unsure_metrics
+from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pixels
 from omnisyn_cli.evaluation.metrics.flying import flying_share
 from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, ssim, ws_psnr, ws_ssim
 from omnisyn_cli.evaluation.metrics.kinds import end_masks, kind_figures

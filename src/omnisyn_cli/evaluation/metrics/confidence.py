@@ -14,10 +14,10 @@ from omnisyn_cli.evaluation.metrics.depth_errors import DELTAS, scored_pixels
 from omnisyn_cli.evaluation.metrics.image import check_same_size
 from omnisyn_cli.geometry.sphere import row_weights
 
-BINS = 10
+CONFIDENCE_BINS = 10
 """Of confidence, equally wide."""
 
-Numbers = Float[np.ndarray, " count"]
+Values = Float[np.ndarray, " count"]
 
 
 def unsure_metrics(
@@ -91,7 +91,7 @@ def merged_reliability(diagrams: list[Mapping[str, Mapping[str, float]]]) -> dic
     return {"area": {name: share / len(diagrams) for name, share in area.items()}, **merged}
 
 
-def rank_correlation(one: Numbers, other: Numbers, weights: Numbers) -> float | None:
+def rank_correlation(one: Values, other: Values, weights: Values) -> float | None:
     """Spearman's correlation of two lists whose entries count by their weights; None where either is constant.
 
     An entry's rank is the weight of all that are less, and half of that of all that are equal.
@@ -102,35 +102,35 @@ def rank_correlation(one: Numbers, other: Numbers, weights: Numbers) -> float | 
     return float(np.average(first * second, weights=weights) / np.sqrt(spread)) if spread > 0.0 else None
 
 
-def _ranks(values: Numbers, weights: Numbers) -> Numbers:
+def _ranks(values: Values, weights: Values) -> Values:
     _, group = np.unique(values, return_inverse=True)
     total = np.bincount(group, weights)
     return np.asarray((np.cumsum(total) - 0.5 * total)[group])
 
 
-def _reliability(trust: Numbers, ratio: Numbers, weights: Numbers) -> dict[str, dict[str, float]]:
-    number = np.minimum((trust * BINS).astype(np.int64), BINS - 1)
-    area = np.bincount(number, weights, BINS)
+def _reliability(trust: Values, ratio: Values, weights: Values) -> dict[str, dict[str, float]]:
+    number = np.minimum((trust * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    area = np.bincount(number, weights, CONFIDENCE_BINS)
     sums = {
-        "confidence": np.bincount(number, weights * trust, BINS),
-        "within_5": np.bincount(number, weights * (ratio < DELTAS["105"]), BINS),
-        "within_10": np.bincount(number, weights * (ratio < DELTAS["110"]), BINS),
+        "confidence": np.bincount(number, weights * trust, CONFIDENCE_BINS),
+        "within_5": np.bincount(number, weights * (ratio < DELTAS["105"]), CONFIDENCE_BINS),
+        "within_10": np.bincount(number, weights * (ratio < DELTAS["110"]), CONFIDENCE_BINS),
     }
-    named = {f"{(index + 0.5) / BINS:.2f}": index for index in np.flatnonzero(area)}
+    named = {f"{(index + 0.5) / CONFIDENCE_BINS:.2f}": index for index in np.flatnonzero(area)}
     return {"area": {name: float(area[index]) for name, index in named.items()}} | {
         figure: {name: float(of_bins[index] / area[index]) for name, index in named.items()}
         for figure, of_bins in sums.items()
     }
 
 
-def _scored(truth: np.ndarray) -> tuple[np.ndarray, Numbers]:
+def _scored(truth: np.ndarray) -> tuple[np.ndarray, Values]:
     """Which pixels count, and the share of each of them."""
     scored = scored_pixels(truth)
     weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape)[scored]
     return scored, weights / weights.sum()
 
 
-def _ratio(estimate: np.ndarray, truth: np.ndarray) -> Numbers:
+def _ratio(estimate: np.ndarray, truth: np.ndarray) -> Values:
     """max(p/g, g/p); infinite where the estimate is infinitely far."""
     larger, smaller = np.maximum(estimate, truth), np.minimum(estimate, truth)
     return np.asarray(np.divide(larger, smaller, out=np.full(larger.shape, np.inf), where=smaller > 0.0))

@@ -24,16 +24,16 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions, pi
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.types import View
 
-TOLERANCE = 30 / 255
+COLOUR_TOLERANCE = 30 / 255
 """Difference in any channel from which on a colour is another one."""
 
-CELLS = (64, 128)
+CELL_GRID_SIZE = (64, 128)
 """Rows and columns of cells."""
 
-SAMPLES = (128, 256)
+DEPTH_GRID_SIZE = (128, 256)
 """Rows and columns of true depth that cells are told by: four for each, 36 with those around it."""
 
-BESIDE = np.radians(1.4)
+CELL_SEARCH_ANGLE = np.radians(1.4)
 """Angle from the line."""
 
 
@@ -47,16 +47,10 @@ class _Pixels(NamedTuple):
 
 
 def flying_share(image: Picture, truth: Picture, pose: Pose, views: tuple[View, View]) -> float:
-    """Share of the sphere whose pixels fly: see above.
+    """Share of the sphere whose pixels fly.
 
-    Args:
-        image: a frame, RGB in [0, 1].
-        truth: what a camera saw there, of the same size.
-        pose: of the frame.
-        views: both photographs, with their true depth.
-
-    Raises:
-        ValueError: sizes differ, or a view has no known depth.
+    ``image`` is a frame and ``truth`` what a camera saw at ``pose``, both RGB in [0, 1] of one size; ``views`` are both
+    photographs. ValueError: sizes differ, or a view has no known depth.
     """
     weights = np.broadcast_to(row_weights(len(truth))[:, None], truth.shape[:2])
     return float(weights[flying_pixels(image, truth, pose, views)].sum() / weights.sum())
@@ -67,7 +61,7 @@ def flying_pixels(
 ) -> Bool[np.ndarray, "height width"]:
     """Which pixels fly; arguments as above."""
     check_same_size(image, truth)
-    flying: np.ndarray = np.abs(image - truth).max(axis=-1) > TOLERANCE
+    flying: np.ndarray = np.abs(image - truth).max(axis=-1) > COLOUR_TOLERANCE
     directions = pixel_directions(*flying.shape)[flying]
     ends = (sample_nearest(end, directions) for end in _true_range(pose, views))
     pixels = _Pixels(directions, image[flying].astype(np.float32), *ends)
@@ -80,7 +74,7 @@ def flying_pixels(
 
 def _true_range(pose: Pose, views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray]:
     """The least and the greatest true inverse depth around every cell of a frame, 1/metre."""
-    least, greatest = np.full(CELLS, np.inf), np.full(CELLS, -1.0)
+    least, greatest = np.full(CELL_GRID_SIZE, np.inf), np.full(CELL_GRID_SIZE, -1.0)
     for view in views:
         cells, inverse_depth = _carried(pose, view)
         np.minimum.at(least, cells, inverse_depth)
@@ -98,19 +92,19 @@ def _carried(pose: Pose, view: View) -> tuple[tuple[np.ndarray, np.ndarray], np.
     """Cells of a frame that the true depth of a view falls into, and its inverse depth from there."""
     if view.known_depth is None:
         raise ValueError("expected views with known depth, got one without; leave flying pixels out")
-    directions = pixel_directions(*SAMPLES)
+    directions = pixel_directions(*DEPTH_GRID_SIZE)
     is_known = sample_nearest(view.known_depth.confidence, directions) > 0
     inverse_depth = sample_nearest(view.known_depth.inverse_depth, directions)[is_known].astype(np.float64)
     rays = sweep_directions(directions[is_known], inverse_depth, pose.inverse() @ view.pose)
-    return _pixels_of(rays, CELLS), inverse_depth / np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
+    return _pixels_of(rays, CELL_GRID_SIZE), inverse_depth / np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
 
 
 def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " count"]:
     """Whether a photograph has the colour of each pixel near its line: looked for from the far end to the near one."""
     view_from_frame = view.pose.inverse() @ pose
-    step = 2.0 * BESIDE / max(float(np.linalg.norm(view_from_frame.position)), 1e-9)
+    step = 2.0 * CELL_SEARCH_ANGLE / max(float(np.linalg.norm(view_from_frame.position)), 1e-9)
     size = (view.image.shape[0], view.image.shape[1])
-    reach = max(1, round(BESIDE * pixel_scale(size)[0]))
+    reach = max(1, round(CELL_SEARCH_ANGLE * pixel_scale(size)[0]))
     wide, is_shown = add_border(view.image.astype(np.float32), reach), np.zeros(len(pixels.colours), bool)
     left, inverse_depth = np.arange(len(is_shown)), pixels.farthest
     while left.size:
@@ -126,12 +120,8 @@ def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " cou
 def is_around(wide: np.ndarray, reach: int, rows: np.ndarray, cols: np.ndarray, colours: np.ndarray) -> np.ndarray:
     """Whether a picture has each colour within ``reach`` rows and columns of each pixel, ``(count,)``.
 
-    Args:
-        wide: the picture with so many more rows and columns on every side, ``(rows, cols, 3)`` float32.
-        reach: see above.
-        rows: of the pixels, without those.
-        cols: likewise.
-        colours: RGB, ``(count, 3)`` float32.
+    ``wide`` is the picture with ``reach`` more rows and columns on every side, ``(rows, cols, 3)`` float32; ``rows``
+    and ``cols`` of the pixels count without them; ``colours`` are ``(count, 3)`` float32.
     """
     is_found = np.zeros(len(rows), np.bool_)
     side = 2 * reach + 1
@@ -139,9 +129,9 @@ def is_around(wide: np.ndarray, reach: int, rows: np.ndarray, cols: np.ndarray, 
         for place in range(side * side):
             shown = wide[rows[k] + place // side, cols[k] + place % side]
             if (
-                abs(shown[0] - colours[k, 0]) <= TOLERANCE
-                and abs(shown[1] - colours[k, 1]) <= TOLERANCE
-                and abs(shown[2] - colours[k, 2]) <= TOLERANCE
+                abs(shown[0] - colours[k, 0]) <= COLOUR_TOLERANCE
+                and abs(shown[1] - colours[k, 1]) <= COLOUR_TOLERANCE
+                and abs(shown[2] - colours[k, 2]) <= COLOUR_TOLERANCE
             ):
                 is_found[k] = True
                 break

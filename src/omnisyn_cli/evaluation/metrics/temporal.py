@@ -20,10 +20,10 @@ from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.geometry.sweep import sweep_directions
 
-TOLERANCE = 0.05
+VISIBILITY_TOLERANCE = 0.05
 """Relative difference in inverse depth up to which two frames see the same point."""
 
-INFINITE = 1e-3
+FAR_INVERSE_DEPTH = 1e-3
 """Inverse depth, 1/m, below which two values need not agree: beyond a kilometre all is equally far."""
 
 Frames = Sequence[Float[np.ndarray, "height width 3"]]
@@ -52,10 +52,10 @@ def warping_error(frames: Frames, inverse_depths: InverseDepths, poses: Sequence
     Source: the warping error of Lai et al., Learning blind video temporal consistency, 2018, with geometry in the place
     of optical flow and absolute differences.
     """
-    _check(frames, inverse_depths, poses, least=2)
+    _check(frames, inverse_depths, poses, min_frames=2)
     errors = []
     for here in range(len(frames) - 1):
-        warped, visible = _followed(here, here + 1, frames, inverse_depths, poses)
+        warped, visible = _warp(here, here + 1, frames, inverse_depths, poses)
         errors.append(_mean(np.abs(warped - frames[here]), visible))
     return float(np.mean(errors))
 
@@ -66,16 +66,16 @@ def flicker(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]
     The points are those of the middle frame's pixels, found in its neighbours. A steady change, such as a slow
     cross-fade, is no flicker; a point that lights up for one frame by e counts 2·e. At least three frames.
     """
-    _check(frames, inverse_depths, poses, least=3)
+    _check(frames, inverse_depths, poses, min_frames=3)
     errors = []
     for now in range(1, len(frames) - 1):
-        before, visible_before = _followed(now, now - 1, frames, inverse_depths, poses)
-        after, visible_after = _followed(now, now + 1, frames, inverse_depths, poses)
+        before, visible_before = _warp(now, now - 1, frames, inverse_depths, poses)
+        after, visible_after = _warp(now, now + 1, frames, inverse_depths, poses)
         errors.append(_mean(np.abs(before - 2.0 * frames[now] + after), visible_before & visible_after))
     return float(np.mean(errors))
 
 
-def _followed(
+def _warp(
     here: int, there: int, frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose]
 ) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
     """Colours in frame ``there`` of the points that the pixels of frame ``here`` show, and which of them it sees."""
@@ -87,7 +87,7 @@ def _followed(
     reached = known & (length > 0)
     expected = rho / np.where(reached, length, 1.0)
     seen = sample_nearest(inverse_depths[there], rays)
-    agreeing = np.abs(expected - seen) <= np.maximum(TOLERANCE * expected, INFINITE)
+    agreeing = np.abs(expected - seen) <= np.maximum(VISIBILITY_TOLERANCE * expected, FAR_INVERSE_DEPTH)
     return sample_bicubic(frames[there].astype(np.float64), rays), reached & (seen >= 0) & agreeing
 
 
@@ -98,9 +98,9 @@ def _mean(error: Float[np.ndarray, "height width 3"], visible: Bool[np.ndarray, 
     return float(np.average(error.mean(axis=-1), weights=weights))
 
 
-def _check(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose], least: int) -> None:
-    if len(frames) < least:
-        raise ValueError(f"expected at least {least} frames, got {len(frames)}; take smaller steps")
+def _check(frames: Frames, inverse_depths: InverseDepths, poses: Sequence[Pose], min_frames: int) -> None:
+    if len(frames) < min_frames:
+        raise ValueError(f"expected at least {min_frames} frames, got {len(frames)}; take smaller steps")
     if not len(frames) == len(inverse_depths) == len(poses):
         counts = f"{len(frames)} frames, {len(inverse_depths)} inverse depths and {len(poses)} poses"
         raise ValueError(f"expected one inverse depth and one pose for every frame, got {counts}")

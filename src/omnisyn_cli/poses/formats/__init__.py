@@ -90,7 +90,7 @@ FORMATS: Mapping[str, Format] = {
 
 IMPORT_FORMATS = tuple(FORMATS)
 
-OF_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors"}
+FORMAT_BY_SUFFIX = {".csv": "table", ".tsv": "table", ".npy": "authors"}
 
 
 def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptions) -> tuple[str, ImportedPoses]:
@@ -174,8 +174,8 @@ def _of_file(path: Path) -> str:
         return "colmap"
     if suffix == ".json":
         return _of_json(path)
-    if suffix in OF_SUFFIX:
-        return OF_SUFFIX[suffix]
+    if suffix in FORMAT_BY_SUFFIX:
+        return FORMAT_BY_SUFFIX[suffix]
     _, line = next(data_lines(path), (0, ""))
     if not line:
         raise _unknown(path, "an empty file")

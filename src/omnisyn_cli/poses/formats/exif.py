@@ -19,7 +19,8 @@ from omnisyn_cli.poses.formats.files import images_in
 from omnisyn_cli.poses.formats.geographic import Place, altitudes_note, imported_places
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions
 
-ELLIPSOID = (2, 3)
+ELLIPSOID_ALTITUDE_REFS = (2, 3)
+"""Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)."""
 
 
 def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
@@ -83,7 +84,7 @@ def _place(header: ImageHeader) -> Place:
 
 def _notes(headers: list[ImageHeader], skipped: list[str]) -> list[str]:
     notes = []
-    if any(h.altitude is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID for h in headers):
+    if any(h.altitude is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID_ALTITUDE_REFS for h in headers):
         notes.append(altitudes_note("EXIF"))
     by_compass = [h for h in headers if h.number("GPano:PoseHeadingDegrees") is None]
     if by_compass:

@@ -22,7 +22,7 @@ __all__ = ["natural_key"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".webp"})
 
-UNREADABLE_ARRAY = (
+NUMPY_LOAD_ERRORS = (
     ValueError, EOFError, SyntaxError, TokenError, BadZipFile, RecursionError, MemoryError, TypeError,
     OverflowError,
 )  # fmt: skip
@@ -55,7 +55,7 @@ def read_array(path: Path) -> Float[np.ndarray, "*shape"]:
         array = np.load(path, allow_pickle=False)
     except OSError as error:
         raise PoseError(f"{path}: expected a NumPy array, got '{error.strerror or error}'; check the name") from error
-    except UNREADABLE_ARRAY as error:
+    except NUMPY_LOAD_ERRORS as error:
         reason = " ".join(f"{error!s:.200}".split())
         raise PoseError(f"{path}: expected a plain NumPy array, got '{reason}'; save it with numpy.save") from error
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
@@ -103,9 +103,7 @@ def find_image(where: str, name: str, folders: list[Path], options: ImportOption
             begins the message.
     """
     if not options.allow_outside and (PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts):
-        raise PoseError(
-            f"{where}: expected a file inside the source's folder, got '{name}'; allow it with --allow-outside"
-        )
+        raise PoseError(f"{where}: expected a file inside the source's folder, got '{name}'; use --allow-outside")
     searched = folders if options.images is None else [options.images, *folders]
     candidates = (folder / part for folder in searched for part in (name, PurePosixPath(name).name))
     try:

@@ -12,11 +12,11 @@ from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
 
-FAR = 1e6
-"""Metres along a plumb line; any length serves, a long one keeps more digits."""
+PLUMB_LINE_LENGTH = 1e6
+"""Metres between the two points that give a plumb line; any length serves, a long one keeps more digits."""
 
-LIMITS = {"latitude": 90.0, "longitude": 180.0, "heading": 360.0, "pitch": 90.0, "roll": 180.0, "altitude": 1e6}
-"""Largest absolute values of a place's numbers."""
+PLACE_LIMITS = {"latitude": 90.0, "longitude": 180.0, "heading": 360.0, "pitch": 90.0, "roll": 180.0, "altitude": 1e6}
+"""Largest absolute values of the fields of :class:`Place`, in their units."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Place:
 
     def check(self, where: str, remedy: str) -> None:
         """Refuse (PoseError from ``where`` to ``remedy``) numbers that are too large for what they mean."""
-        for name, limit in LIMITS.items():
+        for name, limit in PLACE_LIMITS.items():
             value = getattr(self, name)
             if value is not None and not abs(value) <= limit:
                 raise PoseError(f"{where}: expected {name} within ±{limit:g}, got {value:g}; {remedy}")
@@ -56,17 +56,11 @@ def imported_places(
     """Places by name in the local world of the origin that is asked for, or of the first place.
 
     Without any altitude all are taken to be equally high. Headings count from the meridian of each place, which is
-    turned into the world exactly.
-
-    Raises:
-        PoseError: some have an altitude and some have none; ``where`` begins the message.
+    turned into the world exactly. PoseError: some have an altitude and some have none; ``where`` begins the message.
     """
     without = [name for name, place in places.items() if place.altitude is None]
     if 0 < len(without) < len(places):
-        raise PoseError(
-            f"{where}: expected altitudes for all panoramas or for none, got none for '{without[0]}'; "
-            "add it, or remove the others"
-        )
+        raise PoseError(f"{where}: expected altitudes for all panoramas or none, got none for '{without[0]}'; add it")
     first = next(iter(places.values()))
     origin = options.origin or (first.latitude, first.longitude, first.altitude or 0.0)
     views = []
@@ -109,5 +103,5 @@ def _position(latitude: float, longitude: float, altitude: float, origin: Origin
 
 def _plumb(latitude: float, longitude: float, origin: Origin) -> Float[np.ndarray, " 3"]:
     """Unit vector upwards at a place: altitude grows along a straight line."""
-    along = _position(latitude, longitude, FAR, origin) - _position(latitude, longitude, 0.0, origin)
-    return np.asarray(along / FAR)
+    along = _position(latitude, longitude, PLUMB_LINE_LENGTH, origin) - _position(latitude, longitude, 0.0, origin)
+    return np.asarray(along / PLUMB_LINE_LENGTH)

@@ -18,8 +18,8 @@ from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportO
 
 __all__ = ["habitat_pose"]
 
-TURNED = 1e-6
-"""Radians above which a rotation is worth a remark."""
+MIN_NOTED_ROTATION = 1e-6
+"""Radians; smaller rotations are rounding and get no note."""
 
 
 def habitat_folders(folder: Path) -> list[Path]:
@@ -42,7 +42,7 @@ def read_habitat(source: Path, options: ImportOptions) -> ImportedPoses:
         "distances: metres": True,
         "depth: 16-bit millimetres along the ray, where there is a depth.png": True,
         "rotations: rot.txt is read as camera-to-world, as PanSplat does": (
-            any(float(rotation_angle(view.pose.rotation)) > TURNED for view in views)
+            any(float(rotation_angle(view.pose.rotation)) > MIN_NOTED_ROTATION for view in views)
         ),
     }
     return ImportedPoses(tuple(views), noted(notes))

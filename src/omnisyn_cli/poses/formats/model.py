@@ -14,8 +14,8 @@ import numpy as np
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 
-CANCELLED = 1e-3
-"""Length of a mean of unit vectors that has no direction."""
+MIN_MEAN_UP_LENGTH = 1e-3
+"""Length of the mean of the cameras' up vectors below which it has no direction: only rounding is left of it."""
 
 CAMERA_AXES = {
     "opengl": np.eye(3),
@@ -110,7 +110,7 @@ def leveled(poses: Sequence[Pose]) -> list[Pose]:
     """The same poses in a world whose y axis is the mean of the cameras' own: level where cameras were held level."""
     mean_up = np.mean([pose.rotation[:, 1] for pose in poses], axis=0)
     length = float(np.linalg.norm(mean_up))
-    if length < CANCELLED:
+    if length < MIN_MEAN_UP_LENGTH:
         raise PoseError("expected cameras held roughly upright, got directions that cancel out; choose --up by axis")
     turn = Pose(rotation_taking(mean_up / length, np.array([0.0, 1.0, 0.0])), np.zeros(3))
     return [turn @ pose for pose in poses]

@@ -64,9 +64,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
         where = f"{path}: frames[{index}]"
         matrix = np.array(frame.transform_matrix)
         if len(matrix) == 4 and np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
-            raise PoseError(
-                f"{where}.transform_matrix: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it"
-            )
+            raise PoseError(f"{where}: expected a last row [0, 0, 0, 1], got {matrix[3].tolist()}; transpose it")
         rotation = checked_rotation(f"{where}.transform_matrix", matrix[:3, :3])
         pose = options.pose(Pose(rotation, matrix[:3, 3] / scale), camera="opengl", up="z")
         name = frame.file_path.removeprefix("./")
@@ -125,9 +123,7 @@ def _scale_of(path: Path, transform: list[Row] | None) -> float:
     linear = np.array(transform)[:3, :3]
     determinant = float(np.linalg.det(linear))
     if not determinant > 0:
-        raise PoseError(
-            f"{path}: applied_transform: expected a rotation with a scale, got determinant {determinant:.3g}; remove it"
-        )
+        raise PoseError(f"{path}: applied_transform: expected a scaled rotation, got determinant {determinant:.3g}")
     scale = float(np.cbrt(determinant))
     checked_rotation(f"{path}: applied_transform", linear / scale)
     return scale

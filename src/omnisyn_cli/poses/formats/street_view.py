@@ -14,7 +14,7 @@ from typing import Any
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import listed, read_json, read_text
 from omnisyn_cli.poses.formats.files import find_image, numbers
-from omnisyn_cli.poses.formats.geographic import LIMITS, Place, altitudes_note, imported_places
+from omnisyn_cli.poses.formats.geographic import PLACE_LIMITS, Place, altitudes_note, imported_places
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, noted
 
 COLUMNS = {
@@ -30,8 +30,8 @@ COLUMNS = {
 
 REQUIRED = ("image", "latitude", "longitude", "heading")
 
-RADIANS = 6.3
-"""Headings that all stay below are suspicious."""
+MAX_RADIAN_HEADING = 6.3
+"""Just above 2π: headings that all stay below may be radians."""
 
 
 def read_table(source: Path, options: ImportOptions) -> ImportedPoses:
@@ -103,7 +103,7 @@ def _check_columns(where: str, names: list[str]) -> None:
 
 
 def _place(where: str, row: Mapping[str, Any]) -> Place:
-    names = [name for name in LIMITS if name in REQUIRED or name in row]
+    names = [name for name in PLACE_LIMITS if name in REQUIRED or name in row]
     place = Place(**{name: float(numbers(where, [str(row.get(name, ""))], 1, name)[0]) for name in names})
     place.check(where, "correct it")
     return place
@@ -116,7 +116,7 @@ def _notes(rows: list[dict[str, Any]]) -> tuple[str, ...]:
         {
             "angles: degrees; heading of the image centre clockwise from true north, pitch up, roll as in GPano": True,
             "headings: all within ±6.3, are they radians? they are taken as degrees": (
-                any(headings) and all(abs(heading) <= RADIANS for heading in headings)
+                any(headings) and all(abs(heading) <= MAX_RADIAN_HEADING for heading in headings)
             ),
             altitudes_note("a street-view elevation"): any("altitude" in row for row in rows),
             f"ignored: columns {listed(ignored, 8)}": ignored,

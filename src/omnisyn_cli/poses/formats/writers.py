@@ -60,10 +60,7 @@ def export_poses(
 def _size(path: Path, name: str, folder: Path, file: Path | None) -> tuple[int, int]:
     """``(height, width)`` of the whole sphere of a panorama."""
     if file is None:
-        raise PoseError(
-            f"{path}: expected the panorama '{name}' in '{folder}', for its size, got none; "
-            "name the folder (--images) or the size (--size)"
-        )
+        raise PoseError(f"{path}: expected the panorama '{name}' in '{folder}', got none; use --images or --size")
     placement = placement_of(read_header(file))
     return placement.full_height, placement.full_width
 
@@ -88,9 +85,7 @@ def write_imported(
     missing = [view.name for view in imported.views if view.image is None]
     if copy_images:
         if missing:
-            raise PoseError(
-                f"{output}: expected all panoramas, to copy them, got no {listed(missing)}; name their folder"
-            )
+            raise PoseError(f"{output}: expected panoramas to copy, got no {listed(missing)}; name their folder")
         return _write_copies(output, _named(output, imported.views, may_join=True), overwrite)
     views, folder = _named(output, imported.views, may_join=False), output.parent.absolute()
     within = {

@@ -22,13 +22,13 @@ from omnisyn_cli.geometry.pose import (
 )
 from omnisyn_cli.geometry.sphere import FORWARD, direction_to_angles
 
-NUMBERS, TRANSFORMS, AXES, PAIR = range(4)
-"""Stages."""
+NUMBER_STAGE, TRANSFORM_STAGE, AXES_STAGE, PAIR_STAGE = range(4)
+"""Stages in which corrections are applied: numbers, then transforms, then axes, then the pair."""
 
-OPENCV = np.diag([1.0, -1.0, -1.0])
+OPENCV_AXES = np.diag([1.0, -1.0, -1.0])
 """This program's camera axes in those of OpenCV (x right, y down, z forward), and back."""
 
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+Z_UP_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 SIGNED_PERMUTATIONS = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -36,10 +36,11 @@ SIGNED_PERMUTATIONS = [
     for signs in product((1.0, -1.0), repeat=3)
 ]
 
-FULL_TURNS = 29
-"""By which an angle of at most 180 passes when it is taken for radians."""
+MAX_LOST_TURNS = 29
+"""Full turns (2π) in 180 radians, rounded up: what an angle in degrees loses when it is read as radians."""
 
-NO_TURN = 1e-9
+MIN_ANGLE = 1e-9
+"""Radians; smaller rotations have no axis."""
 
 Correction = Callable[[Pose, Pose], tuple[Pose, Pose]]
 
@@ -100,7 +101,7 @@ def degree_hypotheses(first: Pose, second: Pose, found: Pose, limit: float) -> I
     for i, k in np.argwhere(rotation_angle(found.rotation.T @ relative) <= limit):
         yield ConventionHypothesis(
             "degrees-for-radians",
-            NUMBERS,
+            NUMBER_STAGE,
             "rotation angles in degrees were taken for radians",
             "convert angles to radians before making quaternions or matrices of them",
             lambda a, b, r=firsts[i], s=seconds[k]: (Pose(r, a.position), Pose(s, b.position)),  # type: ignore[misc]
@@ -117,39 +118,39 @@ def heading_angles(rotation: np.ndarray) -> tuple[float, float, float]:
 
 def _common() -> tuple[ConventionHypothesis, ...]:
     return (
-        _each("world-to-camera", TRANSFORMS,
+        _each("world-to-camera", TRANSFORM_STAGE,
               "the poses are world-to-camera transforms, given as camera-to-world ones",
               "invert every transform: rotation Rᵀ, position −Rᵀ·t",
               Pose.inverse),
-        _each("opencv-extrinsics", TRANSFORMS,
+        _each("opencv-extrinsics", TRANSFORM_STAGE,
               "the poses are world-to-camera transforms with OpenCV's axes as COLMAP writes them",
               "convert them, for example with `omnisyn poses import --format colmap`",
-              lambda pose: Pose(pose.rotation.T @ OPENCV, pose.inverse().position)),
-        _each("rotation-transposed", TRANSFORMS,
+              lambda pose: Pose(pose.rotation.T @ OPENCV_AXES, pose.inverse().position)),
+        _each("rotation-transposed", TRANSFORM_STAGE,
               "the rotations are world-to-camera (transposed, or conjugated quaternions), the positions right",
               "transpose every rotation matrix, or negate x, y, z of every quaternion",
               lambda pose: Pose(pose.rotation.T, pose.position)),
-        _each("translation-for-position", TRANSFORMS,
+        _each("translation-for-position", TRANSFORM_STAGE,
               "the positions are translations t of world-to-camera transforms instead of camera centres",
               "write −R·t with the camera-to-world rotation R as position",
               lambda pose: Pose(pose.rotation, -pose.rotation @ pose.position)),
         ConventionHypothesis(
-              "images-swapped", PAIR,
+              "images-swapped", PAIR_STAGE,
               "the two images are swapped: each has the pose of the other",
               "exchange the two names in the pose file",
               lambda first, second: (second, first)),
-        _each("opencv-axes", AXES,
+        _each("opencv-axes", AXES_STAGE,
               "the rotations are for camera axes x right, y down, z forward (OpenCV, COLMAP)",
               "multiply every rotation by diag(1, −1, −1) from the right",
-              lambda pose: Pose(pose.rotation @ OPENCV, pose.position)),
-        _each("centre-at-edge", AXES,
+              lambda pose: Pose(pose.rotation @ OPENCV_AXES, pose.position)),
+        _each("centre-at-edge", AXES_STAGE,
               "the rotations are for images whose centre is at the left and right edge (turned by 180° of yaw)",
               "roll the images by half their width, or turn every rotation by 180° about its y axis",
               _half_turn),
-        _each("z-up-camera", AXES,
+        _each("z-up-camera", AXES_STAGE,
               "the rotations are for camera axes x right, y forward, z up: y and z are mixed up",
               "multiply every rotation by [[1, 0, 0], [0, 0, −1], [0, 1, 0]] from the right",
-              lambda pose: Pose(pose.rotation @ Z_UP, pose.position)),
+              lambda pose: Pose(pose.rotation @ Z_UP_AXES, pose.position)),
         _mirror("x", (-1, 1, 1)),
         _mirror("y", (1, -1, 1)),
         _mirror("z", (1, 1, -1)),
@@ -165,16 +166,16 @@ def _common() -> tuple[ConventionHypothesis, ...]:
                        "headings and positions are 90° apart (as if headings counted from east)"),
         _position_axes("position-quarter-right", "−z, y, x",
                        "headings and positions are 90° apart (as if headings counted from west)"),
-        _each("quaternion-order", NUMBERS,
+        _each("quaternion-order", NUMBER_STAGE,
               "the quaternions are [x, y, z, w] instead of [w, x, y, z]",
               "write w first",
               lambda pose: Pose(
                   rotation_from_quaternion(np.roll(quaternion_from_rotation(pose.rotation), 1)), pose.position)),
-        _each("radians-for-degrees", NUMBERS,
+        _each("radians-for-degrees", NUMBER_STAGE,
               "headings in radians were taken for degrees",
               "write heading, pitch and roll in degrees",
               lambda pose: Pose(rotation_from_heading(*np.degrees(heading_angles(pose.rotation))), pose.position)),
-        _each("heading-reversed", NUMBERS,
+        _each("heading-reversed", NUMBER_STAGE,
               "headings are counted counter-clockwise instead of clockwise",
               "change the sign of every heading (yaw)",
               lambda pose: Pose(
@@ -197,7 +198,7 @@ def _mirror(axis: str, signs: tuple[int, int, int]) -> ConventionHypothesis:
     m = np.diag(np.array(signs, float))
     return _each(
         f"mirrored-{axis}",
-        AXES,
+        AXES_STAGE,
         f"the poses are from a left-handed frame, the {axis} axis mirrored (or the images are flipped)",
         f"with M = diag{signs} write M·R·M as rotation and M·p as position",
         lambda pose: Pose(m @ pose.rotation @ m, m @ pose.position),
@@ -207,13 +208,13 @@ def _mirror(axis: str, signs: tuple[int, int, int]) -> ConventionHypothesis:
 def _position_axes(name: str, axes: str, words: str, is_common: bool = True) -> ConventionHypothesis:
     matrix = next(matrix for matrix in SIGNED_PERMUTATIONS if _written(matrix) == axes)
     remedy = f"write ({axes}) as position instead of (x, y, z)"
-    return _each(name, AXES, words, remedy, lambda pose: Pose(pose.rotation, matrix @ pose.position), is_common)
+    return _each(name, AXES_STAGE, words, remedy, lambda pose: Pose(pose.rotation, matrix @ pose.position), is_common)
 
 
 def _other_camera_axes(matrix: np.ndarray) -> ConventionHypothesis:
     return _each(
         "camera-axes",
-        AXES,
+        AXES_STAGE,
         f"the rotations are for other camera axes: x, y, z of this program are {_written(matrix.T)} there",
         f"multiply every rotation by {matrix.astype(int).tolist()} from the right",
         lambda pose: Pose(pose.rotation @ matrix, pose.position),
@@ -228,7 +229,7 @@ def _one_half_turn(index: int, word: str) -> ConventionHypothesis:
 
     return ConventionHypothesis(
         f"{word}-centre-at-edge",
-        AXES,
+        AXES_STAGE,
         f"the {word} image alone has its centre at the left and right edge (turned by 180° of yaw)",
         f"roll the {word} image by half its width, or turn its rotation by 180° about its y axis",
         correct,
@@ -249,8 +250,8 @@ def _angles_in_degrees(rotation: np.ndarray) -> np.ndarray:
     """Rotations ``(n, 3, 3)`` about the same axis by what the angle may have been before it was taken for radians."""
     vector = rotation_vector_from_rotation(rotation)
     angle = float(np.linalg.norm(vector))
-    if angle < NO_TURN:
+    if angle < MIN_ANGLE:
         return rotation[None]
-    degrees = angle + np.arange(-FULL_TURNS, FULL_TURNS + 1) * math.radians(360.0)
+    degrees = angle + np.arange(-MAX_LOST_TURNS, MAX_LOST_TURNS + 1) * math.radians(360.0)
     degrees = degrees[np.abs(degrees) <= 180.0]
     return rotation_from_rotation_vector(np.radians(degrees)[:, None] * vector / angle)

@@ -11,33 +11,32 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.poses.registration import conventions, least_squares
 from omnisyn_cli.poses.registration.conventions import ConventionHypothesis
 from omnisyn_cli.poses.registration.features import Matches
-from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_scale, supporting
+from omnisyn_cli.poses.registration.robust import Estimate, estimate_relative_pose, inlier_threshold, support_mask
 
 Verdict = Literal["fits", "close", "mistake", "contradiction", "in place", "unknown"]
 """``close``: off by little, refine; ``mistake``: a hypothesis explains it; ``contradiction``: none does; ``in place``:
 taken from one place, only rotations can be judged; ``unknown``: too few matches."""
 
-FITS = (math.radians(0.5), math.radians(2.0))
-"""Rotation and direction that may be off without a remark."""
+FIT_LIMITS = (math.radians(0.5), math.radians(2.0))
+"""Errors of rotation and direction up to which poses fit."""
 
-CLOSE = (math.radians(15.0), math.radians(20.0))
-"""Rotation and direction that are taken for inaccuracy rather than for a mistake in writing."""
+CLOSE_LIMITS = (math.radians(15.0), math.radians(20.0))
+"""Errors that are taken for inaccuracy rather than for a mistake in convention: wrong axes are off by far more."""
 
-EXPLAINED = (math.radians(3.0), math.radians(5.0))
-"""How close a correction has to come."""
+EXPLANATION_LIMITS = (math.radians(3.0), math.radians(5.0))
+"""Errors that poses may keep once a convention is corrected; given poses are rarely more exact."""
 
-EXPLAINED_BY_DEGREES = (math.radians(1.0), math.radians(1.0))
+DEGREES_EXPLANATION_LIMITS = (math.radians(1.0), math.radians(1.0))
 """The same where thousands of corrections are tried, of which one may come close by chance."""
 
-GAIN = 3.0
-"""A correction has to come closer than the poses as given by this factor."""
+MIN_IMPROVEMENT = 3.0
+"""Factor by which a correction has to reduce the larger error of the poses as given."""
 
-INDISTINGUISHABLE = math.radians(1.0)
-"""Corrections whose results differ by less are not told apart."""
+TIE_ANGLE = math.radians(1.0)
+"""Corrections whose errors differ by less cannot be told apart by one pair."""
 
-SIGNIFICANT = 25.0
-"""Decrease of the misfit (χ² of five degrees of freedom stays below it in 9,999 cases of 10,000) that is worth a
-change."""
+MIN_CHI_SQUARED_GAIN = 25.0
+"""Decrease of χ² that is worth a change: χ² of five degrees of freedom stays below it in 9,999 cases of 10,000."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Fit:
     direction: float
     residual: float
     in_front: float
-    supporting: int
+    support_mask: int
 
     def is_within(self, limits: tuple[float, float]) -> bool:
         """Whether rotation and direction are at most ``limits``."""
@@ -106,32 +105,33 @@ def diagnose(first: Pose, second: Pose, matches: Matches) -> Diagnosis:
     if estimate is None:
         return Diagnosis("unknown", len(matches), None, None, (), is_refinable=False)
     given = _fit(given_relative, estimate, matches)
-    verdict, explanations = _judged(first, second, given, estimate, matches)
+    verdict, explanations = _judge(first, second, given, estimate, matches)
     is_refinable = verdict in ("fits", "close") and _improves(given_relative, estimate, matches)
     return Diagnosis(verdict, len(matches), estimate, given, explanations, is_refinable)
 
 
 def _fit(first_from_second: Pose, estimate: Estimate, matches: Matches) -> Fit:
     """How well a relative pose fits, and how far it is from what was found."""
-    agreed, scale = matches.select(estimate.inliers), inlier_scale(matches)
+    agreed, scale = matches.select(estimate.inliers), inlier_threshold(matches)
     return Fit(
-        *_off(first_from_second, estimate),
+        *_pose_errors(first_from_second, estimate),
         float(np.median(np.abs(least_squares.epipolar_residual(first_from_second, agreed)))),
         float(np.mean(least_squares.is_in_front(first_from_second, agreed, scale))),
-        int(supporting(first_from_second, matches, scale).sum()),
+        int(support_mask(first_from_second, matches, scale).sum()),
     )
 
 
-def _judged(
+def _judge(
     first: Pose, second: Pose, given: Fit, estimate: Estimate, matches: Matches
 ) -> tuple[Verdict, tuple[Explanation, ...]]:
+    # three standard deviations: poses are not blamed for what the matches cannot tell
     certain = 3.0 * estimate.uncertainty.rotation, 3.0 * estimate.uncertainty.direction
-    if given.is_within((max(FITS[0], certain[0]), max(FITS[1], certain[1]))):
-        return ("in place" if estimate.is_in_place else "fits"), ()
+    if given.is_within((max(FIT_LIMITS[0], certain[0]), max(FIT_LIMITS[1], certain[1]))):
+        return ("in place" if estimate.have_same_position else "fits"), ()
     explanations = _explanations(first, second, given, estimate, matches)
     if explanations:
         return "mistake", explanations
-    return ("close" if given.is_within(CLOSE) and not estimate.is_in_place else "contradiction"), ()
+    return ("close" if given.is_within(CLOSE_LIMITS) and not estimate.have_same_position else "contradiction"), ()
 
 
 def _explanations(
@@ -140,33 +140,33 @@ def _explanations(
     """Of the simplest kind of hypothesis that explains it, all that explain it equally well."""
     singles = conventions.single_hypotheses()
     kinds: list[tuple[Iterable[ConventionHypothesis], tuple[float, float]]] = [
-        ([hypothesis for hypothesis in singles if hypothesis.is_common], EXPLAINED),
-        ([hypothesis for hypothesis in singles if not hypothesis.is_common], EXPLAINED),
-        (conventions.combined_hypotheses(), EXPLAINED),
+        ([hypothesis for hypothesis in singles if hypothesis.is_common], EXPLANATION_LIMITS),
+        ([hypothesis for hypothesis in singles if not hypothesis.is_common], EXPLANATION_LIMITS),
+        (conventions.combined_hypotheses(), EXPLANATION_LIMITS),
     ]
-    if not given.is_within(CLOSE):
-        in_degrees = conventions.degree_hypotheses(first, second, estimate.first_from_second, EXPLAINED_BY_DEGREES[0])
-        kinds.append((in_degrees, EXPLAINED_BY_DEGREES))
+    if not given.is_within(CLOSE_LIMITS):
+        limits = DEGREES_EXPLANATION_LIMITS
+        kinds.append((conventions.degree_hypotheses(first, second, estimate.first_from_second, limits[0]), limits))
     for hypotheses, limits in kinds:
         corrected = ((each, least_squares.relative_pose(*each.correct(first, second))) for each in hypotheses)
         found = [
             Explanation(hypothesis, _fit(relative, estimate, matches))
             for hypothesis, relative in corrected
-            if (off := _off(relative, estimate))
+            if (off := _pose_errors(relative, estimate))
             and off[0] <= limits[0]
             and off[1] <= limits[1]
-            and GAIN * max(off) <= given.worst
+            and MIN_IMPROVEMENT * max(off) <= given.worst
         ]
         if found:
             best = min(explanation.fit.worst for explanation in found)
-            return tuple(e for e in found if e.fit.worst <= best + INDISTINGUISHABLE)
+            return tuple(e for e in found if e.fit.worst <= best + TIE_ANGLE)
     return ()
 
 
-def _off(relative: Pose, estimate: Estimate) -> tuple[float, float]:
+def _pose_errors(relative: Pose, estimate: Estimate) -> tuple[float, float]:
     """Radians by which rotation and direction differ from what was found."""
     rotation = least_squares.rotation_error(relative, estimate.first_from_second)
-    if estimate.is_in_place:
+    if estimate.have_same_position:
         return rotation, 0.0
     if not relative.position.any():
         return rotation, math.radians(180.0)
@@ -174,9 +174,10 @@ def _off(relative: Pose, estimate: Estimate) -> tuple[float, float]:
 
 
 def _improves(given: Pose, estimate: Estimate, matches: Matches) -> bool:
-    if estimate.is_in_place or not given.position.any():
+    if estimate.have_same_position or not given.position.any():
         return False
-    agreed = matches.select(estimate.inliers | supporting(given, matches, inlier_scale(matches)))
-    noise = least_squares.noise_of(estimate.first_from_second, agreed)
-    before, after = (least_squares.robust_misfit(pose, agreed, noise) for pose in (given, estimate.first_from_second))
-    return before - after > SIGNIFICANT
+    agreed = matches.select(estimate.inliers | support_mask(given, matches, inlier_threshold(matches)))
+    noise = least_squares.noise_std(estimate.first_from_second, agreed)
+    poses = (given, estimate.first_from_second)
+    before, after = (least_squares.robust_chi_squared(pose, agreed, noise) for pose in poses)
+    return before - after > MIN_CHI_SQUARED_GAIN

@@ -10,7 +10,8 @@ from omnisyn_cli.poses.registration.robust import Estimate
 
 __all__ = ["diagnosis_sentences", "diagnosis_values"]
 
-MOST_ALTERNATIVES = 4
+MAX_ALTERNATIVES = 4
+"""Further explanations that are printed; ``--json`` lists all."""
 
 VERDICTS: dict[Verdict, str] = {
     "fits": "the poses fit",
@@ -30,9 +31,9 @@ def diagnosis_sentences(diagnosis: Diagnosis) -> list[str]:
             "the pictures may have too little in common, or too little texture",
         ]
     found = int(estimate.inliers.sum())
-    sentences = [VERDICTS[diagnosis.verdict], _off(given, estimate)]
-    measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.supporting} with the poses given"
-    if not (estimate.is_in_place or _has_no_direction(given)):
+    sentences = [VERDICTS[diagnosis.verdict], _error_sentence(given, estimate)]
+    measured = f"{diagnosis.matches} matches, {found} agree with one another, {given.support_mask} with the poses given"
+    if not (estimate.have_same_position or _has_no_direction(given)):
         measured += f"; median residual {_degrees(given.residual)}, with the poses found {_degrees(estimate.residual)}"
         measured += f"; {given.in_front:.0%} of the points in front of both cameras"
     sentences.append(measured)
@@ -64,9 +65,9 @@ def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _off(given: Fit, estimate: Estimate) -> str:
+def _error_sentence(given: Fit, estimate: Estimate) -> str:
     rotation = f"the rotation is off by {_degrees(given.rotation)}"
-    if estimate.is_in_place:
+    if estimate.have_same_position:
         return rotation
     spread = estimate.uncertainty
     rotation += f" (± {_degrees(spread.rotation)})"
@@ -106,8 +107,8 @@ def _advice(diagnosis: Diagnosis) -> list[str]:
 def _alternatives(others: list[Explanation]) -> list[str]:
     """Hypotheses with other words only: several corrections may go by one name."""
     lines = list(dict.fromkeys(f"{e.hypothesis.words} [{e.hypothesis.name}]" for e in others))
-    more = len(lines) - MOST_ALTERNATIVES
-    shown = lines[:MOST_ALTERNATIVES] + ([f"and {more} more (--json lists them)"] if more > 0 else [])
+    more = len(lines) - MAX_ALTERNATIVES
+    shown = lines[:MAX_ALTERNATIVES] + ([f"and {more} more (--json lists them)"] if more > 0 else [])
     return ["this pair cannot tell it from:", *(f"  {line}" for line in shown)] if lines else []
 
 
@@ -117,7 +118,7 @@ def _fit_values(fit: Fit) -> dict[str, Any]:
         "direction_off_deg": math.degrees(fit.direction),
         "residual_deg": math.degrees(fit.residual),
         "in_front_share": fit.in_front,
-        "supporting_matches": fit.supporting,
+        "supporting_matches": fit.support_mask,
     }
 
 

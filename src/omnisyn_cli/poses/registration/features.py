@@ -19,27 +19,28 @@ from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_scale, pixel_to_direction
 
-MOST_ROWS = 1024
+MAX_IMAGE_ROWS = 1024
 """Larger panoramas are reduced to this height: features are then found within about 0.05°."""
 
-MOST_FEATURES = 6000
+MAX_FEATURES = 6000
+"""Of a panorama; matching takes time with its square."""
 
-BAND = math.asin(1.0 / math.sqrt(3.0))
+BAND_LATITUDE = math.asin(1.0 / math.sqrt(3.0))
 """Latitude within which every direction lies in one of three orthogonal bands."""
 
-MARGIN = math.radians(9.0)
-"""Surroundings of a band that descriptors may look at."""
+BAND_MARGIN = math.radians(9.0)
+"""Radians around a band that descriptors may reach into."""
 
-CONTRAST = 0.02
-"""SIFT's threshold; half of the usual one, for plain rooms."""
+SIFT_CONTRAST_THRESHOLD = 0.02
+"""OpenCV's default is 0.04; half of it still finds features in plain rooms."""
 
-RATIO = 0.8
+LOWE_RATIO = 0.8
 """The best match has to be nearer than this share of the distance to the second best one (Lowe, 2004)."""
 
-QUANTISED_NORM = 512.0
-"""Length of descriptors in integers: sums of 128 products stay below 2²⁴, where float32 is exact in any order."""
+DESCRIPTOR_NORM = 512.0
+"""Length of descriptors of whole numbers: sums of 128 products stay below 2²⁴, exact in float32 in any order."""
 
-TURNS = tuple(
+CAMERA_FROM_BAND = tuple(
     np.linalg.matrix_power(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), k) for k in range(3)
 )
 """``camera_from_band``: three turns of the axes into each other."""
@@ -86,7 +87,7 @@ def find_features(
     usable: Bool[np.ndarray, "height width"] | None = None,
     threads: int | None = None,
 ) -> Features:
-    """SIFT features of a panorama, the strongest :data:`MOST_FEATURES` of them.
+    """SIFT features of a panorama, the strongest :data:`MAX_FEATURES` of them.
 
     The image is RGB in [0, 1]; ``usable`` says where features are wanted, None means everywhere. The result does not
     depend on the number of OpenCV's ``threads``.
@@ -101,8 +102,8 @@ def find_features(
     if usable is not None:
         kept = np.asarray(sample_nearest(usable.astype(np.float32), direction) > 0)
         direction, descriptor, response = direction[kept], descriptor[kept], response[kept]
-    strongest = np.argsort(-response, kind="stable")[:MOST_FEATURES]
-    return Features(direction[strongest], _normalised(descriptor[strongest]), 1.0 / pixel_scale(grey.shape)[0])
+    strongest = np.argsort(-response, kind="stable")[:MAX_FEATURES]
+    return Features(direction[strongest], _root_sift(descriptor[strongest]), 1.0 / pixel_scale(grey.shape)[0])
 
 
 def match_features(first: Features, second: Features) -> Matches:
@@ -114,28 +115,30 @@ def match_features(first: Features, second: Features) -> Matches:
     best = np.argmax(similarity, axis=1)
     is_mutual = np.argmax(similarity, axis=0)[best] == np.arange(len(best))
     top = np.partition(similarity, -2, axis=1)[:, -2:]
-    nearest, runner_up = (2.0 * (QUANTISED_NORM**2 - top[:, k]).clip(0.0) for k in (1, 0))
-    chosen = np.flatnonzero(is_mutual & (nearest < RATIO**2 * runner_up))
+    nearest, runner_up = (2.0 * (DESCRIPTOR_NORM**2 - top[:, k]).clip(0.0) for k in (1, 0))
+    chosen = np.flatnonzero(is_mutual & (nearest < LOWE_RATIO**2 * runner_up))
     return Matches(first.direction[chosen], second.direction[best[chosen]], pixel)
 
 
 def _grey(image: np.ndarray) -> np.ndarray:
-    """Luma of a panorama as uint8, at most :data:`MOST_ROWS` high."""
+    """Luma of a panorama as uint8, at most :data:`MAX_IMAGE_ROWS` high."""
     luma: np.ndarray = np.asarray(image, np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
-    if len(luma) > MOST_ROWS:
-        luma = cv2.resize(luma, (2 * MOST_ROWS, MOST_ROWS), interpolation=cv2.INTER_AREA)
+    if len(luma) > MAX_IMAGE_ROWS:
+        luma = cv2.resize(luma, (2 * MAX_IMAGE_ROWS, MAX_IMAGE_ROWS), interpolation=cv2.INTER_AREA)
     return np.asarray(np.rint(luma.clip(0.0, 1.0) * 255.0), np.uint8)
 
 
 def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Direction, descriptor and response of the features that belong to one band."""
     height, width = size = (grey.shape[0], grey.shape[1])
-    reach = BAND + MARGIN
+    reach = BAND_LATITUDE + BAND_MARGIN
     edge, _ = angles_to_pixel(0.0, math.acos(math.sin(reach)), size)
-    top, wrap = max(math.floor(edge), 0), width // 16
+    top, wrap = max(math.floor(edge), 0), width // 16  # 22.5° are repeated on both sides, so that the seam has none
     row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
-    band = _look(grey, pixel_to_direction(row.astype(float), col.astype(float), size) @ TURNS[axis].T)
-    sift = cv2.SIFT.create(nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)
+    direction = pixel_to_direction(row.astype(float), col.astype(float), size) @ CAMERA_FROM_BAND[axis].T
+    band = Lookup.along(direction, grey.shape).bilinear(grey)
+    threshold = SIFT_CONTRAST_THRESHOLD
+    sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=threshold, enable_precise_upscale=True)
     points, descriptor = sift.detectAndCompute(band, None)
     if not points:
         return np.zeros((0, 3)), np.zeros((0, 128), np.float32), np.zeros(0)
@@ -143,16 +146,11 @@ def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray,
     direction = pixel_to_direction(place[:, 1], place[:, 0], size)
     is_inside = (place[:, 0] >= -0.5) & (place[:, 0] < width - 0.5) & (np.argmin(np.abs(direction), axis=1) == 1)
     response = np.array([point.response for point in points])
-    return direction[is_inside] @ TURNS[axis].T, descriptor[is_inside], response[is_inside]
+    return direction[is_inside] @ CAMERA_FROM_BAND[axis].T, descriptor[is_inside], response[is_inside]
 
 
-def _look(grey: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """The picture in some directions, bilinear."""
-    return Lookup.along(direction, grey.shape).bilinear(grey)
-
-
-def _normalised(descriptor: np.ndarray) -> np.ndarray:
+def _root_sift(descriptor: np.ndarray) -> np.ndarray:
     """Square roots of shares (Hellinger's distance instead of Euclid's), as whole numbers."""
     total = descriptor.sum(axis=1, keepdims=True)
     share = descriptor / np.where(total > 0, total, 1.0)
-    return np.asarray(np.rint(np.sqrt(share) * QUANTISED_NORM), np.float32)
+    return np.asarray(np.rint(np.sqrt(share) * DESCRIPTOR_NORM), np.float32)

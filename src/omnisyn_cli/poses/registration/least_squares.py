@@ -15,8 +15,8 @@ from omnisyn_cli.geometry.pose import Pose, rotation_angle, rotation_from_rotati
 from omnisyn_cli.geometry.sphere import normalize
 from omnisyn_cli.poses.registration.features import Matches
 
-STRAIGHT = 1e-12
-"""Squared sine below which directions have no plane in common but all."""
+MIN_SQUARED_SINE = 1e-12
+"""Squared sine of the angle below which two directions span no plane."""
 
 
 def relative_pose(first: Pose, second: Pose) -> Pose:
@@ -36,7 +36,7 @@ def epipolar_residual(first_from_second: Pose, matches: Matches) -> Float[np.nda
     plane_of_first = np.cross(matches.first, first_from_second.position)
     triple = np.einsum("ni,ni->n", matches.first, plane_of_second)
     squared = 0.5 * (np.sum(plane_of_second**2, axis=1) + np.sum(plane_of_first**2, axis=1))
-    sine = triple / np.sqrt(np.where(squared > STRAIGHT, squared, 1.0))
+    sine = triple / np.sqrt(np.where(squared > MIN_SQUARED_SINE, squared, 1.0))
     return np.asarray(np.arcsin(sine.clip(-1.0, 1.0)))
 
 
@@ -71,15 +71,15 @@ def direction_error(pose: Pose, truth: Pose) -> float:
     return float(angle_between(pose.position, truth.position))
 
 
-STEPS = 20
+MAX_ITERATIONS = 20
 
-SETTLED = 1e-8
+MIN_STEP = 1e-8
 """Radians: smaller steps end the search."""
 
-GAUSSIAN = 1.4826
+MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute value."""
 
-LEAST_NOISE = 1e-7
+MIN_NOISE = 1e-7
 """Radians; no residual is weighted as if it were better than this."""
 
 
@@ -94,39 +94,40 @@ class Uncertainty:
 def refine_pose(start: Pose, matches: Matches, scale: float) -> Pose:
     """Refine ``first_from_second`` with a position of length 1; matches are wrong beyond ``scale`` radians."""
     pose, damping = start, 1e-4
-    spread = 3.0 * scale
+    spread = 3.0 * scale  # wide at first, so that a rough start still sees the right matches
     weight = _weights(pose, matches, spread)
-    for _ in range(STEPS):
+    for _ in range(MAX_ITERATIONS):
         residual = epipolar_residual(pose, matches)
         jacobian = _jacobian(pose, matches)
         hessian, gradient = _normal_equations(jacobian, residual, weight)
         hessian += damping * np.diag(np.diag(hessian) + 1e-12)
         step = -np.linalg.solve(hessian, gradient)
-        tried = moved(pose, step)
+        tried = retract(pose, step)
         better = np.sum(weight * epipolar_residual(tried, matches) ** 2) <= np.sum(weight * residual**2)
         damping = damping * 0.1 if better else damping * 10.0
         if better:
             pose = tried
-            spread = max(0.6 * spread, min(scale, _spread(pose, matches, scale)))
+            # graduated non-convexity: the kernel narrows by at most 0.6 a step, down to the noise
+            spread = max(0.6 * spread, min(scale, _kernel_width(pose, matches, scale)))
             weight = _weights(pose, matches, spread)
-        if np.linalg.norm(step) < SETTLED:
+        if np.linalg.norm(step) < MIN_STEP:
             break
     return pose
 
 
-def moved(pose: Pose, step: Float[np.ndarray, " 5"]) -> Pose:
+def retract(pose: Pose, step: Float[np.ndarray, " 5"]) -> Pose:
     """The pose turned by a rotation vector (three numbers, radians) and its direction moved by two angles."""
     across = _tangent(pose.position) @ step[3:]
     position = pose.position + across
     return Pose(rotation_from_rotation_vector(step[:3]) @ pose.rotation, position / np.linalg.norm(position))
 
 
-def noise_of(pose: Pose, matches: Matches) -> float:
+def noise_std(pose: Pose, matches: Matches) -> float:
     """Standard deviation of the residuals in radians, robustly; for matches that fit."""
-    return max(GAUSSIAN * float(np.median(np.abs(epipolar_residual(pose, matches)))), LEAST_NOISE)
+    return max(MAD_TO_STD * float(np.median(np.abs(epipolar_residual(pose, matches)))), MIN_NOISE)
 
 
-def robust_misfit(pose: Pose, matches: Matches, noise: float) -> float:
+def robust_chi_squared(pose: Pose, matches: Matches, noise: float) -> float:
     """Sum of squared residuals in units of ``noise``; a match counts 9 at most (Geman and McClure)."""
     squared = (epipolar_residual(pose, matches) / (3.0 * noise)) ** 2
     return float(9.0 * np.sum(squared / (1.0 + squared)))
@@ -136,9 +137,9 @@ def uncertainty(pose: Pose, matches: Matches) -> Uncertainty:
     """How well matches that fit determine rotation and direction; infinite where they do not."""
     jacobian = _jacobian(pose, matches)
     hessian, _ = _normal_equations(jacobian, np.zeros(len(matches)), np.ones(len(matches)))
-    if np.linalg.cond(hessian) > 1e14:
+    if np.linalg.cond(hessian) > 1e14:  # singular in float64
         return Uncertainty(np.inf, np.inf)
-    covariance = noise_of(pose, matches) ** 2 * np.linalg.inv(hessian)
+    covariance = noise_std(pose, matches) ** 2 * np.linalg.inv(hessian)
     largest = [float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in (covariance[:3, :3], covariance[3:, 3:])]
     return Uncertainty(*largest)
 
@@ -149,7 +150,7 @@ def _tangent(direction: np.ndarray) -> np.ndarray:
 
 
 def _jacobian(pose: Pose, matches: Matches) -> np.ndarray:
-    """Derivatives ``(n, 5)`` of the residuals by the step of :func:`moved`.
+    """Derivatives ``(n, 5)`` of the residuals by the step of :func:`retract`.
 
     With q = R·d₂ and s the quadratic mean of |t × q| and |d₁ × t|, the sine of a residual is d₁ · (t × q) / s. Changes
     of s are left out: they are weighted with the residual itself, which is small.
@@ -160,7 +161,7 @@ def _jacobian(pose: Pose, matches: Matches) -> np.ndarray:
     by_rotation = np.cross(turned, of_first)
     by_direction = np.cross(turned, matches.first) @ _tangent(t)
     derivative: np.ndarray = np.concatenate([by_rotation, by_direction], axis=1)
-    return np.asarray(derivative / np.sqrt(np.maximum(squared, LEAST_NOISE))[:, None])
+    return np.asarray(derivative / np.sqrt(np.maximum(squared, MIN_NOISE))[:, None])
 
 
 def _normal_equations(jacobian: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,11 +170,11 @@ def _normal_equations(jacobian: np.ndarray, residual: np.ndarray, weight: np.nda
     return hessian, np.einsum("ni,n,n->i", jacobian, weight, residual)
 
 
-def _spread(pose: Pose, matches: Matches, scale: float) -> float:
-    """Scale of the weights: three standard deviations of the matches that fit within ``scale``."""
+def _kernel_width(pose: Pose, matches: Matches, scale: float) -> float:
+    """Width of the robust kernel: three standard deviations of the matches that fit within ``scale``."""
     residual = np.abs(epipolar_residual(pose, matches))
     near = residual[residual < scale]
-    return scale if near.size < 8 else max(3.0 * GAUSSIAN * float(np.median(near)), 0.2 * scale)
+    return scale if near.size < 8 else max(3.0 * MAD_TO_STD * float(np.median(near)), 0.2 * scale)
 
 
 def _weights(pose: Pose, matches: Matches, spread: float) -> np.ndarray:

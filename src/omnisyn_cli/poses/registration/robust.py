@@ -26,18 +26,19 @@ from omnisyn_cli.poses.registration.least_squares import (
 
 CUBICS = ((3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3))
 BASIS = ((2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2), (1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0))
-"""Exponents of x, y, z: the monomials that are eliminated, and those that span what is left."""
+"""Exponents of x, y, z: the monomials that are eliminated, and the basis of the quotient ring."""
 
-POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3], float) - 0.75
-"""Twenty places that determine a cubic polynomial in three variables."""
+SAMPLE_POINTS = np.array([p for p in product(range(4), repeat=3) if sum(p) <= 3], float) - 0.75
+"""Twenty points (x, y, z) that determine a cubic polynomial in three variables."""
 
-FROM_VALUES = np.linalg.inv(np.prod(POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
-"""Coefficients of a cubic polynomial from its values at :data:`POINTS`."""
+COEFFICIENTS_FROM_VALUES = np.linalg.inv(np.prod(SAMPLE_POINTS[:, None, :] ** np.array(CUBICS + BASIS)[None], axis=2))
+"""Coefficients of a cubic polynomial from its values at :data:`SAMPLE_POINTS`."""
 
-REAL = 1e-6
+MAX_IMAGINARY_PART = 1e-6
 """Imaginary part, relative to the absolute value, up to which a root counts as real."""
 
-SINGULAR = 1e-10
+MIN_RELATIVE_DETERMINANT = 1e-10
+"""Determinant, relative to the lengths of its rows, below which a sample is degenerate."""
 
 
 def essential_candidates(
@@ -56,10 +57,14 @@ def essential_candidates(
     null_space = np.linalg.svd(equations)[2][:, 5:].reshape(-1, 4, 3, 3)
     coefficients = _cubic_equations(null_space)
     leading, rest = coefficients[..., :10], coefficients[..., 10:]
-    is_solvable = np.abs(np.linalg.det(leading)) > SINGULAR * np.prod(np.linalg.norm(leading, axis=-1), axis=-1)
+    is_solvable = np.abs(np.linalg.det(leading)) > MIN_RELATIVE_DETERMINANT * np.prod(
+        np.linalg.norm(leading, axis=-1), axis=-1
+    )
     null_space, eliminated = null_space[is_solvable], np.linalg.solve(leading[is_solvable], rest[is_solvable])
-    roots, vectors = np.linalg.eig(_times_x(eliminated))
-    is_real = (np.abs(roots.imag) <= REAL * np.abs(roots)) & (np.abs(vectors[:, 9]) > SINGULAR)
+    roots, vectors = np.linalg.eig(_action_matrix(eliminated))
+    is_real = (np.abs(roots.imag) <= MAX_IMAGINARY_PART * np.abs(roots)) & (
+        np.abs(vectors[:, 9]) > MIN_RELATIVE_DETERMINANT
+    )
     sample, which = np.nonzero(is_real)
     weights = (vectors[sample, 6:, which] / vectors[sample, 9, which][:, None]).real
     essential = np.einsum("nk,nkij->nij", weights, null_space[sample])
@@ -79,17 +84,17 @@ def poses_of_essential(essential: Float[np.ndarray, "3 3"]) -> list[Pose]:
 
 def _cubic_equations(null_space: np.ndarray) -> np.ndarray:
     """Coefficients ``(batch, 10, 20)`` of the ten equations, from their values at twenty points."""
-    weights = np.concatenate([POINTS, np.ones((len(POINTS), 1))], axis=1)
+    weights = np.concatenate([SAMPLE_POINTS, np.ones((len(SAMPLE_POINTS), 1))], axis=1)
     e = np.einsum("pk,bkij->bpij", weights, null_space)
     square = e @ np.swapaxes(e, -1, -2)
     trace = np.trace(square, axis1=-2, axis2=-1)[..., None, None]
     values = np.concatenate(
         [np.linalg.det(e)[..., None], (2.0 * square @ e - trace * e).reshape(*e.shape[:2], 9)], axis=-1
     )
-    return np.asarray(np.einsum("mp,bpq->bqm", FROM_VALUES, values))
+    return np.asarray(np.einsum("mp,bpq->bqm", COEFFICIENTS_FROM_VALUES, values))
 
 
-def _times_x(eliminated: np.ndarray) -> np.ndarray:
+def _action_matrix(eliminated: np.ndarray) -> np.ndarray:
     """The matrix that multiplies by x in the space spanned by :data:`BASIS`."""
     action = np.zeros_like(eliminated)
     action[:, :6] = -eliminated[:, :6]
@@ -98,34 +103,34 @@ def _times_x(eliminated: np.ndarray) -> np.ndarray:
     return action
 
 
-LEAST_INLIERS = 24
-"""Fewer matches that agree may agree by chance."""
+MIN_INLIERS = 24
+"""Matches that have to agree with a pose at least; fewer may agree by chance."""
 
 STRAIGHT_AHEAD = Pose(np.eye(3), FORWARD)
 
-LEAST_SHARE = 0.08
-"""Of all matches, that have to agree."""
+MIN_INLIER_SHARE = 0.08
+"""Share of all matches that have to agree with a pose at least."""
 
-SCALE_IN_PIXELS = 1.0
-"""How far from its epipolar circle a right match may lie."""
+INLIER_THRESHOLD_PIXELS = 1.0
+"""Pixels (of the searched image) from its epipolar circle within which a match is an inlier."""
 
-BATCH, MOST_BATCHES = 300, 30
-"""Samples that are drawn at once, and how many times at most."""
+SAMPLES_PER_BATCH, MAX_BATCHES = 300, 30
+"""Samples of five matches that are drawn at once, and how many times at most."""
 
 CONFIDENCE = 0.9999
 """Probability that a sample without a wrong match was among those drawn."""
 
-CHUNK = 256
-"""Hypotheses that are scored at once."""
+HYPOTHESES_PER_CHUNK = 256
+"""Hypotheses that are scored at once, which bounds memory."""
 
-REFINED = 5
+REFINED_HYPOTHESES = 5
 """Hypotheses that are refined."""
 
-IN_PLACE = 0.9
-"""Share of the matches that a rotation alone has to explain for the cameras to stand in one place."""
+MIN_ROTATION_ONLY_SHARE = 0.9
+"""Inliers of a pure rotation per inlier of the full pose from which on the cameras stand in one place."""
 
-VAGUE = 0.2
-"""Radians; a direction that is less certain is none."""
+MAX_DIRECTION_STD = 0.2
+"""Radians; a baseline direction with a larger standard deviation counts as unknown."""
 
 
 @dataclass(frozen=True)
@@ -133,18 +138,18 @@ class Estimate:
     """What the matches say about a pair.
 
     Attributes:
-        first_from_second: relative pose; its position has length 1, or is zero where ``is_in_place``.
+        first_from_second: relative pose; its position has length 1, or is zero where ``have_same_position``.
         inliers: ``(n,)`` the matches that agree with it.
         residual: their median angle to the epipolar circles, or to the rotated directions if in place; radians.
         uncertainty: of rotation and direction.
-        is_in_place: the panoramas were taken (nearly) from one place; there is no direction.
+        have_same_position: the panoramas were taken (nearly) from one place; there is no direction.
     """
 
     first_from_second: Pose
     inliers: Bool[np.ndarray, " n"]
     residual: float
     uncertainty: Uncertainty
-    is_in_place: bool
+    have_same_position: bool
 
 
 def estimate_relative_pose(matches: Matches, known: Sequence[Pose] = ()) -> Estimate | None:
@@ -154,30 +159,30 @@ def estimate_relative_pose(matches: Matches, known: Sequence[Pose] = ()) -> Esti
 
     Source: Fischler and Bolles, Random sample consensus, 1981; Torr and Zisserman, MLESAC, 2000 (truncated squares).
     """
-    if len(matches) < LEAST_INLIERS:
+    if len(matches) < MIN_INLIERS:
         return None
-    scale = inlier_scale(matches)
+    scale = inlier_threshold(matches)
     pose = _best_pose(matches, known, scale)
-    inliers = supporting(pose, matches, scale)
+    inliers = support_mask(pose, matches, scale)
     rotation = _best_rotation(matches, scale)
     turned = _rotation_residual(rotation, matches)
     count, in_place = int(inliers.sum()), int((turned < scale).sum())
-    if max(count, in_place) < max(LEAST_INLIERS, LEAST_SHARE * len(matches)):
+    if max(count, in_place) < max(MIN_INLIERS, MIN_INLIER_SHARE * len(matches)):
         return None
     agreed = matches.select(inliers)
     spread = uncertainty(pose, agreed) if count else Uncertainty(np.inf, np.inf)
-    if in_place >= IN_PLACE * count or spread.direction > VAGUE:
+    if in_place >= MIN_ROTATION_ONLY_SHARE * count or spread.direction > MAX_DIRECTION_STD:
         return _in_place(rotation, turned, scale)
     residual = float(np.median(np.abs(epipolar_residual(pose, agreed))))
-    return Estimate(pose, inliers, residual, spread, is_in_place=False)
+    return Estimate(pose, inliers, residual, spread, have_same_position=False)
 
 
-def inlier_scale(matches: Matches) -> float:
+def inlier_threshold(matches: Matches) -> float:
     """Radians within which a match agrees with a pose."""
-    return SCALE_IN_PIXELS * matches.pixel
+    return INLIER_THRESHOLD_PIXELS * matches.pixel
 
 
-def supporting(first_from_second: Pose, matches: Matches, scale: float) -> Bool[np.ndarray, " n"]:
+def support_mask(first_from_second: Pose, matches: Matches, scale: float) -> Bool[np.ndarray, " n"]:
     """Matches near their epipolar circles with a point in front of both cameras."""
     is_near = np.abs(epipolar_residual(first_from_second, matches)) < scale
     return np.asarray(is_near & is_in_front(first_from_second, matches, scale))
@@ -187,12 +192,12 @@ def _in_place(rotation: np.ndarray, turned: np.ndarray, scale: float) -> Estimat
     inliers = turned < scale
     residual = float(np.median(turned[inliers]))
     spread = Uncertainty(residual / np.sqrt(inliers.sum()), np.inf)
-    return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, is_in_place=True)
+    return Estimate(Pose(rotation, np.zeros(3)), inliers, residual, spread, have_same_position=True)
 
 
 def _best_pose(matches: Matches, known: Sequence[Pose], scale: float) -> Pose:
     hypotheses = (poses_of_essential(essential) for essential in _essential_hypotheses(matches, scale))
-    in_front = (max(poses, key=lambda pose: supporting(pose, matches, scale).sum()) for poses in hypotheses)
+    in_front = (max(poses, key=lambda pose: support_mask(pose, matches, scale).sum()) for poses in hypotheses)
     starts = [*known, *in_front]
     starts = starts or [STRAIGHT_AHEAD]  # one picture twice: all samples are degenerate
     refined = [refine_pose(start, matches, scale) for start in starts]
@@ -201,17 +206,17 @@ def _best_pose(matches: Matches, known: Sequence[Pose], scale: float) -> Pose:
 
 
 def _essential_hypotheses(matches: Matches, scale: float) -> Float[np.ndarray, "k 3 3"]:
-    """The best :data:`REFINED` essential matrices of random samples, best first."""
+    """The best :data:`REFINED_HYPOTHESES` essential matrices of random samples, best first."""
     rng, needed, drawn = np.random.default_rng(0), np.inf, 0
     best, costs = np.zeros((0, 3, 3)), np.zeros(0)
     pairs = ((matches.first, matches.second), (matches.first, matches.first), (matches.second, matches.second))
     products = tuple(np.einsum("ni,nj->ijn", a, b).reshape(9, -1) for a, b in pairs)  # residuals are linear in them
-    while drawn < min(needed, BATCH * MOST_BATCHES):
-        sample = np.stack([rng.choice(len(matches), 5, replace=False) for _ in range(BATCH)])
-        drawn += BATCH
+    while drawn < min(needed, SAMPLES_PER_BATCH * MAX_BATCHES):
+        sample = np.stack([rng.choice(len(matches), 5, replace=False) for _ in range(SAMPLES_PER_BATCH)])
+        drawn += SAMPLES_PER_BATCH
         found = essential_candidates(matches.first[sample], matches.second[sample])
         best, costs = np.concatenate([best, found]), np.concatenate([costs, _costs(found, products, scale)])
-        order = np.argsort(costs, kind="stable")[:REFINED]
+        order = np.argsort(costs, kind="stable")[:REFINED_HYPOTHESES]
         best, costs = best[order], costs[order]
         share = 1.0 - costs[0] / len(matches) if len(costs) else 0.0
         needed = np.log(1.0 - CONFIDENCE) / np.log1p(-min(max(share, 1e-3) ** 5, 1.0 - 1e-9))
@@ -222,8 +227,8 @@ def _costs(essential: np.ndarray, products: tuple[np.ndarray, ...], scale: float
     """Truncated squared residuals in units of ``scale``, summed over the matches; 0 is best, n is worst."""
     first_second, first_first, second_second = products
     costs = []
-    for begin in range(0, len(essential), CHUNK):
-        e = essential[begin : begin + CHUNK]
+    for begin in range(0, len(essential), HYPOTHESES_PER_CHUNK):
+        e = essential[begin : begin + HYPOTHESES_PER_CHUNK]
         triple = e.reshape(-1, 9) @ first_second
         along_first = (e @ np.swapaxes(e, 1, 2)).reshape(-1, 9) @ first_first
         along_second = (np.swapaxes(e, 1, 2) @ e).reshape(-1, 9) @ second_second
@@ -239,13 +244,13 @@ def _pose_cost(pose: Pose, matches: Matches, scale: float) -> float:
 
 def _best_rotation(matches: Matches, scale: float) -> Float[np.ndarray, "3 3"]:
     """The rotation that takes most second directions to first ones, by samples of two matches."""
-    sample = np.random.default_rng(1).integers(len(matches), size=(BATCH, 2))
+    sample = np.random.default_rng(1).integers(len(matches), size=(SAMPLES_PER_BATCH, 2))
     frames = [_frames(directions[sample]) for directions in (matches.first, matches.second)]
     candidates = np.concatenate([nearest_rotation(frames[0] @ np.swapaxes(frames[1], 1, 2)), np.eye(3)[None]])
     products = np.einsum("ni,nj->ijn", matches.first, matches.second).reshape(9, -1)
     squared_chords = 2.0 - 2.0 * candidates.reshape(-1, 9) @ products
     rotation = candidates[int(np.argmin(np.minimum(squared_chords / scale**2, 1.0).sum(axis=1)))]
-    for _ in range(5):
+    for _ in range(5):  # reweighted with the same kernel as `refine_pose`
         weight = 1.0 / (1.0 + (_rotation_residual(rotation, matches) / scale) ** 2) ** 2
         rotation = nearest_rotation(np.einsum("n,ni,nj->ij", weight, matches.first, matches.second))
     return np.asarray(rotation)

@@ -15,11 +15,11 @@ from typing import Any, Literal
 
 from omnisyn_cli import __version__
 from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
-from omnisyn_cli.batch.folder import Records, is_as_measured, open_workshop, prepare_folder, unpack
-from omnisyn_cli.batch.interpolations import Settings
+from omnisyn_cli.batch.folder import Records, is_unchanged, open_staging_dir, prepare_folder, write_outputs
+from omnisyn_cli.batch.interpolations import WorkerSettings
 from omnisyn_cli.batch.local_executor import LocalExecutor
 from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
-from omnisyn_cli.batch.provenance import files_of, has_same_sources, sources
+from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
@@ -30,7 +30,7 @@ __all__ = ["BatchOptions", "BatchReport", "Progress", "run_batch"]
 INTERPOLATOR = "omnisyn_cli.batch.interpolations:Interpolator"
 """What workers make their work function with."""
 
-FRAMES_PER_DEPTH = 12.0
+DEPTH_COST_FRAMES = 12.0
 """Finding the depth of a pair of 2048×1024 takes as long as making so many frames; see docs/batch.md."""
 
 
@@ -110,11 +110,8 @@ def run_batch(
 ) -> BatchReport:
     """Do what is missing or has changed, and nothing else.
 
-    Args:
-        manifest: without problems.
-        folder: for all outputs and ``results.jsonl``; it is made if only its parent exists.
-        options: see there.
-        on_progress: called at the beginning and after each job.
+    Outputs and ``results.jsonl`` go into ``folder``, which is made if its parent exists. ``on_progress`` is called at
+    the beginning and after each job.
 
     Raises:
         InputError: the manifest has problems, or the workers that were asked for cannot be had.
@@ -128,12 +125,12 @@ def run_batch(
     inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
     prepare_folder(folder, places, inputs, overwrite=options.overwrite)
     report = BatchReport()
-    with Records(folder / RECORDS) as records, open_workshop(folder) as token:
+    with Records(folder / RECORDS) as records, open_staging_dir(folder) as token:
         todo = [job for job in manifest.jobs if _is_open(job, folder, records, report, options.retry_failed)]
         jobs = [Job(job.id, job, _cost(job), job.group) for job in todo]
         tell = on_progress or (lambda _: None)
         tell(progress := Progress(0, 0, len(jobs), 0.0, sum(job.cost for job in jobs)))
-        executor = make_executor(partial(Settings, folder.absolute(), token), options, len(jobs))
+        executor = make_executor(partial(WorkerSettings, folder.absolute(), token), options, len(jobs))
         with closing(run_jobs(jobs, executor)) as outcomes:
             for outcome in outcomes:
                 record = _record(outcome, folder)
@@ -145,16 +142,11 @@ def run_batch(
     return report
 
 
-def make_executor(settings: Callable[[int], Settings], options: BatchOptions, jobs: int) -> Executor:
-    """The workers that options ask for, none of them without a job.
+def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptions, jobs: int) -> Executor:
+    """The workers that options ask for, at most one for each of ``jobs``.
 
-    Args:
-        settings: called with the threads of each worker, makes the settings of its work.
-        options: see there.
-        jobs: how many there will be.
-
-    Raises:
-        InputError: Ray is not installed, or an option does not go with the engine.
+    ``settings`` makes the settings of a worker of its number of threads. InputError: Ray is not installed, or an option
+    does not go with the engine.
     """
     if options.engine == "ray":
         from omnisyn_cli.batch.ray_executor import RayExecutor
@@ -179,7 +171,7 @@ def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport,
         if not retry_failed:
             report.failed.append(_short(record))
         return retry_failed
-    if not is_as_measured(folder, job.places, record.get("outputs", {})):
+    if not is_unchanged(folder, job.places, record.get("outputs", {})):
         return True
     report.kept.append(_short(record))
     return False
@@ -191,14 +183,14 @@ def _record(outcome: Outcome, folder: Path) -> dict[str, Any]:
     value, error = dict(answer.value or {}), answer.error
     files = value.pop("files", None)
     if files is not None:
-        unpack(files, folder, job.places)
+        write_outputs(files, folder, job.places)
     about = {"id": job.id, "status": "done" if error is None else "failed", "version": __version__,
              "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "worker": answer.worker,
              "attempts": outcome.attempts}  # fmt: skip
     if error is None:
         return {**about, **value}
     trace = {} if answer.trace is None else {"traceback": answer.trace}
-    return {**about, "error": error, **trace, "sources": sources(job)}
+    return {**about, "error": error, **trace, "sources": job_sources(job)}
 
 
 def _short(record: dict[str, Any]) -> dict[str, Any]:
@@ -212,7 +204,7 @@ def _cost(job: BatchJob) -> float:
     seconds = options.get("duration", SECONDS_PER_PAIR * pairs)
     frames = options.get("frames") or seconds * options.get("fps", 30.0)
     width = int(options["size"].partition("x")[0]) if "size" in options else _width(job.images[0])
-    return float(width * width / 2 * frames + FRAMES_PER_DEPTH * pairs * 1024 * 2048)
+    return float(width * width / 2 * frames + DEPTH_COST_FRAMES * pairs * 1024 * 2048)
 
 
 @lru_cache(maxsize=65536)

@@ -45,17 +45,11 @@ class TourOptions:
 
 
 def plan_tours(source: Path, options: TourOptions) -> list[dict[str, Any]]:
-    """Lines of a manifest for a tour.
+    """Lines of a manifest, one per job, for a pose file, a folder with ``poses.json``, or a folder of such folders.
 
-    Args:
-        source: a pose file, a folder with ``poses.json``, or a folder of such folders.
-        options: which pairs.
+    File names are relative to the working directory or absolute, as ``source`` is.
 
-    Returns:
-        One line per job; file names are relative to the working directory or absolute, as ``source`` is.
-
-    Raises:
-        InputError: no pose file, a damaged one, no two panoramas that are near enough, or options that no job has.
+    InputError: no pose file, a damaged one, no two panoramas that are near enough, or options that no job has.
     """
     check_options(options.options)
     lines = [line for file in _pose_files(source) for line in _tour(file, source, options)]
@@ -100,7 +94,7 @@ def neighbours(positions: Float[np.ndarray, "count 3"], count: int, farthest: fl
     return sorted(pairs)
 
 
-def walks(pairs: Sequence[tuple[int, int]], share: int) -> list[list[tuple[int, int]]]:
+def group_pairs(pairs: Sequence[tuple[int, int]], share: int) -> list[list[tuple[int, int]]]:
     """Pairs in groups of at most ``share``; in each, a pair follows one that it shares a panorama with if it can."""
     open_pairs: dict[int, set[int]] = defaultdict(set)
     for a, b in pairs:
@@ -108,12 +102,12 @@ def walks(pairs: Sequence[tuple[int, int]], share: int) -> list[list[tuple[int, 
         open_pairs[b].add(a)
     groups: list[list[tuple[int, int]]] = []
     for start in sorted(open_pairs, key=lambda place: (len(open_pairs[place]) != 1, place)):  # dead ends first
-        walk = list(_walk(start, open_pairs))
+        walk = list(_depth_first_pairs(start, open_pairs))
         groups.extend(walk[begin : begin + share] for begin in range(0, len(walk), share))
     return groups
 
 
-def _walk(start: int, open_pairs: dict[int, set[int]]) -> Iterator[tuple[int, int]]:
+def _depth_first_pairs(start: int, open_pairs: dict[int, set[int]]) -> Iterator[tuple[int, int]]:
     """Pairs from a place on, each used once; from a place with none left back to the last one that has some."""
     stack = [start]
     while stack:
@@ -144,15 +138,15 @@ def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, 
     poses = read_poses(file, allow_outside=options.options.get("allow_outside") is True)
     names = list(poses.panoramas)
     positions = np.array([entry.pose.position for entry in poses.panoramas.values()]).reshape(-1, 3)
-    scene = "" if file.parent == source or file == source else f"{_plain(file.parent.name)}-"
+    scene = "" if file.parent == source or file == source else f"{_safe_name(file.parent.name)}-"
     for number, group in enumerate(
-        walks(neighbours(positions, options.neighbours, options.max_baseline), options.share)
+        group_pairs(neighbours(positions, options.neighbours, options.max_baseline), options.share)
     ):
         for a, b in group:
             for first, second in ((a, b), (b, a))[: 1 + options.both_directions]:
                 pair = [names[first], names[second]]
                 yield {
-                    "id": scene + "-".join(_plain(Path(name).stem) for name in pair),
+                    "id": scene + "-".join(_safe_name(Path(name).stem) for name in pair),
                     "inputs": [file.parent / name for name in pair],
                     "poses": file,
                     "group": f"{scene}walk-{number}",
@@ -160,7 +154,7 @@ def _tour(file: Path, source: Path, options: TourOptions) -> Iterator[dict[str, 
                 }
 
 
-def _plain(name: str) -> str:
+def _safe_name(name: str) -> str:
     return re.sub(r"[^\w.-]+", "_", name).lstrip(".-") or "_"
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from omnisyn_cli.scenes.jit import kernel
+from omnisyn_cli.scenes.kernel_decorators import kernel
 from omnisyn_cli.scenes.materials import MaterialColumn
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
 from omnisyn_cli.scenes.photos import PhotoMapping
@@ -59,15 +59,7 @@ def _trilinear(texels, levels, x, y, lod):  # type: ignore[no-untyped-def]
 
 @kernel
 def photo_at(photos, row, noise, point, footprint):  # type: ignore[no-untyped-def]
-    """Linear colour of a photograph at a :class:`FacePoint`.
-
-    Args:
-        photos: a :class:`omnisyn_cli.scenes.scene.PhotoTextures`.
-        row: of the material.
-        noise: the noise lattice.
-        point: where.
-        footprint: of the sample, metres.
-    """
+    """Linear colour of the photograph on the material ``row`` at a :class:`FacePoint`; the footprint is in metres."""
     photo, mapping, width, seed, has_patches = photos.assignment[row]
     texels, levels, seed = photos.texels, photos.levels[int(photo)], int(seed)
     rows, columns = levels[0, 1], levels[0, 2]
