@@ -1,4 +1,4 @@
-"""The README's commands are commands: they parse, their files exist, and the first one would run."""
+"""The documentation's commands are commands: they parse, their files exist, and the README's first one would run."""
 
 import re
 import shlex
@@ -11,7 +11,10 @@ from omnisyn_cli.cli import cli
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
-DOCUMENTS = [README, *sorted(ROOT.glob("examples/**/*.md")), *sorted(ROOT.glob("models/*.md"))]
+DOCUMENTS = [ROOT / "CONTRIBUTING.md", README, *sorted(ROOT.glob("[a-z]*/*.md"))]
+
+WITHOUT_MORE = {"--help", "--list-methods"}
+"""Options that print something and end the command."""
 
 
 def commands(document: Path) -> list[list[str]]:
@@ -33,7 +36,7 @@ def test_every_command_parses(document: Path, words: list[str]) -> None:
             found = command.get_command(context, words[0])
             assert found is not None, f"{document.name}: there is no command {words[0]}"
             command, words = found, words[1:]
-        if "--help" not in words:
+        if not WITHOUT_MORE & set(words):
             command.make_context(command.name, list(words), parent=context)
 
 
