@@ -40,37 +40,41 @@ class _BatchCommand(click.Command):
 )
 @click.argument("manifest", type=FilePath())
 @click.option(
-    "-o", "--output", required=True, metavar="FOLDER", type=FilePath(), help="For all outputs and the records."
+    "-o", "--output", required=True, metavar="FOLDER", type=FilePath(), help="Folder of all outputs and records."
 )
 @click.option(
     "--engine", type=click.Choice(["local", "ray"]), default="local", show_default=True,
-    help="Processes of this machine, or actors of a Ray cluster.",
+    help="Processes on this machine, or actors on a Ray cluster.",
 )  # fmt: skip
-@click.option("--workers", type=WholeRange(1), help="How many.  [default: one per core; all that Ray has room for]")
 @click.option(
-    "--threads", type=WholeRange(1), help="Of each worker.  [default: the cores divided by the workers; 1 with Ray]"
+    "--workers", type=WholeRange(1), help="Number of workers.  [default: one per core; as many as Ray has room for]"
 )
-@click.option("--ray-address", metavar="ADDRESS", help="Of the cluster, such as auto.  [default: what Ray finds]")
+@click.option(
+    "--threads", type=WholeRange(1), help="Threads per worker.  [default: the cores divided by the workers; 1 with Ray]"
+)
+@click.option(
+    "--ray-address", metavar="ADDRESS", help="Address of the cluster, such as auto.  [default: what Ray finds]"
+)
 @click.option(
     "--gpus", type=FiniteRange(0), default=0.0, show_default=True,
-    help="GPUs, or a share of one, for each Ray worker.",
+    help="GPUs per Ray worker, or a share of one.",
 )  # fmt: skip
-@click.option("--retry-failed", is_flag=True, help="Try jobs again that failed in a former run.")
-@click.option("--overwrite", is_flag=True, help="Replace files in FOLDER that no batch has written.")
+@click.option("--retry-failed", is_flag=True, help="Repeat jobs that failed in an earlier run.")
+@click.option("--overwrite", is_flag=True, help="Replace files in FOLDER that no batch wrote.")
 @json_option("the report")
 @quiet_option
 @click.pass_context
 def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool, quiet: bool, **options: Any) -> None:
-    """Interpolate every pair of MANIFEST, a JSONL or CSV file with one job a line.
+    """Make all videos of MANIFEST, a JSONL or CSV file with one job per line.
 
     \b
     omnisyn batch plan tour/ -o jobs.jsonl --set frames=30
     omnisyn batch jobs.jsonl -o out/
     omnisyn batch jobs.jsonl -o out/ --engine ray --ray-address auto
 
-    A line has an id, inputs and poses (or a scene folder) and any option of interpolate. FOLDER/results.jsonl says what
-    became of every job; started again, the command does what is missing or has changed, and nothing else.
-    `omnisyn batch plan --help` says how a manifest is made.
+    A line has an id, inputs and poses (or a scene folder), and any option of interpolate. FOLDER/results.jsonl records
+    every job. Started again, the command does only what is missing or has changed. `omnisyn batch plan` writes a
+    manifest.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.batch.manifest import read_manifest
     from omnisyn_cli.batch.runner import BatchOptions, run_batch
@@ -89,18 +93,18 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
 @click.option("-o", "--output", required=True, type=FilePath(), help="Manifest to write (.jsonl).")
 @click.option(
     "--max-baseline", type=FiniteRange(0, min_open=True), default=10.0, show_default=True,
-    help="Metres; panoramas farther apart are no neighbours.",
+    help="Largest distance of neighbours in metres.",
 )  # fmt: skip
 @click.option(
     "--neighbours", type=WholeRange(1), default=2, show_default=True,
-    help="Each panorama is paired with so many of the nearest.",
+    help="Number of nearest panoramas that each is paired with.",
 )  # fmt: skip
-@click.option("--one-way", is_flag=True, help="No job for the way back.")
+@click.option("--one-way", is_flag=True, help="Plan one direction only.")
 @click.option(
     "--share", type=WholeRange(1), default=8, show_default=True,
-    help="Pairs that one worker does one after another, so that panoramas are decoded once for all of them.",
+    help="Consecutive pairs that one worker does, so that it decodes shared panoramas once.",
 )  # fmt: skip
-@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="An option for every job; repeatable.")
+@click.option("--set", "settings", metavar="NAME=VALUE", multiple=True, help="Option of every job; may be repeated.")
 @click.option("--overwrite", is_flag=True, help="Replace the manifest if it exists.")
 @quiet_option
 def plan(
@@ -108,8 +112,8 @@ def plan(
 ) -> None:
     """Write a manifest of all neighbours in a tour: a pose file, a folder with poses.json, or a folder of such folders.
 
-    Both directions of a pair stand next to each other: its depth is found once and each panorama is decoded once for
-    all pairs that one worker does in a row (--share).
+    Both directions of a pair are adjacent, so its depth is estimated once. --share says how many pairs one worker does
+    in a row.
     """
     from omnisyn_cli.batch.pairing import TourOptions, plan_tours, write_manifest
 

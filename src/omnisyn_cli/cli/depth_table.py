@@ -15,29 +15,31 @@ from omnisyn_cli.cli.progress import counted_bar, working_folder
     "depth-table", epilog="Exit codes: 0 done, 1 a method broke, 2 wrong usage, 3 unusable input, 130 interrupted."
 )
 @report_option("results and table")
-@click.option("--scenes", type=WholeRange(2), default=200, show_default=True, help="How many, half of them streets.")
+@click.option(
+    "--scenes", type=WholeRange(2), default=200, show_default=True, help="Number of scenes, half of them streets."
+)
 @click.option(
     "--seed", type=WholeRange(0), default=20_000_000, show_default=True,
-    help="Of the first scene; 10,000,000 at least, smaller ones are for training.",
+    help="Seed of the first scene, at least 10,000,000; smaller ones are for training.",
 )  # fmt: skip
 @click.option(
     "--methods", metavar="all|LIST", default="all", show_default=True,
     help="Names separated by commas; network:FILE.onnx is a stereo network in a file.",
 )  # fmt: skip
-@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Of the panoramas.")
-@device_option("For networks.")
+@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
+@device_option("Where networks run.")
 @threads_option
 @json_option("all results")
 @quiet_option
 def depth_table(report: Path | None, as_json: bool, quiet: bool, **options: Any) -> int:
-    """Compare estimated depth with the truth, on streets and rooms that the program makes.
+    """Compare estimated with true depth on generated streets and rooms.
 
     \b
     omnisyn depth-table --scenes 20
     omnisyn depth-table --report depth/ --methods matching,omnisyn-balanced,network:my-models/depth-paper.onnx
 
-    Two panoramas a metre apart in every scene; both are scored where the true depth is between 1 m and 50 m. Networks
-    that are not installed are listed with the reason.
+    Every scene has two panoramas one metre apart. Both are scored where the true depth is between 1 m and 50 m.
+    Networks that are not installed are listed with the reason.
     """  # noqa: D301 - click's \b is a backspace
     with working_folder(report, "depth-table", is_quiet=quiet) as folder:
         from omnisyn_cli.evaluation.depth_benchmark import (
