@@ -9,14 +9,14 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from interpolation_samples import CHAIN, job_of
+from interpolation_samples import CHAIN, job_of, tour_job
 from omnisyn_cli.cli import main
 from omnisyn_cli.interpolation.export import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.memory import CORRECTING
 from omnisyn_cli.interpolation.plan import plan_interpolation
-from omnisyn_cli.interpolation.walk import WalkJob, plan_walk
+from omnisyn_cli.interpolation.viewer import ViewJob, plan_view
 from omnisyn_cli.io import read_header, write_image
+from omnisyn_cli.pipeline.fusions import FUSIONS
 from synthesis_samples import posed, write_hall
 
 MEASURED = """
@@ -94,14 +94,15 @@ def test_points_of_many_panoramas_take_memory_in_the_end(tmp_path: Path) -> None
     images = write_hall(tmp_path, CHAIN, with_depth=False)
 
     def bytes_of(count: int, **changes: object) -> int:
-        tour = job_of(tmp_path, [images[k % 3] for k in range(count)], output=tmp_path / "a.ply")
-        return plan_export(ExportJob(tour, **changes)).memory
+        return plan_export(
+            tour_job(ExportJob, tmp_path, [images[k % 3] for k in range(count)], "a.ply", **changes)
+        ).memory
 
     few, many = bytes_of(10), bytes_of(100)
     assert many - few > 90 * 2 * 107 * 0.6 * 256 * 512
     assert bytes_of(100, stride=4) - bytes_of(10, stride=4) < (many - few) / 10
     pages = [
-        plan_walk(WalkJob(job_of(tmp_path, [images[k % 3] for k in range(count)], output=tmp_path / "a.html"))).memory
+        plan_view(tour_job(ViewJob, tmp_path, [images[k % 3] for k in range(count)], "a.html")).memory
         for count in (10, 100)
     ]
     assert 0 < pages[1] - pages[0] < (many - few) / 10
@@ -129,7 +130,7 @@ def test_the_network_that_corrects_the_blend_takes_the_same_at_every_size(tmp_pa
             plan_interpolation(job_of(tmp_path, images, size=size, fusion=name)).memory
             for name in ("geometric", "network")
         )
-        assert corrected - plain == pytest.approx(CORRECTING, abs=1)
+        assert corrected - plain == pytest.approx(FUSIONS["network"].network_bytes(0), abs=1)
 
 
 def test_a_data_window_of_depth_takes_the_memory_of_the_whole_sphere(tmp_path: Path) -> None:
@@ -155,5 +156,5 @@ def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Pa
     few, many = (bytes_of(rows) - bytes_of(rows, renderer="two-pass") for rows in (896, 898))
     assert few - many == pytest.approx(2 * 16, abs=0.1)
     corrected = bytes_of(1024, fusion="network") - bytes_of(1024)
-    assert corrected == pytest.approx(CORRECTING / (2 * 1024**2), abs=1e-3)
+    assert corrected == pytest.approx(FUSIONS["network"].network_bytes(0) / (2 * 1024**2), abs=1e-3)
     assert bytes_of(1024, save_confidence=tmp_path / "confidence") - bytes_of(1024) == pytest.approx(12, abs=1e-3)

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from interpolation_samples import CHAIN
+from interpolation_samples import CHAIN, tour_job
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.export import ExportJob, ExportSummary, plan_export, run_export
-from omnisyn_cli.interpolation.job import InterpolationJob
 from synthesis_samples import PHASES, RADIUS, WAVES, write_hall
 
 OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -20,11 +19,7 @@ def job_in(
 ) -> ExportJob:
     """Panoramas of the hall with their depth; two of the usual three are turned, and one is held askew as well."""
     images = write_hall(folder, chain)
-    own = {key: options.pop(key) for key in ("format", "texture", "stride", "sky", "dome") if key in options}
-    tour = InterpolationJob(
-        tuple(images), folder / "poses.json", folder / output, fusion="geometric", threads=1, **options
-    )
-    return ExportJob(tour, **own)
+    return tour_job(ExportJob, folder, images, output, **options)
 
 
 def exported(folder: Path, output: str, **options: object) -> ExportSummary:

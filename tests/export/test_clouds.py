@@ -108,8 +108,7 @@ def test_the_sky_is_left_out_or_lies_on_the_dome(tmp_path: Path) -> None:
     open_to_the_sky(tmp_path, 20)
     run_export(plan_export(job))
     assert off_wall(trimesh.load(tmp_path / "sky.ply").vertices).max() < 1e-4
-    tour = replace(job.tour, output=tmp_path / "discs.ply")
-    run_export(plan_export(replace(job, tour=tour, format="splats")))
+    run_export(plan_export(replace(job, output=tmp_path / "discs.ply", format="splats")))
     places = gsply.plyread(tmp_path / "discs.ply").means @ OPENCV
     is_sky = off_wall(places) > 1.0
     distances = [np.linalg.norm(places[is_sky] - pose.position, axis=1) for pose in CHAIN[:2]]

@@ -10,12 +10,12 @@ import trimesh
 from export_samples import CHAIN, exported, job_in, off_wall
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
+from interpolation_samples import tour_job
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
 from omnisyn_cli.interpolation.export import mesh as export_mesh
 from omnisyn_cli.interpolation.export.mesh import FLATNESS, TexturedMesh, textured_mesh
-from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.io import read_depth, write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
@@ -223,8 +223,7 @@ def test_a_room_seen_from_between_has_the_distances_of_the_room(tmp_path: Path) 
         write_depth(tmp_path / f"room {k}.exr", depth)
         entries[images[-1].name] = PosedPanorama(path[k], tmp_path / f"room {k}.exr")
     write_poses(tmp_path / "poses.json", entries)
-    tour = InterpolationJob(tuple(images), tmp_path / "poses.json", tmp_path / "room.glb", fusion="geometric")
-    run_export(plan_export(ExportJob(tour)))
+    run_export(plan_export(tour_job(ExportJob, tmp_path, images, "room.glb")))
     middle = Pose(path[1].rotation @ rotation_from_heading(0.003, 0.002, 0.001), path[1].position)
     truth = render_panorama(scene, middle, size)[1]
     found = nearest_front(scene_of(tmp_path / "room.glb"), middle, size)

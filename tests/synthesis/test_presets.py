@@ -9,11 +9,11 @@ from click.testing import CliRunner
 from interpolation_samples import CHAIN, job_of
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation import budget
-from omnisyn_cli.evaluation.bench import BenchJob
+from omnisyn_cli.evaluation.bench_settings import BenchJob
 from omnisyn_cli.evaluation.methods import find_method
-from omnisyn_cli.evaluation.pareto import Figures, Setting
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
+from omnisyn_cli.interpolation.planning import budget
+from omnisyn_cli.interpolation.planning.figures import Figures, Setting
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, REPRODUCTIONS, SCALE

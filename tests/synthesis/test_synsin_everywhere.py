@@ -13,11 +13,11 @@ from omnisyn_cli.batch.manifest import read_manifest
 from omnisyn_cli.cli.interpolate import interpolate
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.evaluation.depth_table import SOURCES
+from omnisyn_cli.evaluation.depth_benchmark import TABLE_SOURCES
 from omnisyn_cli.evaluation.methods import MethodAtWork, find_method
 from omnisyn_cli.geometry.pose import interpolate_pose
 from omnisyn_cli.interpolation.plan import plan_interpolation
-from omnisyn_cli.interpolation.recipes import recipe_of
+from omnisyn_cli.interpolation.recipes import video_recipe
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
@@ -90,7 +90,7 @@ def test_an_unknown_method_is_refused_and_missing_networks_are_named(
     job = job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), method="synsin")
     with pytest.raises(InputError, match="as method, got 'magic'"):
         plan_interpolation(replace(job, method="magic"))
-    assert recipe_of(job, ()).networks == SYNSIN_MODELS
+    assert video_recipe(job, ()).networks == SYNSIN_MODELS
     monkeypatch.setattr(models, "models_folder", lambda: tmp_path)
     with pytest.raises(InputError, match="'synsin-depth'"):
         plan_interpolation(job)
@@ -139,7 +139,7 @@ def test_results_depend_on_the_networks_that_are_installed(name: str, monkeypatc
 
 
 def test_the_depth_table_has_a_row_for_it() -> None:
-    estimator = make_estimator(SOURCES["synsin"], device="cpu", threads=1)
+    estimator = make_estimator(TABLE_SOURCES["synsin"], device="cpu", threads=1)
     assert estimator(hall_view(CHAIN[0]), hall_view(CHAIN[1]))[0].inverse_depth.shape == TINY_SIZE
 
 

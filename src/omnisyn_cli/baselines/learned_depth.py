@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import exchanged_in_forward_frame, forward_frame, free_space_agreement
@@ -53,7 +53,7 @@ class LearnedDepthEstimator:
         """Estimates for ``first`` and ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         for view in (first, second):
             view.check_shape()
-        if np.array_equal(first.pose.position, second.pose.position):
+        if at_same_position(first.pose, second.pose):
             return self._nothing(), self._nothing()
         frame, _, baseline = forward_frame(first.pose, second.pose)
         images = [self._rectified(view, frame) for view in (first, second)]

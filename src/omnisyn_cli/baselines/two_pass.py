@@ -77,13 +77,13 @@ class TwoPassRenderer:
         mesh = inputs.mesh()
         self._triangles = triangles_without_caps(mesh)
         self._texture = make_texture(inputs.image, inputs.mask)
-        self._trust = make_confidence_map(mesh, self._texture)
+        self._confidence_map = make_confidence_map(mesh, self._texture)
         self._shader = Shader(inputs.size, inputs.threads)
-        self._asked = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
+        self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
 
     def __call__(self, target_from_source: Pose) -> Layer:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
         seen = rasterize_two_pass(self._triangles, target_from_source, self._shader.size, self._shader.threads)
-        colour = self._shader(seen.inverse_depth, self._trust, self._texture, target_from_source)
-        source_sampler = self._asked.seen_from(target_from_source)
+        colour = self._shader(seen.inverse_depth, self._confidence_map, self._texture, target_from_source)
+        source_sampler = self._reprojector.seen_from(target_from_source)
         return replace(Layer.from_arrays(seen.inverse_depth, colour, target_from_source), source_sampler=source_sampler)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -11,14 +12,12 @@ from omnisyn_cli.cli.options import (
     check_one_cut,
     json_option,
     named,
-    print_json,
-    print_plan,
     quiet_option,
     surface_options,
     tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
-from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+from omnisyn_cli.cli.runner import run_plan
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.export import ExportSummary
@@ -64,9 +63,8 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 @click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")
 @quiet_option
-@click.pass_context
 def export(
-    context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float,
+    *, as_json: bool, dry_run: bool, quiet: bool, nadir: float,
     format: str | None, texture: int, stride: int | None, sky: bool | None, dome: float, **options: Any,  # noqa: A002
 ) -> None:  # fmt: skip
     """Write panoramas A, B and more, with their depth, for other programs.
@@ -83,32 +81,24 @@ def export(
 
     Put names that begin with a dash after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export, run_export
-    from omnisyn_cli.interpolation.job import InterpolationJob
-    from omnisyn_cli.interpolation.recipes import check_device
+    from omnisyn_cli.interpolation.export import ExportJob, default_ending, plan_export
 
     check_one_cut(options)
     given = named(options, lambda: default_ending(format))
-    tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **given)
-    plan = plan_export(ExportJob(tour, format, texture, stride, sky, dome))
-    if not quiet:
-        for note in plan.notes:
-            click.echo(f"note: {note}", err=True)
-    if dry_run:
-        print_plan(plan.describe(), as_json=as_json)
-        return
-    check_device(plan.tour.recipe)
-    context.with_resource(say_when_compiling(is_quiet=quiet))
-    total = len(plan.tour.entries)
-    with counted_bar("depth", total, lambda done: "panoramas", is_quiet=quiet) as on_panorama:
-        summary = run_export(plan, on_panorama)
-    if not quiet:
-        for warning in summary.warnings():
-            click.echo(f"warning: {warning}", err=True)
-    if as_json:
-        print_json(summary.describe())
-    elif not quiet:
-        click.echo(_said(summary))
+    job = ExportJob(
+        nadir=math.radians(nadir), format=format, texture=texture, stride=stride, sky=sky, dome=dome, **given
+    )
+    plan = plan_export(job)
+    run_plan(
+        plan, _load, len(plan.entries), lambda done: "panoramas", lambda summary: click.echo(_said(summary)),
+        as_json=as_json, dry_run=dry_run, quiet=quiet,
+    )  # fmt: skip
+
+
+def _load() -> Callable[..., ExportSummary]:
+    from omnisyn_cli.interpolation.export import run_export
+
+    return run_export
 
 
 def _said(summary: ExportSummary) -> str:
@@ -118,5 +108,5 @@ def _said(summary: ExportSummary) -> str:
         what = f"{summary.triangles:,} triangles"
     elif plan.format == "splats":
         what = f"{summary.points:,} discs"
-    count = len(plan.tour.entries)
-    return f"{plan.tour.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"
+    count = len(plan.entries)
+    return f"{plan.job.output}: {what} of {count} panoramas in {summary.seconds['total']:.1f} s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,15 +20,13 @@ from omnisyn_cli.cli.options import (
     named,
     outside_option,
     preset_option,
-    print_json,
-    print_plan,
     quiet_option,
     size_options,
     threads_option,
     tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
-from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+from omnisyn_cli.cli.runner import run_plan
 from omnisyn_cli.pipeline.config import FALLBACKS
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
@@ -136,9 +135,8 @@ if TYPE_CHECKING:
 @json_option("the summary")
 @click.option("-v", "--verbose", is_flag=True, help="Print the seconds of every stage, and mesh statistics.")
 @quiet_option
-@click.pass_context
 def interpolate(
-    context: click.Context, /, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
+    *, as_json: bool, dry_run: bool, verbose: bool, quiet: bool, budget: float | None,
     nadir: float, **options: Any,
 ) -> None:  # fmt: skip
     """Make a 360° video from panorama A to B, and on through C and more.
@@ -169,26 +167,22 @@ def interpolate(
 
         plan = apply_budget(plan, budget)
     check_device(plan.recipe)
-    if not quiet:
-        for note in plan.notes:
-            click.echo(f"note: {note}", err=True)
-    if dry_run:
-        print_plan({**plan.describe(), **_expected(plan)}, as_json=as_json)
-        return
     compiled: list[str] = []
-    context.with_resource(say_when_compiling(is_quiet=quiet, listen=compiled.append))
-    from omnisyn_cli.interpolation.run import run_interpolation
-
-    with counted_bar("depth", len(plan.path), lambda done: "frames" if done > 1 else None, is_quiet=quiet) as on_frame:
-        summary = run_interpolation(plan, on_frame)
-    if not compiled:
+    summary = run_plan(
+        plan, _load, len(plan.path), lambda done: "frames" if done > 1 else None,
+        lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
+        expected=lambda: _expected(plan), listen=compiled.append,
+    )  # fmt: skip
+    if summary is not None and not compiled:
         from omnisyn_cli.interpolation.planning.duration import remember_run
 
         remember_run(summary)
-    if not quiet:
-        for warning in summary.warnings():
-            click.echo(f"warning: {warning}", err=True)
-    _print_summary(summary, as_json=as_json, verbose=verbose, quiet=quiet)
+
+
+def _load() -> Callable[..., Summary]:
+    from omnisyn_cli.interpolation.run import run_interpolation
+
+    return run_interpolation
 
 
 def _expected(plan: InterpolationPlan) -> dict[str, Any]:
@@ -211,17 +205,14 @@ def _check_budget_decides(method: str) -> None:
         raise click.UsageError(f"expected --budget only with --method {OMNISYN}, got {method}; leave one of them out")
 
 
-def _print_summary(summary: Summary, *, as_json: bool, verbose: bool, quiet: bool) -> None:
-    if as_json:
-        print_json(summary.describe())
-    elif not quiet:
-        if verbose:
-            for stage, seconds in summary.seconds.items():
-                click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
-            for line in summary.made.lines():
-                click.echo(line, err=True)
-        height, width = summary.plan.size
-        frames, total = len(summary.plan.path), summary.seconds["total"]
-        click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
-        if summary.plan.job.view is not None:
-            click.echo(f"{summary.plan.job.view}: a walk through {len(summary.plan.entries)} panoramas")
+def _print_summary(summary: Summary, *, verbose: bool) -> None:
+    if verbose:
+        for stage, seconds in summary.seconds.items():
+            click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
+        for line in summary.made.lines():
+            click.echo(line, err=True)
+    height, width = summary.plan.size
+    frames, total = len(summary.plan.path), summary.seconds["total"]
+    click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
+    if summary.plan.job.view is not None:
+        click.echo(f"{summary.plan.job.view}: a walk through {len(summary.plan.entries)} panoramas")

@@ -1,8 +1,10 @@
 """``omnisyn view``: a page to walk through panoramas in a browser."""
 
+from __future__ import annotations
+
 import math
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,15 +12,18 @@ from omnisyn_cli.cli.options import (
     check_one_cut,
     json_option,
     named,
-    print_json,
-    print_plan,
     quiet_option,
     surface_options,
     tour_options,
 )
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
-from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+from omnisyn_cli.cli.runner import run_plan
 from omnisyn_cli.pipeline.config import FALLBACKS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from omnisyn_cli.interpolation.viewer import ViewSummary
 
 
 @click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
@@ -46,9 +51,8 @@ from omnisyn_cli.pipeline.config import FALLBACKS
 @click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
 @json_option("the summary")
 @quiet_option
-@click.pass_context
 def view(
-    context: click.Context, /, as_json: bool, dry_run: bool, quiet: bool, nadir: float, texture: int, lossless: bool,
+    *, as_json: bool, dry_run: bool, quiet: bool, nadir: float, texture: int, lossless: bool,
     folder: bool, serve: bool, is_opened: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Make a page in which one walks from panorama A to B, and on through C and further ones.
@@ -65,43 +69,42 @@ def view(
 
     Names that begin with a dash go after ``--``.
     """  # noqa: D301 - click's \b is a backspace
-    from omnisyn_cli.interpolation.job import InterpolationJob
-    from omnisyn_cli.interpolation.recipes import check_device
-    from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk
+    from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
 
     check_one_cut(options)
     if serve and not folder:
         raise click.UsageError("expected --serve with --folder, got a single file, which needs no server")
     given = named(options, lambda: "-walk" if folder else ".html")
-    tour = InterpolationJob(nadir=math.radians(nadir), fusion="geometric", renderer="mesh", **given)
-    plan = plan_walk(WalkJob(tour, WalkOptions(texture, lossless), folder))
-    if not quiet:
-        for note in plan.notes:
-            click.echo(f"note: {note}", err=True)
-    if dry_run:
-        print_plan(plan.describe(), as_json=as_json)
+    job = ViewJob(nadir=math.radians(nadir), options=ViewOptions(texture, lossless), is_folder=folder, **given)
+    plan = plan_view(job)
+    summary = run_plan(
+        plan, _load, len(plan.entries) - 1, lambda done: "pairs", lambda summary: click.echo(_said(summary)),
+        as_json=as_json, dry_run=dry_run, quiet=quiet,
+    )  # fmt: skip
+    if summary is None:
         return
-    check_device(plan.tour.recipe)
-    context.with_resource(say_when_compiling(is_quiet=quiet))
-    with counted_bar("depth", len(plan.tour.entries) - 1, lambda done: "pairs", is_quiet=quiet) as on_pair:
-        summary = run_walk(plan, on_pair)
-    if not quiet:
-        for warning in summary.warnings():
-            click.echo(f"warning: {warning}", err=True)
-    if as_json:
-        print_json(summary.describe())
-    elif not quiet:
-        what = f"a walk through {len(plan.tour.entries)} panoramas, {summary.size / 1e6:.1f} MB"
-        click.echo(f"{tour.output}: {what}, in {summary.seconds['total']:.1f} s")
     if serve:
-        _serve(tour.output, is_opened=is_opened, is_quiet=quiet)
+        _serve(job.output, is_opened=is_opened, is_quiet=quiet)
     elif is_opened:
-        click.launch(str(tour.output / "index.html" if folder else tour.output))
+        click.launch(str(job.output / "index.html" if folder else job.output))
+
+
+def _load() -> Callable[..., ViewSummary]:
+    from omnisyn_cli.interpolation.viewer import run_view
+
+    return run_view
+
+
+def _said(summary: ViewSummary) -> str:
+    """What was written, in one line."""
+    plan, seconds = summary.plan, summary.seconds["total"]
+    what = f"a walk through {len(plan.entries)} panoramas, {summary.size / 1e6:.1f} MB"
+    return f"{plan.job.output}: {what}, in {seconds:.1f} s"
 
 
 def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
     """Serve a folder until somebody ends it."""
-    from omnisyn_cli.interpolation.walk import served
+    from omnisyn_cli.interpolation.viewer import served
 
     with served(folder) as (address, server):
         if not is_quiet:

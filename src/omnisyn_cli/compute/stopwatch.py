@@ -18,6 +18,7 @@ class Stopwatch:
     def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
         self.now = now
         self.seconds: dict[str, float] = defaultdict(float)
+        self._begin = now()
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -27,3 +28,7 @@ class Stopwatch:
             yield
         finally:
             self.seconds[stage] += self.now() - begin
+
+    def with_total(self) -> dict[str, float]:
+        """Seconds by stage, and as ``total`` all since it was made."""
+        return {**self.seconds, "total": self.now() - self._begin}

@@ -18,7 +18,7 @@ from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warpin
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
-from omnisyn_cli.geometry.pose import STILL, Pose, interpolate_pose
+from omnisyn_cli.geometry.pose import Pose, at_same_position, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
 from omnisyn_cli.synthesis.frames import turned_panorama
@@ -74,12 +74,9 @@ class Measurement:
 
 
 def measure(
-    method: PairMaker,
-    pair: LoadedPair,
-    names: tuple[str, str],
-    perceptual: Perceptual | None = None,
+    method: PairMaker, pair: LoadedPair, names: tuple[str, str], perceptual: Perceptual | None = None,
     threads: int | None = None,
-) -> Measurement:
+) -> Measurement:  # fmt: skip
     """Let a method make the true frames of a pair, a clip and both ends, and measure them.
 
     ``names`` are those of the panoramas. ``perceptual`` is a further distance of pictures, ``lpips`` in the scores.
@@ -126,7 +123,7 @@ def kinds_at(made: Pair, waypoint: Waypoint, size: tuple[int, int]) -> Kinds:
 
 def _has_parallax(pair: LoadedPair) -> bool:
     first, second = pair.views
-    return bool(np.linalg.norm(second.pose.position - first.pose.position) > STILL)
+    return not at_same_position(first.pose, second.pose)
 
 
 def _clip_to_unit(image: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width 3"]:

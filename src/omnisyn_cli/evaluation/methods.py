@@ -27,6 +27,7 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.evaluation.grouping import TOUR_PARAMETER
 from omnisyn_cli.fusion.geometric import GeometricFuser
+from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
@@ -150,7 +151,7 @@ class MethodAtWork:
         if (size := self._method.depth_size) is not None:
             found = (_resized(found[0], size), _resized(found[1], size))
         taken, own = time.perf_counter() - begin, self._views[self._index]
-        is_own = np.array_equal(first.pose.position, own.pose.position)
+        is_own = at_same_position(first.pose, own.pose)
         clock.seconds["depth"] += max(0.0, seconds - taken) if is_own else -taken
         return found
 

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 __all__ = [
-    "STILL",
+    "SAME_POSITION_METRES",
     "Pose",
+    "at_same_position",
     "enu_from_geographic",
     "interpolate_pose",
     "nearest_rotation",
@@ -29,11 +30,11 @@ __all__ = [
     "slerp",
 ]
 
-STILL = 1e-6
-"""Panoramas closer than this (metres) were taken from one place."""
+SAME_POSITION_METRES = 1e-6
+"""Panoramas closer than this were taken from one position: no survey is so exact."""
 
 SMALL_ANGLE = 1e-8
-"""Below this (radians) the series of sin(x)/x is exact in float64."""
+"""Below this (radians) sin(x)/x is 1 in float64, as x²/6 is below its rounding error."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,11 @@ class Pose:
         moved = np.linalg.norm(self.position - other.position, axis=-1)
         turned = rotation_angle(np.swapaxes(self.rotation, -1, -2) @ other.rotation)
         return bool(np.all(moved <= metres) and np.all(turned <= radians))
+
+
+def at_same_position(first: Pose, second: Pose) -> bool:
+    """Whether two panoramas were taken from one position, within :data:`SAME_POSITION_METRES`: no parallax."""
+    return bool(np.linalg.norm(second.position - first.position) <= SAME_POSITION_METRES)
 
 
 def rotation_from_quaternion(quaternion: Float[np.ndarray, "*batch 4"]) -> Float[np.ndarray, "*batch 3 3"]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from omnisyn_cli.errors import InputError, OutputPathError
-from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, depth_files, targets
+from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob, TourJob, depth_files, targets
 from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.depth_files import check_depth_header
@@ -25,11 +25,14 @@ OF_OWN_FRAMES = (
 )  # fmt: skip
 """Fields of a job that mean nothing to the methods that it is compared with."""
 
+OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
+"""Fields of a job that name what is written."""
+
 MOST_NADIR = math.radians(90.0)
 """A cap that is no hemisphere yet."""
 
 
-def check_names(job: InterpolationJob) -> None:
+def check_names(job: TourJob) -> None:
     """Refuse names that cannot be used.
 
     File names that are not text (bytes from another encoding) cannot be handed to the image libraries.
@@ -38,13 +41,13 @@ def check_names(job: InterpolationJob) -> None:
         InputError: one is no UTF-8.
         OutputPathError: the system cannot give it to anything.
     """
-    for path in (*job.images, *job.masks, job.poses, job.output, job.save_depth, job.save_frames, job.save_confidence):
+    outputs = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
+    for path in (*job.images, *job.masks, job.poses, *outputs):
         name = str(path)
         if name.encode("utf-8", "replace") != name.encode("utf-8", "surrogateescape"):
             raise InputError(f"{name!r}: expected a file name in UTF-8, got other bytes; rename the file or its folder")
-    for target in (job.output, job.save_depth, job.save_frames, job.save_confidence):
-        if target is not None:
-            check_name(target)
+    for target in outputs:
+        check_name(target)
 
 
 def check_images(images: Iterable[Path]) -> None:
@@ -53,7 +56,7 @@ def check_images(images: Iterable[Path]) -> None:
         check_is_file(image)
 
 
-def check_choices(job: InterpolationJob) -> None:
+def check_choices(job: TourJob) -> None:
     """Refuse what the command line does not offer as a choice, for those who call the library.
 
     Raises:
@@ -61,12 +64,10 @@ def check_choices(job: InterpolationJob) -> None:
             hemisphere or more.
     """
     for name, known in CHOICES.items():
-        if (value := getattr(job, name)) not in known:
+        if (value := getattr(job, name, known[0])) not in known:
             raise InputError(f"expected one of {', '.join(known)} as {name}, got {value!r}; choose one of these")
     if job.cut is not None and job.cut_metres is not None:
         raise InputError("expected either cut or cut_metres, got both; name one")
-    if not METHODS[job.method].draws_surfaces:
-        _check_is_plain(job)
     if job.masks and len(job.masks) != len(job.images):
         raise InputError(
             f"expected one mask for each of {len(job.images)} panoramas, got {len(job.masks)}; name them in the order "
@@ -79,12 +80,14 @@ def check_choices(job: InterpolationJob) -> None:
         )
 
 
-def _check_is_plain(job: InterpolationJob) -> None:
-    """Refuse options that only say how this program's own frames are made.
+def check_method(job: InterpolationJob) -> None:
+    """Refuse options that only say how this program's own frames are made beside another method.
 
     Raises:
         InputError: there is one.
     """
+    if METHODS[job.method].draws_surfaces:
+        return
     usual = InterpolationJob(job.images, job.poses, job.output)
     for name in OF_OWN_FRAMES:
         chosen = getattr(job, name)
@@ -95,7 +98,7 @@ def _check_is_plain(job: InterpolationJob) -> None:
             )
 
 
-def source_size(job: InterpolationJob, image: Path) -> tuple[int, int]:
+def source_size(job: TourJob, image: Path) -> tuple[int, int]:
     """Height and width of the panorama that a file becomes.
 
     Raises:
@@ -105,7 +108,7 @@ def source_size(job: InterpolationJob, image: Path) -> tuple[int, int]:
 
 
 def check_companions(
-    job: InterpolationJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], recipe: Recipe
+    job: TourJob, entries: Sequence[PosedPanorama], sizes: Sequence[tuple[int, int]], recipe: Recipe
 ) -> None:
     """Refuse masks of other sizes than their panoramas, and depth files, if they are used, that are none.
 

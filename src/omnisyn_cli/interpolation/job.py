@@ -16,7 +16,7 @@ from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.synthesis.trajectory import EASES, HEADINGS, Ease, Heading
 
-__all__ = ["CHOICES", "POSES_FROM_PICTURES", "InterpolationJob", "targets"]
+__all__ = ["CHOICES", "POSES_FROM_PICTURES", "InterpolationJob", "TourJob", "targets"]
 
 Positive = Annotated[float, Gt(0)]
 
@@ -38,38 +38,23 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class InterpolationJob:
-    """What a user asks for.
+class TourJob:
+    """What a user asks for, whatever is made of it: panoramas, and how their surfaces are found.
 
     Attributes:
         images: two or more panoramas, in walking order.
         poses: pose file that names them all, or :data:`POSES_FROM_PICTURES` to find them in the pictures.
-        output: video file, folder or file name pattern.
-        frames: number of frames; None follows from ``duration`` and ``fps``.
-        duration: seconds; None means three per pair.
-        fps: frames per second.
-        size: (height, width) of the video; None means that of the largest panorama.
-        method: one of :data:`omnisyn_cli.pipeline.methods.METHODS`; those that are there to be compared with leave
-            nothing to choose about depth, surfaces and fusion.
+        output: what is written.
         preset: one of :data:`omnisyn_cli.pipeline.presets.PRESETS`, for what is left open.
         depth: one of :data:`omnisyn_cli.pipeline.depth_sources.DEPTH_SOURCES`, or ``auto``: files where every panorama
             has one, else what the preset says.
         model: the network of the depth: an ONNX file, or a name in the manifest; None is the preset's.
-        device: where networks run: ``auto``, ``cpu`` or ``cuda``, with which the GPU makes the frames as well if it can
-            (:mod:`omnisyn_cli.interpolation.recipes`). Poses and matching are found on the processor.
-        renderer: one of :data:`omnisyn_cli.pipeline.renderers.RENDERERS`, or ``auto``: what the preset says.
+        device: where networks run: ``auto``, ``cpu`` or ``cuda``. Poses and matching are found on the processor.
         cut, cut_metres: where surfaces are cut, see :class:`omnisyn_cli.pipeline.config.Recipe`; at most one of them,
             neither is the preset's.
-        fusion: one of :data:`omnisyn_cli.pipeline.fusions.FUSIONS`, or ``auto``: what the preset says where depth is
-            found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.
-        ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
-        codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
-        save_depth: folder for the depth of every panorama, as EXR; None saves none.
         masks: an image for every panorama, black where it must not be used, besides those of the pose file; or none.
         nadir: radians around every panorama's own straight down (its last row) that are not used: tripod, car roof.
         fallback: one of :data:`omnisyn_cli.pipeline.config.FALLBACKS`.
-        save_confidence: video or folder for the confidence of every pixel, in grey; None saves none.
-        save_frames: folder or pattern for the frames as images besides the video; None saves none.
         threads: at most this many; None is one per core.
         overwrite: replace what exists.
         allow_aspect: resample panoramas that are not 2:1.
@@ -77,37 +62,20 @@ class InterpolationJob:
         allow_outside: accept depth and masks that the pose file names outside of its folder.
         baseline: metres between neighbours whose poses are found in the pictures; None takes 1 and says so.
         refine: correct rotations and directions of the given poses where the pictures fit better then.
-        adaptive: draw flat surfaces with fewer triangles; None does where there are frames enough to save time by it.
-        view: page to walk through besides the video, made of the same depth; None makes none.
     """
 
     images: tuple[Path, ...]
     poses: Path
     output: Path
-    frames: Annotated[int, Ge(2)] | None = None
-    duration: Positive | None = None
-    fps: Annotated[float, Interval(gt=0, le=1000)] = 30.0
-    size: tuple[int, int] | None = None
-    method: str = OMNISYN
     preset: str = DEFAULT_PRESET
     depth: str = "auto"
     model: str | None = None
     device: str = "auto"
-    renderer: str = "auto"
     cut: Annotated[float, Interval(gt=0, le=1)] | None = None
     cut_metres: Positive | None = None
-    fusion: str = "auto"
-    ease: Ease = "linear"
-    heading: Heading = "panoramas"
-    codec: str | None = None
-    crf: float | None = None
-    encoder_preset: str | None = None
-    save_depth: Path | None = None
     masks: tuple[Path, ...] = ()
     nadir: float = 0.0
     fallback: str = "none"
-    save_confidence: Path | None = None
-    save_frames: Path | None = None
     threads: int | None = None
     overwrite: bool = False
     allow_aspect: bool = False
@@ -115,6 +83,48 @@ class InterpolationJob:
     allow_outside: bool = False
     baseline: Positive | None = None
     refine: bool = False
+
+
+@dataclass(frozen=True)
+class InterpolationJob(TourJob):
+    """What a user asks for of a video.
+
+    Attributes:
+        output: video file, folder or file name pattern.
+        frames: number of frames; None follows from ``duration`` and ``fps``.
+        duration: seconds; None means three per pair.
+        fps: frames per second.
+        size: (height, width) of the video; None means that of the largest panorama.
+        method: one of :data:`omnisyn_cli.pipeline.methods.METHODS`; baselines leave nothing to choose about depth,
+            surfaces and fusion.
+        device: with ``cuda`` the GPU makes the frames as well if it can (:mod:`omnisyn_cli.interpolation.recipes`).
+        renderer: one of :data:`omnisyn_cli.pipeline.renderers.RENDERERS`, or ``auto``: what the preset says.
+        fusion: one of :data:`omnisyn_cli.pipeline.fusions.FUSIONS`, or ``auto``: what the preset says where depth is
+            found as it says, else ``geometric``; so too for the frames that ``cuda`` makes, if it says ``network``.
+        ease, heading: see :func:`omnisyn_cli.synthesis.trajectory.plan_path`.
+        codec, crf, encoder_preset: see :func:`omnisyn_cli.io.open_video`.
+        save_depth: folder for the depth of every panorama, as EXR; None saves none.
+        save_confidence: video or folder for the confidence of every pixel, in grey; None saves none.
+        save_frames: folder or pattern for the frames as images besides the video; None saves none.
+        adaptive: draw flat surfaces with fewer triangles; None does where there are frames enough to save time by it.
+        view: page to walk through besides the video, made of the same depth; None makes none.
+    """
+
+    frames: Annotated[int, Ge(2)] | None = None
+    duration: Positive | None = None
+    fps: Annotated[float, Interval(gt=0, le=1000)] = 30.0
+    size: tuple[int, int] | None = None
+    method: str = OMNISYN
+    renderer: str = "auto"
+    fusion: str = "auto"
+    ease: Ease = "linear"
+    heading: Heading = "panoramas"
+    codec: str | None = None
+    crf: float | None = None
+    encoder_preset: str | None = None
+    save_depth: Path | None = None
+    save_confidence: Path | None = None
+    save_frames: Path | None = None
     adaptive: bool | None = None
     view: Path | None = None
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.job import TourJob
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import Panorama, read_inverse_depth
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
@@ -70,7 +70,7 @@ class Loader(Sequence[View]):
             self.panorama(view).forget_numbers()
 
 
-def _read_panorama(job: InterpolationJob, read: PanoramaReader, index: int) -> KeptPanorama:
+def _read_panorama(job: TourJob, read: PanoramaReader, index: int) -> KeptPanorama:
     return KeptPanorama(read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
 
 

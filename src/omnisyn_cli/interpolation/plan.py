@@ -1,20 +1,18 @@
 """A job that has been checked: its poses and path, where its depth comes from, what there is to say about it."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.pose import STILL
+from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
-from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob
 from omnisyn_cli.interpolation.planning.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
-from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, recipe_of
+from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, surface_recipe, video_recipe
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import Recipe
@@ -43,7 +41,7 @@ class TourPlan:
         notes: what the user should know.
     """
 
-    job: InterpolationJob
+    job: TourJob
     entries: tuple[PosedPanorama, ...]
     source_sizes: tuple[tuple[int, int], ...]
     recipe: Recipe
@@ -57,9 +55,37 @@ class TourPlan:
     @property
     def joined_depths(self) -> int:
         """How many panoramas have their depth from both neighbours: those inside that stand apart from both."""
-        places = [entry.pose.position for entry in self.entries]
-        is_apart = [bool(np.linalg.norm(after - before) > STILL) for before, after in pairwise(places)]
+        is_apart = [not at_same_position(before.pose, after.pose) for before, after in pairwise(self.entries)]
         return sum(a and b for a, b in pairwise(is_apart)) if self.looks_ahead else 0
+
+    def describe(self) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON."""
+        raise NotImplementedError
+
+    def described(
+        self, before: Mapping[str, Any], memory: int, after: Mapping[str, Any] | None = None
+    ) -> dict[str, Any]:
+        """The plan as plain values, for people and for JSON.
+
+        Args:
+            before: what is said before how depth is found.
+            memory: bytes that will be taken.
+            after: what is said after it.
+        """
+        recipe = self.recipe
+        is_own = recipe.draws_surfaces
+        return {
+            "inputs": [str(image) for image in self.job.images],
+            "output": str(self.job.output),
+            **before,
+            "preset": self.job.preset if is_own else "",
+            "depth": recipe.depth.kind,
+            "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
+            "joined_depths": self.joined_depths,
+            **(after or {}),
+            "memory_mib": round(memory / 2**20),
+            "notes": list(self.notes),
+        }
 
 
 @dataclass(frozen=True)
@@ -73,35 +99,26 @@ class InterpolationPlan(TourPlan):
         memory: bytes that the pictures and buffers will take, estimated.
     """
 
+    job: InterpolationJob
     size: tuple[int, int]
     path: tuple[Waypoint, ...]
     length: float
     memory: int
 
     def describe(self) -> dict[str, Any]:
-        """The plan as plain values, for people and for JSON."""
-        (height, width), recipe = self.size, self.recipe
+        """See :meth:`TourPlan.described`."""
+        (height, width), recipe, job = self.size, self.recipe, self.job
         is_own = recipe.draws_surfaces
-        return {
-            "inputs": [str(image) for image in self.job.images],
-            "output": str(self.job.output),
-            "frames": len(self.path),
-            "fps": self.job.fps,
-            "seconds_of_video": round(len(self.path) / self.job.fps, 3),
-            "size": f"{width}x{height}",
-            "encoder": _encoder(self.job),
-            "method": recipe.method,
-            "preset": self.job.preset if is_own else "",
-            "depth": recipe.depth.kind,
-            "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
-            "joined_depths": self.joined_depths,
+        video = {
+            "frames": len(self.path), "fps": job.fps, "seconds_of_video": round(len(self.path) / job.fps, 3),
+            "size": f"{width}x{height}", "encoder": _encoder(job), "method": recipe.method,
+        }  # fmt: skip
+        drawn = {
             "renderer": recipe.renderer if is_own else recipe.method_strategy.renderer_label,
             "fusion": recipe.fusion if is_own else "",
-            "view": "" if self.job.view is None else str(self.job.view),
-            "path_metres": round(self.length, 4),
-            "memory_mib": round(self.memory / 2**20),
-            "notes": list(self.notes),
-        }
+            "view": "" if job.view is None else str(job.view), "path_metres": round(self.length, 4),
+        }  # fmt: skip
+        return self.described(video, self.memory, drawn)
 
 
 def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
@@ -110,7 +127,9 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     Raises:
         InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
     """
-    tour = plan_tour(job)
+    checks.check_choices(job)
+    checks.check_method(job)
+    tour = plan_tour(job, video_recipe)
     entries, sources, frames = tour.entries, tour.source_sizes, frame_count(job)
     largest = max(sources)[0]
     even = largest + largest % 2
@@ -128,8 +147,14 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     )  # fmt: skip
 
 
-def plan_tour(job: InterpolationJob) -> TourPlan:
+def plan_tour(
+    job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], Recipe] = surface_recipe
+) -> TourPlan:
     """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
+
+    Args:
+        job: what is asked for.
+        recipe_of: what surfaces and frames are made with, given the pose file's entry of every panorama.
 
     Raises:
         InputError: a file is missing, poses do not fit, an option makes no sense.
@@ -143,7 +168,7 @@ def plan_tour(job: InterpolationJob) -> TourPlan:
     pose_file, remarks = _poses(job)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
-    recipe = _installed_recipe(job, entries)
+    recipe = _installed(recipe_of(job, entries))
     checks.check_companions(job, entries, source_sizes, recipe)
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
 
@@ -161,7 +186,7 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
         InputError: the preset's network is not installed.
     """
     job = replace(plan.job, preset=preset)
-    recipe = for_frames(_installed_recipe(job, plan.entries), job, len(plan.path))
+    recipe = for_frames(_installed(video_recipe(job, plan.entries)), job, len(plan.path))
     surfaces = _surface_sizes(recipe, plan.source_sizes, plan.entries)
     former = notes_about_gpu(plan.recipe, plan.job)
     return replace(
@@ -171,15 +196,14 @@ def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     )  # fmt: skip
 
 
-def _installed_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:
-    """What the frames are made with; its networks are there."""
-    recipe = recipe_of(job, entries)
+def _installed(recipe: Recipe) -> Recipe:
+    """The same; its networks are there."""
     for network in recipe.networks:
         find_model(network)
     return recipe
 
 
-def _poses(job: InterpolationJob) -> tuple[PoseFile, tuple[str, ...]]:
+def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
     """The poses, read, refined or found, and what there is to say about them."""
     is_found = job.poses == POSES_FROM_PICTURES
     if job.baseline is not None and not is_found:
@@ -244,7 +268,7 @@ def _encoder(job: InterpolationJob) -> str:
     return f"{job.codec or 'h264'}{quality} preset {job.encoder_preset or codec.preset}"
 
 
-def _notes_about_depth(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
+def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
     named = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is not None]
     if recipe.estimates_depth and job.depth == "auto" and named:
         why = f"has it for {', '.join(named)} only" if len(named) < len(entries) else "goes unused with --model"
@@ -261,8 +285,8 @@ def _notes_about_video(
         yield f"{where}: there is no parallax to follow, the video {how}"
 
 
-def pairs_at_one_place(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Iterator[tuple[str, bool]]:
+def pairs_at_one_place(job: TourJob, entries: Sequence[PosedPanorama]) -> Iterator[tuple[str, bool]]:
     """For neighbours without a way between them the words that say so, and whether they are turned to each other."""
     for (a, first), (b, second) in pairwise(zip(job.images, entries, strict=True)):
-        if np.linalg.norm(second.pose.position - first.pose.position) <= STILL:
+        if at_same_position(first.pose, second.pose):
             yield f"{a.name} and {b.name} have the same position", not second.pose.almost_equals(first.pose)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from omnisyn_cli.errors import InputError, PoseError
-from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, SYNSIN_DEPTH
 from omnisyn_cli.pipeline.methods import METHODS
@@ -12,7 +12,7 @@ from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.runtime.session import check_device_of_networks
 
-__all__ = ["check_device", "recipe_of"]
+__all__ = ["check_device", "surface_recipe", "video_recipe"]
 
 FRAMES_THAT_PAY = 32
 """Between two panoramas, from which on fewer triangles save more time than it takes to find them.
@@ -21,8 +21,8 @@ Finding them takes 0.5 s of one core for a mesh of 1024×512, each frame of 1024
 """
 
 
-def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:
-    """What the frames of a job are made with: what it says, else its preset.
+def surface_recipe(job: TourJob, entries: Sequence[PosedPanorama]) -> Recipe:
+    """What the surfaces of a job are made with: what it says, else its preset.
 
     Args:
         job: what is asked for.
@@ -32,20 +32,28 @@ def recipe_of(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe
         PoseError: depth is to come from files, and the pose file does not name one for every panorama.
         InputError: a network where none has a part, or none where one has.
     """
-    if not METHODS[job.method].draws_surfaces:
-        return Recipe(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
     usual = PRESETS[job.preset].recipe
     kind = _depth_kind(job, entries, usual)
-    usual = usual.of_known_depth() if DEPTH_SOURCES[kind].reads_files else usual
     is_cut_as_usual = job.cut is None and job.cut_metres is None
-    recipe = Recipe(
+    return Recipe(
         DepthSource(kind, usual.depth.rows, _model(job, kind, usual)),
-        renderer=usual.renderer if job.renderer == "auto" else job.renderer,
         cut=usual.cut if is_cut_as_usual else job.cut,
         cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
+        fallback=job.fallback, device=job.device,
+    )  # fmt: skip
+
+
+def video_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Recipe:
+    """What the frames of a job are made with, likewise."""
+    if not METHODS[job.method].draws_surfaces:
+        return Recipe(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
+    usual, surfaces = PRESETS[job.preset].recipe, surface_recipe(job, entries)
+    recipe = replace(
+        surfaces,
+        renderer=usual.renderer if job.renderer == "auto" else job.renderer,
         adaptive=usual.adaptive if job.adaptive is None else job.adaptive,
-        fusion=_fusion(job, kind, usual), fusion_rows=usual.fusion_rows, edges=usual.edges,
-        fallback=job.fallback, confidence=job.save_confidence is not None, device=job.device,
+        fusion=_fusion(job, surfaces.depth.kind, usual), fusion_rows=usual.fusion_rows, edges=usual.edges,
+        confidence=job.save_confidence is not None,
     )  # fmt: skip
     return _on_gpu(recipe, job) if job.device == "cuda" else recipe
 
@@ -58,7 +66,7 @@ def for_frames(recipe: Recipe, job: InterpolationJob, frames: int) -> Recipe:
     return replace(recipe, adaptive=recipe.adaptive and is_worth_it)
 
 
-def _depth_kind(job: InterpolationJob, entries: Sequence[PosedPanorama], usual: Recipe) -> str:
+def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], usual: Recipe) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
         return usual.depth.kind if without or job.model is not None else "file"
@@ -70,7 +78,7 @@ def _depth_kind(job: InterpolationJob, entries: Sequence[PosedPanorama], usual: 
     return job.depth
 
 
-def _model(job: InterpolationJob, kind: str, usual: Recipe) -> str | None:
+def _model(job: TourJob, kind: str, usual: Recipe) -> str | None:
     """The network that finds or refines depth, if one does."""
     source = DEPTH_SOURCES[kind]
     if not source.has_network:

@@ -21,8 +21,8 @@ from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import InterpolationPlan
 from omnisyn_cli.interpolation.summary import Made, Summary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import pair_surfaces
-from omnisyn_cli.interpolation.walk.contents import WalkOptions, WalkPacker
-from omnisyn_cli.interpolation.walk.page import write_page
+from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
+from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.io import open_video, read_panorama, write_depth
 from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
@@ -125,7 +125,7 @@ def run_interpolation(
         InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on.
         EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
-    begin, clock = now(), Stopwatch(now)
+    clock = Stopwatch(now)
     loader = Loader(plan, clock, read)
     kinds, threads = sample_types(plan.job), plan.job.threads
     with limited_threads(threads):
@@ -156,7 +156,7 @@ def run_interpolation(
                 for sink in sinks:
                     sink.finish()
     keeper.write_walk()
-    return Summary(plan, {**clock.seconds, "total": now() - begin}, keeper.pairs, keeper.made)
+    return Summary(plan, clock.with_total(), keeper.pairs, keeper.made)
 
 
 def _infinitely_far(depth: DepthEstimate) -> float:
@@ -170,7 +170,7 @@ class _PairKeeper:
 
     def __init__(self, plan: InterpolationPlan, loader: Loader, keep_depth: KeepDepth, clock: Stopwatch) -> None:
         self._plan, self._loader, self._keep_depth, self._clock = plan, loader, keep_depth, clock
-        self._packer = None if plan.job.view is None else WalkPacker(plan, WalkOptions())
+        self._packer = None if plan.job.view is None else TourPacker(plan, ViewOptions())
         self.pairs: dict[int, PairConfidence] = {}
         self.made = Made()
 

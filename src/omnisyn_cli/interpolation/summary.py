@@ -4,13 +4,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from statistics import fmean
-from typing import Any
+from typing import Any, ClassVar
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE, PairConfidence
 from omnisyn_cli.interpolation.plan import InterpolationPlan, TourPlan
 
-__all__ = ["Summary"]
+__all__ = ["Summary", "TourSummary"]
 
 
 @dataclass(frozen=True)
@@ -45,33 +45,66 @@ class Made:
 
 
 @dataclass(frozen=True)
-class Summary:
-    """What was done.
+class TourSummary:
+    """What was done, whatever was made.
 
     Attributes:
         plan: what was planned.
-        seconds: wall time by stage; ``total`` is all of it. Encoding runs beside the other stages: ``encode`` is the
-            time that they waited for it.
-        pairs: how far the frames between two panoramas can be relied on, by the index of the first; pairs without a
-            frame of their own are left out.
-        made: what was modelled.
+        seconds: wall time by stage; ``total`` is all of it.
+        pairs: how far what is made of two panoramas can be relied on, by the index of the first.
     """
 
-    plan: InterpolationPlan
+    plan: TourPlan
     seconds: dict[str, float]
     pairs: Mapping[int, PairConfidence] = field(default_factory=dict)
-    made: Made = field(default_factory=Made)
+
+    advice: ClassVar[str] = "show a cross-fade there (--fallback crossfade)"
+    """What to do about a doubtful pair."""
+
+    @property
+    def results(self) -> dict[str, Any]:
+        """What was made, as plain values."""
+        return {}
+
+    @property
+    def confidence(self) -> Any:
+        """How far each pair can be relied on, as plain values."""
+        return [{"first": index, **pair.describe()} for index, pair in self.pairs.items()]
 
     def describe(self) -> dict[str, Any]:
         """The summary as plain values, for people and for JSON."""
         stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
-        return {**self.plan.describe(), "stages": stages, "confidence": self._confidence(), **self.made.describe()}
+        return {**self.plan.describe(), **self.results, "stages": stages, "confidence": self.confidence}
 
     def warnings(self) -> list[str]:
         """A line for every pair that scores too low to be relied on."""
-        return warnings_about(self.plan, self.pairs)
+        return [
+            warning_about(self.plan, index, pair, self.advice)
+            for index, pair in self.pairs.items()
+            if pair.score < MIN_PAIR_SCORE
+        ]
 
-    def _confidence(self) -> dict[str, Any] | None:
+
+@dataclass(frozen=True)
+class Summary(TourSummary):
+    """What was done for a video. Encoding runs beside the other stages: ``encode`` is the time that they waited for it.
+
+    Pairs without a frame of their own are left out.
+
+    Attributes:
+        made: what was modelled.
+    """
+
+    plan: InterpolationPlan
+    made: Made = field(default_factory=Made)
+
+    @property
+    def results(self) -> dict[str, Any]:
+        """What was modelled, as plain values."""
+        return self.made.describe()
+
+    @property
+    def confidence(self) -> dict[str, Any] | None:
         """The clip's score is that of its worst pair; its shares are the means. None: nobody knows."""
         if not self.plan.recipe.draws_surfaces:
             return None
@@ -86,21 +119,13 @@ class Summary:
         }
 
 
-FADE = "show a cross-fade there (--fallback crossfade)"
-
-
-def warnings_about(plan: TourPlan, pairs: Mapping[int, PairConfidence], advice: str = FADE) -> list[str]:
-    """A line for every pair, by the index of its first panorama, that scores too low to be relied on."""
-    return [warning_about(plan, index, pair, advice) for index, pair in pairs.items() if pair.score < MIN_PAIR_SCORE]
-
-
 def refuse_doubtful(plan: TourPlan, index: int, pair: PairConfidence) -> None:
     """Give up (InputError) on a pair that cannot be relied on, if that is what the plan wants then."""
     if plan.recipe.fallback == "fail" and pair.score < MIN_PAIR_SCORE:
         raise InputError(warning_about(plan, index, pair))
 
 
-def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str = FADE) -> str:
+def warning_about(plan: TourPlan, index: int, pair: PairConfidence, advice: str = TourSummary.advice) -> str:
     """What is wrong with a pair and what to do about it, in one line."""
     first, second = plan.job.images[index : index + 2]
     return (

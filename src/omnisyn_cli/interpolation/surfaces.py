@@ -4,7 +4,7 @@
 and preset; :func:`panorama_surfaces` is for what wants the surface of each panorama once.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, MutableMapping
 from dataclasses import dataclass
 from itertools import chain, groupby, pairwise
 
@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt8
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import limited_threads
+from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.loading import Loader, PanoramaReader
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import read_panorama
@@ -72,6 +73,7 @@ class PairSurfaces:
 
 def tour_surfaces(
     plan: TourPlan,
+    scores: MutableMapping[int, PairConfidence] | None = None,
     *,
     read: PanoramaReader = read_panorama,
     estimator: DepthEstimator | None = None,
@@ -81,6 +83,7 @@ def tour_surfaces(
 
     Args:
         plan: from :func:`omnisyn_cli.interpolation.plan.plan_tour`; of its recipe depth, cut and device matter.
+        scores: is given how far each pair can be relied on, by the index of its first panorama.
         read: decodes a panorama.
         estimator: finds depth in place of the recipe's.
         clock: collects seconds by stage.
@@ -99,6 +102,8 @@ def tour_surfaces(
             depths, check = measure_pair(first, tour, SynthesisOptions(size, cut=cut, threads=threads), clock)
             with clock("mesh"):
                 pair = pair_surfaces(plan, first, views, depths, check)
+        if scores is not None:
+            scores[first] = check.confidence
         yield pair
 
 

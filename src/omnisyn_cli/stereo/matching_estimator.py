@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from omnisyn_cli.compute.threads import both, limited_threads
+from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
 from omnisyn_cli.stereo.disparity import (
@@ -59,7 +60,7 @@ class MatchingDepthEstimator:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         for view in (first, second):
             view.check_shape()
-        if np.array_equal(first.pose.position, second.pose.position):
+        if at_same_position(first.pose, second.pose):
             return self._no_depth(), self._no_depth()
         baseline = float(np.linalg.norm(second.pose.position - first.pose.position))
         of_first, of_second = self.features(first, second)

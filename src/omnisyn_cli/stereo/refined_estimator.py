@@ -14,6 +14,7 @@ from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sampling import rotated_directions, window_max, window_min
 from omnisyn_cli.geometry.sweep import free_space_agreement, motion_in_baselines, neighbourhood_agreement
 from omnisyn_cli.stereo.depth_sizes import doubled_sizes
@@ -79,7 +80,7 @@ class RefinedDepthEstimator:
 
     def __call__(self, first: View, second: View) -> Estimates:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
-        if np.array_equal(first.pose.position, second.pose.position):
+        if at_same_position(first.pose, second.pose):
             return self.matching(first, second)
         with limited_threads(self.matching.threads):
             return self._run_stages((first, second))
@@ -213,8 +214,9 @@ def _weigh_confidence(views: Views, estimates: Estimates) -> Estimates:
     baseline = np.float32(_baseline(views))
 
     def weighed(own: int, other: int) -> DepthEstimate:
-        maps = [estimates[index].inverse_depth * baseline for index in (own, other)]
-        agreement = neighbourhood_agreement(*maps, motion_in_baselines(views[own].pose, views[other].pose))
+        own_map, other_map = (estimates[index].inverse_depth * baseline for index in (own, other))
+        motion = motion_in_baselines(views[own].pose, views[other].pose)
+        agreement = neighbourhood_agreement(own_map, other_map, motion)
         return replace(estimates[own], confidence=estimates[own].confidence * agreement)
 
     return _both_ways(weighed)

@@ -16,7 +16,7 @@ from jaxtyping import Float32
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess_pair
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, estimate_curve, rough_curve
-from omnisyn_cli.geometry.pose import Pose, slerp
+from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererInputs
@@ -59,7 +59,7 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
     If their brightness differs, rough depth tells which pixels show the same points. It comes from the census alone,
     which does not depend on exposure. The colours of these pixels then tell whether the exposure differed.
     """
-    if rough_curve(first, second).is_identity or np.array_equal(first.pose.position, second.pose.position):
+    if rough_curve(first, second).is_identity or at_same_position(first.pose, second.pose):
         return first, second
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 

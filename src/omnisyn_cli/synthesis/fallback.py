@@ -46,18 +46,18 @@ class CrossFade:
             pose: world-from-camera of the frame; only its orientation matters.
             t: share of the way, the share of the second photograph.
         """
-        doubt, storing = low_confidence_regions(confidence), quantization_for(image)
+        weight, quantization = low_confidence_regions(confidence), quantization_for(image)
         turns = [Pose(pose.rotation.T @ source.rotation, np.zeros(3)) for source in self._poses]
 
         def band(begin: int, end: int) -> None:
             for top in range(begin, end, TILE_ROWS):
                 rows = slice(top, min(top + TILE_ROWS, end))
-                here, mixed = doubt[rows, :, None], image[rows] / storing.scale
+                here, mixed = weight[rows, :, None], image[rows] / quantization.scale
                 if here.any():
                     mixed *= 1.0 - here
                     for turn, texture, share in zip(turns, self._textures, (1.0 - t, t), strict=True):
                         photograph = self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)[..., :3]
                         mixed += np.float32(share) * here * np.maximum(photograph, 0.0)
-                    image[rows] = np.minimum(mixed, storing.most) * storing.scale + storing.half
+                    image[rows] = np.minimum(mixed, quantization.max_colour) * quantization.scale + quantization.rounding
 
         run_bands(band, len(image), self._threads)

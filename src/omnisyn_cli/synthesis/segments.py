@@ -12,12 +12,12 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererClass, RendererInputs
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
-from omnisyn_cli.synthesis.tours import TourDepths, is_moving
+from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
@@ -83,11 +83,11 @@ def measure_pair(
     Where both views stand at one place depth is not looked for.
     """
     first, second = tour.views[index], tour.views[index + 1]
-    if is_moving(first, second):
-        depths = tour(index)
-    else:
+    if at_same_position(first.pose, second.pose):
         with clock("depth"):
             depths = _depths_in_place(first, second, options)
+    else:
+        depths = tour(index)
     with clock("check"):
         return depths, cross_check((first, second), depths, options.cut, options.threads)
 
@@ -123,7 +123,7 @@ def prepare_segment(
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
     """Of the first of two neighbouring views."""
-    way = _path_to(view, other) if options.adaptive and is_moving(view, other) else None
+    way = _path_to(view, other) if options.adaptive and not at_same_position(view.pose, other.pose) else None
     return options.renderer(
         RendererInputs(
             usable_image(view, options), view.mask, depth.inverse_depth, depth.confidence, options.size, options.cut,

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from omnisyn_cli.geometry.pose import STILL, Pose
+from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
@@ -37,7 +37,7 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
 
-__all__ = ["TourDepths", "is_moving"]
+__all__ = ["TourDepths"]
 
 MISMATCH = 0.02
 """Difference of colours that makes an estimate e times less likely where two contradict each other."""
@@ -165,7 +165,7 @@ class TourDepths:
     def _found(self, index: int) -> dict[tuple[int, int], Opinion | None]:
         """What a pair says of both its views; nothing where they stand at one place."""
         first, second = self.views[index], self.views[index + 1]
-        if not is_moving(first, second):
+        if at_same_position(first.pose, second.pose):
             return {(index, index + 1): None, (index + 1, index): None}
         with self._clock("depth"):
             alike = equalize_exposure(first, second, self._threads)
@@ -184,8 +184,3 @@ def _reduced(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height w
     image = resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
     usable = np.ones(view.image.shape[:2], np.float32) if view.mask is None else view.mask.astype(np.float32)
     return np.dstack([image, resized(usable, size, cv2.INTER_AREA)])
-
-
-def is_moving(first: View, second: View) -> bool:
-    """Whether the views stand apart, so that there is parallax."""
-    return bool(np.linalg.norm(second.pose.position - first.pose.position) > STILL)

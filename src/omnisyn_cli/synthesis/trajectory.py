@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.geometry.pose import STILL, Pose, rotation_taking, slerp
+from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, rotation_taking, slerp
 from omnisyn_cli.geometry.sphere import FORWARD
 
 __all__ = ["EASES", "HEADINGS", "Ease", "Heading", "Waypoint", "path_length", "plan_path"]
@@ -77,7 +77,7 @@ def _places(lengths: np.ndarray, frames: int, ease: Ease) -> Float[np.ndarray, "
 
     Segments of no length (a turn in place) take the mean time of the others.
     """
-    moving = lengths > STILL
+    moving = lengths > SAME_POSITION_METRES
     typical = lengths[moving].mean() if moving.any() else 1.0
     knots = np.concatenate([[0.0], np.cumsum(np.where(moving, lengths, typical))])
     time = np.linspace(0.0, 1.0, frames)
@@ -137,7 +137,7 @@ def _level_direction(poses: Sequence[Pose], segment: int) -> Float[np.ndarray, "
     for candidate in sorted(range(count), key=lambda k: (abs(k - wanted), k)):
         level = (poses[candidate + 1].position - poses[candidate].position) * np.array([1.0, 0.0, 1.0])
         length = float(np.linalg.norm(level))
-        if length > STILL:
+        if length > SAME_POSITION_METRES:
             return _turn_about_up(level / length)
     return poses[wanted].rotation
 

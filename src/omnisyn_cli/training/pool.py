@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from omnisyn_cli.errors import InputError, OmnisynError
-from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_rotation_vector
-from omnisyn_cli.geometry.sampling import sample_nearest, rotated_directions, rotated_image
+from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_from_heading, rotation_from_rotation_vector
+from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.geometry.sphere import UP
 from omnisyn_cli.geometry.sweep import epipole_frame
 from omnisyn_cli.io import read_photographs
@@ -240,7 +240,7 @@ def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
     """
     if first.known_depth is None or second.known_depth is None:
         raise InputError("expected true depth of both panoramas of a training pair, got none; leave the pair out")
-    if np.array_equal(first.pose.position, second.pose.position):
+    if at_same_position(first.pose, second.pose):
         raise InputError("expected two panoramas from different places, got one place; leave the pair out")
     frame, _, baseline = epipole_frame(first.pose, second.pose)
     shown = [_turned(view, frame, size) for view in (first, second)]

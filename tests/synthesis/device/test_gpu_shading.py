@@ -11,16 +11,16 @@ from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.shade import make_confidence_map
 from omnisyn_cli.render.shade import shade as shade_by_kernels
 from omnisyn_cli.render.texture import Texture, make_texture
-from omnisyn_cli.synthesis.device.shading import shade, texture_on, trust_on
+from omnisyn_cli.synthesis.device.shading import shade, texture_on, confidence_on
 
 SIZE = (40, 80)
 
 
 def looked_up(fragments: Fragments, mesh: Mesh, texture: Texture, pose: str) -> np.ndarray:
-    trust = trust_on(make_confidence_map(mesh, texture), CPU)
+    surface_confidence = confidence_on(make_confidence_map(mesh, texture), CPU)
     rho = torch.from_numpy(fragments.inverse_depth)
     rays = torch.from_numpy(pixel_directions(*rho.shape).astype(np.float32))
-    return shade(rho, trust, rays, texture_on(texture, CPU), POSES[pose], len(rho)).numpy()
+    return shade(rho, surface_confidence, rays, texture_on(texture, CPU), POSES[pose], len(rho)).numpy()
 
 
 @pytest.mark.parametrize("rows", [16, 40, 150, 321], ids=lambda rows: f"{rows} texel rows")

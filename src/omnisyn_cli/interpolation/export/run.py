@@ -1,9 +1,8 @@
 """From a job to files for other programs: what is asked for is checked, then made panorama by panorama."""
 
-import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -17,11 +16,11 @@ from omnisyn_cli.interpolation.export.datasets import DatasetView
 from omnisyn_cli.interpolation.export.glb import GltfModel
 from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
-from omnisyn_cli.interpolation.job import InterpolationJob
+from omnisyn_cli.interpolation.job import TourJob
 from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
 from omnisyn_cli.interpolation.planning.memory import Keeping
-from omnisyn_cli.interpolation.summary import warnings_about
-from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface, panorama_surfaces, tour_surfaces
+from omnisyn_cli.interpolation.summary import TourSummary
+from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept, staged_folder
 from omnisyn_cli.io.ply import write_ply
@@ -76,11 +75,10 @@ ON_DOME = 1.0 - 1e-4
 
 
 @dataclass(frozen=True)
-class ExportJob:
-    """What a user asks for.
+class ExportJob(TourJob):
+    """What a user asks for of an export.
 
     Attributes:
-        tour: panoramas, poses, where depth comes from; its output is what is written. Its video's fields say nothing.
         format: one of :data:`FORMATS`; None goes by the ending of the output.
         texture: columns of the largest texture of a GLB; larger panoramas are reduced.
         stride: pixels of the depth between points; None is the format's.
@@ -88,7 +86,6 @@ class ExportJob:
         dome: metres around each panorama beyond which everything lies on one sphere.
     """
 
-    tour: InterpolationJob
     format: str | None = None
     texture: Annotated[int, Ge(16)] = 4096
     stride: Annotated[int, Ge(1)] | None = None
@@ -97,18 +94,15 @@ class ExportJob:
 
 
 @dataclass(frozen=True)
-class ExportPlan:
+class ExportPlan(TourPlan):
     """A job that has been checked.
 
     Attributes:
-        job: what was asked for.
-        tour: its panoramas, poses and depth.
         format: one of :data:`FORMATS`.
         stride, sky: as in the job, settled.
     """
 
     job: ExportJob
-    tour: TourPlan
     format: str
     stride: int
     sky: bool
@@ -122,56 +116,35 @@ class ExportPlan:
         else:
             spread = SPREAD / self.stride**2
             keeping = Keeping(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
-        return memory_of_surfaces(self.tour, keeping)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What the user should know."""
-        if not self.tour.recipe.estimates_depth:
-            return self.tour.notes
-        still = pairs_at_one_place(self.tour.job, self.tour.entries)
-        return (*self.tour.notes, *(f"{where}: without depth files there is none" for where, _ in still))
+        return memory_of_surfaces(self, keeping)
 
     def describe(self) -> dict[str, Any]:
-        """The plan as plain values, for people and for JSON."""
-        job, recipe = self.tour.job, self.tour.recipe
-        return {
-            "inputs": [str(image) for image in job.images], "output": str(job.output), "format": self.format,
-            "preset": job.preset, "depth": recipe.depth.kind, "model": recipe.depth.model or "",
-            "joined_depths": self.tour.joined_depths,
+        """See :meth:`TourPlan.described`."""
+        settled = {
             "texture": self.job.texture, "stride": self.stride, "sky": self.sky, "dome_metres": self.job.dome,
-            "memory_mib": round(self.memory / 2**20), "notes": list(self.notes),
         }  # fmt: skip
+        return self.described({"format": self.format}, self.memory, settled)
 
 
 @dataclass(frozen=True)
-class ExportSummary:
+class ExportSummary(TourSummary):
     """What was done.
 
     Attributes:
-        plan: what was planned.
         points: that were written: of a cloud or a data set.
         triangles: of a mesh.
-        seconds: wall time by stage; ``total`` is all of it.
-        pairs: how far depth can be relied on, by the index of the first panorama.
     """
 
     plan: ExportPlan
-    points: int
-    triangles: int
-    seconds: dict[str, float]
-    pairs: dict[int, PairConfidence] = field(default_factory=dict)
+    points: int = 0
+    triangles: int = 0
 
-    def describe(self) -> dict[str, Any]:
-        """The summary as plain values."""
-        stages = {stage: round(value, 3) for stage, value in self.seconds.items()}
-        pairs = [{"first": index, **pair.describe()} for index, pair in self.pairs.items()]
-        counts = {"points": self.points, "triangles": self.triangles}
-        return {**self.plan.describe(), **counts, "stages": stages, "confidence": pairs}
+    advice: ClassVar[str] = "name depth files in the poses"
 
-    def warnings(self) -> list[str]:
-        """A line for every pair that scores too low to be relied on."""
-        return warnings_about(self.plan.tour, self.pairs, "name depth files in the poses")
+    @property
+    def results(self) -> dict[str, Any]:
+        """How much was written."""
+        return {"points": self.points, "triangles": self.triangles}
 
 
 def plan_export(job: ExportJob) -> ExportPlan:
@@ -181,17 +154,21 @@ def plan_export(job: ExportJob) -> ExportPlan:
         InputError: a file is missing, poses do not fit, an option makes no sense.
         OutputPathError: the output exists, cannot be written, or its ending says nothing of the format.
     """
-    name, output = _format_of(job), job.tour.output
+    name, output = _format_of(job), job.output
     chosen = FORMATS[name]
     if chosen.suffix:
-        check_output(output, job.tour.overwrite)
+        check_output(output, job.overwrite)
     else:
-        check_empty_folder(output, job.tour.overwrite)
-    tour = plan_tour(job.tour)
+        check_empty_folder(output, job.overwrite)
+    tour = plan_tour(job)
     companions = (file for entry in tour.entries for file in (entry.depth, entry.mask) if file is not None)
-    check_kept([output], (*tour.job.images, *tour.job.masks, tour.job.poses, *companions), whole_folders=True)
+    check_kept([output], (*job.images, *job.masks, job.poses, *companions), whole_folders=True)
+    notes = list(tour.notes)
+    if tour.recipe.estimates_depth:
+        notes += [f"{where}: without depth files there is none" for where, _ in pairs_at_one_place(job, tour.entries)]
     return ExportPlan(
-        job, tour, name, job.stride or chosen.stride, chosen.sky if job.sky is None else job.sky
+        job, tour.entries, tour.source_sizes, tour.recipe, tuple(notes), name, job.stride or chosen.stride,
+        chosen.sky if job.sky is None else job.sky,
     )  # fmt: skip
 
 
@@ -202,7 +179,7 @@ def default_ending(name: str | None) -> str:
 
 
 def _format_of(job: ExportJob) -> str:
-    output = job.tour.output
+    output = job.output
     if job.format is not None and job.format not in FORMATS:
         raise InputError(f"expected one of {', '.join(FORMATS)} as format, got {job.format!r}; choose one of these")
     suffix = output.suffix.lower()
@@ -232,22 +209,19 @@ def run_export(
         InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown.
         WriteError: the disk is full, or the folder went away.
     """
-    begin, clock, pairs = time.perf_counter(), Stopwatch(), {}
-
-    def remembered() -> Iterator[PairSurfaces]:
-        for pair in tour_surfaces(plan.tour, estimator=estimator, clock=clock):
-            pairs[pair.index] = pair.check.confidence
-            yield pair
+    clock = Stopwatch()
+    pairs: dict[int, PairConfidence] = {}
 
     def surfaces() -> Iterator[PanoramaSurface]:
-        for done, surface in enumerate(panorama_surfaces(remembered()), start=1):
+        found = tour_surfaces(plan, pairs, estimator=estimator, clock=clock)
+        for done, surface in enumerate(panorama_surfaces(found), start=1):
             yield surface
             if on_panorama:
                 on_panorama(done)
 
     write = {"glb": _write_model, "ply": _write_cloud, "splats": _write_cloud}.get(plan.format, _write_dataset)
     points, triangles = write(plan, surfaces(), clock)
-    return ExportSummary(plan, points, triangles, {**clock.seconds, "total": time.perf_counter() - begin}, pairs)
+    return ExportSummary(plan, clock.with_total(), pairs, points, triangles)
 
 
 def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
@@ -258,15 +232,15 @@ def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: S
         with clock("export"):
             picture = surface.samples(plan.job.texture)
             radius = plan.job.dome * (1.0 + SHELLS * surface.index)
-            whole = textured_mesh(_domed(plan, surface, radius), len(picture), plan.tour.job.threads)
+            whole = textured_mesh(_domed(plan, surface, radius), len(picture), plan.job.threads)
             near, sky = whole.split(radius * ON_DOME)
             shown = {"": near, "sky": sky} if plan.sky else {"": near}
-            model.add(plan.tour.job.images[surface.index].name, surface.view.pose, shown, picture)
+            model.add(plan.job.images[surface.index].name, surface.view.pose, shown, picture)
             triangles += sum(len(mesh.triangles) for mesh in shown.values())
     if not triangles:
         raise InputError(_nothing(plan))
     with clock("write"):
-        model.write(plan.tour.job.output)
+        model.write(plan.job.output)
     return 0, triangles
 
 
@@ -282,15 +256,15 @@ def _write_cloud(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: S
         is_of_discs = plan.format == "splats"
         records = ply_splats(points) if is_of_discs else ply_points(points)
         world = "y down, z forward" if is_of_discs else "y up, -z forward"
-        write_ply(plan.tour.job.output, records, [f"metres, right-handed, x right, {world}"])
+        write_ply(plan.job.output, records, [f"metres, right-handed, x right, {world}"])
     return len(points), 0
 
 
 def _write_dataset(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: Stopwatch) -> tuple[int, int]:
-    job, is_colmap = plan.tour.job, plan.format == "colmap"
+    job, is_colmap = plan.job, plan.format == "colmap"
     poses: dict[str, Pose] = {}
     sizes: dict[str, tuple[int, int]] = {}
-    side, parts = datasets.face_side(max(plan.tour.source_sizes)), []
+    side, parts = datasets.face_side(max(plan.source_sizes)), []
     with staged_folder(job.output, overwrite=job.overwrite) as staged:
         for surface in surfaces:
             with clock("export"):
@@ -322,7 +296,7 @@ def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
 
 def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
     """The surface with everything beyond a distance at that distance."""
-    recipe, depth = plan.tour.recipe, surface.depth
+    recipe, depth = plan.recipe, surface.depth
     rho = np.maximum(depth.inverse_depth, np.float32(1.0 / radius))
     cut, mask = Cut(recipe.cut, recipe.cut_metres), mask_of_vertices(surface.view.mask, rho.shape)
     return build_mesh(rho, cut, mask, depth.confidence)
@@ -330,6 +304,6 @@ def _domed(plan: ExportPlan, surface: PanoramaSurface, radius: float) -> Mesh:
 
 def _nothing(plan: ExportPlan) -> str:
     return (
-        f"{plan.tour.job.output}: expected something nearer than {plan.job.dome:g} m, got sky or masks everywhere; "
+        f"{plan.job.output}: expected something nearer than {plan.job.dome:g} m, got sky or masks everywhere; "
         "name depth files, take panoramas that lie apart, or ask for the sky (--sky)"
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
-from omnisyn_cli.interpolation.job import InterpolationJob, is_rounded, sample_types
+from omnisyn_cli.interpolation.job import InterpolationJob, TourJob, is_rounded, sample_types
 from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
 from omnisyn_cli.pipeline.config import Recipe
@@ -57,7 +57,7 @@ class Keeping:
 
 
 def estimated_surface_memory(
-    job: InterpolationJob, recipe: Recipe, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
+    job: TourJob, recipe: Recipe, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
     keeping: Keeping,
 ) -> int:  # fmt: skip
     """Bytes, estimated: the most of what is held while depth is found and while something is made of a surface.

@@ -32,7 +32,7 @@ from omnisyn_cli.synthesis.device.device import memory_of_device, open_device
 from omnisyn_cli.synthesis.device.pictures import change_colours, fill_holes, samples_of
 from omnisyn_cli.synthesis.device.quads import Quads, quads_of
 from omnisyn_cli.synthesis.device.raster import GpuRasterizer
-from omnisyn_cli.synthesis.device.shading import GpuTexture, GpuTrust, shade, texture_on, trust_on
+from omnisyn_cli.synthesis.device.shading import GpuConfidenceMap, GpuTexture, confidence_on, shade, texture_on
 from omnisyn_cli.types import DepthEstimate, Layer
 
 __all__ = ["GpuFrames"]
@@ -79,8 +79,8 @@ class GpuFrames:
         mesh = build_mesh(depth.inverse_depth, cut, mask_of_vertices(mask, depth.inverse_depth.shape), depth.confidence)
         texture = make_texture(image, mask)
         with memory_of_device():
-            trust = trust_on(make_confidence_map(mesh, texture), self.device)
-            return GpuSurface(self, quads_of(mesh, self.device), trust, texture_on(texture, self.device))
+            surface_confidence = confidence_on(make_confidence_map(mesh, texture), self.device)
+            return GpuSurface(self, quads_of(mesh, self.device), surface_confidence, texture_on(texture, self.device))
 
     def pair(self, first: GpuSurface, second: GpuSurface, curve: ExposureCurve) -> GpuPair:
         """Two of its surfaces between which frames are made, the second picture so much brighter than the first."""
@@ -114,7 +114,7 @@ class GpuSurface:
 
     frames: GpuFrames
     quads: Quads
-    trust: GpuTrust
+    surface_confidence: GpuConfidenceMap
     texture: GpuTexture
 
     def __call__(self, target_from_source: Pose) -> Layer:
@@ -127,7 +127,7 @@ class GpuSurface:
         rho = self.frames.rasterizer(self.quads, target_from_source)
 
         def shaded(seen: Tensor, rays: Tensor) -> Tensor:
-            return shade(seen, self.trust, rays, self.texture, target_from_source, self.frames.size[0])
+            return shade(seen, self.surface_confidence, rays, self.texture, target_from_source, self.frames.size[0])
 
         def colour_rows(begin: int, end: int, out: Tensor) -> None:
             out[:] = shaded(rho[begin:end], self.frames.rays(slice(begin, end)))

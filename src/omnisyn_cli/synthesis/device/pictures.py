@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float32, UInt8
 from torch import Tensor
 
-from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING
+from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB
 
 
 def change_colours(
@@ -19,7 +19,7 @@ def change_colours(
         table: new values for values from 0 to 1, evenly; others go on in proportion to its ends.
         loss: share of its weight that a white pixel loses.
     """
-    last, clipping = table.shape[1] - 1, float(CLIPPING)
+    last, clipping = table.shape[1] - 1, float(CLIPPING_SRGB)
 
     def change(colour: Tensor) -> None:
         there, channel = torch.from_numpy(table).to(colour.device), torch.arange(3, device=colour.device)

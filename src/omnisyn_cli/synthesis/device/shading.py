@@ -13,7 +13,7 @@ from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import ConfidenceMap
-from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
+from omnisyn_cli.render.shade_kernels import MAX_FULL_RESOLUTION_LEVEL, MIP_BIAS
 from omnisyn_cli.render.texture import Texture
 
 
@@ -41,7 +41,7 @@ class GpuTexture:
 
 
 @dataclass(frozen=True)
-class GpuTrust:
+class GpuConfidenceMap:
     """A :class:`omnisyn_cli.render.shade.ConfidenceMap` on a device.
 
     Attributes:
@@ -61,10 +61,10 @@ class GpuTrust:
         return self.values[i * self.stride + j]
 
 
-def trust_on(trust: ConfidenceMap, device: torch.device) -> GpuTrust:
+def confidence_on(surface_confidence: ConfidenceMap, device: torch.device) -> GpuConfidenceMap:
     """The same trust."""
-    *place, stride = trust.layout.tolist()
-    return GpuTrust(torch.from_numpy(trust.values).to(device), tuple(place), int(stride))
+    *place, stride = surface_confidence.layout.tolist()
+    return GpuConfidenceMap(torch.from_numpy(surface_confidence.values).to(device), tuple(place), int(stride))
 
 
 def texture_on(texture: Texture, device: torch.device) -> GpuTexture:
@@ -83,7 +83,7 @@ def texture_on(texture: Texture, device: torch.device) -> GpuTexture:
 
 def shade(
     inverse_depth: Float32[Tensor, "rows width"],
-    trust: GpuTrust,
+    surface_confidence: GpuConfidenceMap,
     rays: Float32[Tensor, "rows width 3"],
     texture: GpuTexture,
     target_from_source: Pose,
@@ -111,12 +111,12 @@ def shade(
     col = torch.atan2(x, -z) * col_scale + col_zero
     footprint = (texture.rows / target_rows) ** 2 / (flat + y * y + 1e-20)
     level = 0.5 * torch.log2(footprint)
-    level = torch.maximum((1.0 - float(FINER)) * level, level - float(FINER)).clamp_max(float(len(texture.begin) - 1))
-    is_minified = (level > float(SPECIAL))[..., None]
+    level = torch.maximum((1.0 - float(MIP_BIAS)) * level, level - float(MIP_BIAS)).clamp_max(float(len(texture.begin) - 1))
+    is_minified = (level > float(MAX_FULL_RESOLUTION_LEVEL))[..., None]
     colour = torch.where(is_minified, _between_levels(texture, row, col, level), _bicubic(texture, row, col))
     colour = colour * texture.unit
-    if len(trust.values):
-        colour[..., 3] *= trust.at(row, col)
+    if len(surface_confidence.values):
+        colour[..., 3] *= surface_confidence.at(row, col)
     return torch.where((inverse_depth >= 0.0)[..., None], colour, 0.0)
 
 

@@ -9,27 +9,27 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from viewer.browser import Launch, WalkPage, look, pinhole_rays
 
-from interpolation_samples import job_of
+from interpolation_samples import tour_job
 from omnisyn_cli.evaluation.scene_files import write_scene
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.fill import HoleFiller
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
 from omnisyn_cli.geometry.pose import Pose, slerp
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, tour_surfaces
-from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk
-from omnisyn_cli.interpolation.walk.contents import Walk, WalkPacker
-from omnisyn_cli.interpolation.walk.packing import packed_map
-from omnisyn_cli.interpolation.walk.page import write_page
+from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
+from omnisyn_cli.interpolation.viewer.contents import TourPacker, Walk
+from omnisyn_cli.interpolation.viewer.packing import packed_map
+from omnisyn_cli.interpolation.viewer.page import write_page
+from omnisyn_cli.pipeline.config import Recipe
+from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.scenes import generate_scene, sample_path
-from omnisyn_cli.synthesis.making import make_method
-from omnisyn_cli.synthesis.recipe import Recipe
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
-from walk.browser import Launch, WalkPage, look, pinhole_rays
 
 SIZE = (256, 512)
 FARTHEST = 1e7
@@ -64,10 +64,10 @@ def taken(folder: Path, opened: Any, *, gain: float = 1.0, tilt: float = 0.0, **
     if gain != 1.0:
         file = str(folder / names[1])
         cv2.imwrite(file, np.rint(255 * np.clip((cv2.imread(file) / 255) ** 2.2 * gain, 0, 1) ** (1 / 2.2)))
-    job = job_of(folder, [folder / name for name in names], output=folder / "walk.html", **changes)
-    plan = plan_walk(WalkJob(job)).tour
+    job = tour_job(ViewJob, folder, [folder / name for name in names], "walk.html", **changes)
+    plan = plan_view(job)
     (pair,) = tour_surfaces(plan)
-    packer = WalkPacker(plan, WalkOptions(is_lossless=True))
+    packer = TourPacker(plan, ViewOptions(is_lossless=True))
     packer.add(pair)
     write_page(job.output, packer.packed())
     return Shot(plan, pair, packer.packed(), WalkPage(opened, job.output).wait(), opened)
@@ -131,9 +131,9 @@ def shown(shot: Shot, view: int, eye: Pose, rays: np.ndarray, rho: np.ndarray) -
     rows, cols = surface.mesh.quads.shape
     down, right = row - np.floor(row) >= 0.5, col - np.floor(col) >= 0.5
     quad = np.clip(np.floor(row).astype(int), 0, rows - 1), np.floor(col).astype(int) % cols
-    trust = surface.mesh.trust[(*quad, 2 * down + right)]
+    surface_confidence = surface.mesh.surface_confidence[(*quad, 2 * down + right)]
     colour = sample_bilinear(image, directions)
-    return LayerArrays(colour, np.where(rho >= 0, trust, 0.0), rho.astype(np.float64), np.asarray(seen.position))
+    return LayerArrays(colour, np.where(rho >= 0, surface_confidence, 0.0), rho.astype(np.float64), np.asarray(seen.position))
 
 
 def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
@@ -147,7 +147,7 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
         for surface, image in zip(shot.pair.surfaces, smooth, strict=True)
     ]
     painted = replace(shot, pair=replace(shot.pair, surfaces=(surfaces[0], surfaces[1])))
-    packer = WalkPacker(shot.plan, WalkOptions(is_lossless=True))
+    packer = TourPacker(shot.plan, ViewOptions(is_lossless=True))
     packer.add(painted.pair)
     file = shot.plan.job.output.with_name("smooth.html")
     write_page(file, packer.packed())
@@ -155,7 +155,7 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
     colours, depths = WalkPage(shot.opened, file).wait().capture(eye.rotation, eye.position, fov, size)
     rays = pinhole_rays(size, fov)
     first, second = (shown(painted, view, eye, rays, depths[view]) for view in (0, 1))
-    picture, weight = blended(first, second, view_weights(first, second, rays, BlendRule.at(t, BlendOptions())))
+    picture, weight = blend_layers(first, second, view_weights(first, second, rays, BlendRule.at(t, BlendOptions())))
     expected = np.ascontiguousarray(picture, np.float32)
     HoleFiller(size)(expected, np.ascontiguousarray(weight, np.float32))
     inner = ~silhouettes(depths)

@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
-
-from walk.browser import Launch, launcher
+from viewer.browser import Launch, launcher
 
 
 @pytest.fixture(scope="session")

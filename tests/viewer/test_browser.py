@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from viewer.browser import Launch, WalkPage
 
-from interpolation_samples import job_of
-from omnisyn_cli.interpolation.walk import WalkJob, plan_walk, run_walk, served
+from interpolation_samples import tour_job
+from omnisyn_cli.interpolation.viewer import ViewJob, plan_view, run_view, served
 from synthesis_samples import posed, write_hall
-from walk.browser import Launch, WalkPage
 
 TOUR = [posed((0.3 * k, 0.05 * (k % 2), 0.2 * k), 0.2 * k) for k in range(5)]
 
 
 def written(folder: Path, *, is_folder: bool = False) -> Path:
     output = folder / ("walk" if is_folder else "a walk.html")
-    run_walk(plan_walk(WalkJob(job_of(folder, write_hall(folder, TOUR), output=output), is_folder=is_folder)))
+    run_view(plan_view(tour_job(ViewJob, folder, write_hall(folder, TOUR), output.name, is_folder=is_folder)))
     return output
 
 
@@ -171,7 +171,7 @@ def test_a_ring_on_the_ground_leads_to_its_panorama(walk: WalkPage) -> None:
 def test_a_ring_leads_to_its_panorama_where_the_way_turns_back(opened: Any, tmp_path: Path) -> None:
     hairpin = [posed((0.0, 0.0, 0.0)), posed((0.6, 0.0, 0.0)), posed((0.1, 0.0, 0.3))]
     output = tmp_path / "walk.html"
-    run_walk(plan_walk(WalkJob(job_of(tmp_path, write_hall(tmp_path, hairpin), output=output))))
+    run_view(plan_view(tour_job(ViewJob, tmp_path, write_hall(tmp_path, hairpin), output.name)))
     walk = WalkPage(opened, output, "#t=1&yaw=-90&pitch=-25&fov=100").wait()
     walk.page.wait_for_selector(".stop[aria-label*='panorama 1,']")
     ring = walk.page.locator(".stop").first.bounding_box()

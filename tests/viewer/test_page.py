@@ -10,19 +10,19 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from interpolation_samples import CHAIN, job_of, listing
+from interpolation_samples import CHAIN, listing, tour_job
 from omnisyn_cli.errors import InputError, OutputPathError, PoseError
 from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.interpolation.walk import WalkJob, WalkOptions, plan_walk, run_walk, served
-from omnisyn_cli.interpolation.walk import run as walk_run
-from omnisyn_cli.interpolation.walk.contents import _gains
+from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view, run_view, served
+from omnisyn_cli.interpolation.viewer import run as walk_run
+from omnisyn_cli.interpolation.viewer.contents import _gains
 from omnisyn_cli.io import write_image
 from synthesis_samples import posed, write_hall
 
 
 def made(folder: Path, images: list[Path], *, is_folder: bool = False, **changes: object) -> Path:
     output = folder / ("walk" if is_folder else "walk.html")
-    run_walk(plan_walk(WalkJob(job_of(folder, images, output=output, **changes), is_folder=is_folder)))
+    run_view(plan_view(tour_job(ViewJob, folder, images, output.name, is_folder=is_folder, **changes)))
     return output
 
 
@@ -117,7 +117,7 @@ def test_unusable_places_are_refused_before_any_work(tmp_path: Path, output: str
     images = write_hall(tmp_path, CHAIN[:2])
     (tmp_path / "p0.html").write_text("mine")
     with pytest.raises(OutputPathError, match=words):
-        plan_walk(WalkJob(job_of(tmp_path, images, output=tmp_path / output)))
+        plan_view(tour_job(ViewJob, tmp_path, images, output))
     assert (tmp_path / "p0.html").read_text() == "mine"
 
 
@@ -131,8 +131,8 @@ def test_too_little_is_refused(tmp_path: Path) -> None:
 
 
 def test_photographs_are_reduced_to_the_texture(tmp_path: Path) -> None:
-    job = job_of(tmp_path, write_hall(tmp_path, CHAIN[:2]), output=tmp_path / "walk.html")
-    run_walk(plan_walk(WalkJob(job, WalkOptions(texture=64, is_lossless=True))))
+    options = ViewOptions(texture=64, is_lossless=True)
+    run_view(plan_view(tour_job(ViewJob, tmp_path, write_hall(tmp_path, CHAIN[:2]), "walk.html", options=options)))
     photo = manifest_of((tmp_path / "walk.html").read_text())["panoramas"][0]["photo"]
     assert (photo["width"], photo["height"], photo["type"]) == (64, 32, "image/png")
 

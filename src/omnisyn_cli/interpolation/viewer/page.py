@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from omnisyn_cli.interpolation.walk.contents import RULES, Walk
+from omnisyn_cli.interpolation.viewer.contents import RULES, Walk
 from omnisyn_cli.io.outputs import staged_folder, write_parts
 
 MOST_BYTES = 32 * 2**20
@@ -82,7 +82,7 @@ def _with_point(number: str) -> str:
 
 @cache
 def _web() -> Environment:
-    loader = PackageLoader("omnisyn_cli.interpolation.walk", "web")
+    loader = PackageLoader("omnisyn_cli.interpolation.viewer", "web")
     return Environment(loader=loader, undefined=StrictUndefined, autoescape=True)
 
 

@@ -61,12 +61,12 @@ def inverse_depth_codes(inverse_depth: Float[np.ndarray, "rows cols"]) -> tuple[
     return np.where(inverse_depth < 0.0, NO_SURFACE, codes).astype(np.uint16), peak
 
 
-def trust_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols"] | None:
+def confidence_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols"] | None:
     """Square roots of trust in the quarters of quads, and in both caps as beside them; None where all of it is 1."""
-    if (mesh.trust == 1.0).all():
+    if (mesh.surface_confidence == 1.0).all():
         return None
-    rows, cols, _ = mesh.trust.shape
-    image = mesh.trust.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
+    rows, cols, _ = mesh.surface_confidence.shape
+    image = mesh.surface_confidence.reshape(rows, cols, 2, 2).transpose(0, 2, 1, 3).reshape(2 * rows, 2 * cols)
     image = np.concatenate([image[:1], image, image[-1:]])
     return np.asarray(np.rint(255.0 * np.sqrt(image)), np.uint8)
 

@@ -9,20 +9,20 @@ import numpy as np
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendOptions
 from omnisyn_cli.fusion.confidence import MIN_PAIR_SCORE
 from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING, MOST_LOSS
+from omnisyn_cli.fusion.photometry.exposure_matcher import CLIPPING_SRGB, MAX_CLIPPED_WEIGHT_LOSS
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.interpolation.surfaces import PairSurfaces, PanoramaSurface
-from omnisyn_cli.interpolation.walk.packing import (
+from omnisyn_cli.interpolation.viewer.packing import (
     Blocks,
+    confidence_codes,
     inverse_depth_codes,
     packed_mask,
     packed_photograph,
-    trust_codes,
 )
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS, TOP
-from omnisyn_cli.render.shade_kernels import FINER, SPECIAL
+from omnisyn_cli.render.shade_kernels import MAX_FULL_RESOLUTION_LEVEL, MIP_BIAS
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
 UP_AXIS = 1
@@ -41,17 +41,17 @@ RULES: Mapping[str, float] = {
     "HIDDEN": BlendOptions.hidden,
     "ENDS": BlendOptions.ends,
     "FAR_WEIGHT_OFFSET": FAR_WEIGHT_OFFSET,
-    "FINER": float(FINER),
-    "SPECIAL": float(SPECIAL),
-    "CLIPPING": float(CLIPPING),
-    "MOST_LOSS": MOST_LOSS,
+    "FINER": float(MIP_BIAS),
+    "SPECIAL": float(MAX_FULL_RESOLUTION_LEVEL),
+    "CLIPPING": float(CLIPPING_SRGB),
+    "MOST_LOSS": MAX_CLIPPED_WEIGHT_LOSS,
     "NEAR": 0.02,
 }
 """Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
 
 
 @dataclass(frozen=True)
-class WalkOptions:
+class ViewOptions:
     """How a walk is packed.
 
     Attributes:
@@ -78,7 +78,7 @@ class Walk:
     blocks: Blocks
 
 
-class WalkPacker:
+class TourPacker:
     """Packs the pairs of a tour.
 
     Args:
@@ -86,7 +86,7 @@ class WalkPacker:
         options: how it is packed.
     """
 
-    def __init__(self, plan: TourPlan, options: WalkOptions) -> None:
+    def __init__(self, plan: TourPlan, options: ViewOptions) -> None:
         self._plan, self._options, self.blocks = plan, options, Blocks()
         self._panoramas: dict[int, dict[str, Any]] = {}
         self._pairs: dict[int, dict[str, Any]] = {}
@@ -127,7 +127,7 @@ class WalkPacker:
 
     def _surface(self, mesh: Mesh) -> dict[str, Any]:
         codes, peak = inverse_depth_codes(mesh.inverse_depth)
-        trust = trust_codes(mesh)
+        surface_confidence = confidence_codes(mesh)
         return {
             "rows": mesh.size[0],
             "cols": mesh.size[1],
@@ -135,7 +135,7 @@ class WalkPacker:
             "poles": _poles(mesh),
             "inverseDepth": self.blocks.add_map(codes),
             "quads": self.blocks.add_map(mesh.quads),
-            "trust": None if trust is None else self.blocks.add_map(trust),
+            "trust": None if surface_confidence is None else self.blocks.add_map(surface_confidence),
         }
 
 
@@ -158,5 +158,5 @@ def _gains(curve: ExposureCurve) -> list[list[float]] | None:
     """Stops of 256 levels of red, green and blue, of both pictures of a pair; None where both are exposed alike."""
     if curve.is_identity:
         return None
-    of_both = [curve.gains_of(STORED_LEVELS, of_second=of_second) for of_second in (False, True)]
+    of_both = [curve.gains_at(STORED_LEVELS, of_second=of_second) for of_second in (False, True)]
     return [np.round(gains.T, 4).ravel().tolist() for gains in of_both]

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from omnisyn_cli.interpolation.walk.packing import (
+from omnisyn_cli.interpolation.viewer.packing import (
     NO_SURFACE,
     inverse_depth_codes,
     packed_map,
     packed_mask,
     packed_photograph,
-    trust_codes,
+    confidence_codes,
 )
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.shade import make_confidence_map
@@ -58,11 +58,11 @@ def test_trust_is_that_of_the_renderer() -> None:
     rho = np.full((16, 32), 0.2, np.float32)
     rho[5:9, 10:14] = 1.0
     mesh = build_mesh(rho)
-    codes = trust_codes(mesh)
+    codes = confidence_codes(mesh)
     assert codes is not None
     expected = make_confidence_map(mesh, make_texture(np.zeros((16, 32, 3), np.float32))).values.reshape(32, 65)[1:-1, 1:]
     np.testing.assert_allclose((codes[1:-1] / 255.0) ** 2, expected, atol=0.004)
-    assert trust_codes(build_mesh(np.full((16, 32), 0.2, np.float32))) is None
+    assert confidence_codes(build_mesh(np.full((16, 32), 0.2, np.float32))) is None
 
 
 def test_lossless_photographs_are_the_samples_and_others_nearly() -> None:

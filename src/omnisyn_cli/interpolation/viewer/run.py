@@ -1,0 +1,135 @@
+"""From a job to a walk: what is asked for is checked, depth is found, the page is written."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from omnisyn_cli.compute.stopwatch import Stopwatch
+from omnisyn_cli.errors import OutputPathError
+from omnisyn_cli.fusion.confidence import PairConfidence
+from omnisyn_cli.interpolation.checks import check_page
+from omnisyn_cli.interpolation.job import TourJob
+from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
+from omnisyn_cli.interpolation.planning.memory import Keeping
+from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
+from omnisyn_cli.interpolation.surfaces import tour_surfaces
+from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
+from omnisyn_cli.interpolation.viewer.page import MOST_BYTES, write_folder, write_page
+from omnisyn_cli.io.outputs import check_empty_folder, check_kept
+from omnisyn_cli.types import DepthEstimator
+
+JPEG_BYTES, PNG_BYTES = 0.3, 2.0
+"""Of each pixel of a photograph in a page; everything is there twice, packed and as the text of the page."""
+
+MAP_BYTES = 4.0
+"""Of each vertex of a surface, likewise: of both neighbours' pairs."""
+
+
+@dataclass(frozen=True)
+class ViewJob(TourJob):
+    """What a user asks for of a viewer.
+
+    Attributes:
+        options: how the tour is packed.
+        is_folder: whether it becomes a folder for a server instead of one file.
+    """
+
+    options: ViewOptions = field(default_factory=ViewOptions)
+    is_folder: bool = False
+
+
+@dataclass(frozen=True)
+class ViewPlan(TourPlan):
+    """A job that has been checked."""
+
+    job: ViewJob
+
+    @property
+    def memory(self) -> int:
+        """Bytes that it will take, estimated."""
+        per_pixel = PNG_BYTES if self.job.options.is_lossless else JPEG_BYTES
+        return memory_of_surfaces(self, Keeping(2 * per_pixel, 2 * MAP_BYTES, columns=self.job.options.texture))
+
+    def describe(self) -> dict[str, Any]:
+        """See :meth:`TourPlan.described`."""
+        options = self.job.options
+        packing = {"folder": self.job.is_folder, "texture": options.texture, "lossless": options.is_lossless}
+        return self.described(packing, self.memory)
+
+
+@dataclass(frozen=True)
+class ViewSummary(TourSummary):
+    """What was done.
+
+    Attributes:
+        size: bytes that were written.
+    """
+
+    plan: ViewPlan
+    size: int = 0
+
+    @property
+    def results(self) -> dict[str, Any]:
+        """How much was written."""
+        return {"bytes": self.size}
+
+
+def plan_view(job: ViewJob) -> ViewPlan:
+    """Check a job without writing anything.
+
+    Raises:
+        InputError: a file is missing, poses do not fit, an option makes no sense.
+        OutputPathError: the output exists, cannot be written, is no name of a page, or would overwrite an input.
+    """
+    if job.is_folder:
+        check_empty_folder(job.output, job.overwrite)
+    else:
+        check_page(job.output, job.overwrite)
+    check_kept([job.output], (*job.images, *job.masks, job.poses), whole_folders=True)
+    tour = plan_tour(job)
+    still = pairs_at_one_place(job, tour.entries)
+    notes = (*tour.notes, *(f"{where}: there is no way to walk, the page cross-fades" for where, _ in still))
+    return ViewPlan(job, tour.entries, tour.source_sizes, tour.recipe, notes)
+
+
+def run_view(
+    plan: ViewPlan, on_pair: Callable[[int], None] | None = None, *, estimator: DepthEstimator | None = None
+) -> ViewSummary:
+    """Write the walk; all of it appears when everything has gone well.
+
+    Args:
+        plan: from :func:`plan_view`.
+        on_pair: called with the number of finished pairs, after each.
+        estimator: finds depth in place of what the plan asks for.
+
+    Raises:
+        InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
+            doubtful and the fallback is to give up.
+        OutputPathError: the walk is too large for one file.
+        WriteError: the disk is full.
+    """
+    clock = Stopwatch()
+    packer = TourPacker(plan, plan.job.options)
+    pairs: dict[int, PairConfidence] = {}
+    for done, pair in enumerate(tour_surfaces(plan, pairs, estimator=estimator, clock=clock), start=1):
+        refuse_doubtful(plan, pair.index, pair.check.confidence)
+        with clock("pack"):
+            packer.add(pair)
+        if not plan.job.is_folder:
+            _check_size(plan, packer)
+        if on_pair:
+            on_pair(done)
+    with clock("write"):
+        write = write_folder if plan.job.is_folder else write_page
+        size = write(plan.job.output, packer.packed())
+    return ViewSummary(plan, clock.with_total(), pairs, size)
+
+
+def _check_size(plan: ViewPlan, packer: TourPacker) -> None:
+    """As early as it shows."""
+    if packer.blocks.size * 4 / 3 > MOST_BYTES:
+        raise OutputPathError(
+            f"{plan.job.output}: expected a walk of at most {MOST_BYTES >> 20} MiB in one file, got more with "
+            f"{len(plan.entries)} panoramas of {plan.job.options.texture} columns; ask for fewer columns "
+            "(--texture), or for a folder (--folder --serve)"
+        )
