@@ -11,6 +11,7 @@ from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
+from omnisyn_cli.cli.train_recipe import recipe
 
 FOLDER = FilePath(file_okay=False)
 
@@ -26,7 +27,7 @@ def train() -> None:
     """Train the networks on scenes that the program makes itself."""
 
 
-for command in (convert, evidence, fusion_pool, pool):
+for command in (convert, evidence, fusion_pool, pool, recipe):
     train.add_command(command)
 
 

@@ -135,7 +135,7 @@ class Trainer:
         """One step; returns the loss. The batch depends on the seed and the step alone."""
         config = self.config
         for group in self.optimizer.param_groups:
-            group.update(lr=self.rate(), weight_decay=config.weight_decay)
+            group.update(lr=self.rate() * group.get("scale", 1.0), weight_decay=config.weight_decay)
         batch = on_device(self._batch(pool), self.precision.device)
         with self.precision.autocast():
             loss, verdict = self._losses(batch)

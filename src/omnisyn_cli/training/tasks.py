@@ -16,6 +16,12 @@ from omnisyn_cli.networks.completion import (
     where_sure,
 )
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
+from omnisyn_cli.networks.guided_depth import (
+    GUIDED_DEPTH_VARIANTS,
+    GuidedDepthConfig,
+    GuidedDepthNetwork,
+    GuidedDepthPrediction,
+)
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
@@ -23,6 +29,7 @@ from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import Batch, EvidenceBatch
 from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
+from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
 from omnisyn_cli.training.task import Task
@@ -30,12 +37,19 @@ from omnisyn_cli.training.triples import draw_pairs, draw_triples
 
 __all__ = ["TASKS", "kinds_for", "task_of"]
 
-NetworkConfig = PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
+NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfig | joint.JointConfig | SynSinConfig
 
 
 def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
     found = answer.inverse_depth().sqrt()
     return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
+
+
+def _guided_pictures(answer: GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
+    """The first pair, with the confidence from black to white."""
+    found = answer.inverse_depth().sqrt()
+    shown = depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
+    return shown | {"confidence": np.stack([as_array(answer.confidence()[0, 0])] * 3, axis=-1)}
 
 
 def _completion_scores(answer: CompletionPrediction, batch: EvidenceBatch) -> dict[str, float]:
@@ -64,6 +78,19 @@ TASKS: Mapping[str, Task] = {
         scores=lambda answer, batch: losses.depth_scores(answer, batch.root, batch.baseline),
         pictures=_depth_pictures,
         role="depth",
+    ),
+    "guided": Task(
+        GuidedDepthConfig,
+        GUIDED_DEPTH_VARIANTS,
+        GuidedDepthNetwork,
+        draw=lambda pool, rng, stage, network, varied: draw_guided(
+            pool, rng, stage.batch, stage.size, network.config.greatest_root, varied
+        ),
+        loss=guided_loss,
+        scores=guided_scores,
+        pictures=_guided_pictures,
+        pools=("recipe",),
+        rate=8e-4,
     ),
     "completion": Task(
         CompletionConfig,

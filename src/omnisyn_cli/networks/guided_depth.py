@@ -1,0 +1,335 @@
+"""Depth of a panorama from a pair, with a pretrained encoder, a cost volume, and what matching measured if there is any.
+
+Both panoramas are upright, turned so that the other camera is ahead (−z, up to the slope of the baseline). Features at
+a quarter of the size are correlated over spheres uniform in √(inverse depth × baseline). The costs are channels of a
+2-D U-net whose skips have the encoder's features, so that shape and texture decide where correlation cannot. Classical
+matching and plane sweeps may guide it: their maps are further channels, all zero where there are none.
+
+It answers with √(inverse depth × baseline) at full size and with the scale of a Laplace distribution around it.
+
+Source: cost volume in a 2-D network with image features: Sayed et al., SimpleRecon, 2022; group-wise correlation: Guo et
+al., 2019; convex upsampling: Teed and Deng, RAFT, 2020; Laplace scale: Kendall and Gal, 2017.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from omnisyn_cli.geometry.sphere import pixel_to_direction
+from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
+from omnisyn_cli.networks.interface import DepthAnswer, Network, NetworkConfig, Ports, check_multiple
+from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, sizes, wrap_columns
+
+__all__ = [
+    "GUIDANCE_CHANNELS",
+    "GUIDED_DEPTH_VARIANTS",
+    "GuidedDepthConfig",
+    "GuidedDepthNetwork",
+    "GuidedDepthPrediction",
+]
+
+STRIDE = 4
+"""Of the cost volume and of the guidance."""
+
+GUIDANCE_CHANNELS = 8
+"""Of matching: √(inverse depth × baseline), valid, left-right consistent, peak ratio; of plane sweeps: the same root and
+a score; then whether there is matching, and whether there are plane sweeps. Zero where there is none."""
+
+FEATURE_SHIFT = -0.125
+"""Columns and rows of the quarter-size features by which their centres are off, see ``SHIFTS`` of the encoder."""
+
+LOG_SCALES = (-6.0, 2.0)
+"""Bounds of the log of the Laplace scale."""
+
+WITHIN = 1.1**0.5 - 1.0
+"""Relative error of the root where depth is 10 % off."""
+
+GEOMETRY = 7
+"""Channels: direction (3), cosine to the other camera, slope of the baseline, best cost and its expected root."""
+
+SHARPNESS = 8.0
+"""Factor on correlations before the softmax that the expected root is weighted by."""
+
+
+@dataclass(frozen=True)
+class GuidedDepthConfig(NetworkConfig):
+    """What makes one network differ from another.
+
+    Attributes:
+        name: of the variant.
+        size: ``(height, width)`` of the exported file.
+        spheres: of the cost volume.
+        greatest_root: of the nearest sphere.
+        features: channels that are correlated, a multiple of ``groups``.
+        groups: of features, each correlated for itself.
+        widths: channels of the U-net at strides 2, 4, 8, 16 and 32.
+    """
+
+    name: str
+    size: tuple[int, int] = (256, 512)
+    spheres: int = 48
+    greatest_root: float = 2.0
+    features: int = 24
+    groups: int = 4
+    widths: tuple[int, ...] = (24, 64, 88, 120, 144)
+
+    @property
+    def size_multiple(self) -> int:
+        """Heights and widths have to be a multiple of this."""
+        return 32
+
+
+GUIDED_DEPTH_VARIANTS = {"guided": GuidedDepthConfig("guided")}
+"""The networks by name."""
+
+
+@dataclass(frozen=True)
+class GuidedDepthPrediction(DepthAnswer):
+    """The estimate, how sure it is, and the estimates on the way.
+
+    Attributes:
+        estimate: ``(batch, 1, height, width)`` √(inverse depth × baseline); below zero where nothing is there.
+        log_scale: ``(batch, 1, height, width)`` of the Laplace distribution of its error.
+        coarse: ``(batch, 1, height / s, width / s)`` the estimates at strides s = 4 and 2.
+    """
+
+    estimate: Tensor
+    log_scale: Tensor
+    coarse: tuple[Tensor, ...]
+
+    def root(self) -> Float[Tensor, "batch 1 height width"]:
+        """The estimate."""
+        return self.estimate
+
+    def confidence(self) -> Float[Tensor, "batch 1 height width"]:
+        """Probability that depth is within 10 %, by the Laplace distribution."""
+        return 1.0 - torch.exp(-WITHIN * self.estimate.clamp(min=0.0) * torch.exp(-self.log_scale))
+
+
+class NormalisedConv(nn.Module):
+    """A convolution over the seam, group normalisation, LeakyReLU."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int = 3) -> None:
+        super().__init__()
+        self.conv = WrappedConv(inputs, outputs) if kernel > 1 else nn.Conv2d(inputs, outputs, 1)
+        self.norm = nn.GroupNorm(8, outputs)
+
+    def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
+        """``(batch, outputs, height, width)``."""
+        return functional.leaky_relu(self.norm(self.conv(x)), LEAK)
+
+
+class NormalisedBlock(nn.Module):
+    """Two convolutions that are added to their input."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first, self.second = NormalisedConv(channels, channels), NormalisedConv(channels, channels)
+
+    def forward(self, x: Float[Tensor, "batch channels height width"]) -> Tensor:
+        """The same size."""
+        y: Tensor = x + self.second(self.first(x))
+        return y
+
+
+def feature_directions(size: tuple[int, int], shift: float, like: Tensor) -> Float[Tensor, "height width 3"]:
+    """Unit vectors through the centres of a map, moved by ``shift`` rows and columns."""
+    height, width = size
+    row, col = (torch.arange(n, dtype=torch.float32, device=like.device) + shift for n in (height, width))
+    directions: Tensor = pixel_to_direction(row[:, None], col[None, :], (height, width))
+    return directions
+
+
+def sweep_grid(
+    directions: Float[Tensor, "height width 3"], towards: Float[Tensor, "batch 3"], roots: Float[Tensor, " spheres"]
+) -> tuple[Tensor, Tensor]:
+    """Where the other camera sees the points of spheres around this one.
+
+    Returns:
+        Azimuth / π and polar angle / π · 2 − 1, both ``(batch, spheres, height, width)`` in [−1, 1].
+    """
+    moved = directions - roots.square()[:, None, None, None] * towards[:, None, None, None, :]
+    x, y, z = moved.unbind(-1)
+    azimuth = torch.atan2(x, -z)
+    polar_angle = torch.atan2(torch.sqrt(x * x + z * z + 1e-12), y)
+    return azimuth / torch.pi, polar_angle * (2.0 / torch.pi) - 1.0
+
+
+class GuidedDepthNetwork(Network):
+    """Two panoramas, the direction to the other camera and guidance in, the first one's depth out.
+
+    Works at any size that is a multiple of ``config.size_multiple``.
+    """
+
+    def __init__(self, config: GuidedDepthConfig) -> None:
+        super().__init__()
+        self.config: GuidedDepthConfig = config
+        width2, width4, width8, width16, width32 = config.widths
+        tap2, tap4, tap8, tap16, tap32 = CHANNELS
+        features = config.features
+        self.encoder = EfficientNetLite0()
+        self.lateral4, self.lateral8, self.lateral16 = (nn.Conv2d(n, features, 1) for n in (tap4, tap8, tap16))
+        self.matched = nn.Sequential(NormalisedConv(features, features), nn.Conv2d(features, features, 1))
+        self.reduce = nn.Conv2d(config.groups * config.spheres, width4, 1)
+        self.guide = WrappedConv(GUIDANCE_CHANNELS, width4)
+        self.in4 = NormalisedConv(width4 + tap4 + features + GEOMETRY, width4)
+        self.down4 = NormalisedBlock(width4)
+        self.to8, self.in8 = NormalisedConv(width4, width8), NormalisedConv(width8 + tap8, width8, 1)
+        self.down8 = NormalisedBlock(width8)
+        self.to16, self.in16 = NormalisedConv(width8, width16), NormalisedConv(width16 + tap16, width16, 1)
+        self.down16 = NormalisedBlock(width16)
+        self.to32, self.in32 = NormalisedConv(width16, width32), NormalisedConv(width32 + tap32, width32, 1)
+        self.middle = nn.Sequential(NormalisedBlock(width32), NormalisedBlock(width32))
+        self.up16 = NormalisedConv(width32 + width16, width16)
+        self.up8, self.refine8 = NormalisedConv(width16 + width8, width8), NormalisedBlock(width8)
+        self.up4, self.refine4 = NormalisedConv(width8 + width4, width4), NormalisedBlock(width4)
+        self.answer4 = nn.Conv2d(width4, 2, 1)
+        self.up2, self.refine2 = NormalisedConv(width4 + tap2, width2), NormalisedConv(width2, width2)
+        self.answer2 = nn.Conv2d(width2, 2, 1)
+        self.upsampling = nn.Conv2d(width2, 36, 1)
+        for layer in (self.guide, self.answer2, self.upsampling):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+        nn.init.normal_(self.answer4.weight, std=0.01)
+        with torch.no_grad():
+            self.answer4.bias.copy_(torch.tensor([0.5, -2.0]))  # type: ignore[union-attr]
+
+    @property
+    def ports(self) -> Ports:
+        """Both panoramas at the configured size, guidance at a quarter of it, the direction to the other camera."""
+        height, width = self.config.size
+        return Ports(
+            {"first": 3, "second": 3, "towards": 3, "guidance": GUIDANCE_CHANNELS},
+            size=self.config.size,
+            own_sizes={"towards": (1, 1), "guidance": (height // STRIDE, width // STRIDE)},
+            notes={"frame": "upright"},
+            is_folded=False,
+        )
+
+    def encoder_parameters(self) -> list[nn.Parameter]:
+        """Those that begin pretrained and learn slower."""
+        return list(self.encoder.parameters())
+
+    def load_encoder(self, classifier: Mapping[str, Tensor]) -> None:
+        """Begin with the weights of a classifier, see :func:`~omnisyn_cli.networks.efficientnet.from_classifier`."""
+        self.encoder.load_state_dict(from_classifier(classifier))
+
+    def forward(
+        self,
+        first: Float[Tensor, "batch 3 height width"],
+        second: Float[Tensor, "batch 3 height width"],
+        towards: Float[Tensor, "batch 3 1 1"],
+        guidance: Float[Tensor, "batch 8 rows cols"],
+    ) -> GuidedDepthPrediction:
+        """The depth of ``first``.
+
+        Args:
+            first: colours in [0, 1].
+            second: of the other camera, held alike.
+            towards: unit vector from the first camera to the second.
+            guidance: see :data:`GUIDANCE_CHANNELS`; a quarter of the height and width.
+
+        Raises:
+            ValueError: the size is not a multiple of ``config.size_multiple``.
+        """
+        check_multiple(first, self.config.size_multiple)
+        batch = sizes(first)[0]
+        features = self.encoder(torch.cat([first, second]))
+        maps = self._matching_features(features)
+        own = [each[:batch] for each in features]
+        costs, geometry = self._costs(maps[:batch], maps[batch:], towards.flatten(1))
+        volume = self.reduce(costs) + self.guide(guidance)  # (batch, width4, height / 4, width / 4)
+        return self._decoded(torch.cat([volume, own[1], maps[:batch], geometry], dim=1), own)
+
+    def _matching_features(self, features: list[Tensor]) -> Float[Tensor, "batch features rows cols"]:
+        """At a quarter of the size, from three strides."""
+        _, at4, at8, at16, _ = features
+        x = self.lateral4(at4) + _enlarged(self.lateral8(at8), 2) + _enlarged(self.lateral16(at16), 4)
+        maps: Tensor = self.matched(x)
+        return maps
+
+    def _costs(
+        self,
+        first: Float[Tensor, "batch features rows cols"],
+        second: Float[Tensor, "batch features rows cols"],
+        towards: Float[Tensor, "batch 3"],
+    ) -> tuple[Tensor, Tensor]:
+        """Correlations ``(batch, groups · spheres, rows, cols)`` and :data:`GEOMETRY` channels."""
+        config = self.config
+        batch, channels, height, width = sizes(first)
+        groups, spheres = config.groups, config.spheres
+        roots = torch.linspace(0.0, config.greatest_root, spheres, device=first.device)
+        directions = feature_directions((height, width), FEATURE_SHIFT, first)
+        azimuth, polar = sweep_grid(directions, at_least_single(towards), roots)
+        # one column more on both sides carries the seam; rows end at the poles
+        x = (azimuth - FEATURE_SHIFT * 2.0 / width) * (width / (width + 2.0))
+        y = polar - FEATURE_SHIFT * 2.0 / height
+        grid = torch.stack([x, y], dim=-1).view(batch, spheres * height, width, 2)
+        unit_first, unit_second = (
+            functional.normalize(m.view(batch, groups, channels // groups, height, width), dim=2, eps=1e-4)
+            for m in (first, second)
+        )
+        wide = wrap_columns(unit_second.reshape(batch, channels, height, width), 1, 1)
+        warped = functional.grid_sample(
+            wide, grid.to(wide.dtype), mode="bilinear", padding_mode="border", align_corners=False
+        ).view(batch, groups, channels // groups, spheres, height, width)
+        costs = (unit_first.unsqueeze(3) * warped).sum(dim=2)  # (batch, groups, spheres, height, width)
+        mean = at_least_single(costs.mean(dim=1))
+        expected = (roots[:, None, None] * (SHARPNESS * mean).softmax(dim=1)).sum(dim=1, keepdim=True)
+        cosine = (directions * towards[:, None, None, :]).sum(dim=-1).unsqueeze(1)
+        plain = directions.permute(2, 0, 1).expand(batch, 3, height, width)
+        slope = towards[:, 1].view(batch, 1, 1, 1).expand(batch, 1, height, width)
+        geometry = torch.cat([plain, cosine, slope, mean.amax(dim=1, keepdim=True), expected], dim=1)
+        return costs.reshape(batch, groups * spheres, height, width), geometry.to(costs.dtype)
+
+    def _decoded(self, x: Tensor, own: list[Tensor]) -> GuidedDepthPrediction:
+        """The U-net."""
+        at2, _, at8, at16, at32 = own
+        x4 = self.down4(self.in4(x))
+        x8 = self.down8(self.in8(torch.cat([self.to8(_halved(x4)), at8], dim=1)))
+        x16 = self.down16(self.in16(torch.cat([self.to16(_halved(x8)), at16], dim=1)))
+        x32 = self.middle(self.in32(torch.cat([self.to32(_halved(x16)), at32], dim=1)))
+        y = self.up16(torch.cat([_enlarged(x32, 2), x16], dim=1))
+        y = self.refine8(self.up8(torch.cat([_enlarged(y, 2), x8], dim=1)))
+        y = self.refine4(self.up4(torch.cat([_enlarged(y, 2), x4], dim=1)))
+        quarter = at_least_single(self.answer4(y))
+        z = self.refine2(self.up2(torch.cat([_enlarged(y, 2), at2], dim=1)))
+        half = at_least_single(self.answer2(z)) + _enlarged(quarter, 2)
+        full = convex_upsample(half, at_least_single(self.upsampling(z)))
+        most = self.config.greatest_root
+        return GuidedDepthPrediction(
+            full[:, :1].clamp(max=most), full[:, 1:].clamp(*LOG_SCALES), (quarter[:, :1], half[:, :1])
+        )
+
+
+def convex_upsample(
+    x: Float[Tensor, "batch channels height width"], logits: Float[Tensor, "batch 36 height width"]
+) -> Float[Tensor, "batch channels 2*height 2*width"]:
+    """Twice the size: each fine pixel is a weighted mean of the 3×3 coarse pixels around it, edges stay sharp.
+
+    Args:
+        x: values; the answer lies between the smallest and the largest of each neighbourhood.
+        logits: for each coarse pixel 9 logits for each of its 2×2 fine pixels, neighbour first.
+
+    Source: RAFT (Teed and Deng, 2020), section 3.3.
+    """
+    batch, channels, height, width = sizes(x)
+    padded = wrap_columns(torch.cat([x[..., :1, :], x, x[..., -1:, :]], dim=-2), 1, 1)
+    shifts = [padded[..., i : i + height, j : j + width] for i in range(3) for j in range(3)]
+    weights = logits.view(batch, 1, 9, 4, height, width).softmax(dim=2)
+    fine = (weights * torch.stack(shifts, dim=2).unsqueeze(3)).sum(dim=2)  # (batch, channels, 4, height, width)
+    return functional.pixel_shuffle(fine.reshape(batch, channels * 4, height, width), 2)
+
+
+def _halved(x: Tensor) -> Tensor:
+    return functional.avg_pool2d(x, 2)
+
+
+def _enlarged(x: Tensor, factor: int) -> Tensor:
+    """Bilinear, over the seam."""
+    wide = functional.interpolate(wrap_columns(x, 1, 1), scale_factor=float(factor), mode="bilinear")
+    return wide[..., factor:-factor]

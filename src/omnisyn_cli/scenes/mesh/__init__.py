@@ -1,0 +1,22 @@
+"""Panoramas with exact depth from textured meshes: the ray caster, its light, places for cameras.
+
+Needs Embree (``pip install "omnisyn-cli[scenes]"``).
+"""
+
+from omnisyn_cli.scenes.mesh.lighting import Lighting, draw_lighting
+from omnisyn_cli.scenes.mesh.places import Place, find_line, find_places
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+from omnisyn_cli.scenes.mesh.render import MeshScene, render_mesh
+from omnisyn_cli.scenes.mesh.variation import varied_mesh
+
+__all__ = [
+    "Lighting",
+    "MeshCaster",
+    "MeshScene",
+    "Place",
+    "draw_lighting",
+    "find_line",
+    "find_places",
+    "render_mesh",
+    "varied_mesh",
+]

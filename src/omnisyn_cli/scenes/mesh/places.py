@@ -1,0 +1,111 @@
+"""Where cameras stand in a mesh: at eye height above a floor, in free space, with something around them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.scenes.mesh.lighting import sphere_directions
+from omnisyn_cli.scenes.mesh.raycast import MeshCaster
+
+__all__ = ["Place", "find_line", "find_places"]
+
+EYE_HEIGHTS = (1.1, 1.9)
+"""Metres above the floor."""
+
+CLEARANCE = 0.3
+"""Metres to the nearest surface, at least."""
+
+RAYS = 96
+"""That a place is judged by."""
+
+LEAST_ENCLOSED = 0.5
+"""Share of the rays that hit something."""
+
+LEAST_FLOOR = 0.95
+"""Share of the rays below a place that hit something."""
+
+LEVEL = 0.8
+"""Least cosine between the normal of a floor and up."""
+
+NEAR_MEDIAN = 0.6
+"""Metres: places whose median distance is less are inside of things."""
+
+BASELINES = (0.12, 1.6)
+"""Of walks, in median distances."""
+
+LONGEST_WALK = 12.0
+"""Metres."""
+
+ATTEMPTS = 200
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place for a camera.
+
+    Attributes:
+        position: ``(3,)`` metres.
+        median: distance of what is around it, metres.
+        enclosed: share of directions in which there is something.
+        inside_out: share of surfaces that are seen from behind.
+    """
+
+    position: Float[np.ndarray, " 3"]
+    median: float
+    enclosed: float
+    inside_out: float
+
+
+def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place | None:
+    """What a camera there would see; None where none should stand."""
+    directions = sphere_directions(RAYS)
+    hits = caster.hits(np.broadcast_to(position, directions.shape), directions)
+    found = hits.is_hit
+    below = directions[:, 1] < -0.6
+    if found.mean() < LEAST_ENCLOSED or found[below].mean() < LEAST_FLOOR:
+        return None
+    distances = hits.distance[found]
+    if distances.min() < CLEARANCE or np.median(distances) < NEAR_MEDIAN:
+        return None
+    behind = np.einsum("ij,ij->i", caster.normals[hits.face[found]], directions[found]) > 0
+    return Place(position, float(np.median(distances)), float(found.mean()), float(behind.mean()))
+
+
+def find_places(caster: MeshCaster, rng: np.random.Generator, count: int, attempts: int = 400) -> list[Place]:
+    """Places by chance, the most enclosed ones first; fewer than ``count`` where there are no more."""
+    low, high = (np.percentile(caster.mesh.vertices, share, axis=0) for share in (1, 99))
+    starts = rng.uniform(low, np.maximum(high, low + 1e-3), (attempts, 3))
+    starts[:, 1] += 0.3
+    down = np.broadcast_to([0.0, -1.0, 0.0], starts.shape)
+    floor = caster.hits(starts, down)
+    level = floor.is_hit & (np.abs(caster.normals[floor.face][:, 1]) > LEVEL)
+    eyes = starts[level]
+    eyes[:, 1] += rng.uniform(*EYE_HEIGHTS, level.sum()) - floor.distance[level]
+    places = [place for place in (look_around(caster, eye) for eye in eyes) if place is not None]
+    # a place between two shells sees about half of them from behind; inside and outside it is nearly none or all
+    places.sort(key=lambda place: 2.0 * min(place.inside_out, 1.0 - place.inside_out) - place.enclosed)
+    return places[:count]
+
+
+def find_line(
+    caster: MeshCaster, places: list[Place], rng: np.random.Generator, frames: int
+) -> list[Float[np.ndarray, " 3"]] | None:
+    """A straight walk from one of the places: its first and last position and some between; None if there is none.
+
+    Its length is drawn evenly in its logarithm, relative to the median distance around its beginning.
+    """
+    for _ in range(ATTEMPTS if places else 0):
+        place = places[rng.integers(len(places))]
+        length = min(place.median * math.exp(rng.uniform(*map(math.log, BASELINES))), LONGEST_WALK)
+        heading, rise = rng.uniform(0.0, 2.0 * math.pi), rng.normal(0.0, 0.05)
+        step = np.array([math.cos(heading), rise, math.sin(heading)])
+        step /= np.linalg.norm(step)
+        if caster.distances(place.position[None], step[None])[0] < length + CLEARANCE:
+            continue
+        shares = np.array([0.0, *np.sort(rng.uniform(0.2, 0.8, max(0, frames - 2))), 1.0])[:frames]
+        line = [place.position + share * length * step for share in shares]
+        if all(look_around(caster, position) is not None for position in line[1:]):
+            return line
+    return None

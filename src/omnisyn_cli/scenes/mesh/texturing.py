@@ -1,0 +1,137 @@
+"""Colours of points on a mesh: textures with mip levels, by texture coordinates or projected along the axes."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
+from omnisyn_cli.scenes.mesh.raycast import Hits
+
+__all__ = ["SurfaceColours"]
+
+MIP_LEVELS = 10
+
+
+class SurfaceColours:
+    """Textures of a mesh, ready to be looked up.
+
+    Args:
+        mesh: with its materials.
+    """
+
+    def __init__(self, mesh: TexturedMesh) -> None:
+        self.mesh = mesh
+        self._pyramids = [_pyramid(material.texture) for material in mesh.materials]
+        self._texels = _texels_per_metre(mesh)
+
+    def at(
+        self,
+        hits: Hits,
+        points: Float[np.ndarray, "rays 3"],
+        normals: Float[np.ndarray, "rays 3"],
+        pixel: float,
+    ) -> Float[np.ndarray, "rays 3"]:
+        """sRGB in [0, 1] of what was hit.
+
+        Args:
+            hits: all of them hit something.
+            points: where.
+            normals: of the surfaces.
+            pixel: radians between neighbouring samples.
+        """
+        mesh = self.mesh
+        corners = mesh.faces[hits.face]
+        material = mesh.face_material[hits.face]
+        uv = np.einsum("ij,ijk->ik", hits.barycentric, mesh.uv[corners])
+        footprint = hits.distance * pixel * self._texels[hits.face]  # texels between samples, before any projection
+        colours = np.empty((len(points), 3))
+        for index in np.unique(material):
+            rows = np.flatnonzero(material == index)
+            kind, pyramid = mesh.materials[index], self._pyramids[index]
+            if pyramid:
+                at, texels = uv[rows], footprint[rows]
+                if kind.tile is not None:
+                    at = projected(points[rows], normals[rows]) / kind.tile
+                    texels = hits.distance[rows] * pixel * pyramid[0].shape[1] / kind.tile
+                colours[rows] = _filtered(pyramid, at, texels)
+            elif mesh.vertex_colours is not None:
+                own = mesh.vertex_colours[corners[rows]]
+                colours[rows] = np.einsum("ij,ijk->ik", hits.barycentric[rows], own)
+            else:
+                colours[rows] = kind.colour
+        return colours
+
+    def light(self, hits: Hits) -> Float[np.ndarray, "rays 3"]:
+        """Baked light of what was hit; NaN where there is none."""
+        mesh = self.mesh
+        light = np.full((len(hits.face), 3), np.nan)
+        material = mesh.face_material[hits.face]
+        is_baked = np.array([m.is_lightmapped for m in mesh.materials])[material]
+        if mesh.light_map is not None and mesh.light_uv is not None and is_baked.any():
+            uv = np.einsum("ij,ijk->ik", hits.barycentric[is_baked], mesh.light_uv[mesh.faces[hits.face[is_baked]]])
+            light[is_baked] = bilinear(mesh.light_map, np.clip(uv, 0.0, 1.0))
+        light[np.array([m.is_lit for m in mesh.materials])[material]] = 1.0
+        return light
+
+
+def projected(points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Metres across and up a surface, seen along the axis that it faces most."""
+    axis = np.abs(normals).argmax(axis=1)
+    across = np.where(axis == 0, points[:, 2], points[:, 0])
+    up = np.where(axis == 1, points[:, 2], points[:, 1])
+    return np.stack([across, up], axis=1)
+
+
+def _pyramid(texture: UInt8[np.ndarray, "height width 3"] | None) -> list[np.ndarray]:
+    """The texture, then each time half as large."""
+    if texture is None:
+        return []
+    levels = [texture]
+    while min(levels[-1].shape[:2]) > 1 and len(levels) < MIP_LEVELS:
+        height, width = levels[-1].shape[:2]
+        levels.append(cv2.resize(levels[-1], (max(1, width // 2), max(1, height // 2)), interpolation=cv2.INTER_AREA))
+    return levels
+
+
+def _texels_per_metre(mesh: TexturedMesh) -> Float[np.ndarray, " faces"]:
+    """Of each face, along an edge of a square of its size."""
+    a, b, c = (mesh.uv[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    first, second = b - a, c - a
+    covered = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    texels = np.array([0 if m.texture is None else m.texture.shape[0] * m.texture.shape[1] for m in mesh.materials])
+    return np.asarray(np.sqrt(covered * texels[mesh.face_material] / np.maximum(mesh.face_areas(), 1e-12)))
+
+
+def _filtered(pyramid: list[np.ndarray], uv: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """From the level whose texels are as far apart as the samples."""
+    level = np.clip(np.rint(np.log2(np.maximum(texels, 1e-6))), 0, len(pyramid) - 1).astype(np.int64)
+    colours = np.empty((len(uv), 3))
+    for each in np.unique(level):
+        rows = level == each
+        colours[rows] = bilinear(pyramid[each], uv[rows]) / 255.0
+    return colours
+
+
+def bilinear(image: np.ndarray, uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    """Values of an image that repeats itself at texture coordinates, (0, 0) in the lower left corner."""
+    height, width = image.shape[:2]
+    col, row = uv[:, 0] % 1.0 * width - 0.5, (1.0 - uv[:, 1]) % 1.0 * height - 0.5
+    left, top = np.floor(col).astype(np.int64), np.floor(row).astype(np.int64)
+    right_share, low_share = ((x - whole)[:, None].astype(np.float32) for x, whole in ((col, left), (row, top)))
+    rows, cols = (top % height, (top + 1) % height), (left % width, (left + 1) % width)
+    upper = image[rows[0], cols[0]] * (1 - right_share) + image[rows[0], cols[1]] * right_share
+    lower = image[rows[1], cols[0]] * (1 - right_share) + image[rows[1], cols[1]] * right_share
+    return np.asarray(upper * (1 - low_share) + lower * low_share)
+
+
+def untextured_share(mesh: TexturedMesh) -> float:
+    """Share of the area without texture or colours of its own."""
+    if mesh.vertex_colours is not None:
+        return 0.0
+    plain = np.array([not _is_painted(material) for material in mesh.materials])[mesh.face_material]
+    areas = mesh.face_areas()
+    return float(areas[plain].sum() / max(areas.sum(), 1e-12))
+
+
+def _is_painted(material: Material) -> bool:
+    return material.is_textured

@@ -1,0 +1,69 @@
+"""A mesh made different every time it is learned from: size, handedness, furniture, materials."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+
+from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
+
+__all__ = ["varied_mesh"]
+
+SCALES = (0.75, 1.35)
+
+DROPPED = 0.12
+"""Chance that a small material's faces are left out."""
+
+SMALL = 0.04
+"""Share of the area up to which a material may be left out."""
+
+PAPERED = (0.3, 1.0)
+"""Share of the materials without texture that get a photograph, between which a scene draws its own."""
+
+REPLACED = 0.15
+"""Chance that a textured material gets another photograph."""
+
+TILES = (0.4, 4.0)
+"""Metres that a photograph spans."""
+
+
+def varied_mesh(
+    mesh: TexturedMesh, rng: np.random.Generator, photos: Sequence[UInt8[np.ndarray, "height width 3"]]
+) -> TexturedMesh:
+    """The mesh in another size, mirrored or not, with other materials and some things left out.
+
+    Args:
+        mesh: what is varied; its light map, if any, stays.
+        rng: random numbers.
+        photos: photographs of surfaces; with none, materials get other colours only.
+    """
+    kept = _kept_faces(mesh, rng)
+    scale = np.exp(rng.uniform(*np.log(SCALES))) * np.array([rng.choice([-1.0, 1.0]), 1.0, 1.0])
+    share = rng.uniform(*PAPERED)
+    return replace(
+        mesh,
+        vertices=(mesh.vertices * scale).astype(np.float32),
+        faces=mesh.faces[kept],
+        face_material=mesh.face_material[kept],
+        materials=tuple(_varied(material, rng, photos, share) for material in mesh.materials),
+    )
+
+
+def _kept_faces(mesh: TexturedMesh, rng: np.random.Generator) -> Bool[np.ndarray, " faces"]:
+    areas = np.bincount(mesh.face_material, mesh.face_areas(), len(mesh.materials))
+    is_small = areas < SMALL * areas.sum()
+    dropped = is_small & (rng.random(len(areas)) < DROPPED * rng.random())
+    return np.asarray(~dropped[mesh.face_material])
+
+
+def _varied(material: Material, rng: np.random.Generator, photos: Sequence[np.ndarray], share: float) -> Material:
+    # the same numbers are drawn for every material, so that one more photograph does not change all others
+    chance, photo, tile, tint = rng.random(), rng.integers(1 << 30), rng.uniform(*np.log(TILES)), rng.normal(0, 1, 3)
+    if material.is_emissive or material.is_lightmapped or material.is_lit:
+        return material
+    if photos and chance < (REPLACED if material.is_textured else share) and material.opacity is None:
+        return replace(material, texture=photos[photo % len(photos)], tile=float(np.exp(tile)))
+    if not material.is_textured:
+        return replace(material, colour=np.clip(material.colour * np.exp(0.15 * tint + 0.1 * tint[0]), 0.02, 0.98))
+    return material
