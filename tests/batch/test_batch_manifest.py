@@ -146,7 +146,7 @@ def test_no_two_jobs_write_to_one_place(tmp_path, one, two):
     write_row(tmp_path, 3)
     found = problems(tmp_path, line(0, 1, output=one), line(1, 2, output=two), line(0, 2, output="b.mp4"))
     assert len(found) == 1
-    assert "that line 1 writes to" in found[0]
+    assert "of line 1;" in found[0]
     assert found[0].startswith("line 2: ")
 
 

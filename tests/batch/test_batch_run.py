@@ -185,16 +185,13 @@ def installed(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("change", "again"),
-    [
-        (lambda folder: install(folder), []),
-        (lambda folder: os.utime(folder / "manifest.toml", ns=(1, 1)), []),
-        (lambda folder: install(folder, completion="second"), ["preset"]),
-        (lambda folder: install(folder, fusion="second"), ["fusion"]),
-        (lambda folder: (folder.parent / "mine.onnx").write_text("other"), ["mine"]),
-        (lambda folder: os.utime(folder.parent / "mine.onnx", ns=(1, 1)), []),
-    ],
+    [(lambda folder: install(folder), []), (lambda folder: os.utime(folder / "manifest.toml", ns=(1, 1)), []),
+     (lambda folder: install(folder, completion="second"), ["preset"]),
+     (lambda folder: install(folder, fusion="second"), ["fusion"]),
+     (lambda folder: (folder.parent / "mine.onnx").write_text("other"), ["mine"]),
+     (lambda folder: os.utime(folder.parent / "mine.onnx", ns=(1, 1)), [])],
     ids=["the same", "touched", "of the preset", "for fusion", "of the user", "of the user touched"],
-)
+)  # fmt: skip
 def test_another_network_does_the_jobs_again_that_use_it(tmp_path, installed, change, again):
     """A job without a network, one with that of its preset, others with that for fusion, or of a file."""
     write_row(tmp_path, 2)

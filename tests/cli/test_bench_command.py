@@ -11,8 +11,8 @@ from omnisyn_cli.cli.bench import LAYOUTS
 from omnisyn_cli.compute.jit import announce_compiling, when_compiling
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation import bench_settings
-from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob
 from omnisyn_cli.evaluation.bench_run import BenchRun
+from omnisyn_cli.evaluation.bench_settings import DEFAULT_BENCH_METHODS, GENERATED_PAIRS, BenchJob
 from omnisyn_cli.evaluation.datasets import FORMATS
 from omnisyn_cli.interpolation.planning.figures import FIGURES, FRAME_STAGES, Figures, read_table
 from omnisyn_cli.pipeline.presets import SCALE
@@ -58,7 +58,7 @@ def test_a_setting_is_measured_and_stored(omnisyn: Omnisyn, scenes: Path, tmp_pa
     assert all(score > 10 for score in figures["scores"].values())
     (stored,) = read_table(tmp_path / "table.json")
     assert stored.to_json() == FIGURES.validate_python(figures).to_json()
-    assert {"bench_settings.jsonl", "bench_settings.html", "bench_settings.png", "bench_settings.json"} <= set(listing(tmp_path / "report"))
+    assert {"bench.jsonl", "bench.html", "bench.png", "bench.json"} <= set(listing(tmp_path / "report"))
 
 
 def test_tables_say_what_to_take(omnisyn: Omnisyn, scenes: Path, runs: list[BenchRun]) -> None:

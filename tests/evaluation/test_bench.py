@@ -44,7 +44,7 @@ def figures_of(setting: Setting) -> Figures:
 
 
 @pytest.mark.parametrize("method", [FAST, "crossfade"])
-def test_accuracy_is_what_the_evaluation_measures(tmp_path: Path, method: str) -> None:
+def test_accuracy_is_what_the_evaluation_measures(tmp_path, method):
     """Two ways through the program: files to a video with its depth remembered, and a method on loaded views."""
     pair = hall_pair(tmp_path / "data")
     (tmp_path / "clips").mkdir()
@@ -61,7 +61,7 @@ def test_accuracy_is_what_the_evaluation_measures(tmp_path: Path, method: str) -
         assert figures.seconds["depth"] > figures.seconds["mesh"] > 0
 
 
-def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path: Path) -> None:
+def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path):
     """A quarter of the pixels costs accuracy, and the true frame itself scores the best at its own size."""
     pair = hall_pair(tmp_path)
     depths = KnownDepth()(*bench_run.load_pair(pair).views)
@@ -75,9 +75,7 @@ def test_frames_of_another_size_are_compared_at_the_size_of_the_truth(tmp_path: 
     assert large > small + 1.0
 
 
-def test_every_combination_is_a_setting_in_a_process_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_combination_is_a_setting_in_a_process_of_its_own(tmp_path, monkeypatch):
     write_halls(tmp_path / "data", "hall", "yard")
     runs: list[BenchRun] = []
 
@@ -94,9 +92,7 @@ def test_every_combination_is_a_setting_in_a_process_of_its_own(
     assert {each.setting.method for each in runs if each.setting.size == (64, 128)} == {FAST, "omnisyn-balanced"}
 
 
-def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(tmp_path, monkeypatch):
     write_halls(tmp_path / "data", "hall", "nave", "yard")
     runs: list[BenchRun] = []
     monkeypatch.setattr(bench_settings, "_measure_in_child", lambda run: runs.append(run) or figures_of(run.setting))
@@ -106,7 +102,7 @@ def test_frames_that_are_larger_than_the_truth_are_timed_and_not_compared(
     assert (figures.scores, figures.ws_psnr) == ({}, None)
 
 
-def test_what_is_measured_is_what_users_may_choose() -> None:
+def test_what_is_measured_is_what_users_may_choose():
     chosen = [find_method(name).recipe for name in bench_settings.DEFAULT_BENCH_METHODS]
     assert {recipe.method for recipe in chosen} == {"crossfade", "flow", OMNISYN}
     assert {preset.recipe for preset in SCALE.values()} <= set(chosen)
@@ -118,9 +114,7 @@ def test_what_is_measured_is_what_users_may_choose() -> None:
     assert all(5_000_000 <= seed < 6_000_000 for _, seed, _ in bench_settings.GENERATED_PAIRS)
 
 
-def test_what_is_measured_is_not_measured_again_and_failures_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_measured_is_not_measured_again_and_failures_are(tmp_path, monkeypatch):
     write_halls(tmp_path / "data", "hall")
     asked: list[Setting] = []
 
@@ -132,7 +126,7 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(
     monkeypatch.setattr(bench_settings, "_measure_in_child", pretend)
     plan = plan_bench(job(tmp_path, methods=f"{FAST},matching"))
     first = run_bench(plan)
-    with (tmp_path / "report" / "bench_settings.jsonl").open("a") as file:
+    with (tmp_path / "report" / "bench.jsonl").open("a") as file:
         file.write('{"setting": {"pre')  # an interruption in the middle of a line
     assert run_bench(plan) == first
     assert [setting.method for setting in asked] == [FAST, "matching", "matching"]
@@ -141,7 +135,7 @@ def test_what_is_measured_is_not_measured_again_and_failures_are(
     assert [setting.method for setting in asked[3:]] == [FAST, "matching"]
 
 
-def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path: Path) -> None:
+def test_a_setting_that_fails_says_why_and_so_does_one_that_dies(tmp_path):
     pair = hall_pair(tmp_path / "data")
     damage(tmp_path / "data" / "hall" / "p0.png")
     setting = Setting(FAST, (64, 128), 1)
@@ -161,7 +155,7 @@ class Compiling:
         raise InputError("no panorama")
 
 
-def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
+def test_a_process_that_compiles_says_so(tmp_path):
     said: list[str] = []
     with when_compiling(lambda: said.append("compiling")):
         failed = bench_settings._measure_in_child(BenchRun(Setting(FAST, (64, 128), 1), (Compiling(),), 1))  # type: ignore[arg-type]
@@ -169,7 +163,7 @@ def test_a_process_that_compiles_says_so(tmp_path: Path) -> None:
     assert said == ["compiling"]
 
 
-def test_a_process_that_compiled_ends_before_it_measures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_compiled_ends_before_it_measures(tmp_path, monkeypatch):
     sent: list[object] = []
 
     def measure(run: BenchRun, folder: Path, on_warm: Callable[[], None]) -> str:
@@ -188,7 +182,7 @@ def test_a_process_that_compiled_ends_before_it_measures(tmp_path: Path, monkeyp
 
 
 @pytest.mark.parametrize("has_compiled", [False, True])
-def test_a_setting_that_had_to_compile_is_measured_again(has_compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_setting_that_had_to_compile_is_measured_again(has_compiled, monkeypatch):
     """Compiling takes a minute once, which is not what a clip takes."""
     first, second = (figures_of(Setting(FAST, (64, 128), threads)) for threads in (1, 2))
     answers = [None, second] if has_compiled else [first]
@@ -203,15 +197,13 @@ class Deadly:
         return os._exit, (3,)
 
 
-def test_time_and_memory_are_those_of_the_process() -> None:
+def test_time_and_memory_are_those_of_the_process():
     held = np.ones(32 << 20, np.uint8)
     peak = bench_run._peak_memory()
     assert peak is None or peak > held.nbytes
 
 
-def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(tmp_path, monkeypatch):
     pair = hall_pair(tmp_path / "data")
 
     seconds = {"decode": 1.0, "depth": 4.0, "check": 2.0, "mesh": 1.0, "render": 6.0, "fuse": 2.0, "total": 20.0}
@@ -223,7 +215,7 @@ def test_other_stages_belong_to_the_pair_and_the_rest_to_the_frames(
     assert bench_run._per_pair_and_frame(bench_run._clip(plan, KnownDepth()), 4) == of_pair | of_frame
 
 
-def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended() -> None:
+def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended():
     begin = bench_run.computing()
     subprocess.run([sys.executable, "-c", "sum(range(3_000_000))"], check=True)
     after = bench_run.computing()
@@ -232,7 +224,7 @@ def test_computing_counts_what_is_computed_here_and_by_processes_that_have_ended
     assert bench_run.computing() < after + 0.1
 
 
-def test_scenes_are_made_once(tmp_path: Path) -> None:
+def test_scenes_are_made_once(tmp_path):
     make_scenes(tmp_path / "scenes", (16, 32))
     pairs = [pair for source in find_scenes(tmp_path / "scenes") for pair in choose_pairs(None)(source.read())]
     assert sorted(pair.scene for pair in pairs) == sorted(
@@ -254,20 +246,20 @@ def test_scenes_are_made_once(tmp_path: Path) -> None:
         ({"pairs": "x"}, "pairs"),
     ],
 )
-def test_wrong_wishes_are_refused(tmp_path: Path, options: dict[str, object], message: str) -> None:
+def test_wrong_wishes_are_refused(tmp_path, options, message):
     write_halls(tmp_path / "data", "hall")
     with pytest.raises(InputError, match=message):
         plan_bench(job(tmp_path, **options))
 
 
-def test_the_report_names_failures_and_draws_what_is_rated(tmp_path: Path) -> None:
+def test_the_report_names_failures_and_draws_what_is_rated(tmp_path):
     good, bad = (Setting(method, (64, 128), 1) for method in (FAST, "matching"))
     measured = [figures_of(good), Figures(bad, "failed", "<no memory>")]
     write_bench_report(tmp_path, measured)
-    page = (tmp_path / "bench_settings.html").read_text()
+    page = (tmp_path / "bench.html").read_text()
     assert "&lt;no memory&gt;" in page
     assert good.name in page
-    assert (tmp_path / "bench_settings.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
     choice, stages = bench_tables(measured)
     assert [row.name for row in choice.rows] == [f"● {good.name}"]
     assert [row.reason for row in stages.rows] == ["", "<no memory>"]

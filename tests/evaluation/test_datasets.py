@@ -55,7 +55,7 @@ def only_scene(folder: Path, layout: str = "auto") -> Scene:
     return source.read()
 
 
-def test_the_programs_own_layout(tmp_path: Path) -> None:
+def test_the_programs_own_layout(tmp_path):
     write_own(tmp_path / "room", shots(0.1))
     (tmp_path / "notes").mkdir()
     for folder in (tmp_path, tmp_path / "room"):
@@ -64,7 +64,7 @@ def test_the_programs_own_layout(tmp_path: Path) -> None:
         check(scene, shots(0.1), millimetres=False)
 
 
-def test_habitat_renders(tmp_path: Path) -> None:
+def test_habitat_renders(tmp_path):
     write_habitat(tmp_path / "00000", shots(0.1))
     for folder in (tmp_path, tmp_path / "00000"):
         check(only_scene(folder), shots(0.1))
@@ -72,7 +72,7 @@ def test_habitat_renders(tmp_path: Path) -> None:
     assert [frame.depth is None for frame in only_scene(tmp_path).frames] == [False, False, True]
 
 
-def test_a_hole_in_a_scan_is_not_infinitely_far(tmp_path: Path) -> None:
+def test_a_hole_in_a_scan_is_not_infinitely_far(tmp_path):
     write_habitat(tmp_path / "00000", shots(0.1))
     depth = shots(0.1)[0].depth.copy()
     depth[:4] = np.inf
@@ -85,7 +85,7 @@ def test_a_hole_in_a_scan_is_not_infinitely_far(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01], ids=["metres", "centimetres"])
-def test_the_authors_carla_runs(tmp_path: Path, unit: float) -> None:
+def test_the_authors_carla_runs(tmp_path, unit):
     """Lengths come from the locations if those are metres, else from the geographic positions."""
     write_carla(tmp_path / "Town06" / "run_1", shots(0.1), TURNS, unit)
     for folder, name in ((tmp_path, "Town06/run_1"), (tmp_path / "Town06", "run_1")):
@@ -99,7 +99,7 @@ def test_the_authors_carla_runs(tmp_path: Path, unit: float) -> None:
     assert [frame.name for frame in only_scene(tmp_path).frames] == ["100.png", "107.png", "114.png"]
 
 
-def test_unreal_angles_are_unreals(tmp_path: Path) -> None:
+def test_unreal_angles_are_unreals(tmp_path):
     """Forward, right and up are the columns of CARLA's ``Transform.get_matrix``."""
     angles = [(0.3, 0.2, -0.4), (-2.0, -0.5, 0.1), (1.0, 0.0, 2.0)]
     write_carla(tmp_path / "run", shots(0.1), angles)
@@ -112,7 +112,7 @@ def test_unreal_angles_are_unreals(tmp_path: Path) -> None:
             np.testing.assert_allclose(frame.pose.rotation @ axis, (y, z, -x), atol=1e-9)
 
 
-def test_what_carlas_files_cannot_hold_is_infinitely_far(tmp_path: Path) -> None:
+def test_what_carlas_files_cannot_hold_is_infinitely_far(tmp_path):
     depth = np.full(SIZE, 10.0)
     depth[0], depth[1] = np.inf, 80.0
     write_millimetres(tmp_path / "depth.png", depth)
@@ -121,7 +121,7 @@ def test_what_carlas_files_cannot_hold_is_infinitely_far(tmp_path: Path) -> None
     assert inverse[2:].all()
 
 
-def test_zind_tours(tmp_path: Path) -> None:
+def test_zind_tours(tmp_path):
     taken = shots()
     write_zind(tmp_path / "000", taken)
     for folder in (tmp_path, tmp_path / "000"):
@@ -131,7 +131,7 @@ def test_zind_tours(tmp_path: Path) -> None:
         check(scene, taken)
 
 
-def test_a_point_of_a_zind_room_is_seen_where_zind_says(tmp_path: Path) -> None:
+def test_a_point_of_a_zind_room_is_seen_where_zind_says(tmp_path):
     """``cartesian_to_sphere`` of ZInD sees (x, y) of a room at the azimuth atan2(−x, y)."""
     scale = 2.5
     write_zind(tmp_path / "000", shots(), scale)
@@ -150,7 +150,7 @@ def test_a_point_of_a_zind_room_is_seen_where_zind_says(tmp_path: Path) -> None:
         np.testing.assert_allclose([np.sin(azimuth), np.cos(azimuth)], expected, atol=1e-9)
 
 
-def test_a_zind_floor_without_a_scale_says_so(tmp_path: Path) -> None:
+def test_a_zind_floor_without_a_scale_says_so(tmp_path):
     write_zind(tmp_path / "000", shots(), None)
     with pytest.raises(NoScaleError, match=r"expected metres per coordinate of floor_01, got null"):
         only_scene(tmp_path)
@@ -158,17 +158,13 @@ def test_a_zind_floor_without_a_scale_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
-    [
-        ("run/gnss_data.json", "[{}]", r"frames\[0\].frame: expected the key"),
-        ("run/gnss_data.json", "nonsense", "gnss_data.json"),
-        ("run/gnss_data.json", "{}", "frames: expected a valid list"),
-        ("000/zind_data.json", '{"merger": {}}', "merger"),
-        ("scene/00/tran.txt", "1 2", "expected 3 numbers .*got 2 fields"),
-        ("scene/00/tran.txt", "1 2 x", "expected numbers"),
-        ("scene/poses.json", "{}", "poses.json"),
-    ],
-)
-def test_damaged_poses_are_explained_when_they_are_read(tmp_path: Path, name: str, content: str, message: str) -> None:
+    [("run/gnss_data.json", "[{}]", r"frames\[0\].frame: expected the key"),
+     ("run/gnss_data.json", "nonsense", "gnss_data.json"),
+     ("run/gnss_data.json", "{}", "frames: expected a valid list"), ("000/zind_data.json", '{"merger": {}}', "merger"),
+     ("scene/00/tran.txt", "1 2", "expected 3 numbers .*got 2 fields"),
+     ("scene/00/tran.txt", "1 2 x", "expected numbers"), ("scene/poses.json", "{}", "poses.json")],
+)  # fmt: skip
+def test_damaged_poses_are_explained_when_they_are_read(tmp_path, name, content, message):
     path = tmp_path / name
     path.parent.mkdir(parents=True)
     path.write_text(content)
@@ -178,14 +174,14 @@ def test_damaged_poses_are_explained_when_they_are_read(tmp_path: Path, name: st
         only_scene(tmp_path)
 
 
-def test_a_rotation_that_mirrors_is_refused(tmp_path: Path) -> None:
+def test_a_rotation_that_mirrors_is_refused(tmp_path):
     write_habitat(tmp_path / "00000", shots())
     np.savetxt(tmp_path / "00000" / "01" / "rot.txt", np.diag([1, 1, -1]))
     with pytest.raises(PoseError, match="expected a rotation"):
         only_scene(tmp_path)
 
 
-def test_a_folder_without_scenes_is_an_error(tmp_path: Path) -> None:
+def test_a_folder_without_scenes_is_an_error(tmp_path):
     with pytest.raises(InputError, match=r"expected scenes with poses\.json"):
         find_scenes(tmp_path)
     with pytest.raises(InputError, match="expected a folder of scenes"):

@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,7 +53,7 @@ TABLE = (
 
 
 @pytest.fixture(autouse=True)
-def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def memory(tmp_path, monkeypatch):
     """Where runs are remembered; this machine is as fast as that of the table."""
     monkeypatch.setenv("OMNISYN_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(duration, "probe", lambda: 0.01)
@@ -64,7 +63,7 @@ def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def plan(tmp_path: Path) -> InterpolationPlan:
+def plan(tmp_path):
     """Ten frames between two panoramas of 128x64."""
     images = write_hall(tmp_path, CHAIN[:2], (64, 128), with_depth=False)
     return plan_interpolation(job_of(tmp_path, images, frames=12, threads=1, output=tmp_path / "out.mp4"))
@@ -89,14 +88,14 @@ def chain_of(plan: InterpolationPlan, panoramas: int, frames: int) -> Interpolat
     return replace(plan, entries=plan.entries[:1] * panoramas, path=path)
 
 
-def test_work_is_once_plus_pairs_plus_frames(plan: InterpolationPlan) -> None:
+def test_work_is_once_plus_pairs_plus_frames(plan):
     once = work(plan)
     assert (once.start, once.pairs, once.frames) == pytest.approx((3.0, 0.2 + 10.0 + 0.5 + 0.3, 10 * 0.2))
     tour = work(chain_of(plan, 4, 104))
     assert (tour.pairs, tour.frames) == pytest.approx((2 * 0.2 + 3 * 10.8, 100 * 0.2))
 
 
-def test_stages_have_the_figures_of_what_they_depend_on(plan: InterpolationPlan) -> None:
+def test_stages_have_the_figures_of_what_they_depend_on(plan):
     """Depth that of its rows, frames those of their renderer and of their fusion; whatever else there is."""
     base = plan.recipe
     two_pass = figures_of(replace(base, renderer="two-pass"), seconds={**SECONDS, "render": 1.0})
@@ -108,7 +107,7 @@ def test_stages_have_the_figures_of_what_they_depend_on(plan: InterpolationPlan)
     assert usual.pairs - work(with_preset(plan, "fast")).pairs == pytest.approx(8.0)
 
 
-def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan: InterpolationPlan) -> None:
+def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan):
     """A mesh costs the same in every size, so a frame of four times the pixels does not take four times as long."""
     recipe = replace(plan.recipe, adaptive=True)  # as it was measured
     large = figures_of(recipe, 128, seconds={**SECONDS, "render": 0.16}, pairs=1)
@@ -127,7 +126,7 @@ def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan: Interp
     assert render(32) == pytest.approx(0.1 / 4)
 
 
-def test_depth_from_files_takes_no_time_to_find(plan: InterpolationPlan) -> None:
+def test_depth_from_files_takes_no_time_to_find(plan):
     known = replace(plan, recipe=plan.recipe.of_known_depth())
     assert work(plan).pairs - work(known).pairs == pytest.approx(10.0)
 
@@ -136,13 +135,11 @@ def test_depth_from_files_takes_no_time_to_find(plan: InterpolationPlan) -> None
     "recipe",
     [Recipe(method="synsin"), PRESETS["paper"].recipe, replace(SCALE["fast"].recipe, is_on_gpu=True)],
 )
-def test_what_was_not_measured_is_not_guessed(plan: InterpolationPlan, recipe: Recipe) -> None:
+def test_what_was_not_measured_is_not_guessed(plan, recipe):
     assert expected_duration(replace(plan, recipe=recipe), TABLE) is None
 
 
-def test_the_first_guess_is_by_the_pace_of_a_small_piece_of_work(
-    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_guess_is_by_the_pace_of_a_small_piece_of_work(plan, monkeypatch):
     once = expected(plan)
     monkeypatch.setattr(duration, "probe", lambda: 0.02)
     twice = expected(plan)
@@ -155,7 +152,7 @@ def summary_of(plan: InterpolationPlan, pairs: float, frames: float) -> Summary:
     return Summary(plan, {"decode": 0.0, "depth": pairs, "render": frames / 2, "total": pairs + frames})
 
 
-def test_a_run_makes_the_next_expectation_its_own(plan: InterpolationPlan, memory: Path) -> None:
+def test_a_run_makes_the_next_expectation_its_own(plan, memory):
     """A machine whose depth is half as fast and whose frames are three times as fast as the table says."""
     plan = chain_of(plan, 2, 92)
     remember_run(summary_of(plan, 22.0, 6.0))
@@ -165,9 +162,7 @@ def test_a_run_makes_the_next_expectation_its_own(plan: InterpolationPlan, memor
     assert (memory / "runs.json").exists()
 
 
-def test_the_pace_is_that_of_runs_with_as_many_threads_and_frames_of_a_similar_size(
-    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_pace_is_that_of_runs_with_as_many_threads_and_frames_of_a_similar_size(plan, monkeypatch):
     long = chain_of(plan, 2, 92)
     for pace in (1.0, 2.0, 3.0, 4.0, 5.0):
         remember_run(summary_of(long, 11.0 * pace, 18.0))
@@ -179,7 +174,7 @@ def test_the_pace_is_that_of_runs_with_as_many_threads_and_frames_of_a_similar_s
     assert "a guess" in expected(replace(long, job=replace(long.job, threads=None))).source
 
 
-def test_the_last_runs_count(plan: InterpolationPlan) -> None:
+def test_the_last_runs_count(plan):
     long = chain_of(plan, 2, 92)
     for pace in [9.0] * 60 + [1.0] * 5:
         remember_run(summary_of(long, 11.0 * pace, 18.0))
@@ -187,7 +182,7 @@ def test_the_last_runs_count(plan: InterpolationPlan) -> None:
     assert len(remembered_runs()) == duration.MOST_RUNS
 
 
-def test_runs_that_make_other_things_as_well_are_not_remembered(plan: InterpolationPlan, tmp_path: Path) -> None:
+def test_runs_that_make_other_things_as_well_are_not_remembered(plan, tmp_path):
     for changes in ({"codec": "h265"}, {"save_depth": tmp_path / "d"}, {"output": tmp_path / "frames"}):
         other = replace(plan, job=replace(plan.job, **changes))
         remember_run(summary_of(other, 11.0, 2.0))
@@ -196,7 +191,7 @@ def test_runs_that_make_other_things_as_well_are_not_remembered(plan: Interpolat
 
 
 @pytest.mark.parametrize("text", ["", "{", "[{}]", '[{"threads": "x"}]'])
-def test_a_memory_that_is_damaged_is_as_good_as_none(plan: InterpolationPlan, memory: Path, text: str) -> None:
+def test_a_memory_that_is_damaged_is_as_good_as_none(plan, memory, text):
     memory.mkdir()
     (memory / "runs.json").write_text(text)
     assert expected_duration(plan, TABLE) is not None
@@ -204,28 +199,21 @@ def test_a_memory_that_is_damaged_is_as_good_as_none(plan: InterpolationPlan, me
     assert len(remembered_runs()) == 1
 
 
-def test_where_nothing_can_be_kept_nothing_is(plan: InterpolationPlan, memory: Path) -> None:
+def test_where_nothing_can_be_kept_nothing_is(plan, memory):
     memory.write_text("a file where the folder would be")
     remember_run(summary_of(plan, 11.0, 2.0))
     assert remembered_runs() == []
 
 
-def test_the_probe_does_real_work() -> None:
+def test_the_probe_does_real_work():
     assert 1e-5 < probe() < 10.0
 
 
 @pytest.mark.parametrize(
     ("seconds", "preset", "fits"),
-    [
-        (1.0, "fast", False),
-        (8.0, "fast", True),
-        (15.9, "fast", True),
-        (16.1, "balanced", True),
-    ],
-)
-def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_brings(
-    plan: InterpolationPlan, seconds: float, preset: str, fits: bool
-) -> None:
+    [(1.0, "fast", False), (8.0, "fast", True), (15.9, "fast", True), (16.1, "balanced", True)],
+)  # fmt: skip
+def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_brings(plan, seconds, preset, fits):
     choice = choose_preset(plan, TABLE, seconds)
     assert (choice.preset, choice.fits) == (preset, fits)
     assert {name: each.seconds for name, each in choice.expected.items()} == pytest.approx(
@@ -236,19 +224,17 @@ def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_bring
     assert "a guess" in str(choice)
 
 
-def test_a_preset_that_is_slower_and_worse_is_never_chosen(plan: InterpolationPlan) -> None:
+def test_a_preset_that_is_slower_and_worse_is_never_chosen(plan):
     choice = choose_preset(plan, [TABLE[0], replace(TABLE[1], scores={"a": 24.0})], 1e9)
     assert (choice.preset, choice.more) == ("fast", "")
 
 
-def test_without_figures_of_a_preset_there_is_no_choice(plan: InterpolationPlan) -> None:
+def test_without_figures_of_a_preset_there_is_no_choice(plan):
     with pytest.raises(InputError, match="omnisyn bench --store"):
         choose_preset(plan, [replace(TABLE[0], scores={})], 10.0)
 
 
-def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(
-    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(plan, monkeypatch):
     monkeypatch.undo()
     table = duration.shipped_table()
     choice = choose_preset(plan, table, 1e9)
@@ -262,9 +248,7 @@ def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(
     assert json.dumps([f.to_json() for f in table])
 
 
-def test_a_preset_that_costs_half_as_much_again_is_worth_it(
-    plan: InterpolationPlan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_preset_that_costs_half_as_much_again_is_worth_it(plan, monkeypatch):
     """By 0.3 dB on scenes that nothing was tuned on, for ninety frames of the size of common photographs."""
     monkeypatch.undo()
     table, clip = duration.shipped_table(), replace(chain_of(plan, 2, 92), size=(1024, 2048))

@@ -27,7 +27,7 @@ METHODS = "crossfade,oracle-depth"
 
 
 @pytest.fixture
-def halls(tmp_path: Path) -> Path:
+def halls(tmp_path):
     return write_halls(tmp_path / "data", "a", "b")
 
 
@@ -36,7 +36,7 @@ def lines(folder: Path) -> list[tuple[str, str]]:
     return [(record.scene, record.method) for record in read_records(folder.parent / "report")]
 
 
-def test_frames_between_are_compared_where_they_were_taken(tmp_path: Path) -> None:
+def test_frames_between_are_compared_where_they_were_taken(tmp_path):
     """The true depth makes nearly the true frame, though these are off the line and turned; a cross-fade does not."""
     data = write_halls(tmp_path / "data", "hall")
     records = run(data, METHODS)
@@ -52,7 +52,7 @@ def test_frames_between_are_compared_where_they_were_taken(tmp_path: Path) -> No
         assert frame.distance == pytest.approx(min(d0, d1))
 
 
-def test_what_is_brighter_than_white_is_shown_as_white() -> None:
+def test_what_is_brighter_than_white_is_shown_as_white():
     """Videos hold nothing beyond, and neither may what is measured."""
 
     class Overshooting:
@@ -78,7 +78,7 @@ def test_what_is_brighter_than_white_is_shown_as_white() -> None:
     assert measured.temporal == pytest.approx(expected, abs=1e-12)
 
 
-def test_errors_are_told_by_kind_of_pixel(tmp_path: Path) -> None:
+def test_errors_are_told_by_kind_of_pixel(tmp_path):
     """In a hall that both views see all of; the ends alone where nothing is known of distances."""
     data = write_halls(tmp_path / "data", "hall")
     oracle, alone, fade = run(data, "oracle-depth,oracle-depth:views=1,crossfade")
@@ -95,7 +95,7 @@ def test_errors_are_told_by_kind_of_pixel(tmp_path: Path) -> None:
         assert set(frame.by_kind["psnr"]) == {"top", "bottom"}
 
 
-def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path: Path) -> None:
+def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path):
     data = write_halls(tmp_path / "data", "hall")
     oracle, fade = run(data, "oracle-depth,crossfade")
     assert [depth.view for depth in oracle.depths] == ["p0.png", "p3.png"]
@@ -112,7 +112,7 @@ def test_depth_and_steadiness_of_the_truth_are_perfect(tmp_path: Path) -> None:
     assert oracle.seconds["total"] == pytest.approx(sum(s for stage, s in oracle.seconds.items() if stage != "total"))
 
 
-def test_what_matching_is_unsure_of_is_known_whatever_fills_it(tmp_path: Path) -> None:
+def test_what_matching_is_unsure_of_is_known_whatever_fills_it(tmp_path):
     """The same area for both methods; and what changes, flies and is worst stands in every record."""
     data = write_halls(tmp_path / "data", "hall")
     matching, filled, fade = run(data, "matching,omnisyn-balanced:model=none,crossfade")
@@ -130,14 +130,14 @@ def test_what_matching_is_unsure_of_is_known_whatever_fills_it(tmp_path: Path) -
     }  # fmt: skip
 
 
-def test_a_size_is_that_of_the_comparison_and_not_of_the_inputs(tmp_path: Path) -> None:
+def test_a_size_is_that_of_the_comparison_and_not_of_the_inputs(tmp_path):
     data = write_halls(tmp_path / "data", "hall")
     (small,) = run(data, "oracle-depth", size=(32, 64))
     assert small.size == (32, 64)
     assert min(frame.scores["ws_psnr"] for frame in small.frames) > 40
 
 
-def test_nothing_is_done_twice(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_done_twice(halls, monkeypatch):
     first = run(halls, METHODS)
     written = (halls.parent / "report" / RESULTS_NAME).read_bytes()
     monkeypatch.setattr(engine, "measure", None)
@@ -146,7 +146,7 @@ def test_nothing_is_done_twice(halls: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert (halls.parent / "report" / RESULTS_NAME).read_bytes() == written
 
 
-def test_an_interrupted_run_goes_on_where_it_was(halls: Path) -> None:
+def test_an_interrupted_run_goes_on_where_it_was(halls):
     def interrupt(done: int, _: UnitRecord) -> None:
         if done == 3:
             raise KeyboardInterrupt
@@ -161,7 +161,7 @@ def test_an_interrupted_run_goes_on_where_it_was(halls: Path) -> None:
     assert lines(halls) == everything
 
 
-def test_what_was_finished_before_an_interruption_is_in_the_report(halls: Path) -> None:
+def test_what_was_finished_before_an_interruption_is_in_the_report(halls):
     def interrupt(done: int, _: UnitRecord) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -174,14 +174,14 @@ def test_what_was_finished_before_an_interruption_is_in_the_report(halls: Path) 
     assert [(unit["scene"], unit["method"]) for unit in units] == [("a", "crossfade"), ("a", "omnisyn-paper")]
 
 
-def test_a_changed_program_measures_again(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_program_measures_again(halls, monkeypatch):
     run(halls, "crossfade")
     monkeypatch.setattr(fingerprint, "digest_of_sources", lambda _: "another")
     run(halls, "crossfade")
     assert lines(halls) == [("a", "crossfade"), ("b", "crossfade")] * 2
 
 
-def test_sources_are_those_that_methods_go_through(tmp_path: Path) -> None:
+def test_sources_are_those_that_methods_go_through(tmp_path):
     def digest(**files: str) -> str:
         fingerprint.digest_of_sources.cache_clear()
         for name, text in files.items():
@@ -198,7 +198,7 @@ def test_sources_are_those_that_methods_go_through(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["load_pair", "choose_pairs"])
-def test_errors_that_nobody_expected_are_reported_too(halls: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+def test_errors_that_nobody_expected_are_reported_too(halls, monkeypatch, place):
     original = getattr(engine, place)
 
     def break_one(scene: Pair | Scene, *rest: object) -> object:
@@ -212,7 +212,7 @@ def test_errors_that_nobody_expected_are_reported_too(halls: Path, monkeypatch: 
     assert records[0].reason == "MemoryError: too large"
 
 
-def test_scenes_too_short_for_a_step_are_listed_and_pairs_of_no_scene_refused(halls: Path) -> None:
+def test_scenes_too_short_for_a_step_are_listed_and_pairs_of_no_scene_refused(halls):
     assert [(r.scene, r.status) for r in run(halls, "crossfade", pairs="every:9")] == [(s, "skipped") for s in "ab"]
     pairs = halls.parent / "pairs.txt"
     pairs.write_text("nosuch 0 3\n")
@@ -220,7 +220,7 @@ def test_scenes_too_short_for_a_step_are_listed_and_pairs_of_no_scene_refused(ha
         run(halls, "crossfade", pairs=str(pairs))
 
 
-def test_only_what_changed_is_done_again(halls: Path) -> None:
+def test_only_what_changed_is_done_again(halls):
     run(halls, METHODS)
     repaint(halls / "b" / "p1.png")
     run(halls, METHODS)
@@ -233,7 +233,7 @@ def test_only_what_changed_is_done_again(halls: Path) -> None:
     assert len(lines(halls)) == 10
 
 
-def test_a_moved_camera_is_a_change(halls: Path) -> None:
+def test_a_moved_camera_is_a_change(halls):
     run(halls, "crossfade")
     poses = halls / "a" / "poses.json"
     poses.write_text(poses.read_text().replace("[0.25, 0.1, 0.3]", "[0.25, 0.1, 0.31]"))
@@ -242,7 +242,7 @@ def test_a_moved_camera_is_a_change(halls: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["p0.png", "p1.png", "p3_depth.exr"])
-def test_a_broken_scene_is_reported_and_the_rest_goes_on(halls: Path, name: str) -> None:
+def test_a_broken_scene_is_reported_and_the_rest_goes_on(halls, name):
     damage(halls / "a" / name)
     records = run(halls, METHODS)
     assert [(r.scene, r.status) for r in records] == [("a", "failed")] * 2 + [("b", "done")] * 2
@@ -252,7 +252,7 @@ def test_a_broken_scene_is_reported_and_the_rest_goes_on(halls: Path, name: str)
     assert [r.status for r in run(halls, METHODS)] == ["done"] * 4
 
 
-def test_broken_poses_and_missing_files_are_reported_too(halls: Path) -> None:
+def test_broken_poses_and_missing_files_are_reported_too(halls):
     (halls / "a" / "poses.json").write_text("{")
     (halls / "b" / "p2.png").unlink()
     broken, missing = run(halls, "crossfade")
@@ -262,7 +262,7 @@ def test_broken_poses_and_missing_files_are_reported_too(halls: Path) -> None:
     assert "p2.png" in missing.reason
 
 
-def test_a_method_that_breaks_does_not_end_the_others(halls: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_that_breaks_does_not_end_the_others(halls, monkeypatch):
     def explode(*_: object, **__: object) -> None:
         raise ZeroDivisionError("by\nzero")
 
@@ -275,7 +275,7 @@ def test_a_method_that_breaks_does_not_end_the_others(halls: Path, monkeypatch: 
     assert records[0].reason == "ZeroDivisionError: by zero"
 
 
-def test_scenes_without_truth_are_listed_with_the_reason(tmp_path: Path) -> None:
+def test_scenes_without_truth_are_listed_with_the_reason(tmp_path):
     data = write_halls(tmp_path / "data", "pair", frames=2)
     write_halls(data, "full")
     skipped, done = run(data, "crossfade")
@@ -289,7 +289,7 @@ def test_scenes_without_truth_are_listed_with_the_reason(tmp_path: Path) -> None
     assert sorted(lines(data)) == [("full", "crossfade"), ("none", ""), ("pair", "")]
 
 
-def test_what_cannot_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_run_says_why(tmp_path, monkeypatch):
     def missing(*_: object, **__: object) -> None:
         raise InputError("expected the network, got none")
 
@@ -301,7 +301,7 @@ def test_what_cannot_run_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert "expected the network" in records[1].reason
 
 
-def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> None:
+def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path):
     data = write_halls(tmp_path / "data", "hall")
     (record,) = run(data, "oracle-depth", pictures=True)
     report = tmp_path / "report"
@@ -319,7 +319,7 @@ def test_pictures_are_kept_and_made_again_when_they_are_gone(tmp_path: Path) -> 
     assert len(lines(data)) == 2
 
 
-def test_the_report_is_written_at_the_end(tmp_path: Path) -> None:
+def test_the_report_is_written_at_the_end(tmp_path):
     data = write_halls(tmp_path / "data", "hall")
     job = EvaluationJob(data, tmp_path / "deep" / "report", "crossfade,omnisyn-paper", pictures=False, threads=1)
     evaluate(plan_evaluation(job))
@@ -330,24 +330,18 @@ def test_the_report_is_written_at_the_end(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [
-        ({"methods": "nosuch"}, "expected one of"),
-        ({"methods": ","}, "expected 'usual', 'all' or names"),
-        ({"size": (64, 64)}, "twice as wide"),
-        ({"pairs": "0"}, "expected pairs"),
-        ({"layout": "carla"}, "layout 'carla'"),
-    ],
-)
-def test_what_makes_no_sense_is_refused_before_any_work(
-    tmp_path: Path, options: dict[str, object], message: str
-) -> None:
+    [({"methods": "nosuch"}, "expected one of"), ({"methods": ","}, "expected 'usual', 'all' or names"),
+     ({"size": (64, 64)}, "twice as wide"), ({"pairs": "0"}, "expected pairs"),
+     ({"layout": "carla"}, "layout 'carla'")],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_before_any_work(tmp_path, options, message):
     data = write_halls(tmp_path / "data", "hall")
     with pytest.raises(InputError, match=message):
         plan_evaluation(EvaluationJob(data, tmp_path / "report", **options))
     assert not (tmp_path / "report").exists()
 
 
-def test_methods_are_compared_with_themselves_in_tours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_methods_are_compared_with_themselves_in_tours(tmp_path, monkeypatch):
     """Those that look for depth; each pair knows half of the middle panorama, in a tour it has the other half too."""
     data = tmp_path / "data" / "walk"
     data.mkdir(parents=True)
@@ -375,9 +369,7 @@ def test_methods_are_compared_with_themselves_in_tours(tmp_path: Path, monkeypat
     assert (np.subtract(joined, alone) > 1).all()
 
 
-def test_a_tour_is_measured_again_where_a_panorama_beside_it_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tour_is_measured_again_where_a_panorama_beside_it_changed(tmp_path, monkeypatch):
     flat = DepthEstimate(np.full(SIZE, 0.25, np.float32), np.ones(SIZE, np.float32))
     monkeypatch.setattr(methods, "make_estimator", lambda *_, **__: lambda *_: (flat, flat))
     data = tmp_path / "data" / "walk"

@@ -20,7 +20,7 @@ from synthesis_samples import ws_psnr
 
 
 @pytest.fixture(scope="module")
-def hall(tmp_path_factory: pytest.TempPathFactory) -> LoadedPair:
+def hall(tmp_path_factory):
     return loaded_hall(tmp_path_factory.mktemp("data"))
 
 
@@ -38,12 +38,12 @@ def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geomet
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_renderer_can_be_chosen_for_any_method(hall: LoadedPair, renderer: str) -> None:
+def test_a_renderer_can_be_chosen_for_any_method(hall, renderer):
     expected = of_product(hall, hall.views, renderer=renderer)
     np.testing.assert_array_equal(images(f"oracle-depth:renderer={renderer}", hall), expected)
 
 
-def test_with_one_view_the_picture_of_the_second_is_never_seen(hall: LoadedPair) -> None:
+def test_with_one_view_the_picture_of_the_second_is_never_seen(hall):
     first, second = hall.views
     inverted = View(1 - second.image, second.pose, second.mask, second.known_depth)
     one = images("oracle-depth:views=1", hall)
@@ -53,7 +53,7 @@ def test_with_one_view_the_picture_of_the_second_is_never_seen(hall: LoadedPair)
     assert np.abs(two - other).max() > 0.1
 
 
-def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
+def test_the_network_fuses_what_the_views_contradict(hall):
     """With wrong depth the views contradict each other; then the pictures are those of the product's fuser."""
     first, second = hall.views
     wrong = View(first.image, first.pose, first.mask, replace(
@@ -64,7 +64,7 @@ def test_the_network_fuses_what_the_views_contradict(hall: LoadedPair) -> None:
     assert np.abs(corrected - images("oracle-depth", hall, (wrong, second))).max() > 0.01
 
 
-def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
+def test_results_of_the_fusion_network_depend_on_it_and_others_do_not():
     digest = models.read_manifest()[FUSIONS["network"].model].sha256
     assert find_method("matching:fusion=network").ingredients()[1:] == (digest,)
     assert digest in find_method("omnisyn-balanced:cut=0.1:fusion=network").ingredients()
@@ -73,9 +73,7 @@ def test_results_of_the_fusion_network_depend_on_it_and_others_do_not() -> None:
         assert digest not in find_method(name).ingredients()
 
 
-def test_with_nothing_learned_in_it_the_product_needs_no_network(
-    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_with_nothing_learned_in_it_the_product_needs_no_network(hall, monkeypatch):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
     plain = images("omnisyn-fast:model=none:fusion=geometric", hall)
     assert np.isfinite(plain).all()
@@ -85,15 +83,13 @@ def test_with_nothing_learned_in_it_the_product_needs_no_network(
         images("omnisyn-fast", hall)
 
 
-def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(
-    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_fusion_network_the_method_is_unavailable_and_says_so(hall, monkeypatch):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
     with pytest.raises(MethodUnavailableError, match=FUSIONS["network"].model):
         images("oracle-depth:fusion=network", hall)
 
 
-def test_one_view_is_not_fused() -> None:
+def test_one_view_is_not_fused():
     with pytest.raises(InputError, match="got both in 'oracle-depth:views=1:fusion=network'"):
         find_method("oracle-depth:views=1:fusion=network")
 
@@ -101,14 +97,14 @@ def test_one_view_is_not_fused() -> None:
 @pytest.mark.parametrize(
     "parameter", ["fusion=mean", "fusion=", "model=none", "renderer=nosuch", "renderer=", "views=2", "views=", "view=1"]
 )
-def test_what_is_no_parameter_is_refused(parameter: str) -> None:
+def test_what_is_no_parameter_is_refused(parameter):
     with pytest.raises(
         InputError, match="fusion=geometric, fusion=network, fusion=painting, edges=none, adaptive=none, rows=1024 or"
     ):
         find_method(f"oracle-depth:{parameter}")
 
 
-def test_a_method_that_is_not_there_says_what_is_missing(hall: LoadedPair, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_that_is_not_there_says_what_is_missing(hall, monkeypatch):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
     for name in ("monocular", "synsin", "synsin-2view"):
         with pytest.raises(MethodUnavailableError, match="'synsin-depth'"):

@@ -32,7 +32,7 @@ from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr
 
 
 @pytest.fixture(scope="module")
-def hall(tmp_path_factory: pytest.TempPathFactory) -> LoadedPair:
+def hall(tmp_path_factory):
     return loaded_hall(tmp_path_factory.mktemp("data"))
 
 
@@ -58,7 +58,7 @@ def turned_views(columns: int) -> tuple[View, View]:
     return View(first, Pose.identity()), View(second, Pose.identity())
 
 
-def test_a_cross_fade_is_the_average_of_turned_pictures() -> None:
+def test_a_cross_fade_is_the_average_of_turned_pictures():
     first, second = turned_views(0)
     quarter = Pose(rotation_from_heading(np.pi / 2), np.zeros(3))
     pair = LoadedPair((first, View(1 - second.image, second.pose)), (), (128, 256))
@@ -69,14 +69,14 @@ def test_a_cross_fade_is_the_average_of_turned_pictures() -> None:
 
 
 @pytest.mark.parametrize("columns", [6, -6])
-def test_optical_flow_knows_neither_seam_nor_poles(columns: int) -> None:
+def test_optical_flow_knows_neither_seam_nor_poles(columns):
     first, second = turned_views(columns)
     flow = optical_flow(first.image, second.image)[16:-16]
     np.testing.assert_allclose(flow[..., 1], columns, atol=0.5)
     np.testing.assert_allclose(flow[..., 0], 0, atol=0.5)
 
 
-def test_the_fade_along_flow_is_half_way_where_both_moved() -> None:
+def test_the_fade_along_flow_is_half_way_where_both_moved():
     views = turned_views(8)
     pair = LoadedPair(views, (), (128, 256))
     (picture,) = pictures("flow", pair, [Waypoint(0, 0.5, Pose.identity())])
@@ -85,14 +85,14 @@ def test_the_fade_along_flow_is_half_way_where_both_moved() -> None:
     assert ws_psnr(picture.image, half_way) > ws_psnr(fade.image, half_way) + 10
 
 
-def test_pictures_too_small_for_flow_are_faded() -> None:
+def test_pictures_too_small_for_flow_are_faded():
     first = hall_image(posed((0, 0, 0)), (16, 32))
     pair = LoadedPair((View(first, Pose.identity()), View(1 - first, Pose.identity())), (), (16, 32))
     (picture,) = pictures("flow", pair, [Waypoint(0, 0.5, Pose.identity())])
     np.testing.assert_allclose(picture.image, 0.5, atol=1e-5)
 
 
-def test_the_first_view_alone_does_not_depend_on_the_second(hall: LoadedPair) -> None:
+def test_the_first_view_alone_does_not_depend_on_the_second(hall):
     first, second = hall.views
     nearer = replace(second.known_depth, inverse_depth=2 * second.known_depth.inverse_depth)
     other = replace(hall, views=(first, replace(second, image=1 - second.image, known_depth=nearer)))
@@ -104,7 +104,7 @@ def test_the_first_view_alone_does_not_depend_on_the_second(hall: LoadedPair) ->
         assert ws_psnr(image, truth.image) > 40
 
 
-def test_only_the_oracle_sees_the_true_depth(hall: LoadedPair, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_oracle_sees_the_true_depth(hall, monkeypatch):
     """Estimators get views without it, and what is made of lies about it is a worse picture."""
     lies = tuple(
         replace(v, known_depth=replace(v.known_depth, inverse_depth=3 * v.known_depth.inverse_depth))
@@ -123,7 +123,7 @@ def test_only_the_oracle_sees_the_true_depth(hall: LoadedPair, monkeypatch: pyte
     assert seen == [None, None]
 
 
-def test_pictures_know_how_far_the_hall_is(hall: LoadedPair) -> None:
+def test_pictures_know_how_far_the_hall_is(hall):
     """Their geometry is that of the wall from where they are."""
     made = at_work("oracle-depth", hall)
     for truth in hall.truths:
@@ -131,7 +131,7 @@ def test_pictures_know_how_far_the_hall_is(hall: LoadedPair) -> None:
         np.testing.assert_allclose(made.inverse_depth(truth.waypoint), expected, rtol=0.02)
 
 
-def test_parameters_change_what_they_name(hall: LoadedPair) -> None:
+def test_parameters_change_what_they_name(hall):
     oracle = at_work("oracle-depth:depth=32x16", hall)
     assert oracle.depths is not None
     assert oracle.depths[0].inverse_depth.shape == (16, 32)
@@ -147,12 +147,12 @@ def test_parameters_change_what_they_name(hall: LoadedPair) -> None:
     ["nosuch", "crossfade:cut=0.1", "matching:cut=0", "matching:cut=2", "matching:metres=-1", "matching:depth=5x5",
      "matching:depth=x", "matching:cut", "matching:speed=1", "matching:cut=0.1:x", ""],
 )  # fmt: skip
-def test_names_that_mean_nothing_are_refused(name: str) -> None:
+def test_names_that_mean_nothing_are_refused(name):
     with pytest.raises(InputError, match="expected"):
         find_method(name)
 
 
-def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
+def test_all_are_those_of_the_table_and_lists_keep_their_order():
     assert [method.name for method in find_methods("all")] == list(METHODS)
     assert len(METHODS) == len(set(METHODS))
     assert "omnisyn-balanced:fusion=geometric" in METHODS
@@ -160,18 +160,14 @@ def test_all_are_those_of_the_table_and_lists_keep_their_order() -> None:
     assert all(method.description for method in METHODS.values())
 
 
-def test_a_preset_without_its_network_is_unavailable_and_says_which(
-    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_preset_without_its_network_is_unavailable_and_says_which(hall, monkeypatch):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
     for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "omnisyn-paper", "first-view-only"):
         with pytest.raises(MethodUnavailableError, match="none installed"):
             at_work(name, hall)
 
 
-def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(
-    hall: LoadedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_methods_of_one_source_share_its_depth_and_the_seconds_that_it_took(hall, monkeypatch):
     calls, taken = [], []
 
     def estimator(first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:

@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,11 +36,11 @@ def figures(seconds: float, ws_psnr: float | None) -> Figures:
     return replace(MEASURED, seconds=stages, scores={} if ws_psnr is None else {"hall": ws_psnr})
 
 
-def test_a_standard_clip_is_once_plus_a_pair_plus_its_frames() -> None:
+def test_a_standard_clip_is_once_plus_a_pair_plus_its_frames():
     assert standard_seconds(MEASURED) == pytest.approx(3.0 + 0.2 + 5.0 + 0.5 + 0.3 + STANDARD_FRAMES * 0.2)
 
 
-def test_a_gain_is_the_mean_of_paired_differences_and_its_error_shrinks_with_agreement() -> None:
+def test_a_gain_is_the_mean_of_paired_differences_and_its_error_shrinks_with_agreement():
     """Scenes that are hard for both do not count as a spread of the difference."""
     base = replace(MEASURED, scores={"a": 20.0, "b": 30.0, "c": 25.0})
     better = replace(MEASURED, scores={"c": 25.5, "a": 20.5, "b": 30.5, "only here": 99.0})
@@ -53,7 +52,7 @@ def test_a_gain_is_the_mean_of_paired_differences_and_its_error_shrinks_with_agr
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_front_is_what_nothing_else_beats(seed: int) -> None:
+def test_the_front_is_what_nothing_else_beats(seed):
     rng = np.random.default_rng(seed)
     drawn = rng.integers(1, 8, (12, 2))  # few values, so that there are ties
     settings = [figures(float(seconds), float(score)) for seconds, score in drawn]
@@ -68,12 +67,12 @@ def test_the_front_is_what_nothing_else_beats(seed: int) -> None:
     assert found == sorted(found, key=standard_seconds)
 
 
-def test_what_failed_or_has_no_accuracy_is_not_in_the_front() -> None:
+def test_what_failed_or_has_no_accuracy_is_not_in_the_front():
     broken = Figures(MEASURED.setting, "failed", "no memory")
     assert pareto_front([broken, figures(1.0, None), figures(2.0, 20.0)]) == [figures(2.0, 20.0)]
 
 
-def test_a_table_reads_back(tmp_path: Path) -> None:
+def test_a_table_reads_back(tmp_path):
     other = replace(MEASURED, scores={}, memory=123)
     write_table(tmp_path / "table.json", "a machine", [MEASURED, other, Figures(MEASURED.setting, "failed", "why")])
     assert read_table(tmp_path / "table.json") == (MEASURED, other)
@@ -81,7 +80,7 @@ def test_a_table_reads_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"version": 1, "figures": []}', '{"version": 2, "figures": [{}]}'])
-def test_what_is_no_table_is_refused(tmp_path: Path, text: str) -> None:
+def test_what_is_no_table_is_refused(tmp_path, text):
     (tmp_path / "table.json").write_text(text)
     with pytest.raises(InputError, match=r"table\.json: expected a table"):
         read_table(tmp_path / "table.json")

@@ -31,7 +31,7 @@ NASTY = '<script>alert("x")</script>|`*a*`\n# b & "c"'
 
 
 @pytest.fixture(autouse=True)
-def _quick_diagrams(monkeypatch: pytest.MonkeyPatch) -> None:
+def _quick_diagrams(monkeypatch):
     """A small picture in the place of the diagrams, which take seconds; they have tests of their own."""
     _, png = cv2.imencode(".png", np.full((4, 8, 3), 128, np.uint8))
 
@@ -83,7 +83,7 @@ def strict(path: Path):
     return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
 
 
-def test_the_page_needs_nothing_but_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_needs_nothing_but_itself(tmp_path, monkeypatch):
     """With the diagrams as they are."""
     monkeypatch.undo()
     document = written(tmp_path, [with_pictures(tmp_path, r) if r.status == "done" else r for r in some_records()])
@@ -99,7 +99,7 @@ def test_the_page_needs_nothing_but_itself(tmp_path: Path, monkeypatch: pytest.M
     assert not re.search(r"https?://|url\(|@import", source)
 
 
-def test_the_page_shows_figures_and_reasons(tmp_path: Path) -> None:
+def test_the_page_shows_figures_and_reasons(tmp_path):
     document = written(tmp_path, some_records())
     for text in ("24.00", "32.00", "unavailable: expected the network 'synsin', this version has none", "campus"):
         assert text in document.text, text
@@ -109,7 +109,7 @@ def test_the_page_shows_figures_and_reasons(tmp_path: Path) -> None:
     assert headings[:3] == ["Means per method", "Not measured", "Diagrams"]
 
 
-def test_names_of_the_user_are_text_everywhere(tmp_path: Path) -> None:
+def test_names_of_the_user_are_text_everywhere(tmp_path):
     records = [
         unit(NASTY, NASTY, first=NASTY, second=NASTY),
         unit(NASTY, "other", first="c", second=NASTY),
@@ -126,7 +126,7 @@ def test_names_of_the_user_are_text_everywhere(tmp_path: Path) -> None:
     assert strict(tmp_path / "report.json")["units"][0]["scene"] == NASTY
 
 
-def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path: Path) -> None:
+def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path):
     write_report(tmp_path, [*some_records(), unit("a|b", "m|n")])
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     tables = [part.splitlines() for part in text.split("\n\n") if part.startswith("|")]
@@ -141,7 +141,7 @@ def test_every_line_of_a_markdown_table_has_equally_many_cells(tmp_path: Path) -
     assert "| oracle-depth (upper bound) | 32.00 |" in text
 
 
-def test_the_csv_file_has_every_figure_once(tmp_path: Path) -> None:
+def test_the_csv_file_has_every_figure_once(tmp_path):
     records = some_records()
     write_report(tmp_path, records)
     rows = list(csv.DictReader(io.StringIO((tmp_path / "report.csv").read_text(encoding="utf-8"))))
@@ -173,7 +173,7 @@ def test_the_csv_file_has_every_figure_once(tmp_path: Path) -> None:
     }
 
 
-def test_the_json_file_is_strict_and_has_all_records(tmp_path: Path) -> None:
+def test_the_json_file_is_strict_and_has_all_records(tmp_path):
     records = [*some_records(), unit("still", "matching", (math.inf, 20.0))]
     write_report(tmp_path, records)
     content = strict(tmp_path / "report.json")
@@ -186,7 +186,7 @@ def test_the_json_file_is_strict_and_has_all_records(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "records", [[], [absent("a", "", "skipped", "no truth")], [absent("a", "flow", "failed", "broken")]]
 )
-def test_nothing_finished_gives_a_report_as_well(tmp_path: Path, records: list[UnitRecord]) -> None:
+def test_nothing_finished_gives_a_report_as_well(tmp_path, records):
     document = written(tmp_path, records)
     assert not document.pictures()
     assert ("Nothing has been measured yet." in document.text) == (not records)
@@ -195,7 +195,7 @@ def test_nothing_finished_gives_a_report_as_well(tmp_path: Path, records: list[U
     assert {path.suffix for path in tmp_path.iterdir()} == {".html", ".md", ".json", ".csv"}
 
 
-def test_of_several_records_of_a_unit_the_last_one_counts(tmp_path: Path) -> None:
+def test_of_several_records_of_a_unit_the_last_one_counts(tmp_path):
     first, last = unit("hall", "matching", (10.0,)), unit("hall", "matching", (30.0,))
     document = written(tmp_path, [first, unit("hall", "flow", (20.0,)), last])
     assert "30.00" in document.text
@@ -203,7 +203,7 @@ def test_of_several_records_of_a_unit_the_last_one_counts(tmp_path: Path) -> Non
     assert len(strict(tmp_path / "report.json")["units"]) == 2
 
 
-def test_a_second_report_replaces_the_first_and_nothing_else(tmp_path: Path) -> None:
+def test_a_second_report_replaces_the_first_and_nothing_else(tmp_path):
     (tmp_path / "results.jsonl").write_text("kept", encoding="utf-8")
     record = with_pictures(tmp_path, unit("hall", "matching", (20.0,)))
     pictures = sorted((tmp_path / "pictures").iterdir())
@@ -215,7 +215,7 @@ def test_a_second_report_replaces_the_first_and_nothing_else(tmp_path: Path) -> 
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
-def test_pictures_are_embedded_small_and_as_they_are(tmp_path: Path) -> None:
+def test_pictures_are_embedded_small_and_as_they_are(tmp_path):
     wide = np.zeros((600, 1200, 3), np.uint8)
     wide[:, 600:] = (200, 100, 50)
     write_image(tmp_path / "wide.png", wide)
@@ -227,7 +227,7 @@ def test_pictures_are_embedded_small_and_as_they_are(tmp_path: Path) -> None:
     assert image[10, 10].max() < 8
 
 
-def test_pictures_that_are_missing_broken_or_elsewhere_are_left_out(tmp_path: Path) -> None:
+def test_pictures_that_are_missing_broken_or_elsewhere_are_left_out(tmp_path):
     folder = tmp_path / "report"
     folder.mkdir()
     write_image(tmp_path / "secret.png", np.zeros((8, 16, 3), np.uint8))
@@ -242,7 +242,7 @@ def test_pictures_that_are_missing_broken_or_elsewhere_are_left_out(tmp_path: Pa
     assert embedded_picture(tmp_path / "secret.png") is not None
 
 
-def test_the_worst_frames_come_first(tmp_path: Path) -> None:
+def test_the_worst_frames_come_first(tmp_path):
     records = [with_pictures(tmp_path, unit(scene, "matching", scores))
                for scene, scores in (("a", (20.0, 30.0, 10.0)), ("b", (15.0, 5.0, 40.0)))]  # fmt: skip
     ((method, strips),) = frame_sections(tmp_path, records).items()
@@ -254,12 +254,12 @@ def test_the_worst_frames_come_first(tmp_path: Path) -> None:
     )
 
 
-def test_a_folder_that_cannot_be_written_is_an_error_of_its_own(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_an_error_of_its_own(tmp_path):
     with pytest.raises(WriteError, match="gone"):
         write_report(tmp_path / "gone" / "report", [])
 
 
-def test_a_full_disk_is_said_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_said_of_the_folder(tmp_path, monkeypatch):
     def full(path: Path, data: bytes) -> None:
         raise OSError(28, "No space left on device")
 

@@ -1,7 +1,6 @@
 """Lines of results: what is written comes back, whatever happened to the last line."""
 
 import math
-from pathlib import Path
 
 import pytest
 
@@ -25,7 +24,7 @@ DONE = UnitRecord(
 SKIPPED = UnitRecord("", "street", "", "", "", "skipped", 'no "truth"\n')
 
 
-def test_records_come_back_as_they_were_written(tmp_path: Path) -> None:
+def test_records_come_back_as_they_were_written(tmp_path):
     for record in (DONE, SKIPPED):
         append_record(tmp_path, record)
     done, skipped = read_records(tmp_path)
@@ -35,7 +34,7 @@ def test_records_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert read_records(tmp_path / "nosuch") == []
 
 
-def test_lines_are_strict_json(tmp_path: Path) -> None:
+def test_lines_are_strict_json(tmp_path):
     append_record(tmp_path, DONE)
     append_record(tmp_path, SKIPPED)
     text = (tmp_path / RESULTS_NAME).read_text(encoding="utf-8")
@@ -45,7 +44,7 @@ def test_lines_are_strict_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rest", [b"{", b'{"key": "half a li', "ä".encode(), "half a character: ä".encode()[:-1]])
-def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path: Path, rest: bytes) -> None:
+def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path, rest):
     append_record(tmp_path, DONE)
     path = tmp_path / RESULTS_NAME
     path.write_bytes(path.read_bytes() + rest)
@@ -59,7 +58,7 @@ def test_a_line_that_was_cut_short_does_not_count_and_is_removed(tmp_path: Path,
 
 
 @pytest.mark.parametrize("line", ["{}", "[]", "nonsense", '{"key": 1}'])
-def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path, line: str) -> None:
+def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path, line):
     append_record(tmp_path, DONE)
     path = tmp_path / RESULTS_NAME
     path.write_bytes(path.read_bytes() + f"{line}\n".encode())
@@ -67,12 +66,12 @@ def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path, lin
         read_records(tmp_path)
 
 
-def test_the_last_record_about_a_unit_counts() -> None:
+def test_the_last_record_about_a_unit_counts():
     again = UnitRecord("k2", "hall – «1»", "a.png", "c.png", "matching", "failed", "broken")
     assert latest_records([DONE, SKIPPED, again]) == [again, SKIPPED]
 
 
-def test_the_mean_is_over_the_frames_that_have_the_score() -> None:
+def test_the_mean_is_over_the_frames_that_have_the_score():
     frames = tuple(FrameRecord(str(k), 0.5, 1.0, {"psnr": float(k)} if k else {}) for k in range(4))
     record = UnitRecord("", "s", "a", "b", "m", "done", frames=frames)
     assert record.mean("psnr") == 2.0

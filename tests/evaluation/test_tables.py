@@ -28,7 +28,7 @@ def best(shown: Table) -> set[tuple[str, str]]:
     }
 
 
-def test_methods_are_averaged_over_all_their_frames_and_ranked() -> None:
+def test_methods_are_averaged_over_all_their_frames_and_ranked():
     shown = table("Means per method")
     assert [row.name for row in shown.rows] == ["oracle-depth", "matching", "crossfade", "synsin"]
     matching = figures(shown)["matching"]
@@ -38,7 +38,7 @@ def test_methods_are_averaged_over_all_their_frames_and_ranked() -> None:
     assert "LPIPS" not in matching
 
 
-def test_tours_are_compared_with_pairs_frame_by_frame() -> None:
+def test_tours_are_compared_with_pairs_frame_by_frame():
     """Only frames that both have count; the standard error is that of the means of the scenes."""
     records = [
         unit("hall", "matching", (20.0, 22.0)),
@@ -54,7 +54,7 @@ def test_tours_are_compared_with_pairs_frame_by_frame() -> None:
     assert "In tours" not in [each.title for each in report_tables(some_records())]
 
 
-def test_errors_stand_by_kind_of_pixel_and_none_is_best() -> None:
+def test_errors_stand_by_kind_of_pixel_and_none_is_best():
     """Kinds without pixels have no column; every method has kinds of its own, so none is compared."""
     errors, areas = table("Error by kind of pixel, dB"), table("Area by kind of pixel")
     matching = figures(errors)["matching"]
@@ -65,12 +65,12 @@ def test_errors_stand_by_kind_of_pixel_and_none_is_best() -> None:
     assert not best(errors) | best(areas)
 
 
-def test_a_mean_over_frames_is_not_one_over_scenes() -> None:
+def test_a_mean_over_frames_is_not_one_over_scenes():
     records = [unit("a", "matching", (10.0,)), unit("b", "matching", (20.0, 30.0, 40.0))]
     assert figures(table("Means per method", records))["matching"]["WS-PSNR, dB"] == 25.0
 
 
-def test_a_method_that_measured_nothing_is_listed_with_its_reasons() -> None:
+def test_a_method_that_measured_nothing_is_listed_with_its_reasons():
     row = table("Means per method").rows[-1]
     assert (row.name, row.cells) == ("synsin", ())
     assert row.reason == "unavailable: expected the network 'synsin', this version has none"
@@ -82,7 +82,7 @@ def test_a_method_that_measured_nothing_is_listed_with_its_reasons() -> None:
     assert mean_table(several).rows[0].reason == "failed: y; failed: x"
 
 
-def test_the_best_is_marked_in_the_direction_of_the_column() -> None:
+def test_the_best_is_marked_in_the_direction_of_the_column():
     quick = {"fuse": 1.0, "total": 1.0}
     records = [
         unit("hall", "one", (20.0,), seconds=quick, depths=(depth("a", 0.2),)),
@@ -98,7 +98,7 @@ def test_the_best_is_marked_in_the_direction_of_the_column() -> None:
     assert best(table("Scenes", records)) == {("hall", "two")}
 
 
-def test_who_is_told_the_truth_or_measured_less_is_not_called_the_best() -> None:
+def test_who_is_told_the_truth_or_measured_less_is_not_called_the_best():
     shown = table("Means per method")
     assert {name for name, _ in best(shown)} == {"matching", "crossfade"}
     assert ("matching", "WS-PSNR, dB") in best(shown)
@@ -110,7 +110,7 @@ def test_who_is_told_the_truth_or_measured_less_is_not_called_the_best() -> None
     assert not is_oracle("oracle")
 
 
-def test_who_lacks_one_frame_is_not_called_the_best_even_where_nobody_has_more() -> None:
+def test_who_lacks_one_frame_is_not_called_the_best_even_where_nobody_has_more():
     """One method failed on the one scene, another on the other: equal counts, but not of the same frames."""
     lucky = [unit("a", "lucky", (40.0, 40.0, 40.0)), unit("b", "unlucky", (10.0, 10.0, 10.0))]
     assert not best(table("Means per method", lucky))
@@ -121,11 +121,11 @@ def test_who_lacks_one_frame_is_not_called_the_best_even_where_nobody_has_more()
     assert {name for name, _ in best(table("Means per method", almost))} == {"one", "two"}
 
 
-def test_a_single_method_is_not_compared_with_anything() -> None:
+def test_a_single_method_is_not_compared_with_anything():
     assert not best(table("Means per method", [unit("hall", "matching")]))
 
 
-def test_groups_by_scene_time_distance_and_baseline() -> None:
+def test_groups_by_scene_time_distance_and_baseline():
     assert figures(table("Scenes"))["street"]["matching"] == 22.0
     assert math.isnan(figures(table("Scenes"))["street"]["oracle-depth"])
     times = figures(table("Share of the way"))
@@ -139,7 +139,7 @@ def test_groups_by_scene_time_distance_and_baseline() -> None:
     assert baselines["5 to 10 m"]["matching"] == 22.0
 
 
-def test_depth_is_averaged_over_panoramas_plain_and_weighted() -> None:
+def test_depth_is_averaged_over_panoramas_plain_and_weighted():
     plain = figures(table("Depth, every pixel counts alike"))["matching"]
     weighted = figures(table("Depth, weighted by solid angle"))["matching"]
     assert plain["IMAE, 1/m"] == pytest.approx(np.mean([0.1, 0.3, 0.2]))
@@ -148,14 +148,14 @@ def test_depth_is_averaged_over_panoramas_plain_and_weighted() -> None:
     assert plain["Panoramas"] == 3
 
 
-def test_changes_are_counted_where_there_is_a_frame_before() -> None:
+def test_changes_are_counted_where_there_is_a_frame_before():
     shown = figures(table("Changes and flying pixels"))["matching"]
     assert shown["Change from frame to frame, dB"] == pytest.approx(np.mean([24, 28, 20, 24]) + 3)
     assert shown["Flying pixels, share of the sphere"] == pytest.approx(0.001)
     assert shown["Frames"] == 6
 
 
-def test_the_worst_frames_of_each_pair_are_named() -> None:
+def test_the_worst_frames_of_each_pair_are_named():
     frames, changes = table("Worst frame of each pair"), table("Worst change of each pair")
     assert [column.title for column in frames.columns] == ["oracle-depth", "matching", "crossfade"]
     assert [row.name for row in frames.rows] == ["hall", "street"]
@@ -169,14 +169,14 @@ def test_the_worst_frames_of_each_pair_are_named() -> None:
     assert frames.rows[1].cells[0].name == changes.rows[1].cells[0].name == ""
 
 
-def test_doubt_is_averaged_over_panoramas_and_has_no_column_that_nobody_fills() -> None:
+def test_doubt_is_averaged_over_panoramas_and_has_no_column_that_nobody_fills():
     doubt = figures(table("What is known of errors of depth"))["matching"]
     assert doubt["Unsure area"] == pytest.approx(np.mean([0.2, 0.6, 0.4]))
     assert doubt["within 5 % there"] == 0.25
     assert "Calibration error" not in doubt
 
 
-def test_seconds_are_averaged_over_pairs_and_missing_stages_took_none() -> None:
+def test_seconds_are_averaged_over_pairs_and_missing_stages_took_none():
     seconds = figures(table("Seconds per pair"))
     assert seconds["crossfade"] == pytest.approx(
         {"depth": 0, "mesh": 0, "render": 0, "fuse": 0.6, "Total": 0.6, "Pairs": 2}
@@ -185,7 +185,7 @@ def test_seconds_are_averaged_over_pairs_and_missing_stages_took_none() -> None:
     assert figures(table("Seconds per pair", without_total))["matching"]["Total"] == 3.0
 
 
-def test_pairs_of_one_scene_are_told_apart() -> None:
+def test_pairs_of_one_scene_are_told_apart():
     records = [unit("hall", "m"), unit("hall", "m", first="c.jpg"), unit("street", "m")]
     assert [row.name for row in table("Scenes", records).rows] == [
         "hall: a.jpg → b.jpg",
@@ -195,17 +195,17 @@ def test_pairs_of_one_scene_are_told_apart() -> None:
     assert list(pair_names(records).values()) == [row.name for row in table("Scenes", records).rows]
 
 
-def test_equal_pictures_are_infinitely_good() -> None:
+def test_equal_pictures_are_infinitely_good():
     records = [unit("hall", "one", (math.inf, 20.0)), unit("hall", "two", (30.0, 20.0))]
     assert ranked_methods(records) == ["one", "two"]
     assert format_value(figures(table("Means per method", records))["one"]["WS-PSNR, dB"], 2) == "∞"
 
 
-def test_figures_as_text() -> None:
+def test_figures_as_text():
     assert [format_value(value, 2) for value in (math.nan, -math.inf, 1.005, 12.0)] == ["–", "−∞", "1.00", "12.00"]
 
 
-def test_nothing_gives_no_tables() -> None:
+def test_nothing_gives_no_tables():
     assert report_tables([]) == []
     assert [t.title for t in report_tables([absent("a", "flow", "failed", "x")])] == ["Means per method"]
     assert report_tables([absent("a", "", "skipped", "x")]) == []
@@ -216,17 +216,17 @@ def test_nothing_gives_no_tables() -> None:
     [(0.0, "0 to 0.25 m"), (0.25, "0 to 0.25 m"), (1.0, "0.75 to 1 m"), (1.004, "0.75 to 1 m"), (1.01, "1 to 1.5 m"),
      (50.0, "20 to 50 m"), (1e6, "more than 50 m")],
 )  # fmt: skip
-def test_every_distance_has_one_band(metres: float, name: str) -> None:
+def test_every_distance_has_one_band(metres, name):
     assert distance_band(metres)[1] == name
 
 
-def test_every_share_of_the_way_has_one_part() -> None:
+def test_every_share_of_the_way_has_one_part():
     assert time_band(0.0) == (0.0, "0.0 to 0.2")
     assert time_band(0.6) == (0.6, "0.6 to 0.8"), "although 0.6 · 5 is less than 3 in binary"
     assert time_band(1.0) == (0.8, "0.8 to 1.0")
 
 
-def test_equal_reasons_are_told_once_and_scenes_come_first() -> None:
+def test_equal_reasons_are_told_once_and_scenes_come_first():
     found = gaps(some_records())
     assert [(gap.method, gap.pairs) for gap in found] == [
         ("", ("campus",)),
@@ -236,7 +236,7 @@ def test_equal_reasons_are_told_once_and_scenes_come_first() -> None:
     assert found[0].status == "skipped"
 
 
-def test_a_score_that_some_frames_lack_is_averaged_over_the_others() -> None:
+def test_a_score_that_some_frames_lack_is_averaged_over_the_others():
     frames = (frame(0.25, 20.0), frame(0.75, 30.0))
     with_lpips = frames[0].scores | {"lpips": 0.3}
     record = unit("hall", "matching", (), frames=(type(frames[0])("x", 0.25, 1.0, with_lpips), frames[1]))

@@ -18,7 +18,7 @@ def expected(name: str, share: np.ndarray) -> np.ndarray:
     return np.rint(255 * matplotlib.colormaps[name](np.rint(255 * share).astype(int))[..., :3])
 
 
-def test_errors_have_the_inferno_colours_up_to_the_scale() -> None:
+def test_errors_have_the_inferno_colours_up_to_the_scale():
     share = np.linspace(0, 1, 64).reshape(4, 16)
     truth = np.full((4, 16, 3), 0.5)
     signs = np.where(np.arange(16) % 2 == 0, 1, -1)[None, :]
@@ -29,7 +29,7 @@ def test_errors_have_the_inferno_colours_up_to_the_scale() -> None:
     assert error_map(truth, truth).max() <= 4, "black"
 
 
-def test_the_error_is_the_mean_of_the_channels_and_ends_at_the_scale() -> None:
+def test_the_error_is_the_mean_of_the_channels_and_ends_at_the_scale():
     truth = np.zeros((2, 4, 3))
     one_channel = truth + np.array([3 * ERROR_SCALE / 2, 0.0, 0.0])
     all_channels = truth + ERROR_SCALE / 2
@@ -39,7 +39,7 @@ def test_the_error_is_the_mean_of_the_channels_and_ends_at_the_scale() -> None:
         error_map(truth, truth[:1])
 
 
-def test_errors_by_kind_have_the_colour_of_their_kind_and_are_the_brighter_the_larger() -> None:
+def test_errors_by_kind_have_the_colour_of_their_kind_and_are_the_brighter_the_larger():
     truth = np.zeros((1, 8, 3))
     image = truth + np.repeat([0.0, ERROR_SCALE], 4)[None, :, None]
     columns = np.arange(8)[None] % 4
@@ -51,7 +51,7 @@ def test_errors_by_kind_have_the_colour_of_their_kind_and_are_the_brighter_the_l
         kind_map(truth, truth[:, :4], {})
 
 
-def test_depth_has_the_turbo_colours_of_the_root() -> None:
+def test_depth_has_the_turbo_colours_of_the_root():
     inverse_depth = np.linspace(0, 2, 64).reshape(4, 16)
     coloured = turbo(inverse_depth, largest=2.0)
     assert coloured.dtype == np.uint8
@@ -59,7 +59,7 @@ def test_depth_has_the_turbo_colours_of_the_root() -> None:
     assert np.array_equal(turbo(inverse_depth * 7, largest=14.0), coloured)
 
 
-def test_near_is_red_far_is_blue_and_unknown_is_black() -> None:
+def test_near_is_red_far_is_blue_and_unknown_is_black():
     near, far, negative, unknown = turbo(np.array([[1.0, 0.0, -1.0, np.nan]]), largest=1.0)[0]
     assert near[0] > 2 * near[2] > 0 or near[2] == 0
     assert far[2] > far[1]
@@ -67,7 +67,7 @@ def test_near_is_red_far_is_blue_and_unknown_is_black() -> None:
     assert not unknown.any()
 
 
-def test_without_a_largest_value_a_few_stray_pixels_change_nothing() -> None:
+def test_without_a_largest_value_a_few_stray_pixels_change_nothing():
     inverse_depth = np.full((20, 40), 0.25)
     stray = inverse_depth.copy()
     stray[0, :4] = [100.0, np.inf, np.nan, -3.0]
@@ -75,5 +75,5 @@ def test_without_a_largest_value_a_few_stray_pixels_change_nothing() -> None:
     assert np.array_equal(turbo(inverse_depth), turbo(4 * inverse_depth))
 
 
-def test_a_sky_alone_is_far() -> None:
+def test_a_sky_alone_is_far():
     assert np.array_equal(turbo(np.zeros((2, 4))), turbo(np.zeros((2, 4)), largest=1.0))

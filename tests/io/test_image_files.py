@@ -147,13 +147,10 @@ def test_tags_of_a_whole_panorama_change_nothing(tmp_path):
 
 @pytest.mark.parametrize(
     "tags",
-    [
-        {**CROP, "GPano:CroppedAreaLeftPixels": 30},
-        {**CROP, "GPano:ProjectionType": "cylindrical"},
-        {**CROP, "GPano:FullPanoWidthPixels": 2_000_000_000, "GPano:FullPanoHeightPixels": 1_000_000_000},
-        {**CROP, "GPano:FullPanoHeightPixels": 31},
-    ],
-)
+    [{**CROP, "GPano:CroppedAreaLeftPixels": 30}, {**CROP, "GPano:ProjectionType": "cylindrical"},
+     {**CROP, "GPano:FullPanoWidthPixels": 2_000_000_000, "GPano:FullPanoHeightPixels": 1_000_000_000},
+     {**CROP, "GPano:FullPanoHeightPixels": 31}],
+)  # fmt: skip
 def test_impossible_tags_are_image_errors(tmp_path, tags):
     write_with(tmp_path / "a.jpg", smooth_image(20, 40), **tags)
     with pytest.raises(ImageError, match="expected"):

@@ -295,18 +295,11 @@ def test_existing_targets_are_kept_unless_told_otherwise(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "codec", "first"),
-    [
-        ("frames", None, "frames/000000.png"),
-        ("f", "jpg", "f/000000.jpg"),
-        ("v_%03d.exr", None, "v_000.exr"),
-        ("100%_%d.png", None, "100%_0.png"),
-        ("walk_1.5m", None, "walk_1.5m/000000.png"),
-        ("frames.2024", "jpg", "frames.2024/000000.jpg"),
-        ("frames.v2", None, "frames.v2/000000.png"),
-        ("walk.final", "tif", "walk.final/000000.tif"),
-        ("v_%02d", "jpg", "v_00.jpg"),
-    ],
-)
+    [("frames", None, "frames/000000.png"), ("f", "jpg", "f/000000.jpg"), ("v_%03d.exr", None, "v_000.exr"),
+     ("100%_%d.png", None, "100%_0.png"), ("walk_1.5m", None, "walk_1.5m/000000.png"),
+     ("frames.2024", "jpg", "frames.2024/000000.jpg"), ("frames.v2", None, "frames.v2/000000.png"),
+     ("walk.final", "tif", "walk.final/000000.tif"), ("v_%02d", "jpg", "v_00.jpg")],
+)  # fmt: skip
 def test_frames_become_numbered_images(tmp_path, name, codec, first):
     with open_video(tmp_path / name, size=(32, 64), fps=10, codec=codec) as sink:
         for level in (10, 200):

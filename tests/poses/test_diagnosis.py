@@ -42,14 +42,11 @@ def test_a_mistake_over_pictures_is_named(name):
 
 @pytest.mark.parametrize(
     ("name", "change"),
-    [
-        ("heading-reversed", lambda heading: -heading),
-        ("radians-for-degrees", np.radians),
-        ("position-half-turn", lambda heading: heading + np.pi),
-        ("position-quarter-left", lambda heading: heading - np.pi / 2),
-        ("position-quarter-right", lambda heading: heading + np.pi / 2),
-    ],
-)
+    [("heading-reversed", lambda heading: -heading), ("radians-for-degrees", np.radians),
+     ("position-half-turn", lambda heading: heading + np.pi),
+     ("position-quarter-left", lambda heading: heading - np.pi / 2),
+     ("position-quarter-right", lambda heading: heading + np.pi / 2)],
+)  # fmt: skip
 def test_a_mistake_in_headings_is_named(name, change):
     rng, poses = np.random.default_rng(8), headed_pair()
     matches = matches_of(rng, *poses, noise=0.2 * PIXEL, wrong=0.3)

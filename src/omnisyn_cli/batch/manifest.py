@@ -190,9 +190,7 @@ class _Reader:
             claims = [self._places.get(place), self._parents.get(place)]
             claims += [self._places.get(parent) for parent in place.parents]
             if (former_line := next((claim for claim in claims if claim is not None), None)) is not None:
-                raise InputError(
-                    f"expected a place of its own for {place}, got one that line {former_line} writes to; name another"
-                )
+                raise InputError(f"expected a place of its own, got {place} of line {former_line}; name another")
             self._places[place] = number
             for parent in place.parents:
                 if parent.name:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from omnisyn_cli.batch.schema import check_options
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.pose import STILL
+from omnisyn_cli.geometry.pose import SAME_POSITION_METRES
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.io import check_output
 from omnisyn_cli.io.outputs import write_parts
@@ -88,7 +88,7 @@ def neighbours(positions: Float[np.ndarray, "count 3"], count: int, farthest: fl
     for index, cell in enumerate(cells):
         near = np.array([other for shift in around for other in cubes.get(tuple(cell + shift), ())])
         distance = np.linalg.norm(positions[near] - positions[index], axis=1)
-        is_neighbour = (distance > STILL) & (distance <= farthest)
+        is_neighbour = (distance > SAME_POSITION_METRES) & (distance <= farthest)
         for other in near[is_neighbour][np.argsort(distance[is_neighbour], kind="stable")][:count]:
             pairs.add((min(index, int(other)), max(index, int(other))))
     return sorted(pairs)

@@ -53,16 +53,9 @@ def write_suite_scene(folder: Path, walk: SuiteScene, size: tuple[int, int], thr
 
 
 def write_scene(
-    folder: Path,
-    scene: Scene,
-    path: Sequence[Pose],
-    names: Sequence[str],
-    size: tuple[int, int],
-    supersample: int,
-    threads: int | None = None,
-    *,
-    with_depth: bool = True,
-) -> None:
+    folder: Path, scene: Scene, path: Sequence[Pose], names: Sequence[str], size: tuple[int, int], supersample: int,
+    threads: int | None = None, *, with_depth: bool = True,
+) -> None:  # fmt: skip
     """Write the panoramas along a path under ``names``, their depth (EXR, metres) if it is wanted, and their poses.
 
     The folder exists. A pixel has ``supersample``² samples. WriteError: the disk is full, or the folder went away.

@@ -310,11 +310,9 @@ def _placed_values(records: Sequence[UnitRecord], method: str, subject: str, key
 
 
 def _score_table(
-    title: str,
-    corner: str,
-    records: Sequence[UnitRecord],
+    title: str, corner: str, records: Sequence[UnitRecord],
     group: Callable[[UnitRecord, FrameRecord], tuple[float, str]],
-) -> Table:
+) -> Table:  # fmt: skip
     """Mean WS-PSNR with a column for each method and a row for each ``group`` of frames, which has order and name."""
     methods = [method for method in grouping.ranked_methods(records) if any(grouping.frames_of(records, method))]
     better = [0 if grouping.is_oracle(method) else 1 for method in methods]

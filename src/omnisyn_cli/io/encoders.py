@@ -118,10 +118,7 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
     if settings.crf is not None and codec.crf is None:
         raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
     if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
-        raise InputError(
-            f"expected a quality from 0 (largest file) to {codec.largest_crf} for {settings.codec}, got "
-            f"{settings.crf}; choose one in between"
-        )
+        raise InputError(f"expected a quality from 0 to {codec.largest_crf}, got {settings.crf}; choose one in between")
     if settings.dtype not in codec.pixel_formats:
         raise InputError(
             f"expected {' or '.join(codec.pixel_formats)} frames for {settings.codec}, got {settings.dtype}; "
@@ -177,9 +174,7 @@ def ffmpeg_program() -> str:
     try:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
-        raise EncodingError(
-            f"expected an ffmpeg program, got '{error}'; install ffmpeg and set IMAGEIO_FFMPEG_EXE to its path"
-        ) from error
+        raise EncodingError(f"expected ffmpeg, got '{error}'; set IMAGEIO_FFMPEG_EXE to its path") from error
 
 
 @functools.cache

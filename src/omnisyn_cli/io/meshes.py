@@ -2,9 +2,9 @@
 
 The archive is a ``.npz`` with ``verts`` (V, 3) in metres, z up; ``faces`` (F, 3); ``uv`` (V, 2), (0, 0) in the lower
 left corner; ``mat`` (F,), index into ``materials``, JSON text of a list of objects with ``name``, ``tex`` and
-``alpha`` (file names or null), ``color`` (sRGB in [0, 1]), ``lm`` and ``emit`` (light from ``lightmap.jpg`` beside it,
-shines by itself); optional ``uvl`` (V, 2) where ``has_lm``. Textures lie in ``scene_textures`` two folders up, or beside
-the archive.
+``alpha`` (file names or null), ``color`` (sRGB in [0, 1]), ``lm`` (lit by ``lightmap.jpg`` beside it) and ``emit``
+(shines by itself); ``uvl`` (V, 2), coordinates of the light map, where ``has_lm``. Textures lie beside the archive or
+in ``scene_textures`` two folders up.
 """
 
 import json

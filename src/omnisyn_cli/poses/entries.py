@@ -181,13 +181,9 @@ def rigid_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.nda
 
 
 def checked_rotation(
-    where: str,
-    matrix: Float[np.ndarray, "3 3"],
-    *,
-    kind: str = "a rotation",
-    unscaled: str = "check the format, or remove scale and shear",
-    unmirrored: str = "check the format",
-) -> Float[np.ndarray, "3 3"]:
+    where: str, matrix: Float[np.ndarray, "3 3"], *, kind: str = "a rotation",
+    unscaled: str = "check the format, or remove scale and shear", unmirrored: str = "check the format",
+) -> Float[np.ndarray, "3 3"]:  # fmt: skip
     """The rotation that a matrix of limited precision stands for.
 
     Messages begin with ``where``, call it ``kind`` and end with what to do about scale and shear, or a mirror image.
@@ -202,11 +198,9 @@ def checked_rotation(
 
 
 def checked_quaternion(
-    where: str,
-    quaternion: Float[np.ndarray, " 4"],
-    kind: str = "a unit quaternion",
+    where: str, quaternion: Float[np.ndarray, " 4"], kind: str = "a unit quaternion",
     remedy: str = "check the order of the columns",
-) -> Float[np.ndarray, "3 3"]:
+) -> Float[np.ndarray, "3 3"]:  # fmt: skip
     """Rotation of a quaternion ``[w, x, y, z]`` of about unit length; else a PoseError that begins with ``where``."""
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) <= UNIT_TOLERANCE:

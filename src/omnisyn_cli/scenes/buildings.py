@@ -30,7 +30,7 @@ def _flank(rng: np.random.Generator, wall: palette.Colour) -> Material:
 
 
 def town_house(
-    build: SceneBuilder, base: Point, wide: float, side: float, floors: int, *, detailed: bool, facing_z: bool = False
+    build: SceneBuilder, base: Point, width: float, side: float, floors: int, *, detailed: bool, facing_z: bool = False
 ) -> None:
     """Add a house of several floors with windows, ledges, balconies, shop signs and awnings.
 
@@ -39,60 +39,60 @@ def town_house(
     """
     rng = build.rng
     floor = rng.uniform(2.8, 3.6)
-    tall, deep = floors * floor + rng.uniform(0.3, 1.2), rng.uniform(8, 13)
+    height, depth = floors * floor + rng.uniform(0.3, 1.2), rng.uniform(8, 13)
     front = _facade(rng, floor, rng.random() < 0.5)
     roof = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), grain=0.2)
     x, y, z = base
     if facing_z:
-        build.add(Shape.BOX, (x, y + 0.5 * tall, z), (0.5 * wide, 0.5 * tall, 0.5 * deep), front, cap=roof)
+        build.add(Shape.BOX, (x, y + 0.5 * height, z), (0.5 * width, 0.5 * height, 0.5 * depth), front, cap=roof)
         return
-    _block(build, base, (deep, tall, wide), side, front, roof)
+    _block(build, base, (depth, height, width), side, front, roof)
     if not detailed:
         return
     trim = tonal_material(Pattern.PLAIN, front.third, 0.85, grain=0.12)
-    _band(build, base, wide, tall, 0.25, trim, 0.28)
+    _band(build, base, width, height, 0.25, trim, 0.28)
     if rng.random() < 0.6:
-        _band(build, base, wide, floor - 0.05, 0.14, trim, rng.uniform(0.08, 0.3))
+        _band(build, base, width, floor - 0.05, 0.14, trim, rng.uniform(0.08, 0.3))
     if rng.random() < 0.35:
-        _pilasters(build, base, wide, tall, trim)
+        _pilasters(build, base, width, height, trim)
     if rng.random() < 0.5:
-        _balconies(build, base, wide, side, floors, floor)
-    _ground_floor(build, base, wide, side, floor, front.detail > 0.4)
+        _balconies(build, base, width, side, floors, floor)
+    _ground_floor(build, base, width, side, floor, front.detail > 0.4)
     if rng.random() < 0.4:
-        _pitched_roof(build, (x + side * 0.5 * deep, y + tall, z), deep, wide, along_z=True)
+        _pitched_roof(build, (x + side * 0.5 * depth, y + height, z), depth, width, along_z=True)
     if rng.random() < 0.5:
         chimney = Material(
             Pattern.BRICK, (0.5, 0.33, 0.27), (0.42, 0.28, 0.24), (0.6, 0.56, 0.5), cell=(0.25, 0.08), line=0.012
         )
-        build.add(Shape.BOX, (x + side * 2.0, y + tall + 0.7, z + 0.3 * wide), (0.35, 0.9, 0.5), chimney)
+        build.add(Shape.BOX, (x + side * 2.0, y + height + 0.7, z + 0.3 * width), (0.35, 0.9, 0.5), chimney)
 
 
 def _block(build: SceneBuilder, base: Point, size: Point, side: float, front: Material, roof: Material) -> None:
     """Add the body of a house, as deep, tall and wide as ``size`` says."""
-    deep, tall, wide = size
-    centre = (base[0] + side * 0.5 * deep, base[1] + 0.5 * tall, base[2])
-    build.add(Shape.BOX, centre, (0.5 * deep, 0.5 * tall, 0.5 * wide - 0.01), front, cap=roof)
+    depth, height, width = size
+    centre = (base[0] + side * 0.5 * depth, base[1] + 0.5 * height, base[2])
+    build.add(Shape.BOX, centre, (0.5 * depth, 0.5 * height, 0.5 * width - 0.01), front, cap=roof)
 
 
-def _band(build: SceneBuilder, base: Point, wide: float, at: float, half: float, trim: Material, out: float) -> None:
+def _band(build: SceneBuilder, base: Point, width: float, at: float, half: float, trim: Material, out: float) -> None:
     """Add a ledge across the front that sticks out by ``out``."""
-    build.add(Shape.BOX, (base[0], base[1] + at, base[2]), (out, half, 0.5 * wide), trim)
+    build.add(Shape.BOX, (base[0], base[1] + at, base[2]), (out, half, 0.5 * width), trim)
 
 
-def _pilasters(build: SceneBuilder, base: Point, wide: float, tall: float, trim: Material) -> None:
-    count = max(2, int(wide / build.rng.uniform(2.6, 5.0)))
+def _pilasters(build: SceneBuilder, base: Point, width: float, height: float, trim: Material) -> None:
+    count = max(2, int(width / build.rng.uniform(2.6, 5.0)))
     for k in range(count + 1):
-        z = base[2] + (k / count - 0.5) * (wide - 0.5)
-        build.add(Shape.BOX, (base[0], base[1] + 0.5 * tall, z), (0.14, 0.5 * tall, 0.2), trim)
+        z = base[2] + (k / count - 0.5) * (width - 0.5)
+        build.add(Shape.BOX, (base[0], base[1] + 0.5 * height, z), (0.14, 0.5 * height, 0.2), trim)
 
 
-def _balconies(build: SceneBuilder, base: Point, wide: float, side: float, floors: int, floor: float) -> None:
+def _balconies(build: SceneBuilder, base: Point, width: float, side: float, floors: int, floor: float) -> None:
     rng = build.rng
     slab = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), grain=0.12)
     solid = rng.random() < 0.35
     rail = slab if solid else Material(Pattern.BARS, pick(rng, palette.METAL), cell=(0.12, 1.0), line=0.025, grain=0.05)
-    half_wide = rng.uniform(0.8, 1.6) if rng.random() < 0.6 else 0.5 * wide - 0.3
-    places = [0.0] if half_wide > 1.7 else [float(p) for p in rng.uniform(-0.5, 0.5, 2) * (wide - 2 * half_wide)]
+    half_wide = rng.uniform(0.8, 1.6) if rng.random() < 0.6 else 0.5 * width - 0.3
+    places = [0.0] if half_wide > 1.7 else [float(p) for p in rng.uniform(-0.5, 0.5, 2) * (width - 2 * half_wide)]
     out = rng.uniform(0.7, 1.3)
     for level in range(1, min(floors, 5)):
         for place in places:
@@ -101,7 +101,7 @@ def _balconies(build: SceneBuilder, base: Point, wide: float, side: float, floor
             build.add(Shape.BOX, (base[0] - side * out, y + 0.55, z), (0.025, 0.5, half_wide), rail)
 
 
-def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, floor: float, shop: bool) -> None:
+def _ground_floor(build: SceneBuilder, base: Point, width: float, side: float, floor: float, shop: bool) -> None:
     """Add a door with its step, and the sign and awning of a shop."""
     rng = build.rng
     x, y, z = base
@@ -109,7 +109,7 @@ def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, fl
         Pattern.WINDOW, (0.3, 0.2, 0.15), pick(rng, palette.GLASS), palette.scaled(pick(rng, palette.WOOD), 0.8),
         cell=(0.5, 0.9), line=0.12, gloss=0.5, grain=0.1,
     )  # fmt: skip
-    at = z + rng.uniform(-0.35, 0.35) * wide
+    at = z + rng.uniform(-0.35, 0.35) * width
     build.add(Shape.BOX, (x, y + 1.1, at), (0.06, 1.1, 0.55), door)
     build.add(
         Shape.BOX,
@@ -121,14 +121,14 @@ def _ground_floor(build: SceneBuilder, base: Point, wide: float, side: float, fl
         return
     palettes = (palette.SIGN, palette.PLASTER, palette.SIGN)
     board = random_material(rng, Pattern.COLLAGE, palettes, cell=(1.2, 0.5), grain=0.05, detail=0.3)
-    build.add(Shape.BOX, (x - side * 0.06, y + floor - 0.45, z), (0.08, 0.28, 0.45 * wide), board)
+    build.add(Shape.BOX, (x - side * 0.06, y + floor - 0.45, z), (0.08, 0.28, 0.45 * width), board)
     if rng.random() < 0.5:
         cloth = Material(
             Pattern.STRIPES, pick(rng, palette.SIGN), (0.85, 0.83, 0.78), cell=(0.5, 0.5), detail=0.5, grain=0.08
         )
-        _lean(build, (x - side * 0.55, y + floor - 0.85, z), (0.62, 0.02, 0.35 * wide), -side * 0.45, cloth)
+        _lean(build, (x - side * 0.55, y + floor - 0.85, z), (0.62, 0.02, 0.35 * width), -side * 0.45, cloth)
     if rng.random() < 0.4:  # a sign that sticks out
-        build.add(Shape.BOX, (x - side * 0.5, y + floor + 0.3, z + 0.4 * wide), (0.35, 0.35, 0.04), board)
+        build.add(Shape.BOX, (x - side * 0.5, y + floor + 0.3, z + 0.4 * width), (0.35, 0.35, 0.04), board)
 
 
 def _lean(build: SceneBuilder, centre: Point, half: Point, angle: float, material: Material) -> None:
@@ -138,7 +138,7 @@ def _lean(build: SceneBuilder, centre: Point, half: Point, angle: float, materia
     build.add(Shape.BOX, centre, half, material, rotation=rotation)
 
 
-def _pitched_roof(build: SceneBuilder, middle: Point, deep: float, wide: float, *, along_z: bool) -> None:
+def _pitched_roof(build: SceneBuilder, middle: Point, depth: float, width: float, *, along_z: bool) -> None:
     """Add two tiled slabs that meet in a ridge along z (else along x), and nothing under them."""
     rng = build.rng
     clay = palette.scaled(pick(rng, palette.BRICK), rng.uniform(0.6, 1.0))
@@ -146,7 +146,7 @@ def _pitched_roof(build: SceneBuilder, middle: Point, deep: float, wide: float, 
         clay = (0.27, 0.27, 0.29)
     tiles = tonal_material(Pattern.BRICK, clay, 0.8, 0.5, cell=(0.3, 0.25), line=0.03, grain=0.2)
     angle = rng.uniform(0.4, 0.75)
-    span = 0.5 * (deep if along_z else wide) + 0.4
+    span = 0.5 * (depth if along_z else width) + 0.4
     run = 0.5 * span / math.cos(angle)
     rise = 0.5 * span * math.tan(angle)
     for sign in (-1.0, 1.0):
@@ -154,19 +154,19 @@ def _pitched_roof(build: SceneBuilder, middle: Point, deep: float, wide: float, 
         if along_z:
             rotation = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
             centre = (middle[0] + sign * 0.5 * span, middle[1] + rise, middle[2])
-            half = (run, 0.09, 0.5 * wide + 0.2)
+            half = (run, 0.09, 0.5 * width + 0.2)
         else:
             rotation = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
             centre = (middle[0], middle[1] + rise, middle[2] + sign * 0.5 * span)
-            half = (0.5 * deep + 0.2, 0.09, run)
+            half = (0.5 * depth + 0.2, 0.09, run)
         build.add(Shape.BOX, centre, half, tiles, rotation=rotation)
 
 
-def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detailed: bool) -> None:
+def office(build: SceneBuilder, base: Point, width: float, side: float, *, detailed: bool) -> None:
     """Add a modern block: bands of glass, fins or slabs."""
     rng = build.rng
     floor = rng.uniform(3.1, 4.0)
-    tall, deep = floor * int(rng.integers(3, 13)), rng.uniform(12, 20)
+    height, depth = floor * int(rng.integers(3, 13)), rng.uniform(12, 20)
     wall = pick(rng, palette.CONCRETE if rng.random() < 0.6 else palette.PLASTER)
     front = Material(
         Pattern.FACADE, wall, pick(rng, palette.GLASS, 0.1), palette.scaled(wall, rng.uniform(0.5, 1.2)),
@@ -175,16 +175,16 @@ def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detail
     )  # fmt: skip
     x, y, z = base
     roof = Material(Pattern.PLAIN, pick(rng, palette.CONCRETE), grain=0.2)
-    _block(build, base, (deep, tall, wide), side, front, roof)
+    _block(build, base, (depth, height, width), side, front, roof)
     if not detailed:
         return
     trim = Material(Pattern.PLAIN, palette.scaled(wall, rng.uniform(0.7, 1.15)), grain=0.08)
-    _band(build, base, wide, tall, 0.4, trim, 0.1)
+    _band(build, base, width, height, 0.4, trim, 0.1)
     if rng.random() < 0.4:
-        _pilasters(build, base, wide, tall, trim)
+        _pilasters(build, base, width, height, trim)
     elif rng.random() < 0.6:
-        for level in range(1, min(9, int(tall / floor))):
-            _band(build, base, wide, level * floor, 0.15, trim, rng.uniform(0.3, 0.9))
+        for level in range(1, min(9, int(height / floor))):
+            _band(build, base, width, level * floor, 0.15, trim, rng.uniform(0.3, 0.9))
     if rng.random() < 0.6:  # entrance with a canopy on columns
         build.add(Shape.BOX, (x - side * 1.2, y + 3.0, z), (1.3, 0.15, 2.5), trim)
         for end in (-2.2, 2.2):
@@ -192,29 +192,29 @@ def office(build: SceneBuilder, base: Point, wide: float, side: float, *, detail
         build.add(Shape.BOX, (x, y + 1.3, z), (0.05, 1.3, 1.6), DARK_GLASS)
 
 
-def house(build: SceneBuilder, base: Point, wide: float, side: float, *, detailed: bool) -> None:
+def house(build: SceneBuilder, base: Point, width: float, side: float, *, detailed: bool) -> None:
     """Add a detached house with a pitched roof, a hedge or fence, and a garage."""
     rng = build.rng
     floor = rng.uniform(2.6, 3.0)
     floors = int(rng.integers(1, 3))
-    tall, deep = floors * floor + 0.3, rng.uniform(7, 11)
+    height, depth = floors * floor + 0.3, rng.uniform(7, 11)
     front = _facade(rng, floor, shop=False)
     x, y, z = base
-    centre = (x + side * 0.5 * deep, y + 0.5 * tall, z)
-    build.add(Shape.BOX, centre, (0.5 * deep, 0.5 * tall, 0.5 * wide), front)
-    _pitched_roof(build, (centre[0], y + tall, z), deep, wide, along_z=bool(rng.random() < 0.6))
+    centre = (x + side * 0.5 * depth, y + 0.5 * height, z)
+    build.add(Shape.BOX, centre, (0.5 * depth, 0.5 * height, 0.5 * width), front)
+    _pitched_roof(build, (centre[0], y + height, z), depth, width, along_z=bool(rng.random() < 0.6))
     gable = _flank(rng, front.first)
-    build.add(Shape.BOX, (centre[0], y + tall + 0.5, z), (0.3 * deep, 0.7, 0.3 * wide), gable)
+    build.add(Shape.BOX, (centre[0], y + height + 0.5, z), (0.3 * depth, 0.7, 0.3 * width), gable)
     if not detailed:
         return
-    _ground_floor(build, base, wide, side, floor, shop=False)
+    _ground_floor(build, base, width, side, floor, shop=False)
     if rng.random() < 0.5:
         gate = Material(Pattern.RIBS, pick(rng, palette.PLASTER), cell=(0.2, 0.5), line=0.02, grain=0.05)
-        build.add(Shape.BOX, (x - side * 0.05, y + 1.1, z + 0.28 * wide), (0.08, 1.1, 1.2), gate)
+        build.add(Shape.BOX, (x - side * 0.05, y + 1.1, z + 0.28 * width), (0.08, 1.1, 1.2), gate)
     if rng.random() < 0.5:
-        props.hedge(build, (x - side * rng.uniform(1.5, 2.8), y, z), (0.42 * wide, rng.uniform(0.4, 0.9)))
+        props.hedge(build, (x - side * rng.uniform(1.5, 2.8), y, z), (0.42 * width, rng.uniform(0.4, 0.9)))
     for _ in range(int(rng.integers(0, 3))):
-        spot = (x - side * rng.uniform(0.8, 3.0), y, z + rng.uniform(-0.5, 0.5) * wide)
+        spot = (x - side * rng.uniform(0.8, 3.0), y, z + rng.uniform(-0.5, 0.5) * width)
         if rng.random() < 0.6:
             props.bush(build, spot, rng.uniform(0.3, 0.8))
         else:

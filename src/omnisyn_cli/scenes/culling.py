@@ -105,12 +105,9 @@ def _fill_grid(low: np.ndarray, high: np.ndarray, casters: np.ndarray) -> tuple[
 
 
 def light_grid(
-    centre: Float[np.ndarray, "n 3"],
-    axes: Float[np.ndarray, "n 3 3"],
-    casters: Int[np.ndarray, " k"],
-    across: Float[np.ndarray, "2 3"],
-    margin: float,
-) -> tuple[Int[np.ndarray, " c1"], Int[np.ndarray, " i"], Float[np.ndarray, "2 2"]]:
+    centre: Float[np.ndarray, "n 3"], axes: Float[np.ndarray, "n 3 3"], casters: Int[np.ndarray, " k"],
+    across: Float[np.ndarray, "2 3"], margin: float,
+) -> tuple[Int[np.ndarray, " c1"], Int[np.ndarray, " i"], Float[np.ndarray, "2 2"]]:  # fmt: skip
     """List for each cell of a grid across the light the shapes whose shadows pass through it.
 
     Args:

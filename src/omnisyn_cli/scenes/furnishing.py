@@ -163,11 +163,11 @@ def _place_on_floor(build: SceneBuilder, cell: Cell, use: str, occupied: Occupie
     elif choice < 0.93 and _is_free(occupied, x, z, 0.4):
         plaster = Material(Pattern.PLAIN, pick(rng, palette.INTERIOR), grain=0.08)
         if rng.random() < 0.5:
-            build.pole(base, cell.tall, rng.uniform(0.1, 0.25), plaster)
+            build.pole(base, cell.height, rng.uniform(0.1, 0.25), plaster)
         else:
             half_wide = rng.uniform(0.1, 0.25)
-            build.add(Shape.BOX, (x, 0.5 * cell.tall, z), (half_wide, 0.5 * cell.tall, half_wide), plaster)
-    elif cell.tall > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
+            build.add(Shape.BOX, (x, 0.5 * cell.height, z), (half_wide, 0.5 * cell.height, half_wide), plaster)
+    elif cell.height > 2.6 and rng.random() < 0.6 and _is_free(occupied, x, z, 1.4):
         local = LocalFrame(build, base, float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi)
         furniture.stairs(local, int(rng.integers(4, 12)))
 
@@ -177,7 +177,7 @@ def furnish_hall(build: SceneBuilder, cell: Cell) -> None:
     rng = build.rng
     (x0, z0), (x1, z1) = cell.low, cell.high
     _beams(build, cell)
-    rack_tall = min(cell.tall - 0.6, rng.uniform(2.2, 6.0))
+    rack_tall = min(cell.height - 0.6, rng.uniform(2.2, 6.0))
     aisle = rng.uniform(3.0, 5.5)
     z = z0 + 0.7
     while z < z1 - 0.6:
@@ -212,24 +212,24 @@ def _beams(build: SceneBuilder, cell: Cell) -> None:
     (x0, z0), (x1, z1) = cell.low, cell.high
     steel = Material(Pattern.PLAIN, pick(rng, palette.METAL), grain=0.06)
     light = Material(Pattern.PLAIN, (0.97, 0.97, 0.95), grain=0.0, glow=2.0)
-    deep = rng.uniform(0.3, 0.7)
+    depth = rng.uniform(0.3, 0.7)
     step = rng.uniform(3.0, 6.0)
-    top = cell.tall - 0.05
+    top = cell.height - 0.05
     open_truss = rng.random() < 0.5
     for x in np.arange(x0 + 0.5 * step, x1, step):
         if open_truss:
-            for y in (top, top - deep):
+            for y in (top, top - depth):
                 build.box((float(x) - 0.06, y - 0.05, z0), (float(x) + 0.06, y + 0.05, z1), steel, casts_shadow=False)
             count = max(2, min(8, int((z1 - z0) / 1.4)))
             for k in range(count):
                 a, b = z0 + k * (z1 - z0) / count, z0 + (k + 1) * (z1 - z0) / count
-                heights = (top, top - deep) if k % 2 else (top - deep, top)
+                heights = (top, top - depth) if k % 2 else (top - depth, top)
                 build.rod((float(x), heights[0], a), (float(x), heights[1], b), 0.035, steel)
         else:
-            build.box((float(x) - 0.12, top - deep, z0), (float(x) + 0.12, top, z1), steel, casts_shadow=False)
+            build.box((float(x) - 0.12, top - depth, z0), (float(x) + 0.12, top, z1), steel, casts_shadow=False)
         for z in np.arange(z0 + 2.0, z1 - 1.0, rng.uniform(3.0, 6.0)):
             if rng.random() < 0.85:
-                spot = (float(x) + 0.5 * step, cell.tall - rng.uniform(0.2, 0.6), float(z))
+                spot = (float(x) + 0.5 * step, cell.height - rng.uniform(0.2, 0.6), float(z))
                 if spot[0] < x1 - 0.9:
                     build.add(Shape.BOX, spot, (0.7, 0.05, 0.12), light, casts_shadow=False)
 
@@ -241,7 +241,7 @@ def _columns(build: SceneBuilder, cell: Cell) -> None:
     half, step = rng.uniform(0.12, 0.3), rng.uniform(4.0, 7.0)
     z = rng.uniform(cell.low[1] + 1.5, cell.high[1] - 1.5)
     for x in np.arange(cell.low[0] + 0.6 * step, cell.high[0] - 0.5, step):
-        build.add(Shape.BOX, (float(x), 0.5 * cell.tall, z), (half, 0.5 * cell.tall, half), concrete)
+        build.add(Shape.BOX, (float(x), 0.5 * cell.height, z), (half, 0.5 * cell.height, half), concrete)
         build.add(Shape.BOX, (float(x), 0.6, z), (half + 0.01, 0.6, half + 0.01), hazard)
 
 

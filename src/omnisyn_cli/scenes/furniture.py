@@ -38,19 +38,19 @@ def _cloth(rng: np.random.Generator) -> Material:
 def table(local: LocalFrame, size: tuple[float, float] | None = None) -> None:
     """Add a table with four legs, trestles or one column, and things on it."""
     rng = local.build.rng
-    wide, deep = size or (rng.uniform(0.4, 1.0), rng.uniform(0.3, 0.5))
-    tall = rng.uniform(0.42, 0.55) if rng.random() < 0.25 else rng.uniform(0.7, 0.78)
+    width, depth = size or (rng.uniform(0.4, 1.0), rng.uniform(0.3, 0.5))
+    height = rng.uniform(0.42, 0.55) if rng.random() < 0.25 else rng.uniform(0.7, 0.78)
     top = wood(rng, 0.2)
     leg = top if rng.random() < 0.5 else (BLACK_PLASTIC if rng.random() < 0.5 else CHROME)
-    local.box((0.0, tall - 0.02, 0.0), (wide, 0.02, deep), top)
+    local.box((0.0, height - 0.02, 0.0), (width, 0.02, depth), top)
     thickness = rng.uniform(0.012, 0.035)
-    for x in (-wide + 0.06, wide - 0.06):
-        for z in (-deep + 0.06, deep - 0.06):
-            local.rod((x, 0.0, z), (x, tall - 0.03, z), thickness, leg)
+    for x in (-width + 0.06, width - 0.06):
+        for z in (-depth + 0.06, depth - 0.06):
+            local.rod((x, 0.0, z), (x, height - 0.03, z), thickness, leg)
     if rng.random() < 0.5:
-        for z in (-deep + 0.06, deep - 0.06):
-            local.box((0.0, tall - 0.08, z), (wide - 0.06, 0.035, 0.01), leg)
-    clutter(local, (wide, deep), tall, int(rng.integers(0, 5)))
+        for z in (-depth + 0.06, depth - 0.06):
+            local.box((0.0, height - 0.08, z), (width - 0.06, 0.035, 0.01), leg)
+    clutter(local, (width, depth), height, int(rng.integers(0, 5)))
 
 
 def clutter(local: LocalFrame, half: tuple[float, float], height: float, count: int) -> None:
@@ -68,8 +68,8 @@ def clutter(local: LocalFrame, half: tuple[float, float], height: float, count: 
             size = (rng.uniform(0.05, 0.17), rng.uniform(0.01, 0.12), rng.uniform(0.05, 0.13))
             local.box((x, height + size[1], z), size, stuff, turn=rng.uniform(0.0, math.pi))
         elif kind < 0.85:
-            tall = rng.uniform(0.08, 0.3)
-            local.rod((x, height, z), (x, height + tall, z), rng.uniform(0.03, 0.05), plain)
+            length = rng.uniform(0.08, 0.3)
+            local.rod((x, height, z), (x, height + length, z), rng.uniform(0.03, 0.05), plain)
         else:
             radius = rng.uniform(0.05, 0.12)
             local.ellipsoid((x, height + radius, z), (radius, radius, radius), plain)
@@ -81,17 +81,19 @@ def chair(local: LocalFrame) -> None:
     body = wood(rng, 0.1)
     leg = body if rng.random() < 0.6 else CHROME
     seat = _cloth(rng) if rng.random() < 0.5 else body
-    half, tall = rng.uniform(0.19, 0.24), rng.uniform(0.42, 0.48)
-    top = tall + rng.uniform(0.35, 0.55)
-    local.box((0.0, tall, 0.0), (half, rng.uniform(0.015, 0.04), half), seat)
+    half, height = rng.uniform(0.19, 0.24), rng.uniform(0.42, 0.48)
+    top = height + rng.uniform(0.35, 0.55)
+    local.box((0.0, height, 0.0), (half, rng.uniform(0.015, 0.04), half), seat)
     for x in (-half + 0.03, half - 0.03):
-        local.rod((x, 0.0, half - 0.03), (x, tall, half - 0.03), 0.016, leg)
+        local.rod((x, 0.0, half - 0.03), (x, height, half - 0.03), 0.016, leg)
         local.rod((x, 0.0, -half + 0.02), (x, top, -half - 0.03), 0.016, leg)
     if rng.random() < 0.5:
-        local.box((0.0, 0.5 * (tall + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - tall) - 0.02, 0.012), seat)
+        local.box(
+            (0.0, 0.5 * (height + top) + 0.08, -half - 0.02), (half - 0.02, 0.4 * (top - height) - 0.02, 0.012), seat
+        )
     else:
         for share in (0.35, 0.65, 0.95):
-            local.box((0.0, tall + share * (top - tall), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
+            local.box((0.0, height + share * (top - height), -half - 0.02), (half - 0.03, 0.03, 0.01), body)
 
 
 def office_chair(local: LocalFrame) -> None:
@@ -113,17 +115,17 @@ def sofa(local: LocalFrame) -> None:
     """Add a sofa with cushions."""
     rng = local.build.rng
     cloth = _cloth(rng)
-    wide = rng.uniform(0.65, 1.15)
-    local.box((0.0, 0.22, 0.0), (wide, 0.14, 0.42), cloth)
-    local.box((0.0, 0.55, -0.36), (wide, 0.27, 0.09), cloth, tint=0.95)
-    for x in (-wide - 0.07, wide + 0.07):
+    width = rng.uniform(0.65, 1.15)
+    local.box((0.0, 0.22, 0.0), (width, 0.14, 0.42), cloth)
+    local.box((0.0, 0.55, -0.36), (width, 0.27, 0.09), cloth, tint=0.95)
+    for x in (-width - 0.07, width + 0.07):
         local.box((x, 0.32, 0.0), (0.09, 0.28, 0.44), cloth, tint=0.9)
-    seats = 2 if wide < 0.9 else 3
+    seats = 2 if width < 0.9 else 3
     for k in range(seats):
-        x = (2 * k + 1 - seats) / seats * wide
-        local.box((x, 0.42, 0.04), (wide / seats - 0.01, 0.07, 0.36), cloth, tint=1.06)
+        x = (2 * k + 1 - seats) / seats * width
+        local.box((x, 0.42, 0.04), (width / seats - 0.01, 0.07, 0.36), cloth, tint=1.06)
     for _ in range(int(rng.integers(0, 3))):
-        local.ellipsoid((rng.uniform(-0.8, 0.8) * wide, 0.62, -0.18), (0.2, 0.18, 0.09), _cloth(rng))
+        local.ellipsoid((rng.uniform(-0.8, 0.8) * width, 0.62, -0.18), (0.2, 0.18, 0.09), _cloth(rng))
 
 
 def armchair(local: LocalFrame) -> None:
@@ -139,48 +141,48 @@ def bed(local: LocalFrame) -> None:
     """Add a bed with its head at the back."""
     rng = local.build.rng
     bedstead, cover = wood(rng, 0.2), _cloth(rng)
-    wide = rng.uniform(0.45, 0.9)
+    width = rng.uniform(0.45, 0.9)
     white = Material(Pattern.PLAIN, (0.87, 0.86, 0.83), (0.8, 0.79, 0.76), grain=0.06, grain_size=0.3)
-    local.box((0.0, 0.2, 0.0), (wide, 0.1, 1.0), bedstead)
-    local.box((0.0, 0.38, 0.0), (wide - 0.02, 0.1, 0.97), white)
-    local.box((0.0, 0.41, 0.22), (wide + 0.01, 0.1, 0.78), cover)
-    local.box((0.0, 0.55, -1.02), (wide, 0.45, 0.03), bedstead)
-    for x in (-0.5 * wide, 0.5 * wide) if wide > 0.6 else (0.0,):
+    local.box((0.0, 0.2, 0.0), (width, 0.1, 1.0), bedstead)
+    local.box((0.0, 0.38, 0.0), (width - 0.02, 0.1, 0.97), white)
+    local.box((0.0, 0.41, 0.22), (width + 0.01, 0.1, 0.78), cover)
+    local.box((0.0, 0.55, -1.02), (width, 0.45, 0.03), bedstead)
+    for x in (-0.5 * width, 0.5 * width) if width > 0.6 else (0.0,):
         local.ellipsoid((x, 0.53, -0.72), (0.3, 0.09, 0.19), white)
 
 
 def cabinet(local: LocalFrame) -> None:
     """Add a cupboard or chest with doors or drawers."""
     rng = local.build.rng
-    wide, height, deep = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
+    width, height, depth = rng.uniform(0.35, 0.9), rng.uniform(0.6, 2.1), rng.uniform(0.2, 0.32)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)
     face = tonal_material(
-        Pattern.TILES, tone, 0.93, 0.35, cell=(wide / max(1, round(wide / 0.4)), height / int(rng.integers(1, 5))),
+        Pattern.TILES, tone, 0.93, 0.35, cell=(width / max(1, round(width / 0.4)), height / int(rng.integers(1, 5))),
         line=0.012, grain=0.08, gloss=0.15,
     )  # fmt: skip
-    local.box((0.0, 0.5 * height, 0.0), (wide, 0.5 * height, deep), face, cap=wood(rng, 0.3))
+    local.box((0.0, 0.5 * height, 0.0), (width, 0.5 * height, depth), face, cap=wood(rng, 0.3))
     if height < 1.3:
-        clutter(local, (wide, deep), height, int(rng.integers(0, 4)))
+        clutter(local, (width, depth), height, int(rng.integers(0, 4)))
 
 
 def shelf(local: LocalFrame) -> None:
     """Add an open shelf with books and boxes."""
     rng = local.build.rng
     board = wood(rng, 0.3)
-    wide, tall, deep = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.2), rng.uniform(0.13, 0.2)
-    rows = max(2, int(tall / rng.uniform(0.3, 0.42)))
-    for x in (-wide, wide):
-        local.box((x, 0.5 * tall, 0.0), (0.012, 0.5 * tall, deep), board)
+    width, height, depth = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.2), rng.uniform(0.13, 0.2)
+    rows = max(2, int(height / rng.uniform(0.3, 0.42)))
+    for x in (-width, width):
+        local.box((x, 0.5 * height, 0.0), (0.012, 0.5 * height, depth), board)
     if rng.random() < 0.7:
-        local.box((0.0, 0.5 * tall, -deep), (wide, 0.5 * tall, 0.008), board, tint=0.8)
+        local.box((0.0, 0.5 * height, -depth), (width, 0.5 * height, 0.008), board, tint=0.8)
     for row in range(rows + 1):
-        y = 0.02 + row * (tall - 0.04) / rows
-        local.box((0.0, y, 0.0), (wide, 0.012, deep), board)
+        y = 0.02 + row * (height - 0.04) / rows
+        local.box((0.0, y, 0.0), (width, 0.012, depth), board)
         if row < rows and rng.random() < 0.8:
-            _shelf_row(local, y + 0.012, (tall - 0.04) / rows - 0.05, wide, deep)
+            _shelf_row(local, y + 0.012, (height - 0.04) / rows - 0.05, width, depth)
 
 
-def _shelf_row(local: LocalFrame, y: float, room: float, wide: float, deep: float) -> None:
+def _shelf_row(local: LocalFrame, y: float, room: float, width: float, depth: float) -> None:
     rng = local.build.rng
     if rng.random() < 0.7:
         books = Material(
@@ -188,25 +190,25 @@ def _shelf_row(local: LocalFrame, y: float, room: float, wide: float, deep: floa
             cell=(rng.uniform(0.025, 0.05), 1.0), grain=0.03, seed=int(rng.integers(1, 1000)),
         )  # fmt: skip
         share = rng.uniform(0.4, 0.95)
-        half = (share * wide, 0.45 * room, 0.6 * deep)
-        local.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * wide * 0.9, y + half[1], 0.0), half, books)
+        half = (share * width, 0.45 * room, 0.6 * depth)
+        local.box((rng.choice([-1.0, 1.0]) * (1.0 - share) * width * 0.9, y + half[1], 0.0), half, books)
     else:
         for x in (-0.5, 0.45):
-            half = (rng.uniform(0.2, 0.4) * wide, rng.uniform(0.2, 0.45) * room, 0.75 * deep)
-            local.box((x * wide, y + half[1], 0.0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
+            half = (rng.uniform(0.2, 0.4) * width, rng.uniform(0.2, 0.45) * room, 0.75 * depth)
+            local.box((x * width, y + half[1], 0.0), half, CARTON if rng.random() < 0.4 else _cloth(rng))
 
 
 def floor_lamp(local: LocalFrame) -> None:
     """Add a lamp on a thin stand with a glowing shade."""
     rng = local.build.rng
-    tall = rng.uniform(1.3, 1.8)
+    height = rng.uniform(1.3, 1.8)
     shade = Material(Pattern.PLAIN, (0.93, 0.84, 0.66), grain=0.03, glow=rng.uniform(0.3, 1.4))
     local.rod((0.0, 0.0, 0.0), (0.0, 0.03, 0.0), 0.15, BLACK_PLASTIC)
-    local.rod((0.0, 0.0, 0.0), (0.0, tall, 0.0), 0.013, BLACK_PLASTIC)
+    local.rod((0.0, 0.0, 0.0), (0.0, height, 0.0), 0.013, BLACK_PLASTIC)
     if rng.random() < 0.5:
-        local.rod((0.0, tall - 0.05, 0.0), (0.0, tall + 0.22, 0.0), 0.17, shade)
+        local.rod((0.0, height - 0.05, 0.0), (0.0, height + 0.22, 0.0), 0.17, shade)
     else:
-        local.ellipsoid((0.0, tall + 0.1, 0.0), (0.16, 0.16, 0.16), shade)
+        local.ellipsoid((0.0, height + 0.1, 0.0), (0.16, 0.16, 0.16), shade)
 
 
 def plant(local: LocalFrame) -> None:
@@ -216,25 +218,25 @@ def plant(local: LocalFrame) -> None:
     local.rod((0.0, 0.0, 0.0), (0.0, 0.32, 0.0), 0.15, tonal_material(Pattern.PLAIN, clay, 0.9, grain=0.1))
     green = pick(rng, palette.FOLIAGE)
     leaves = plant_material(Pattern.LEAVES, green, 0.6, 1.3, cell=(0.1, 0.1), detail=0.75)
-    tall = rng.uniform(0.3, 0.8)
-    local.rod((0.0, 0.3, 0.0), (0.0, 0.4 + tall, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
+    height = rng.uniform(0.3, 0.8)
+    local.rod((0.0, 0.3, 0.0), (0.0, 0.4 + height, 0.0), 0.015, Material(Pattern.PLAIN, (0.3, 0.25, 0.16)))
     for _ in range(int(rng.integers(2, 5))):
         size = rng.uniform(0.14, 0.32)
-        centre = (rng.uniform(-0.15, 0.15), 0.35 + tall * rng.uniform(0.4, 1.0), rng.uniform(-0.15, 0.15))
+        centre = (rng.uniform(-0.15, 0.15), 0.35 + height * rng.uniform(0.4, 1.0), rng.uniform(-0.15, 0.15))
         local.ellipsoid(centre, (size, 1.2 * size, size), leaves)
 
 
 def screen(local: LocalFrame) -> None:
     """Add a standing screen or whiteboard."""
     rng = local.build.rng
-    wide, tall = rng.uniform(0.4, 0.8), rng.uniform(1.3, 1.8)
+    width, height = rng.uniform(0.4, 0.8), rng.uniform(1.3, 1.8)
     board = Material(
         Pattern.WINDOW, (0.8, 0.8, 0.8), pick(rng, palette.INTERIOR), (0.5, 0.5, 0.5), cell=(9.0, 0.62), line=0.03,
         grain=0.05, gloss=0.2,
     )  # fmt: skip
-    local.box((0.0, 0.5 * tall + 0.08, 0.0), (wide, 0.5 * tall - 0.04, 0.02), board)
-    for x in (-wide, wide):
-        local.rod((x, 0.0, 0.0), (x, tall, 0.0), 0.02, CHROME)
+    local.box((0.0, 0.5 * height + 0.08, 0.0), (width, 0.5 * height - 0.04, 0.02), board)
+    for x in (-width, width):
+        local.rod((x, 0.0, 0.0), (x, height, 0.0), 0.02, CHROME)
         local.rod((x, 0.03, -0.25), (x, 0.03, 0.25), 0.018, CHROME)
 
 
@@ -242,11 +244,11 @@ def stairs(local: LocalFrame, steps: int) -> None:
     """Add a flight of steps with a railing; it climbs along the local −z axis."""
     rng = local.build.rng
     tread, rail = wood(rng, 0.3), CHROME
-    wide, rise, run = rng.uniform(0.45, 0.7), 0.175, 0.28
+    width, rise, run = rng.uniform(0.45, 0.7), 0.175, 0.28
     for k in range(steps):
-        local.box((0.0, 0.5 * rise * (k + 1), -run * k), (wide, 0.5 * rise * (k + 1), 0.5 * run), tread)
+        local.box((0.0, 0.5 * rise * (k + 1), -run * k), (width, 0.5 * rise * (k + 1), 0.5 * run), tread)
         if k % 2 == 0:
             local.rod(
-                (wide - 0.05, rise * (k + 1), -run * k), (wide - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail
+                (width - 0.05, rise * (k + 1), -run * k), (width - 0.05, rise * (k + 1) + 0.9, -run * k), 0.012, rail
             )
-    local.rod((wide - 0.05, rise + 0.9, 0.0), (wide - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)
+    local.rod((width - 0.05, rise + 0.9, 0.0), (width - 0.05, rise * steps + 0.9, -run * (steps - 1)), 0.022, rail)

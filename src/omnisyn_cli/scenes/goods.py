@@ -48,7 +48,7 @@ def loaded_pallet(local: LocalFrame) -> None:
                     local.box(centre, size, CARTON, tint=rng.uniform(0.85, 1.1))
 
 
-def rack(local: LocalFrame, bays: int, tall: float) -> None:
+def rack(local: LocalFrame, bays: int, height: float) -> None:
     """Add a pallet rack: frames, beams, loads; it stretches along the local x axis, its middle at the base."""
     rng = local.build.rng
     upright = Material(
@@ -57,36 +57,36 @@ def rack(local: LocalFrame, bays: int, tall: float) -> None:
     beam = Material(
         Pattern.PLAIN, pick(rng, ((0.8, 0.63, 0.1), (0.78, 0.35, 0.1), (0.6, 0.6, 0.6))), grain=0.06, gloss=0.1
     )
-    bay, deep = rng.uniform(1.8, 2.7), rng.uniform(0.35, 0.55)
-    levels = max(1, int(tall / rng.uniform(1.3, 2.0)))
+    bay, depth = rng.uniform(1.8, 2.7), rng.uniform(0.35, 0.55)
+    levels = max(1, int(height / rng.uniform(1.3, 2.0)))
     for k in range(bays + 1):
         x = (k - 0.5 * bays) * bay
-        for z in (-deep, deep):
-            local.box((x, 0.5 * tall, z), (0.045, 0.5 * tall, 0.04), upright)
-        for y in np.arange(0.4, tall - 0.7, 1.1):
-            local.rod((x, y, -deep), (x, y + 0.7, deep), 0.018, upright)
+        for z in (-depth, depth):
+            local.box((x, 0.5 * height, z), (0.045, 0.5 * height, 0.04), upright)
+        for y in np.arange(0.4, height - 0.7, 1.1):
+            local.rod((x, y, -depth), (x, y + 0.7, depth), 0.018, upright)
     for level in range(levels + 1):
-        y = 0.12 + level * (tall - 0.3) / max(1, levels) if level else 0.0
+        y = 0.12 + level * (height - 0.3) / max(1, levels) if level else 0.0
         if level:
-            for z in (-deep, deep):
+            for z in (-depth, depth):
                 local.box((0.0, y, z), (0.5 * bays * bay, 0.06, 0.025), beam)
-            local.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, deep), beam, tint=0.7)
+            local.box((0.0, y + 0.045, 0.0), (0.5 * bays * bay, 0.01, depth), beam, tint=0.7)
         for k in range(bays):
             if rng.random() < 0.8:
                 base = ((k + 0.5 - 0.5 * bays) * bay, y + 0.06 * (level > 0), 0.0)
-                _load(local, base, 0.42 * bay, deep, tall / (levels + 1))
+                _load(local, base, 0.42 * bay, depth, height / (levels + 1))
 
 
-def _load(local: LocalFrame, base: Point, wide: float, deep: float, room: float) -> None:
+def _load(local: LocalFrame, base: Point, width: float, depth: float, room: float) -> None:
     rng = local.build.rng
     pieces = int(rng.integers(1, 4))
     for k in range(pieces):
         half = (
-            wide / pieces * rng.uniform(0.75, 0.97),
+            width / pieces * rng.uniform(0.75, 0.97),
             min(0.8, 0.5 * room) * rng.uniform(0.35, 0.85),
-            deep * rng.uniform(0.7, 0.95),
+            depth * rng.uniform(0.7, 0.95),
         )
-        x = base[0] + (2 * k + 1 - pieces) * wide / pieces
+        x = base[0] + (2 * k + 1 - pieces) * width / pieces
         if rng.random() < 0.75:
             goods = CARTON
         else:

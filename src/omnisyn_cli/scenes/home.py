@@ -75,13 +75,13 @@ def indoor_light(rng: np.random.Generator) -> Lighting:
 def _floor_plan(rng: np.random.Generator) -> Grid:
     """Two to six rooms on a grid, most neighbours joined by a door, most outer walls with windows."""
     columns, rows = int(rng.integers(1, 4)), int(rng.integers(1, 3))
-    tall = rng.uniform(2.3, 3.1)
+    height = rng.uniform(2.3, 3.1)
     xs = np.concatenate([[0.0], np.cumsum(rng.uniform(2.3, 5.5, columns))])
     zs = np.concatenate([[0.0], np.cumsum(rng.uniform(2.3, 5.5, rows))])
     xs, zs = xs - 0.5 * xs[-1], zs - 0.5 * zs[-1]
     rooms: Grid = {
         (i, j): (
-            Cell((float(xs[i]), float(zs[j])), (float(xs[i + 1]), float(zs[j + 1])), tall),
+            Cell((float(xs[i]), float(zs[j])), (float(xs[i + 1]), float(zs[j + 1])), height),
             {"west": [], "east": [], "south": [], "north": []},
         )
         for i in range(columns)
@@ -90,34 +90,34 @@ def _floor_plan(rng: np.random.Generator) -> Grid:
     for (i, j), (cell, openings) in rooms.items():
         for axis, (ahead, behind), other in ((1, ("east", "west"), (i + 1, j)), (0, ("north", "south"), (i, j + 1))):
             if other not in rooms:
-                openings[ahead] = _windows(rng, cell.low[axis], cell.high[axis], tall)
+                openings[ahead] = _windows(rng, cell.low[axis], cell.high[axis], height)
             elif rng.random() < 0.85:
-                door = _door(rng, cell.low[axis], cell.high[axis], tall)
+                door = _door(rng, cell.low[axis], cell.high[axis], height)
                 openings[ahead].append(door)
                 rooms[other][1][behind].append(door)
         for axis, name, is_outer in ((1, "west", i == 0), (0, "south", j == 0)):
             if is_outer:
-                openings[name] = _windows(rng, cell.low[axis], cell.high[axis], tall)
+                openings[name] = _windows(rng, cell.low[axis], cell.high[axis], height)
     return rooms
 
 
-def _door(rng: np.random.Generator, low: float, high: float, tall: float) -> Opening:
-    wide = min(float(rng.choice([0.8, 0.95, 1.4, 2.2])), high - low - 0.6)
-    middle = rng.uniform(low + 0.3 + 0.5 * wide, high - 0.3 - 0.5 * wide)
-    return Opening(middle - 0.5 * wide, middle + 0.5 * wide, 0.0, min(rng.uniform(2.0, 2.3), tall - 0.1))
+def _door(rng: np.random.Generator, low: float, high: float, height: float) -> Opening:
+    width = min(float(rng.choice([0.8, 0.95, 1.4, 2.2])), high - low - 0.6)
+    middle = rng.uniform(low + 0.3 + 0.5 * width, high - 0.3 - 0.5 * width)
+    return Opening(middle - 0.5 * width, middle + 0.5 * width, 0.0, min(rng.uniform(2.0, 2.3), height - 0.1))
 
 
-def _windows(rng: np.random.Generator, low: float, high: float, tall: float) -> list[Opening]:
+def _windows(rng: np.random.Generator, low: float, high: float, height: float) -> list[Opening]:
     """A row of equal windows along a wall, or none."""
     if rng.random() < 0.4:
         return []
-    wide = min(rng.uniform(0.6, 2.2), high - low - 0.6)
-    count = max(1, int(rng.uniform(0.3, 0.9) * (high - low) / (wide + 0.4)))
+    width = min(rng.uniform(0.6, 2.2), high - low - 0.6)
+    count = max(1, int(rng.uniform(0.3, 0.9) * (high - low) / (width + 0.4)))
     sill = 0.06 if rng.random() < 0.2 else rng.uniform(0.6, 1.1)
-    head = min(tall - 0.15, sill + rng.uniform(0.9, 1.9))
+    head = min(height - 0.15, sill + rng.uniform(0.9, 1.9))
     step = (high - low) / count
     return [
-        Opening(low + (k + 0.5) * step - 0.5 * wide, low + (k + 0.5) * step + 0.5 * wide, sill, head)
+        Opening(low + (k + 0.5) * step - 0.5 * width, low + (k + 0.5) * step + 0.5 * width, sill, head)
         for k in range(count)
     ]
 
@@ -126,7 +126,7 @@ def _add_room_walkway(build: SceneBuilder, cell: Cell) -> None:
     """Let cameras stand anywhere in a room."""
     level = build.ground[3]
     low = (cell.low[0] + 0.4, build.rng.uniform(0.6, 1.3) - level, cell.low[1] + 0.4)
-    high = (cell.high[0] - 0.4, min(2.1, cell.tall - 0.3) - level, cell.high[1] - 0.4)
+    high = (cell.high[0] - 0.4, min(2.1, cell.height - 0.3) - level, cell.high[1] - 0.4)
     build.walkways.append(Walkway(low, high, (0.0, 0.0), BASELINE_RANGE, 0.2, MAX_BASELINE_IN_DEPTHS, 0.12))
 
 
@@ -154,7 +154,7 @@ def _add_obstacles(build: SceneBuilder, cell: Cell) -> None:
 
 def _draw_enclosure(rng: np.random.Generator, cell: Cell) -> Enclosure:
     """A room, and a way through it at the height of a camera."""
-    low, high = (cell.low[0] + 0.15, 0.0, cell.low[1] + 0.15), (cell.high[0] - 0.15, cell.tall, cell.high[1] - 0.15)
+    low, high = (cell.low[0] + 0.15, 0.0, cell.low[1] + 0.15), (cell.high[0] - 0.15, cell.height, cell.high[1] - 0.15)
     ends = [(rng.uniform(low[0] + 0.4, high[0] - 0.4), rng.uniform(1.0, 1.8), rng.uniform(low[2] + 0.4, high[2] - 0.4))
             for _ in range(2)]  # fmt: skip
     return Enclosure(low, high, CameraPath(ends[0], ends[1], rng.uniform(0.25, 0.7)))
@@ -198,6 +198,6 @@ def _add_outdoors(build: SceneBuilder) -> None:
             front = Material(
                 Pattern.FACADE, tone, pick(rng, palette.GLASS), palette.scaled(tone, 0.7), cell=(2.5, 3.0), line=0.08,
             )  # fmt: skip
-            tall = rng.uniform(3, 8)
-            half = (rng.uniform(3, 8), tall, rng.uniform(3, 8))
-            build.add(Shape.BOX, (base[0] * 1.3, base[1] + tall, base[2] * 1.3), half, front, yaw=angle)
+            height = rng.uniform(3, 8)
+            half = (rng.uniform(3, 8), height, rng.uniform(3, 8))
+            build.add(Shape.BOX, (base[0] * 1.3, base[1] + height, base[2] * 1.3), half, front, yaw=angle)

@@ -66,19 +66,20 @@ def _draw_finish(rng: np.random.Generator, typical: FinishSampler, size: float) 
     return typical(rng, str(rng.choice(["home", "office", "hall"]))) if rng.random() < 0.6 else random_finish(rng, size)
 
 
-def _draw_enclosure(rng: np.random.Generator, sides: np.ndarray, tall: float) -> Enclosure:
+def _draw_enclosure(rng: np.random.Generator, sides: np.ndarray, height: float) -> Enclosure:
     """A box around the origin, and a way through it."""
     half = 0.5 * float(sides[0]), 0.5 * float(sides[1])
-    ends = [(rng.uniform(-0.8, 0.8) * half[0], rng.uniform(0.7, min(2.2, tall - 0.6)), rng.uniform(-0.8, 0.8) * half[1])
+    top = min(2.2, height - 0.6)
+    ends = [(rng.uniform(-0.8, 0.8) * half[0], rng.uniform(0.7, top), rng.uniform(-0.8, 0.8) * half[1])
             for _ in range(2)]  # fmt: skip
     path = CameraPath(ends[0], ends[1], math.exp(rng.uniform(math.log(0.25), math.log(1.2))))
-    return Enclosure((-half[0], 0.0, -half[1]), (half[0], tall, half[1]), path)
+    return Enclosure((-half[0], 0.0, -half[1]), (half[0], height, half[1]), path)
 
 
 def _add_shell(build: SceneBuilder, enclosure: Enclosure, *, has_roof: bool) -> None:
     """Four walls, some with openings into the dark or the open, and perhaps a roof."""
     rng = build.rng
-    (x0, _, z0), (x1, tall, z1) = enclosure.low, enclosure.high
+    (x0, _, z0), (x1, height, z1) = enclosure.low, enclosure.high
     typical = low_texture_finish if rng.random() < 0.5 else wall_finish
     finish = _draw_finish(rng, typical, 2.0)
     for along_x, at, low, high in ((True, z0, x0, x1), (True, z1, x0, x1), (False, x0, z0, z1), (False, x1, z0, z1)):
@@ -87,9 +88,9 @@ def _add_shell(build: SceneBuilder, enclosure: Enclosure, *, has_roof: bool) -> 
             continue  # open on this side
         outward = 0.15 if at > 0 else -0.15
         middle = 0.5 * (low + high)
-        centre = (middle, 0.5 * tall, at + outward) if along_x else (at + outward, 0.5 * tall, middle)
+        centre = (middle, 0.5 * height, at + outward) if along_x else (at + outward, 0.5 * height, middle)
         reach = 0.5 * (high - low) + 0.3
-        half = (reach, 0.5 * tall, 0.15) if along_x else (0.15, 0.5 * tall, reach)
+        half = (reach, 0.5 * height, 0.15) if along_x else (0.15, 0.5 * height, reach)
         build.add(Shape.BOX, centre, half, material, casts_shadow=not has_roof)
         if rng.random() < 0.5:
             spot, inner = rng.uniform(low + 0.5, high - 0.5), at - 0.02 * math.copysign(1.0, outward)
@@ -100,7 +101,7 @@ def _add_shell(build: SceneBuilder, enclosure: Enclosure, *, has_roof: bool) -> 
             )
     if has_roof:
         roof = _draw_finish(rng, low_texture_finish, 2.0)
-        build.box((x0 - 0.3, tall, z0 - 0.3), (x1 + 0.3, tall + 0.3, z1 + 0.3), roof, casts_shadow=False)
+        build.box((x0 - 0.3, height, z0 - 0.3), (x1 + 0.3, height + 0.3, z1 + 0.3), roof, casts_shadow=False)
         _add_lamps(build, enclosure)
 
 
@@ -137,13 +138,13 @@ def _add_boundaries(build: SceneBuilder, enclosure: Enclosure) -> None:
         choice, sign = rng.random(), math.copysign(1.0, at)
         if choice < 0.15:
             continue
-        deep, tall, material = _draw_boundary(rng, choice)
-        middle, out = 0.5 * (low + high), at + sign * deep
-        centre = (middle, 0.5 * tall, out) if along_x else (out, 0.5 * tall, middle)
-        reach = 0.5 * (high - low) + deep
-        half = (reach, 0.5 * tall, deep) if along_x else (deep, 0.5 * tall, reach)
+        depth, height, material = _draw_boundary(rng, choice)
+        middle, out = 0.5 * (low + high), at + sign * depth
+        centre = (middle, 0.5 * height, out) if along_x else (out, 0.5 * height, middle)
+        reach = 0.5 * (high - low) + depth
+        half = (reach, 0.5 * height, depth) if along_x else (depth, 0.5 * height, reach)
         build.add(Shape.BOX, centre, half, material)
-        if tall > 3.0 and rng.random() < 0.7:
+        if height > 3.0 and rng.random() < 0.7:
             spot, inner = rng.uniform(low + 1, high - 1), at - 0.01 * sign
             door = (spot, 1.1, inner) if along_x else (inner, 1.1, spot)
             build.add(Shape.BOX, door, (0.6, 1.1, 0.03) if along_x else (0.03, 1.1, 0.6), obstacles.DARK_GAP_MATERIAL)

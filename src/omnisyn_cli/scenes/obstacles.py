@@ -69,11 +69,11 @@ class Enclosure:
             point = np.clip(aside, self.low, self.high)
         return float(point[0]), float(point[1]), float(point[2])
 
-    def sample_floor_point(self, rng: np.random.Generator, radius: float, tall: float) -> Point | None:
+    def sample_floor_point(self, rng: np.random.Generator, radius: float, height: float) -> Point | None:
         """A place on the floor that leaves the way free; None where none was found."""
         for _ in range(MAX_PLACEMENT_TRIES):
             x, _, z = self.sample_point(rng)
-            heights = np.arange(self.low[1] + min(radius, tall), self.low[1] + tall + 0.01, max(radius, 0.1))
+            heights = np.arange(self.low[1] + min(radius, height), self.low[1] + height + 0.01, max(radius, 0.1))
             if all(self.path.is_clear_of((x, float(y), z), radius) for y in heights):
                 return x, self.low[1], z
         return None
@@ -162,20 +162,20 @@ def bars(build: SceneBuilder, enclosure: Enclosure) -> None:
     rng = build.rng
     count, step = int(rng.integers(4, 15)), rng.uniform(0.08, 0.3)
     reach = 0.5 * count * step
-    tall = min(enclosure.high[1] - enclosure.low[1], rng.choice([0.9, 1.1, 2.2, 4.0]))
+    height = min(enclosure.high[1] - enclosure.low[1], rng.choice([0.9, 1.1, 2.2, 4.0]))
     yaw, radius = rng.uniform(-math.pi, math.pi), rng.uniform(0.006, 0.03)
     for _ in range(MAX_PLACEMENT_TRIES):
         x, _, z = enclosure.sample_point(rng)
         local = LocalFrame(build, (x, enclosure.low[1], z), yaw)
         places = [
-            local.place(share * reach, y, 0.0) for share in np.linspace(-1.0, 1.0, 9) for y in np.arange(0, tall, 0.2)
+            local.place(share * reach, y, 0.0) for share in np.linspace(-1.0, 1.0, 9) for y in np.arange(0, height, 0.2)
         ]
         if all(enclosure.path.is_clear_of(place, 0.2) for place in places):
             tone = pick(rng, palette.METAL if rng.random() < 0.6 else palette.WOOD)
             iron = tonal_material(Pattern.PLAIN, tone, 0.8, grain=0.05, gloss=0.15)
             for k in range(count):
-                local.rod(((k + 0.5) * step - reach, 0.0, 0.0), ((k + 0.5) * step - reach, tall, 0.0), radius, iron)
-            for y in (0.08, tall):
+                local.rod(((k + 0.5) * step - reach, 0.0, 0.0), ((k + 0.5) * step - reach, height, 0.0), radius, iron)
+            for y in (0.08, height):
                 local.rod((-reach, y, 0.0), (reach, y, 0.0), 1.2 * radius, iron)
             return
 
@@ -183,24 +183,24 @@ def bars(build: SceneBuilder, enclosure: Enclosure) -> None:
 def platform(build: SceneBuilder, enclosure: Enclosure) -> None:
     """Raise part of the floor by a few steps whose risers are dark."""
     rng = build.rng
-    wide, deep, rise = rng.uniform(0.6, 1.5), rng.uniform(0.6, 1.5), rng.uniform(0.1, 0.2)
+    width, depth, rise = rng.uniform(0.6, 1.5), rng.uniform(0.6, 1.5), rng.uniform(0.1, 0.2)
     count = int(rng.integers(1, 5))
-    base = enclosure.sample_floor_point(rng, math.hypot(wide, deep), rise * count)
+    base = enclosure.sample_floor_point(rng, math.hypot(width, depth), rise * count)
     if base is None:
         return
-    tread, yaw = random_finish(rng, wide), float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi
+    tread, yaw = random_finish(rng, width), float(rng.choice([0.0, 0.5, 1.0, 1.5])) * math.pi
     riser = DARK_GAP_MATERIAL if rng.random() < 0.5 else tread
     local = LocalFrame(build, base, yaw)
     for k in range(count):
         inset = 0.28 * k
-        half = (wide, 0.5 * rise, max(0.15, deep - 0.5 * inset))
+        half = (width, 0.5 * rise, max(0.15, depth - 0.5 * inset))
         local.box((0.0, (k + 0.5) * rise, -0.5 * inset), half, riser, cap=tread)
 
 
 def arch(build: SceneBuilder, enclosure: Enclosure) -> None:
     """Stand two pillars with a lintel, or a row of columns."""
     rng = build.rng
-    thick, tall = rng.uniform(0.08, 0.35), min(rng.uniform(1.8, 3.5), enclosure.high[1] - enclosure.low[1])
+    thick, height = rng.uniform(0.08, 0.35), min(rng.uniform(1.8, 3.5), enclosure.high[1] - enclosure.low[1])
     stone = random_finish(rng, 1.0)
     step, count = rng.uniform(0.9, 2.2), int(rng.integers(2, 5))
     yaw = float(rng.choice([0.0, 0.5])) * math.pi
@@ -208,25 +208,25 @@ def arch(build: SceneBuilder, enclosure: Enclosure) -> None:
         x, _, z = enclosure.sample_point(rng)
         local = LocalFrame(build, (x, enclosure.low[1], z), yaw)
         feet = [(k - 0.5 * (count - 1)) * step for k in range(count)]
-        heights = np.arange(0.0, tall, 0.3)
+        heights = np.arange(0.0, height, 0.3)
         if all(enclosure.path.is_clear_of(local.place(foot, y, 0.0), 1.5 * thick) for foot in feet for y in heights):
             for foot in feet:
                 if rng.random() < 0.5:
-                    local.rod((foot, 0.0, 0.0), (foot, tall, 0.0), thick, stone)
+                    local.rod((foot, 0.0, 0.0), (foot, height, 0.0), thick, stone)
                 else:
-                    local.box((foot, 0.5 * tall, 0.0), (thick, 0.5 * tall, thick), stone)
-            if enclosure.path.is_clear_of(local.place(0.0, tall, 0.0), 0.5 * step * count):
-                local.box((0.0, tall + 0.15, 0.0), (0.5 * step * (count - 1) + thick, 0.15, thick), stone)
+                    local.box((foot, 0.5 * height, 0.0), (thick, 0.5 * height, thick), stone)
+            if enclosure.path.is_clear_of(local.place(0.0, height, 0.0), 0.5 * step * count):
+                local.box((0.0, height + 0.15, 0.0), (0.5 * step * (count - 1) + thick, 0.15, thick), stone)
             return
 
 
 def kitchen_unit(local: LocalFrame) -> None:
     """Add a kitchen unit or counter on a dark plinth, its board sticking out."""
     rng = local.build.rng
-    wide, tall, deep = rng.uniform(0.4, 1.2), rng.uniform(0.7, 1.0), rng.uniform(0.25, 0.35)
-    local.box((0.0, 0.06, -0.05), (wide - 0.02, 0.06, deep - 0.05), DARK_GAP_MATERIAL)
-    local.box((0.0, 0.5 * (tall + 0.12), 0.0), (wide, 0.5 * (tall - 0.12), deep), wood(rng, 1.0))
-    local.box((0.0, tall + 0.02, 0.0), (wide + 0.01, 0.02, deep + 0.03), random_finish(rng, 0.5))
+    width, height, depth = rng.uniform(0.4, 1.2), rng.uniform(0.7, 1.0), rng.uniform(0.25, 0.35)
+    local.box((0.0, 0.06, -0.05), (width - 0.02, 0.06, depth - 0.05), DARK_GAP_MATERIAL)
+    local.box((0.0, 0.5 * (height + 0.12), 0.0), (width, 0.5 * (height - 0.12), depth), wood(rng, 1.0))
+    local.box((0.0, height + 0.02, 0.0), (width + 0.01, 0.02, depth + 0.03), random_finish(rng, 0.5))
 
 
 def chandelier(build: SceneBuilder, ceiling: Point, drop: float) -> None:
@@ -246,11 +246,11 @@ def chandelier(build: SceneBuilder, ceiling: Point, drop: float) -> None:
         build.add(Shape.ELLIPSOID, (end[0], end[1] + 0.05, end[2]), (0.04, 0.06, 0.04), bulb)
 
 
-def tripod(build: SceneBuilder, base: Point, tall: float) -> None:
+def tripod(build: SceneBuilder, base: Point, height: float) -> None:
     """Stand a tripod with a small head."""
     dark = Material(Pattern.PLAIN, (0.07, 0.07, 0.075), (0.1, 0.1, 0.1), grain=0.05, gloss=0.2)
-    turn, spread = build.rng.uniform(0.0, 2.0), 0.3 * tall
-    top = (base[0], base[1] + tall, base[2])
+    turn, spread = build.rng.uniform(0.0, 2.0), 0.3 * height
+    top = (base[0], base[1] + height, base[2])
     for k in range(3):
         angle = turn + 2.0 * math.pi * k / 3
         build.rod((base[0] + spread * math.cos(angle), base[1], base[2] + spread * math.sin(angle)), top, 0.014, dark)

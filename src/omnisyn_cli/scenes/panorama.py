@@ -134,14 +134,9 @@ def render_panorama(
 
 
 def render_views(
-    scene: Scene,
-    rotation: Float[np.ndarray, "3 3"],
-    positions: Float[np.ndarray, "views 3"],
-    size: tuple[int, int],
-    *,
-    supersample: int = 2,
-    threads: int | None = None,
-) -> tuple[Float[np.ndarray, "views height width 3"], Float[np.ndarray, "views height width"]]:
+    scene: Scene, rotation: Float[np.ndarray, "3 3"], positions: Float[np.ndarray, "views 3"], size: tuple[int, int], *,
+    supersample: int = 2, threads: int | None = None,
+) -> tuple[Float[np.ndarray, "views height width 3"], Float[np.ndarray, "views height width"]]:  # fmt: skip
     """Images and depths, as of :func:`render_panorama`, from several positions in one rotated frame.
 
     ``rotation`` is world from camera, for example with the epipoles at the poles; ``positions`` are in metres.

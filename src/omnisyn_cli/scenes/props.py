@@ -57,10 +57,10 @@ def conifer(build: SceneBuilder, base: Point, height: float) -> None:
     widest = height * rng.uniform(0.16, 0.25)
     for tier in range(tiers):
         low = 0.12 + 0.75 * tier / tiers
-        tall = height * (0.42 - 0.12 * tier / tiers)
+        cone = height * (0.42 - 0.12 * tier / tiers)
         radius = widest * (1.0 - 0.75 * tier / tiers)
-        centre = (x, y + low * height + 0.5 * tall, z)
-        build.add(Shape.CONE, centre, (radius, 0.5 * tall, radius), green, tint=0.8 + 0.1 * tier)
+        centre = (x, y + low * height + 0.5 * cone, z)
+        build.add(Shape.CONE, centre, (radius, 0.5 * cone, radius), green, tint=0.8 + 0.1 * tier)
 
 
 def bush(build: SceneBuilder, base: Point, radius: float) -> None:

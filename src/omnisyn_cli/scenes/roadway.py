@@ -69,15 +69,9 @@ def draw_plan(rng: np.random.Generator) -> StreetPlan:
 
 
 def _add_slab(
-    build: SceneBuilder,
-    plan: StreetPlan,
-    x: tuple[float, float],
-    z: tuple[float, float],
-    top: float,
-    deep: float,
-    material: Material,
-    side_material: Material | None = None,
-) -> None:
+    build: SceneBuilder, plan: StreetPlan, x: tuple[float, float], z: tuple[float, float], top: float, deep: float,
+    material: Material, side_material: Material | None = None,
+) -> None:  # fmt: skip
     """Add a slab that follows the slope, from x[0] to x[1] and z[0] to z[1], ``top`` metres above the road."""
     middle = 0.5 * (z[0] + z[1])
     angle = -math.atan(plan.slope)

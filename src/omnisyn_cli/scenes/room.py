@@ -50,19 +50,19 @@ def room(seed: int) -> Scene:
 def _draw_plan(rng: np.random.Generator) -> _Plan:
     use = str(rng.choice(["home", "office", "hall"], p=[0.48, 0.3, 0.22]))
     if use == "hall":
-        size, tall = (rng.uniform(10, 30), rng.uniform(8, 20)), rng.uniform(4, 9)
-        cell = Cell((-0.5 * size[0], -0.5 * size[1]), (0.5 * size[0], 0.5 * size[1]), tall)
+        size, height = (rng.uniform(10, 30), rng.uniform(8, 20)), rng.uniform(4, 9)
+        cell = Cell((-0.5 * size[0], -0.5 * size[1]), (0.5 * size[0], 0.5 * size[1]), height)
         return _Plan(use, (cell,), bool(rng.random() < 0.7))
     count = int(rng.choice([1, 2, 3], p=[0.35, 0.4, 0.25]))
-    tall = rng.uniform(2.3, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.5)
+    height = rng.uniform(2.3, 3.2) if rng.random() < 0.8 else rng.uniform(3.2, 4.5)
     largest = 7.0 if use == "home" else 11.0
     widths = rng.uniform(2.8, largest, count)
     x = -0.5 * float(widths.sum())
     cells = []
     for width in widths:
-        deep = rng.uniform(2.8, largest)
-        front = rng.uniform(0.4, 0.6) * deep
-        cells.append(Cell((x, front - deep), (x + float(width), front), tall))
+        depth = rng.uniform(2.8, largest)
+        front = rng.uniform(0.4, 0.6) * depth
+        cells.append(Cell((x, front - depth), (x + float(width), front), height))
         x += float(width)
     return _Plan(use, tuple(cells), bool(rng.random() < 0.55))
 
@@ -109,10 +109,10 @@ def _draw_openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
     for left, right in zip(range(len(plan.cells)), range(1, len(plan.cells)), strict=False):
         low = max(plan.cells[left].low[1], plan.cells[right].low[1]) + 0.3
         high = min(plan.cells[left].high[1], plan.cells[right].high[1]) - 0.3
-        wide = min(float(rng.choice([0.85, 1.2, 2.4])), high - low)
-        middle = rng.uniform(low + 0.5 * wide, high - 0.5 * wide + 1e-9)
-        tall = min(rng.uniform(2.0, 2.4), plan.cells[left].tall - 0.15)
-        door = Opening(middle - 0.5 * wide, middle + 0.5 * wide, 0.0, tall)
+        width = min(float(rng.choice([0.85, 1.2, 2.4])), high - low)
+        middle = rng.uniform(low + 0.5 * width, high - 0.5 * width + 1e-9)
+        height = min(rng.uniform(2.0, 2.4), plan.cells[left].height - 0.15)
+        door = Opening(middle - 0.5 * width, middle + 0.5 * width, 0.0, height)
         openings[left]["east"].append(door)
         openings[right]["west"].append(door)
     for cell, walls in zip(plan.cells, openings, strict=True):
@@ -125,19 +125,19 @@ def _draw_openings(rng: np.random.Generator, plan: _Plan) -> list[Openings]:
 def _draw_windows(rng: np.random.Generator, cell: Cell) -> list[Opening]:
     """A row of equal windows along x."""
     length = cell.high[0] - cell.low[0]
-    wide = min(rng.uniform(0.8, 2.4), length - 0.8)
-    count = max(1, int(rng.uniform(0.4, 0.9) * length / (wide + 0.5)))
-    sill = float(rng.choice([0.05, rng.uniform(0.7, 1.1)], p=[0.2, 0.8])) if cell.tall < 4.6 else cell.tall - 2.2
-    head = min(cell.tall - 0.2, sill + rng.uniform(1.0, 1.9)) if sill > 0.5 else min(2.3, cell.tall - 0.2)
+    width = min(rng.uniform(0.8, 2.4), length - 0.8)
+    count = max(1, int(rng.uniform(0.4, 0.9) * length / (width + 0.5)))
+    sill = float(rng.choice([0.05, rng.uniform(0.7, 1.1)], p=[0.2, 0.8])) if cell.height < 4.6 else cell.height - 2.2
+    head = min(cell.height - 0.2, sill + rng.uniform(1.0, 1.9)) if sill > 0.5 else min(2.3, cell.height - 0.2)
     step = length / count
     middles = [cell.low[0] + (k + 0.5) * step for k in range(count)]
-    return [Opening(m - 0.5 * wide, m + 0.5 * wide, sill, head) for m in middles]
+    return [Opening(m - 0.5 * width, m + 0.5 * width, sill, head) for m in middles]
 
 
 def _add_walkway(build: SceneBuilder, cell: Cell, use: str) -> None:
     margin = 0.45
     low = (cell.low[0] + margin, 1.05, cell.low[1] + margin)
-    high = (cell.high[0] - margin, min(2.3, cell.tall - 0.5), cell.high[1] - margin)
+    high = (cell.high[0] - margin, min(2.3, cell.height - 0.5), cell.high[1] - margin)
     level = build.ground[3]  # heights of walkways count from the ground
     low, high = (low[0], low[1] - level, low[2]), (high[0], high[1] - level, high[2])
     baselines = (0.5, 4.0) if use == "hall" else (0.3, 2.5)

@@ -172,18 +172,10 @@ class SceneBuilder:
     _shapes: list[_Added] = field(default_factory=list)
 
     def add(
-        self,
-        shape: Shape,
-        centre: Point,
-        half: Point,
-        material: Material,
-        *,
-        cap: Material | None = None,
-        yaw: float = 0.0,
-        rotation: Float[np.ndarray, "3 3"] | None = None,
-        tint: float = 1.0,
+        self, shape: Shape, centre: Point, half: Point, material: Material, *, cap: Material | None = None,
+        yaw: float = 0.0, rotation: Float[np.ndarray, "3 3"] | None = None, tint: float = 1.0,
         casts_shadow: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add one shape; ``yaw`` turns it about the vertical, ``rotation`` replaces that by any rotation."""
         sides, ends = self._row(material), self._row(material if cap is None else cap)
         turn = yaw if rotation is None else rotation
@@ -272,15 +264,9 @@ class LocalFrame:
         return self.base[0] + c * x + s * z, self.base[1] + y, self.base[2] - s * x + c * z
 
     def box(
-        self,
-        centre: Point,
-        half: Point,
-        material: Material,
-        *,
-        cap: Material | None = None,
-        tint: float = 1.0,
+        self, centre: Point, half: Point, material: Material, *, cap: Material | None = None, tint: float = 1.0,
         turn: float = 0.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Add a box; ``turn`` turns it further about its own middle."""
         self.build.add(Shape.BOX, self.place(*centre), half, material, cap=cap, yaw=self.yaw + turn, tint=tint)
 

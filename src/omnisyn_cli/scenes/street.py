@@ -48,21 +48,21 @@ def _fronts(build: SceneBuilder, plan: StreetPlan, side: float) -> None:
     for low, high in plan.blocks():
         z = low + rng.uniform(0.2, 3.0)
         while z < high - 4.0:
-            wide = {"town": rng.uniform(6, 16), "office": rng.uniform(14, 34), "suburb": rng.uniform(7, 13)}.get(
+            width = {"town": rng.uniform(6, 16), "office": rng.uniform(14, 34), "suburb": rng.uniform(7, 13)}.get(
                 plan.style, rng.uniform(8, 20)
             )
-            wide = min(wide, high - z)
+            width = min(width, high - z)
             x = side * (inner + setback + rng.uniform(0, 0.5))
-            base = (x, plan.ground(z + 0.5 * wide) - 0.05, z + 0.5 * wide)
+            base = (x, plan.ground(z + 0.5 * width) - 0.05, z + 0.5 * width)
             near = abs(base[2]) < 32.0
-            if wide > 4.0:
+            if width > 4.0:
                 if plan.style == "suburb":
-                    house(build, base, wide, side, detailed=near)
+                    house(build, base, width, side, detailed=near)
                 elif plan.style == "office":
-                    office(build, base, wide, side, detailed=near)
+                    office(build, base, width, side, detailed=near)
                 else:
-                    town_house(build, base, wide, side, max(1, floors + int(rng.integers(-1, 3))), detailed=near)
-            z += wide
+                    town_house(build, base, width, side, max(1, floors + int(rng.integers(-1, 3))), detailed=near)
+            z += width
             if rng.random() < gap:
                 z += rng.uniform(2.0, 9.0)
 

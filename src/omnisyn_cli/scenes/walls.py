@@ -18,11 +18,11 @@ SLAB_THICKNESS = 0.06
 
 @dataclass(frozen=True)
 class Cell:
-    """A room: corners of its floor plan as (x, z), floor at y = 0, height ``tall``; metres."""
+    """A room: corners of its floor plan as (x, z), floor at y = 0, height ``height``; metres."""
 
     low: tuple[float, float]
     high: tuple[float, float]
-    tall: float
+    height: float
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,9 @@ Openings = dict[str, list[Opening]]
 
 
 def add_room_shell(
-    build: SceneBuilder,
-    cell: Cell,
-    openings: Openings,
-    use: str,
-    *,
-    casts_shadow: bool,
+    build: SceneBuilder, cell: Cell, openings: Openings, use: str, *, casts_shadow: bool,
     finish: Callable[[np.random.Generator, str], Material] = wall_finish,
-) -> None:
+) -> None:  # fmt: skip
     """Add floor, ceiling, walls, and what belongs to them: skirting, window bars, curtains, doors, lamps.
 
     ``use`` is "home", "office" or "hall". The ceiling stops the light from above if it ``casts_shadow``. ``finish``
@@ -81,16 +76,16 @@ def _ceiling(build: SceneBuilder, cell: Cell, use: str, casts_shadow: bool) -> N
         )  # fmt: skip
     else:
         surface = tonal_material(Pattern.PLAIN, white, 0.92, grain=0.04, grain_size=1.5)
-    build.box((x0, cell.tall, z0), (x1, cell.tall + 0.3, z1), surface, casts_shadow=casts_shadow)
+    build.box((x0, cell.height, z0), (x1, cell.height + 0.3, z1), surface, casts_shadow=casts_shadow)
     if use != "hall" and rng.random() < 0.3:
         beam = wood(rng, 0.3) if rng.random() < 0.6 else surface
         for z in np.arange(z0 + 0.5, z1 - 0.2, rng.uniform(0.8, 1.6)):
-            build.box((x0, cell.tall - 0.18, float(z)), (x1, cell.tall, float(z) + 0.12), beam, casts_shadow=False)
+            build.box((x0, cell.height - 0.18, float(z)), (x1, cell.height, float(z) + 0.12), beam, casts_shadow=False)
     if surface.pattern is Pattern.PLAIN and use != "hall":
         _ceiling_lamp(build, cell)
     for _ in range(max(1, int((x1 - x0) * (z1 - z0) / 30.0))):
         power = rng.uniform(0.25, 0.8) * (1.0 if use != "hall" else 6.0)
-        spot = (rng.uniform(x0 + 0.8, x1 - 0.8), cell.tall - 0.5, rng.uniform(z0 + 0.8, z1 - 0.8))
+        spot = (rng.uniform(x0 + 0.8, x1 - 0.8), cell.height - 0.5, rng.uniform(z0 + 0.8, z1 - 0.8))
         if len(build.lamps) < 5:
             build.lamps.append((*spot, power, 0.92 * power, 0.8 * power))
 
@@ -103,13 +98,13 @@ def _ceiling_lamp(build: SceneBuilder, cell: Cell) -> None:
     kind = rng.random()
     if kind < 0.4:
         build.rod(
-            (x, cell.tall - drop, z), (x, cell.tall, z), 0.006, Material(Pattern.PLAIN, (0.1, 0.1, 0.1), grain=0.0)
+            (x, cell.height - drop, z), (x, cell.height, z), 0.006, Material(Pattern.PLAIN, (0.1, 0.1, 0.1), grain=0.0)
         )
-        build.ball((x, cell.tall - drop, z), rng.uniform(0.1, 0.2), shade)
+        build.ball((x, cell.height - drop, z), rng.uniform(0.1, 0.2), shade)
     elif kind < 0.7:
-        build.add(Shape.CYLINDER, (x, cell.tall - 0.05, z), (0.22, 0.05, 0.22), shade)
+        build.add(Shape.CYLINDER, (x, cell.height - 0.05, z), (0.22, 0.05, 0.22), shade)
     else:
-        build.add(Shape.BOX, (x, cell.tall - 0.04, z), (0.6, 0.03, 0.08), shade)
+        build.add(Shape.BOX, (x, cell.height - 0.04, z), (0.6, 0.03, 0.08), shade)
 
 
 def wall_axes(cell: Cell, name: str, inset: float = 0.5 * SLAB_THICKNESS) -> tuple[float, float, float, bool]:
@@ -124,21 +119,17 @@ def wall_axes(cell: Cell, name: str, inset: float = 0.5 * SLAB_THICKNESS) -> tup
 
 
 def _slab(
-    build: SceneBuilder,
-    wall: tuple[float, float, float, bool],
-    along: tuple[float, float],
-    heights: tuple[float, float],
-    half: float,
-    material: Material,
-) -> None:
+    build: SceneBuilder, wall: tuple[float, float, float, bool], along: tuple[float, float],
+    heights: tuple[float, float], half: float, material: Material,
+) -> None:  # fmt: skip
     """Add a piece of wall, or a bar in one."""
     across, is_x = wall[2], wall[3]
     middle, reach = 0.5 * (along[0] + along[1]), 0.5 * (along[1] - along[0])
-    y, tall = 0.5 * (heights[0] + heights[1]), 0.5 * (heights[1] - heights[0])
-    if reach <= 1e-6 or tall <= 1e-6:
+    y, height = 0.5 * (heights[0] + heights[1]), 0.5 * (heights[1] - heights[0])
+    if reach <= 1e-6 or height <= 1e-6:
         return
     centre = (middle, y, across) if is_x else (across, y, middle)
-    build.add(Shape.BOX, centre, (reach, tall, half) if is_x else (half, tall, reach), material)
+    build.add(Shape.BOX, centre, (reach, height, half) if is_x else (half, height, reach), material)
 
 
 def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening], material: Material) -> None:
@@ -146,11 +137,11 @@ def _wall(build: SceneBuilder, cell: Cell, name: str, openings: Sequence[Opening
     at, half = wall[0], 0.5 * SLAB_THICKNESS
     ordered = sorted(openings, key=lambda opening: opening.start)
     for opening in ordered:
-        _slab(build, wall, (at, opening.start), (0.0, cell.tall), half, material)
+        _slab(build, wall, (at, opening.start), (0.0, cell.height), half, material)
         _slab(build, wall, (opening.start, opening.end), (0.0, opening.bottom), half, material)
-        _slab(build, wall, (opening.start, opening.end), (opening.top, cell.tall), half, material)
+        _slab(build, wall, (opening.start, opening.end), (opening.top, cell.height), half, material)
         at = opening.end
-    _slab(build, wall, (at, wall[1]), (0.0, cell.tall), half, material)
+    _slab(build, wall, (at, wall[1]), (0.0, cell.height), half, material)
     if build.rng.random() < 0.5:
         skirting = Material(Pattern.PLAIN, palette.scaled(material.first, build.rng.choice([0.5, 1.15])), grain=0.04)
         at = wall[0]
@@ -217,7 +208,7 @@ def _closed_door(build: SceneBuilder, cell: Cell, name: str) -> None:
     if high - low < 2.0:
         return
     middle = rng.uniform(low + 0.6, high - 0.6)
-    top = min(2.1, cell.tall - 0.1)
+    top = min(2.1, cell.height - 0.1)
     inward = 1.0 if name in ("west", "south") else -1.0
     wall = (low, high, across + 0.03 * inward, is_x)
     tone = pick(rng, palette.WOOD if rng.random() < 0.6 else palette.INTERIOR)

@@ -46,7 +46,7 @@ def by_the_definition(estimate: np.ndarray, truth: np.ndarray, *, weighted: bool
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_agrees_with_the_definition_pixel_by_pixel(weighted: bool) -> None:
+def test_agrees_with_the_definition_pixel_by_pixel(weighted):
     estimate, truth = depths()
     result = depth_metrics(1 / estimate, 1 / truth, weighted=weighted)
     assert result == pytest.approx(by_the_definition(estimate, truth, weighted=weighted), rel=1e-12)
@@ -54,13 +54,13 @@ def test_agrees_with_the_definition_pixel_by_pixel(weighted: bool) -> None:
     assert 0.1 < result["delta_105"] < result["delta_110"] < result["delta_125"] < result["delta_125_squared"] < 1
 
 
-def test_the_truth_has_no_error() -> None:
+def test_the_truth_has_no_error():
     _, truth = depths()
     exact = depth_metrics(np.nan_to_num(1 / truth), 1 / truth, weighted=True)
     assert exact == pytest.approx({name: float(name.startswith("delta")) for name in exact}, abs=1e-12)
 
 
-def test_an_infinite_estimate_is_wrong_but_finite() -> None:
+def test_an_infinite_estimate_is_wrong_but_finite():
     """In 1/m its error is the truth itself; in metres it counts as the far bound of 100 m; no ratio is small enough."""
     truth = np.full((HEIGHT, 2 * HEIGHT), 10.0)
     result = depth_metrics(np.zeros_like(truth), 1 / truth, weighted=False)
@@ -70,7 +70,7 @@ def test_an_infinite_estimate_is_wrong_but_finite() -> None:
     )
 
 
-def test_what_is_not_scored_does_not_matter() -> None:
+def test_what_is_not_scored_does_not_matter():
     """Every metric has the same mask: nothing outside of it changes any figure, however wrong."""
     estimate, truth = depths()
     spoiled = np.where(scored_pixels(1 / truth), 1 / estimate, np.nan)
@@ -79,7 +79,7 @@ def test_what_is_not_scored_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -0.01])
-def test_an_estimate_that_is_no_inverse_depth_is_refused(wrong: float) -> None:
+def test_an_estimate_that_is_no_inverse_depth_is_refused(wrong):
     truth = np.full((4, 8), 0.2)
     estimate = truth.copy()
     estimate[1, 1] = wrong
@@ -87,7 +87,7 @@ def test_an_estimate_that_is_no_inverse_depth_is_refused(wrong: float) -> None:
         depth_metrics(estimate, truth, weighted=False)
 
 
-def test_nothing_to_score_and_other_sizes_are_refused() -> None:
+def test_nothing_to_score_and_other_sizes_are_refused():
     with pytest.raises(ValueError, match="true depth between 1 m and 50 m"):
         depth_metrics(np.ones((4, 8)), np.zeros((4, 8)), weighted=True)
     with pytest.raises(ValueError, match="one size"):

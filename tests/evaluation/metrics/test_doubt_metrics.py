@@ -16,7 +16,7 @@ def truth_and_estimate(seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
     return truth, truth * np.exp(rng.normal(0.0, 0.1, SIZE))
 
 
-def test_the_unsure_area_is_weighted_by_solid_angle_and_scored_where_depth_is() -> None:
+def test_the_unsure_area_is_weighted_by_solid_angle_and_scored_where_depth_is():
     truth, estimate = truth_and_estimate()
     truth[2], truth[5] = np.nan, 1.5
     sure = np.random.default_rng(1).random(SIZE) < 0.6
@@ -33,12 +33,12 @@ def test_the_unsure_area_is_weighted_by_solid_angle_and_scored_where_depth_is() 
     assert figures["within_5_sure"] == pytest.approx(sums[True][1] / sums[True][0])
 
 
-def test_where_all_is_sure_nothing_is_said_about_the_unsure_area() -> None:
+def test_where_all_is_sure_nothing_is_said_about_the_unsure_area():
     truth, _ = truth_and_estimate()
     assert unsure_metrics(truth, truth, np.ones(SIZE, bool)) == {"unsure_area": 0.0, "within_5_sure": 1.0}
 
 
-def test_rank_correlation_is_that_of_repeated_entries() -> None:
+def test_rank_correlation_is_that_of_repeated_entries():
     """Weights are numbers of repetitions, and Spearman's is Pearson's of mean ranks."""
     rng = np.random.default_rng(2)
     one, other, times = rng.integers(0, 6, 40) / 1.0, rng.normal(size=40), rng.integers(1, 4, 40)
@@ -50,7 +50,7 @@ def test_rank_correlation_is_that_of_repeated_entries() -> None:
     assert rank_correlation(np.ones(40), other, np.ones(40)) is None
 
 
-def test_doubt_that_orders_errors_correlates_wholly_and_certainty_without_shades_says_nothing() -> None:
+def test_doubt_that_orders_errors_correlates_wholly_and_certainty_without_shades_says_nothing():
     truth, estimate = truth_and_estimate()
     error = np.maximum(estimate / truth, truth / estimate)
     figures, _ = confidence_metrics(estimate, 1.0 / error, truth)
@@ -60,7 +60,7 @@ def test_doubt_that_orders_errors_correlates_wholly_and_certainty_without_shades
     assert confidence_metrics(estimate, np.ones(SIZE), truth) == ({}, {})
 
 
-def test_confidence_that_is_the_share_within_a_tenth_is_calibrated() -> None:
+def test_confidence_that_is_the_share_within_a_tenth_is_calibrated():
     """Half of the columns are believed by 0.25 and a quarter of these are right, the others are right and believed."""
     truth = np.full(SIZE, 0.25)
     col = np.arange(SIZE[1])
@@ -76,7 +76,7 @@ def test_confidence_that_is_the_share_within_a_tenth_is_calibrated() -> None:
     assert overconfident["calibration_error"] == pytest.approx(0.1)
 
 
-def test_what_is_infinitely_far_is_never_right() -> None:
+def test_what_is_infinitely_far_is_never_right():
     truth = np.full(SIZE, 0.25)
     estimate = np.zeros(SIZE)
     confidence = np.broadcast_to(np.linspace(0, 1, SIZE[1]), SIZE)
@@ -85,7 +85,7 @@ def test_what_is_infinitely_far_is_never_right() -> None:
     assert "rank_correlation" not in confidence_metrics(estimate, confidence, truth)[0]
 
 
-def test_diagrams_together_are_those_of_all_pixels() -> None:
+def test_diagrams_together_are_those_of_all_pixels():
     pairs = [truth_and_estimate(seed) for seed in (1, 2)]
     confidence = [np.random.default_rng(seed).random(SIZE) for seed in (1, 2)]
     apart = [confidence_metrics(estimate, c, truth)[1] for (truth, estimate), c in zip(pairs, confidence, strict=True)]

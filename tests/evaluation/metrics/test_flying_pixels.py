@@ -48,7 +48,7 @@ AHEAD = np.array([0.2, 0.1, -1.0])
 
 
 @pytest.mark.parametrize("reach", [1, 3])
-def test_colours_are_found_within_the_square_and_not_beyond(reach: int) -> None:
+def test_colours_are_found_within_the_square_and_not_beyond(reach):
     """As brute force finds them."""
     rng = np.random.default_rng(reach)
     wide = rng.random((20, 30, 3), np.float32)
@@ -61,14 +61,14 @@ def test_colours_are_found_within_the_square_and_not_beyond(reach: int) -> None:
     np.testing.assert_array_equal(is_around(wide, reach, rows, cols, colours), expected)
 
 
-def test_what_neither_photograph_shows_anywhere_flies() -> None:
+def test_what_neither_photograph_shows_anywhere_flies():
     image = with_mark(AHEAD)
     np.testing.assert_array_equal(flying_pixels(image, TRUTH, HERE, views()), disc(AHEAD, 3.0))
     area = solid_angles(*SIZE)[disc(AHEAD, 3.0)].sum() / (4 * np.pi)
     assert flying_share(image, TRUTH, HERE, views()) == pytest.approx(area, rel=1e-3)
 
 
-def test_what_a_photograph_shows_where_it_should_does_not_fly_though_it_is_wrong() -> None:
+def test_what_a_photograph_shows_where_it_should_does_not_fly_though_it_is_wrong():
     """Parallax is followed: in the photographs the mark is up to 27° aside."""
     image = with_mark(AHEAD)
     near, other = views(AHEAD)
@@ -78,18 +78,18 @@ def test_what_a_photograph_shows_where_it_should_does_not_fly_though_it_is_wrong
     assert not flying_pixels(image, TRUTH, HERE, (near, views()[1])).any()
 
 
-def test_what_a_photograph_shows_elsewhere_flies() -> None:
+def test_what_a_photograph_shows_elsewhere_flies():
     """30° from where the wall is shown there."""
     aside = np.array([0.9, 0.1, -1.0])
     assert flying_pixels(with_mark(AHEAD), TRUTH, HERE, views(aside)).sum() == disc(AHEAD, 3.0).sum()
 
 
-def test_nothing_flies_that_is_near_the_truth() -> None:
+def test_nothing_flies_that_is_near_the_truth():
     image = np.clip(TRUTH + np.random.default_rng(3).uniform(-29 / 255, 29 / 255, (*SIZE, 3)), 0, 1)
     assert not flying_pixels(image, TRUTH, HERE, views()).any()
 
 
-def test_without_known_distances_a_photograph_may_show_all_from_infinity_to_a_metre() -> None:
+def test_without_known_distances_a_photograph_may_show_all_from_infinity_to_a_metre():
     """The mark hangs 1.3 m before the frame; true depth says that the wall is at 2 m."""
     mark = 1.3 * AHEAD / np.linalg.norm(AHEAD)
     shown = []
@@ -102,18 +102,18 @@ def test_without_known_distances_a_photograph_may_show_all_from_infinity_to_a_me
     assert not flying_pixels(with_mark(AHEAD), TRUTH, HERE, (unknown[0], unknown[1])).any()
 
 
-def test_a_photograph_from_the_place_of_the_frame_shows_everything_where_it_is() -> None:
+def test_a_photograph_from_the_place_of_the_frame_shows_everything_where_it_is():
     assert not flying_pixels(with_mark(AHEAD), TRUTH, HERE, (view((0, 0, 0), AHEAD), views()[1])).any()
     assert flying_pixels(with_mark(AHEAD), TRUTH, HERE, (view((0, 0, 0)), views()[1])).any()
 
 
-def test_photographs_may_be_larger_than_frames_and_their_true_depth_smaller() -> None:
+def test_photographs_may_be_larger_than_frames_and_their_true_depth_smaller():
     near, other = views(AHEAD)
     large = View(near.image.repeat(2, 0).repeat(2, 1), near.pose, None, near.known_depth)
     assert not flying_pixels(with_mark(AHEAD), TRUTH, HERE, (large, other)).any()
 
 
-def test_views_without_depth_are_refused() -> None:
+def test_views_without_depth_are_refused():
     blind = View(views()[0].image, HERE)
     with pytest.raises(ValueError, match="known depth"):
         flying_pixels(with_mark(AHEAD), TRUTH, HERE, (blind, blind))

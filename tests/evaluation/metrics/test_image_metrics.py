@@ -18,13 +18,13 @@ def pair(height: int = 24, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("error", [1.0, 0.1, 0.003])
-def test_of_a_constant_error_both_are_the_same(error: float) -> None:
+def test_of_a_constant_error_both_are_the_same(error):
     truth = np.random.default_rng(0).random((16, 32, 3))
     assert psnr(truth + error, truth) == pytest.approx(-20 * math.log10(error))
     assert ws_psnr(truth + error, truth) == pytest.approx(-20 * math.log10(error))
 
 
-def test_the_same_picture_is_infinitely_close() -> None:
+def test_the_same_picture_is_infinitely_close():
     assert ws_psnr(np.ones((4, 8, 3)), np.ones((4, 8, 3))) == math.inf
     _, truth = pair()
     assert ssim(truth, truth) == pytest.approx(1.0, abs=1e-12)
@@ -32,7 +32,7 @@ def test_the_same_picture_is_infinitely_close() -> None:
     assert lrce(truth, truth) == 0.0
 
 
-def test_errors_at_an_end_of_the_picture_count_there_alone_and_all_alike() -> None:
+def test_errors_at_an_end_of_the_picture_count_there_alone_and_all_alike():
     truth = np.random.default_rng(2).random((32, 64, 3))
     image = truth.copy()
     image[-4:, :32] += 0.2  # half of the bottom eighth
@@ -44,7 +44,7 @@ def test_errors_at_an_end_of_the_picture_count_there_alone_and_all_alike() -> No
     assert end_psnr(truth[:4] + 0.1, truth[:4], is_bottom=True) == pytest.approx(20)  # at least one row
 
 
-def test_ws_psnr_agrees_with_the_definition_pixel_by_pixel() -> None:
+def test_ws_psnr_agrees_with_the_definition_pixel_by_pixel():
     rng = np.random.default_rng(1)
     image, truth = rng.random((6, 12, 3)), rng.random((6, 12, 3))
     total = weight_sum = 0.0
@@ -57,7 +57,7 @@ def test_ws_psnr_agrees_with_the_definition_pixel_by_pixel() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_psnr_and_ssim_agree_with_scikit_image(dtype: type) -> None:
+def test_psnr_and_ssim_agree_with_scikit_image(dtype):
     image, truth = (picture.astype(dtype) for picture in pair(40))
     assert psnr(image, truth) == pytest.approx(peak_signal_noise_ratio(truth, image, data_range=1), abs=1e-6)
     reference = structural_similarity(
@@ -68,7 +68,7 @@ def test_psnr_and_ssim_agree_with_scikit_image(dtype: type) -> None:
     assert 0.1 < reference < 0.95
 
 
-def test_ws_ssim_agrees_with_the_definition_pixel_by_pixel() -> None:
+def test_ws_ssim_agrees_with_the_definition_pixel_by_pixel():
     """Windows go on behind the seam, and over a pole half a turn away."""
     image, truth = pair(12)
     window = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
@@ -106,7 +106,7 @@ def around(channel: np.ndarray, row: int, col: int) -> np.ndarray:
     return patch
 
 
-def test_turning_the_panorama_changes_nothing() -> None:
+def test_turning_the_panorama_changes_nothing():
     image, truth = pair(16)
     for metric in (ws_psnr, ws_ssim):
         turned = metric(np.roll(image, 7, axis=1), np.roll(truth, 7, axis=1))
@@ -115,7 +115,7 @@ def test_turning_the_panorama_changes_nothing() -> None:
         assert upside_down == pytest.approx(metric(image, truth))
 
 
-def test_an_error_at_the_pole_counts_less_than_one_at_the_horizon() -> None:
+def test_an_error_at_the_pole_counts_less_than_one_at_the_horizon():
     _, truth = pair(32)
     pole, horizon = truth.copy(), truth.copy()
     pole[0], horizon[16] = 1.0 - pole[0], 1.0 - horizon[16]
@@ -123,7 +123,7 @@ def test_an_error_at_the_pole_counts_less_than_one_at_the_horizon() -> None:
     assert ws_ssim(pole, truth) > ws_ssim(horizon, truth)
 
 
-def test_the_seam_counts_where_its_step_is_not_the_true_one() -> None:
+def test_the_seam_counts_where_its_step_is_not_the_true_one():
     _, truth = pair()
     assert lrce(truth + 0.2, truth) == pytest.approx(0.0, abs=1e-12), "a constant error is no seam"
     torn = truth.copy()
@@ -135,12 +135,12 @@ def test_the_seam_counts_where_its_step_is_not_the_true_one() -> None:
 
 
 @pytest.mark.parametrize("metric", [psnr, ws_psnr, ssim, ws_ssim, lrce])
-def test_other_sizes_are_refused(metric) -> None:
+def test_other_sizes_are_refused(metric):
     with pytest.raises(ValueError, match="one size"):
         metric(np.zeros((16, 32, 3)), np.zeros((12, 24, 3)))
 
 
 @pytest.mark.parametrize("metric", [ssim, ws_ssim])
-def test_pictures_smaller_than_the_window_are_refused(metric) -> None:
+def test_pictures_smaller_than_the_window_are_refused(metric):
     with pytest.raises(ValueError, match="at least 11×11 pixels, got 20×10"):
         metric(np.zeros((10, 20, 3)), np.zeros((10, 20, 3)))

@@ -18,7 +18,7 @@ def pictures() -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     return image, truth, {str(k): number == k for k in range(3)}
 
 
-def test_kinds_that_are_all_make_the_whole() -> None:
+def test_kinds_that_are_all_make_the_whole():
     image, truth, kinds = pictures()
     figures = kind_figures(image, truth, kinds)
     assert sum(figures["area"].values()) == pytest.approx(1.0)
@@ -30,7 +30,7 @@ def test_kinds_that_are_all_make_the_whole() -> None:
                           "error": {"all": pytest.approx(1.0)}}  # fmt: skip
 
 
-def test_a_kind_is_weighted_by_solid_angle() -> None:
+def test_a_kind_is_weighted_by_solid_angle():
     truth = np.zeros((*SIZE, 3))
     image, half = truth.copy(), np.zeros(SIZE, bool)
     half[:, :24] = True
@@ -43,13 +43,13 @@ def test_a_kind_is_weighted_by_solid_angle() -> None:
     assert figures["error"] == {"half": pytest.approx(1.0), "other": 0.0}
 
 
-def test_equal_pictures_have_no_error_to_share() -> None:
+def test_equal_pictures_have_no_error_to_share():
     _, truth, kinds = pictures()
     assert set(kind_figures(truth, truth, kinds)["error"].values()) == {0.0}
 
 
 @pytest.mark.parametrize("height", [2, 8, 31])
-def test_the_ends_are_eighths_of_the_rows(height: int) -> None:
+def test_the_ends_are_eighths_of_the_rows(height):
     ends, rng = end_masks((height, 2 * height)), np.random.default_rng(4)
     truth = rng.random((height, 2 * height, 3))
     for kind, is_bottom in (("top", False), ("bottom", True)):

@@ -30,11 +30,11 @@ def write_network(path: Path, shape=("batch", 3, "height", "width"), names=("ima
 
 
 @pytest.fixture
-def network(tmp_path: Path) -> Path:
+def network(tmp_path):
     return write_network(tmp_path / "lpips.onnx")
 
 
-def test_the_faces_of_the_cube_cover_the_sphere_once() -> None:
+def test_the_faces_of_the_cube_cover_the_sphere_once():
     """Their pixels' solid angles, area / distance³, sum to 4π, and their directions to nothing."""
     directions = cube_directions(40, 40)
     distance = np.linalg.norm(directions, axis=-1)
@@ -45,7 +45,7 @@ def test_the_faces_of_the_cube_cover_the_sphere_once() -> None:
     assert second_moment == pytest.approx(4 * np.pi / 3 * np.eye(3), rel=1e-3, abs=1e-9)
 
 
-def test_the_four_faces_around_stand_upright() -> None:
+def test_the_four_faces_around_stand_upright():
     faces = cube_directions(4, 8)
     around = [face for face in faces if abs(face[..., 1].mean()) < 1e-9]
     assert len(around) == 4
@@ -55,21 +55,21 @@ def test_the_four_faces_around_stand_upright() -> None:
         assert to_the_right[1] > 0, "not mirrored: right × forward is up"
 
 
-def test_equal_pictures_have_no_distance_and_a_constant_difference_is_doubled(network: Path) -> None:
+def test_equal_pictures_have_no_distance_and_a_constant_difference_is_doubled(network):
     """[0, 1] becomes [−1, 1], so a difference of d is one of 2·d to the network."""
     lpips, truth = Lpips(network, threads=1), np.full((64, 128, 3), 0.4)
     assert lpips(truth, truth) == 0.0
     assert lpips(truth + 0.1, truth) == pytest.approx(0.2**2, rel=1e-4)
 
 
-def test_the_channels_and_the_range_reach_the_network_as_they_are(tmp_path: Path) -> None:
+def test_the_channels_and_the_range_reach_the_network_as_they_are(tmp_path):
     """A second picture of 0.5 is 0 to the network, so the mean square is that of the colours of the first."""
     lpips = Lpips(write_network(tmp_path / "lpips.onnx"))
     colour = np.broadcast_to(np.array([0.0, 0.75, 1.0]), (64, 128, 3))
     assert lpips(colour, np.full((64, 128, 3), 0.5)) == pytest.approx((1 + 0.25 + 1) / 3, rel=1e-5)
 
 
-def test_all_directions_count_and_the_upper_half_is_half(network: Path) -> None:
+def test_all_directions_count_and_the_upper_half_is_half(network):
     truth = np.zeros((64, 128, 3))
     upper = truth.copy()
     upper[:32] = 0.5
@@ -80,7 +80,7 @@ def test_all_directions_count_and_the_upper_half_is_half(network: Path) -> None:
         assert Lpips(network)(quarter, truth) == pytest.approx(0.25, rel=0.05)
 
 
-def test_a_size_that_the_file_fixes_is_kept(tmp_path: Path) -> None:
+def test_a_size_that_the_file_fixes_is_kept(tmp_path):
     lpips = Lpips(write_network(tmp_path / "fixed.onnx", shape=(1, 3, 24, 20)))
     truth = np.zeros((64, 128, 3))
     assert lpips(truth + 0.5, truth) == pytest.approx(1.0, rel=1e-5)
@@ -88,15 +88,11 @@ def test_a_size_that_the_file_fixes_is_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("change", "got"),
-    [
-        ({"names": ("image",)}, "image"),
-        ({"shape": ("batch", 1, "height", "width")}, "1"),
-        ({"shape": (2, 3, 64, 64)}, "2, 3, 64, 64"),
-        ({"shape": (3, "height", "width")}, "3, 'height', 'width'"),
-        ({"kind": TensorProto.DOUBLE}, "tensor(double)"),
-    ],
-)
-def test_another_network_is_refused_with_what_it_expects(tmp_path: Path, change: dict, got: str) -> None:
+    [({"names": ("image",)}, "image"), ({"shape": ("batch", 1, "height", "width")}, "1"),
+     ({"shape": (2, 3, 64, 64)}, "2, 3, 64, 64"), ({"shape": (3, "height", "width")}, "3, 'height', 'width'"),
+     ({"kind": TensorProto.DOUBLE}, "tensor(double)")],
+)  # fmt: skip
+def test_another_network_is_refused_with_what_it_expects(tmp_path, change, got):
     path = write_network(tmp_path / "other.onnx", **change)
     with pytest.raises(InputError, match="expected two float images") as raised:
         Lpips(path)
@@ -104,13 +100,13 @@ def test_another_network_is_refused_with_what_it_expects(tmp_path: Path, change:
     assert "\n" not in str(raised.value)
 
 
-def test_a_file_that_is_no_network_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_no_network_is_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("no network")
     for name in ("text.onnx", "absent.onnx"):
         with pytest.raises(InputError, match="expected an ONNX model in"):
             Lpips(tmp_path / name)
 
 
-def test_other_sizes_are_refused(network: Path) -> None:
+def test_other_sizes_are_refused(network):
     with pytest.raises(ValueError, match="one size"):
         Lpips(network)(np.zeros((16, 32, 3)), np.zeros((32, 64, 3)))

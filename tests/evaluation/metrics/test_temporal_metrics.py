@@ -18,12 +18,12 @@ def brightened(offsets: list[float]) -> list[np.ndarray]:
     return [frame + offset for frame, offset in zip(FRAMES, offsets, strict=True)]
 
 
-def test_true_frames_of_a_static_scene_are_steady() -> None:
+def test_true_frames_of_a_static_scene_are_steady():
     assert warping_error(FRAMES, INVERSE_DEPTHS, POSES) < 5e-4
     assert flicker(FRAMES, INVERSE_DEPTHS, POSES) < 5e-4
 
 
-def test_a_change_is_compared_with_the_true_change() -> None:
+def test_a_change_is_compared_with_the_true_change():
     """What is wrong alike in all frames is none; a step of e is 20·log10(1/e) dB wherever it happens, and once."""
     truths = [frame.astype(np.float64) for frame in FRAMES]
     assert min(change_psnr([0.5 * OFFSET + truth for truth in truths], truths)) > 200
@@ -35,7 +35,7 @@ def test_a_change_is_compared_with_the_true_change() -> None:
     assert change_psnr(FRAMES[:1], truths[:1]) == []
 
 
-def test_without_the_geometry_they_would_not_be() -> None:
+def test_without_the_geometry_they_would_not_be():
     """The same frames with a pose, a turn or a depth that is wrong."""
     still = [Pose.identity()] * 4
     mirrored = [Pose(pose.rotation, -pose.position) for pose in POSES]
@@ -44,12 +44,12 @@ def test_without_the_geometry_they_would_not_be() -> None:
     assert warping_error(FRAMES, [0.8 * rho for rho in INVERSE_DEPTHS], POSES) > 0.005
 
 
-def test_a_step_in_brightness_is_the_warping_error() -> None:
+def test_a_step_in_brightness_is_the_warping_error():
     assert warping_error(brightened([0, 1, 2, 3]), INVERSE_DEPTHS, POSES) == pytest.approx(1, abs=1e-3)
     assert warping_error(brightened([0, -OFFSET, 0, OFFSET]), INVERSE_DEPTHS, POSES) == pytest.approx(OFFSET, abs=1e-3)
 
 
-def test_a_steady_change_is_no_flicker_and_a_flash_counts_twice() -> None:
+def test_a_steady_change_is_no_flicker_and_a_flash_counts_twice():
     steady = flicker(brightened([0, OFFSET, 2 * OFFSET, 3 * OFFSET]), INVERSE_DEPTHS, POSES)
     alternating = flicker(brightened([OFFSET, -OFFSET, OFFSET, -OFFSET]), INVERSE_DEPTHS, POSES)
     flash = flicker(brightened([0, OFFSET, 0, 0])[:3], INVERSE_DEPTHS[:3], POSES[:3])
@@ -58,7 +58,7 @@ def test_a_steady_change_is_no_flicker_and_a_flash_counts_twice() -> None:
     assert flash == pytest.approx(2 * OFFSET, abs=1e-3)
 
 
-def test_agrees_with_the_definition_pixel_by_pixel() -> None:
+def test_agrees_with_the_definition_pixel_by_pixel():
     """The colour of the wall at the point that each pixel of the first frame sees, turned negative in the second."""
     negative = 1.0 - FRAMES[1]
     directions = np.array([[direction(row, col) for col in range(SIZE[1])] for row in range(SIZE[0])])
@@ -80,7 +80,7 @@ def direction(row: int, col: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("hidden_by", [2.0, -1.0, np.nan], ids=["something-nearer", "nothing-known", "not-a-number"])
-def test_what_one_frame_does_not_see_does_not_count(hidden_by: float) -> None:
+def test_what_one_frame_does_not_see_does_not_count(hidden_by):
     """A patch of the second frame is spoiled; with a depth that is not the first frame's it is not looked at."""
     frames, depths = list(FRAMES), list(INVERSE_DEPTHS)
     frames[1] = frames[1].copy()
@@ -93,7 +93,7 @@ def test_what_one_frame_does_not_see_does_not_count(hidden_by: float) -> None:
     assert flicker(frames[:3], depths[:3], POSES[:3]) < 5e-4
 
 
-def test_infinity_is_steady_wherever_the_camera_goes() -> None:
+def test_infinity_is_steady_wherever_the_camera_goes():
     """A sky turns with the camera and does not move."""
     skies = [np.zeros(SIZE)] * 3
     frames = [0.5 + 0.4 * np.stack([np.sin(3 * _world(pose)[..., k]) for k in range(3)], -1) for pose in POSES[:3]]
@@ -106,7 +106,7 @@ def _world(pose: Pose) -> np.ndarray:
     return directions @ pose.rotation.T
 
 
-def test_the_horizon_counts_more_than_the_poles() -> None:
+def test_the_horizon_counts_more_than_the_poles():
     """In place, the share of the error is that of the solid angle: the upper quarter of the rows is (1 − √½) / 2."""
     spoiled = FRAMES[0].copy()
     spoiled[: SIZE[0] // 4] += 1.0
@@ -114,7 +114,7 @@ def test_the_horizon_counts_more_than_the_poles() -> None:
     assert result == pytest.approx((1 - np.sqrt(0.5)) / 2, rel=1e-3)
 
 
-def test_what_cannot_be_compared_is_refused() -> None:
+def test_what_cannot_be_compared_is_refused():
     with pytest.raises(ValueError, match="at least 2 frames, got 1"):
         warping_error(FRAMES[:1], INVERSE_DEPTHS[:1], POSES[:1])
     with pytest.raises(ValueError, match="at least 3 frames, got 2"):

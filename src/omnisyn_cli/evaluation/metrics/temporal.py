@@ -19,9 +19,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_bicubic, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.geometry.sweep import sweep_directions
-
-VISIBILITY_TOLERANCE = 0.05
-"""Relative difference in inverse depth up to which two frames see the same point."""
+from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 
 FAR_INVERSE_DEPTH = 1e-3
 """Inverse depth, 1/m, below which two values need not agree: beyond a kilometre all is equally far."""
@@ -87,7 +85,7 @@ def _warp(
     reached = known & (length > 0)
     expected = rho / np.where(reached, length, 1.0)
     seen = sample_nearest(inverse_depths[there], rays)
-    agreeing = np.abs(expected - seen) <= np.maximum(VISIBILITY_TOLERANCE * expected, FAR_INVERSE_DEPTH)
+    agreeing = np.abs(expected - seen) <= np.maximum(SAME_POINT_TOLERANCE * expected, FAR_INVERSE_DEPTH)
     return sample_bicubic(frames[there].astype(np.float64), rays), reached & (seen >= 0) & agreeing
 
 

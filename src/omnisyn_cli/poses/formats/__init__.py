@@ -157,10 +157,7 @@ def _of_folder(folder: Path) -> str:
     if found:
         return found[0]
     if (model_folder(folder, "images.bin") / "images.bin").is_file():
-        raise PoseError(
-            f"{folder}: expected a COLMAP text model, got a binary one; "
-            "convert it with 'colmap model_converter --output_type TXT'"
-        )
+        raise PoseError(f"{folder}: expected a COLMAP text model, got a binary one; use 'colmap model_converter'")
     if images_in(folder):
         return "exif"
     raise _unknown(folder, f"none of {', '.join(marks.values())}, rot.txt in sub-folders, or images")

@@ -47,12 +47,9 @@ class Place:
 
 
 def imported_places(
-    where: str,
-    places: Mapping[str, Place],
-    images: Mapping[str, Path | None],
-    options: ImportOptions,
+    where: str, places: Mapping[str, Place], images: Mapping[str, Path | None], options: ImportOptions,
     notes: Sequence[str],
-) -> ImportedPoses:
+) -> ImportedPoses:  # fmt: skip
     """Places by name in the local world of the origin that is asked for, or of the first place.
 
     Without any altitude all are taken to be equally high. Headings count from the meridian of each place, which is

@@ -87,13 +87,10 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
 
 
 def nerfstudio_text(
-    poses: Mapping[str, Pose],
-    sizes: Mapping[str, tuple[int, int]],
-    images: Mapping[str, Path | None],
-    folder: Path,
+    poses: Mapping[str, Pose], sizes: Mapping[str, tuple[int, int]], images: Mapping[str, Path | None], folder: Path,
     companions: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
     shared: Mapping[str, Any] = MappingProxyType({}),
-) -> str:
+) -> str:  # fmt: skip
     """The file's text; paths of images are written relative to ``folder``, sizes are ``(height, width)``.
 
     ``companions`` are further keys of frames (depth, masks), ``shared`` further keys of the file.

@@ -186,6 +186,4 @@ def _images(folder: Path, count: int) -> tuple[list[tuple[int, Path]], str]:
     numbered = {int(path.stem): path for path in paths if path.stem.isdecimal()}
     if paths and len(numbered) == len(paths) and max(numbered) < count:
         return sorted(numbered.items()), f"file names are taken as indices into the arrays ({count} poses)"
-    raise PoseError(
-        f"{folder}: expected {count} panoramas, one for each pose, got {len(paths)}; name the folder with --images"
-    )
+    raise PoseError(f"{folder}: expected {count} panoramas, one per pose, got {len(paths)}; give --images")

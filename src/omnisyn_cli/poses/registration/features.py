@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.compute.threads import limited_threads
-from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import angles_to_pixel, pixel_scale, pixel_to_direction
 
@@ -136,7 +136,7 @@ def _band_features(grey: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray,
     top, wrap = max(math.floor(edge), 0), width // 16  # 22.5° are repeated on both sides, so that the seam has none
     row, col = np.arange(top, height - top)[:, None], np.arange(-wrap, width + wrap)[None, :]
     direction = pixel_to_direction(row.astype(float), col.astype(float), size) @ CAMERA_FROM_BAND[axis].T
-    band = Lookup.along(direction, grey.shape).bilinear(grey)
+    band = RemapTable.for_directions(direction, grey.shape).bilinear(grey)
     threshold = SIFT_CONTRAST_THRESHOLD
     sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=threshold, enable_precise_upscale=True)
     points, descriptor = sift.detectAndCompute(band, None)

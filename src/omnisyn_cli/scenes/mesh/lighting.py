@@ -83,7 +83,7 @@ class Lighting:
         return light
 
     def background(self, directions: Float[np.ndarray, "rays 3"]) -> Float[np.ndarray, "rays 3"]:
-        """sRGB in [0, 1] where nothing is."""
+        """Colours (sRGB in [0, 1]) where nothing is."""
         rise = np.clip(directions[:, 1:2], 0.0, 1.0)
         return np.asarray(self.horizon * (1.0 - rise) + self.zenith * rise)
 
@@ -108,7 +108,7 @@ def draw_lighting(caster: MeshCaster, rng: np.random.Generator, around: Float[np
     """
     directions = sphere_directions(rays, rng.uniform(0.0, 2.0 * math.pi))
     tint = np.exp(rng.normal(0.0, 0.08, 3))
-    sun = _unit(rng.normal(size=3) + [0.0, 1.0, 0.0])
+    sun = _unit(rng.normal([0.0, 1.0, 0.0], 1.0))
     lobe = np.exp(rng.uniform(1.0, 5.0) * (directions @ sun - 1.0))
     brightness = np.where(directions[:, 1] > 0, 1.0, 0.4) * rng.uniform(0.8, 2.2) + rng.uniform(0.0, 6.0) * lobe
     lamps = _lamps(caster, rng, around, int(rng.integers(*LAMPS)))

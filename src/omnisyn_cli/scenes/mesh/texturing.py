@@ -31,7 +31,7 @@ class SurfaceColours:
         normals: Float[np.ndarray, "rays 3"],
         pixel: float,
     ) -> Float[np.ndarray, "rays 3"]:
-        """sRGB in [0, 1] of what was hit.
+        """Colours (sRGB in [0, 1]) of what was hit.
 
         Args:
             hits: all of them hit something.
