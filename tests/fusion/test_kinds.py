@@ -5,16 +5,17 @@ import pytest
 import torch
 from ball_samples import inverse_depth, seen_by
 
-from omnisyn_cli.fusion.pixel_classes import BESIDE as REACH
-from omnisyn_cli.fusion.pixel_classes import DISAGREEMENT, PixelClasses, classify_pixels, silhouette_mask
+from omnisyn_cli.fusion.pixel_classes import SILHOUETTE_PIXELS as REACH
+from omnisyn_cli.fusion.pixel_classes import PixelClasses, classify_pixels, silhouette_mask
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
+from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
 SIZE = (128, 256)
 TARGET = np.array([0.05, 0.0, 0.1])
 BELOW = (np.array([-0.2, -0.9, -0.3]), np.array([0.2, -0.9, -0.3]))
-BESIDE = (np.array([-0.9, 0.1, -0.6]), np.array([1.0, -0.1, -0.5]))
+SILHOUETTE_PIXELS = (np.array([-0.9, 0.1, -0.6]), np.array([1.0, -0.1, -0.5]))
 ASIDE = (np.array([-0.5, 0.1, 0.0]), np.array([0.6, -0.1, 0.0]))
 
 
@@ -28,7 +29,7 @@ def meshed(place: np.ndarray) -> Layer:
     """The exact surface that a view at a place has, from the target."""
     size = (2 * SIZE[0], 2 * SIZE[1])
     image = np.full((*size, 3), 0.5, np.float32)
-    draw = MeshRenderer(image, None, inverse_depth(place, size), None, SIZE, threads=1)
+    draw = MeshRenderer(RendererInputs(image, None, inverse_depth(place, size), None, SIZE, threads=1))
     return draw(Pose(np.eye(3), place - TARGET))
 
 
@@ -56,7 +57,7 @@ def borders(kinds: PixelClasses) -> np.ndarray:
 def test_behind_and_around_a_ball_kinds_are_those_of_geometry() -> None:
     """What either view sees of a ball, of what lies behind it, and through its unseen side, follows from spheres."""
     count = np.zeros(4, int)
-    for places in (BELOW, BESIDE, ASIDE):
+    for places in (BELOW, SILHOUETTE_PIXELS, ASIDE):
         views = [meshed(place) for place in places]
         exact = [seen_by(place, TARGET, SIZE) for place in places]
         expected = classify_pixels(*map(rendering, exact))
@@ -90,8 +91,8 @@ def test_every_pixel_is_of_one_kind() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "weight", "kind"),
     [
-        (1.0, 1.0 - 0.99 * DISAGREEMENT, 1.0, "agree"),
-        (1.0, 1.0 - 1.01 * DISAGREEMENT, 1.0, "disagree"),
+        (1.0, 1.0 - 0.99 * SAME_SURFACE_TOLERANCE, 1.0, "agree"),
+        (1.0, 1.0 - 1.01 * SAME_SURFACE_TOLERANCE, 1.0, "disagree"),
         (0.0, 0.0, 1.0, "agree"),
         (0.0, 1e-8, 1.0, "agree"),
         (0.0, 0.01, 1.0, "disagree"),

@@ -19,7 +19,7 @@ from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import have_same_position
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.residual import working_size
-from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer
 
@@ -53,7 +53,7 @@ class DirectFuser(GeometricFuser):
         super().__init__(size, threads=threads)
         self._network = network
         small = self._small = working_size(size, MAX_NETWORK_ROWS, SIZE_MULTIPLE, scale=1)
-        self._enlarge = None if small is None or small == size else Lookup.along(pixel_directions(*size), small)
+        self._enlarge = None if small is None or small == size else RemapTable.for_directions(pixel_directions(*size), small)
 
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None

@@ -9,7 +9,8 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.geometry.sweep import exchanged_in_forward_frame, forward_frame, free_space_agreement
+from omnisyn_cli.geometry.sweep import forward_frame, free_space_agreement, swap_cameras_in_forward_frame
+from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.runtime.session import run_depth_network
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -17,9 +18,6 @@ __all__ = ["LearnedDepthEstimator"]
 
 AHEAD = np.array([0.0, 0.0, -1.0])
 """From the first camera to the second in the forward frame, in baselines."""
-
-EDGE = 0.05
-"""Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
 
 
 class LearnedDepthEstimator:
@@ -57,9 +55,9 @@ class LearnedDepthEstimator:
             return self._nothing(), self._nothing()
         frame, _, baseline = forward_frame(first.pose, second.pose)
         images = [self._rectified(view, frame) for view in (first, second)]
-        swapped = [exchanged_in_forward_frame(image) for image in reversed(images)]
+        swapped = [swap_cameras_in_forward_frame(image) for image in reversed(images)]
         of_first, first_confidence = self._run(*images)
-        of_second, second_confidence = (exchanged_in_forward_frame(x) for x in self._run(*swapped))
+        of_second, second_confidence = (swap_cameras_in_forward_frame(x) for x in self._run(*swapped))
         first_confidence = first_confidence * free_space_agreement(of_first, of_second, Pose(np.eye(3), -AHEAD))
         second_confidence = second_confidence * free_space_agreement(of_second, of_first, Pose(np.eye(3), AHEAD))
         return (
@@ -94,4 +92,4 @@ class LearnedDepthEstimator:
 def sample_between_edges(values: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Bilinear on surfaces, the nearest pixel at edges: nothing is invented between a thing and what is behind it."""
     smooth, nearest = sample_bilinear(values, directions), sample_nearest(values, directions)
-    return np.asarray(np.where(np.abs(smooth - nearest) > EDGE * nearest, nearest, smooth))
+    return np.asarray(np.where(np.abs(smooth - nearest) > SAME_POINT_TOLERANCE * nearest, nearest, smooth))

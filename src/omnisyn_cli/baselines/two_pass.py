@@ -21,7 +21,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.mesh import Mesh, Triangles
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUAD
-from omnisyn_cli.render.rasterize import NOTHING, Fragments
+from omnisyn_cli.render.rasterize import NO_FACE, Fragments
 from omnisyn_cli.render.renderer import RendererInputs
 from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader, make_confidence_map
@@ -44,7 +44,7 @@ def rasterize_two_pass(
     """
     rotation, translation = np.ascontiguousarray(target_from_source.rotation), np.asarray(target_from_source.position)
     corners = np.empty((*triangles.inverse_depth.shape, 3))
-    fragments = Fragments(np.full(size, -1.0, np.float32), np.full(size, NOTHING, np.int32))
+    fragments = Fragments(np.full(size, -1.0, np.float32), np.full(size, NO_FACE, np.int32))
     scale = np.array(pixel_scale(size))
 
     def flatten(begin: int, end: int) -> None:
@@ -85,5 +85,5 @@ class TwoPassRenderer:
         """See :class:`omnisyn_cli.render.renderer.Renderer`."""
         seen = rasterize_two_pass(self._triangles, target_from_source, self._shader.size, self._shader.threads)
         colour = self._shader(seen.inverse_depth, self._confidence_map, self._texture, target_from_source)
-        source_sampler = self._reprojector.seen_from(target_from_source)
+        source_sampler = self._reprojector.sampler(target_from_source)
         return replace(Layer.from_arrays(seen.inverse_depth, colour, target_from_source), source_sampler=source_sampler)

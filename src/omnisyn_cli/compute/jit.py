@@ -52,6 +52,14 @@ class _KeyedFiles(IndexDataCacheFile):  # type: ignore[misc]
     which the index of one of them says that it is the other's. Here the loser of such a race compiles once more.
     """
 
+    def _load_index(self) -> dict[Any, str]:
+        """The files by key; none where the index names types of another version of this program."""
+        try:
+            found: dict[Any, str] = super()._load_index()
+        except (AttributeError, ImportError):
+            found = {}
+        return found
+
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of a kernel for types and a processor, which are its key."""
         overloads = self._load_index()

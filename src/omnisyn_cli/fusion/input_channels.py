@@ -1,20 +1,21 @@
-"""What fusion networks see: two renderings at their own size, and what the geometric fusion makes of them.
+"""Input channels of fusion networks, part 1: both layers at the network's size, and the geometric fusion of them.
 
-Planes, in this order (``PLANES`` of them, float32):
+Channels, in this order (``INPUT_CHANNELS`` of them, float32). Part 2 is in :mod:`omnisyn_cli.fusion.warp_candidates`.
 
-* ``FIRST``, ``SECOND``: colours of both renderings, 0 where they show nothing (3 each),
-* ``FUSED``: the geometric fusion, holes filled (3),
-* ``WEIGHT``: of both colours (2),
-* ``ROOT``: square root of inverse depth × baseline of both, at most ``GREATEST_ROOT`` (2),
-* ``LOG_RATIO``: of the geometric weights, over ``GREATEST_LOG``, in [−1, 1]; positive where the first counts more,
-* ``GAP``: difference of inverse depth over what counts as a disagreement, over ``GREATEST_GAP``, in [−1, 1],
-* ``SEEN``: 1 where the first, and where the second, shows anything (2),
-* ``RELEVANCE``: whether it matters which one is shown, from 0 to 1: they differ in colour, and near by in distance; 1
-  in holes,
-* ``TIME``: 2t − 1,
-* ``LATITUDE``: 1 at the top of the picture, −1 at its bottom.
+* ``FIRST_RGB``, ``SECOND_RGB``: colours of both layers, 0 where they show nothing (3 each),
+* ``FUSED_RGB``: the geometric fusion, holes filled (3),
+* ``BLEND_WEIGHTS``: of both colours (2),
+* ``SQRT_INVERSE_DEPTHS``: √(inverse depth × baseline) of both, at most ``MAX_SQRT_INV_DEPTH`` (2),
+* ``LOG_WEIGHT_RATIO``: of the geometric weights, over ``MAX_LOG_RATIO``, in [−1, 1]; positive where the first counts
+  more,
+* ``DEPTH_GAP``: normalised difference of inverse depth, over ``MAX_GAP``, in [−1, 1],
+* ``SEEN_MASKS``: 1 where the first, and where the second, shows anything (2),
+* ``RELEVANCE``: whether the choice between both layers matters, in [0, 1]: their colours differ, and their depths differ
+  nearby; 1 in holes,
+* ``PATH_POSITION``: 2t − 1,
+* ``LATITUDE``: 1 at the top of the frame, −1 at its bottom.
 
-They are a function of numpy arrays and of torch tensors, with gradients to colours and inverse depths.
+The function takes numpy arrays or torch tensors, with gradients to colours and inverse depths.
 """
 
 from collections.abc import Callable
@@ -24,46 +25,48 @@ from typing import Any
 from array_api_compat import array_namespace, device
 from jaxtyping import Float, Float32
 
-from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blended, normalized_depth_gap, view_weights
-from omnisyn_cli.fusion.ghost_grid import greatest_near, mean_near
+from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, blend_layers, normalized_depth_gap, view_weights
+from omnisyn_cli.fusion.window_filters import box_filter, dilate
 from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 
 __all__ = ["fusion_input_channels"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-FIRST, SECOND, FUSED, WEIGHT, ROOT, LOG_RATIO, GAP = 0, 3, 6, 9, 11, 13, 14
-SEEN, RELEVANCE, TIME, LATITUDE, PLANES = 15, 17, 18, 19, 20
+FIRST_RGB, SECOND_RGB, FUSED_RGB, BLEND_WEIGHTS, SQRT_INVERSE_DEPTHS, LOG_WEIGHT_RATIO, DEPTH_GAP = 0, 3, 6, 9, 11, 13, 14
+SEEN_MASKS, RELEVANCE, PATH_POSITION, LATITUDE, INPUT_CHANNELS = 15, 17, 18, 19, 20
 
-GREATEST_ROOT, GREATEST_LOG, GREATEST_GAP = 2.0, 8.0, 4.0
+MAX_LOG_RATIO, MAX_GAP = 8.0, 4.0
+"""Clips of channels. Beyond a log ratio of 8 (1:3000) or 4 gaps (weight e⁻¹⁶) one layer alone is visible anyway."""
 
-PLAIN, DIFFERENT = 0.01, 0.06
-"""Root mean square of the difference of two colours up to which it does not matter which of them is shown, and from
-which on it matters wholly."""
+ALIKE_RMS, DIFFERENT_RMS = 0.01, 0.06
+"""Root mean square difference of two colours up to which the choice between them does not matter, and from which on it
+matters fully. Set by hand."""
 
-LEAST_RATIO = 1e-9
-"""Of two weights: beyond it their logarithm is not looked at."""
+MIN_WEIGHT_RATIO = 1e-9
+"""Keeps the logarithm finite where one of two weights is 0; far beyond :data:`MAX_LOG_RATIO`."""
 
-LINEAR = 1e-4
-"""Inverse depth × baseline below which its root is a straight line, so that its slope stays bounded."""
+LINEAR_BELOW = 1e-4
+"""Inverse depth × baseline below which its square root is replaced by a line, so that its slope stays bounded."""
 
-REACH, SOFTNESS = 4, 2
-"""Pixels to every side within which a disagreement is near, and over which doubt about the weights fades."""
+DISAGREEMENT_RADIUS, DISAGREEMENT_BLUR_RADIUS = 4, 2
+"""Pixels by which a disagreement of depth is dilated and then blurred. Set by hand."""
 
 Fill = Callable[[Array, Array], Array]
-"""Answers a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
+"""Returns a picture with its holes filled, given how much every pixel counts for the holes around it: 0 in holes."""
 
 
 def fusion_input_channels(
     first: LayerArrays, second: LayerArrays, rule: BlendRule, baseline: float, fill: Fill
-) -> Float[Array, "planes height width"]:
-    """All planes of what two views show.
+) -> Float[Array, "channels height width"]:
+    """All channels of the list above.
 
     Args:
-        first: of the first view.
-        second: of the second view.
+        first: the first layer.
+        second: the second layer.
         rule: at its place of the way.
-        baseline: how far apart both views are, in the unit that depth is measured in.
+        baseline: distance of both views, in the unit of depth.
         fill: fills the holes of the geometric fusion.
     """
     xp, like = array_namespace(first.weight), first.weight
@@ -74,26 +77,26 @@ def fusion_input_channels(
     gap = normalized_depth_gap(first, second, rule.disagreement) * is_both
     weights = view_weights(first, second, directions, rule)
     log_ratio = _log_ratio(*(xp.where(both, weight, one) for weight in weights))
-    planes = [
+    channels = [
         *(first.colour[..., k] for k in range(3)),
         *(second.colour[..., k] for k in range(3)),
-        *xp.moveaxis(fill(*blended(first, second, weights)), -1, 0),
+        *xp.moveaxis(fill(*blend_layers(first, second, weights)), -1, 0),
         first.weight,
         second.weight,
-        *(sqrt_inverse_depth(view.near * baseline) for view in (first, second)),
-        xp.clip(log_ratio / GREATEST_LOG, min=-1.0, max=1.0),
-        xp.clip(gap / GREATEST_GAP, min=-1.0, max=1.0),
-        *(xp.astype(view.is_seen, like.dtype) for view in (first, second)),
-        is_both * disagreement_mask(gap) * _relevance(first.colour - second.colour) + holes,
+        *(sqrt_inverse_depth(layer.clipped_inverse_depth * baseline) for layer in (first, second)),
+        xp.clip(log_ratio / MAX_LOG_RATIO, min=-1.0, max=1.0),
+        xp.clip(gap / MAX_GAP, min=-1.0, max=1.0),
+        *(xp.astype(layer.is_seen, like.dtype) for layer in (first, second)),
+        is_both * disagreement_mask(gap) * _colour_relevance(first.colour - second.colour) + holes,
         (2.0 * rule.t - 1.0) * one,
         directions[..., 1],
     ]
-    return xp.stack(planes)
+    return xp.stack(channels)
 
 
-def needs_no_network(planes: Float32[Array, "planes height width"]) -> bool:
-    """Whether there is nothing to decide: both views see everything, and nothing differs between them."""
-    return bool(planes[SEEN : SEEN + 2].all()) and not bool(planes[RELEVANCE].any())
+def needs_no_network(channels: Float32[Array, "channels height width"]) -> bool:
+    """Whether both layers see everything, and their difference is irrelevant everywhere."""
+    return bool(channels[SEEN_MASKS : SEEN_MASKS + 2].all()) and not bool(channels[RELEVANCE].any())
 
 
 _directions = lru_cache(maxsize=2)(pixel_directions)
@@ -101,30 +104,33 @@ _directions = lru_cache(maxsize=2)(pixel_directions)
 
 def _log_ratio(a: Array, b: Array) -> Float[Array, "height width"]:
     """log(a / b), bounded where one of them is next to nothing."""
-    return array_namespace(a).log((a + LEAST_RATIO * b) / (b + LEAST_RATIO * a))
+    return array_namespace(a).log((a + MIN_WEIGHT_RATIO * b) / (b + MIN_WEIGHT_RATIO * a))
 
 
-def _relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
-    """How much it matters which of two colours is shown: from 0 (they are alike) to 1, smooth."""
+def _colour_relevance(difference: Float[Array, "height width 3"]) -> Float[Array, "height width"]:
+    """How much the choice between two colours matters: a smooth step from 0 (they are alike) to 1."""
     xp = array_namespace(difference)
     squared = xp.sum(difference * difference, axis=-1) / 3.0
-    x = xp.clip((xp.sqrt(xp.clip(squared, min=PLAIN**2)) - PLAIN) / (DIFFERENT - PLAIN), min=0.0, max=1.0)
+    # The clip before the root keeps its gradient finite where the colours are equal.
+    rms = xp.sqrt(xp.clip(squared, min=ALIKE_RMS**2))
+    x = xp.clip((rms - ALIKE_RMS) / (DIFFERENT_RMS - ALIKE_RMS), min=0.0, max=1.0)
     return x * x * (3.0 - 2.0 * x)
 
 
-def sqrt_inverse_depth(near: Float[Array, "*maps height width"]) -> Float[Array, "*maps height width"]:
-    """Square root of inverse depth × baseline, at most what the planes hold."""
-    xp = array_namespace(near)
-    above = xp.sqrt(xp.clip(near, min=LINEAR, max=GREATEST_ROOT**2))
-    return xp.where(near < LINEAR, near / LINEAR**0.5, above)
+def sqrt_inverse_depth(scaled: Float[Array, "*maps height width"]) -> Float[Array, "*maps height width"]:
+    """Square root of inverse depth × baseline, linear near 0 and clipped to :data:`MAX_SQRT_INV_DEPTH`."""
+    xp = array_namespace(scaled)
+    above = xp.sqrt(xp.clip(scaled, min=LINEAR_BELOW, max=MAX_SQRT_INV_DEPTH**2))
+    return xp.where(scaled < LINEAR_BELOW, scaled / LINEAR_BELOW**0.5, above)
 
 
 def disagreement_mask(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:
-    """Smooth, from 0 to 1: 1 where the views disagree about the distance, and around there; wraps at the seam.
+    """A soft mask in [0, 1]: 1 where the layers disagree about depth, and around there; wraps at the seam.
 
-    Where they agree, the one that was nearer shows it sharper, and a mixture would only blur it.
+    Where they agree, the nearer view shows the place sharper, and a mixture would only blur it.
 
     Args:
-        gap: difference of inverse depth, in units of what counts as a disagreement.
+        gap: see :func:`omnisyn_cli.fusion.blend_rule.normalized_depth_gap`.
     """
-    return mean_near(greatest_near(-array_namespace(gap).expm1(-gap * gap), REACH), SOFTNESS, is_mirrored=False)
+    disagreement = -array_namespace(gap).expm1(-gap * gap)
+    return box_filter(dilate(disagreement, DISAGREEMENT_RADIUS), DISAGREEMENT_BLUR_RADIUS, mirror_poles=False)

@@ -1,7 +1,7 @@
-"""What the renderings of two views say of each other, pixel by pixel: the kinds of pixels that errors are told by.
+"""Classes of pixels by what both layers show there; evaluation reports errors by them.
 
-Every pixel is of exactly one of four kinds: both views agree, they disagree, one of them shows something, neither does.
-Of whichever kind, it may lie beside a silhouette, where a frame shows two surfaces next to each other.
+Every pixel is of exactly one of four classes: both layers agree, they disagree, one of them shows something, neither
+does. Besides, it may lie near a silhouette, where a frame shows two surfaces next to each other.
 """
 
 from typing import Any, NamedTuple
@@ -9,28 +9,27 @@ from typing import Any, NamedTuple
 from array_api_compat import array_namespace
 from jaxtyping import Bool, Float
 
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 
-__all__ = ["DISAGREEMENT", "PixelClasses", "classify_pixels", "silhouette_mask"]
+__all__ = ["PixelClasses", "classify_pixels", "silhouette_mask"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-DISAGREEMENT = 0.1
-"""Relative difference of inverse depth above which two surfaces are different ones."""
 
-FARTHEST = 1e-6
-"""1/metre; below it inverse depths are alike whatever their ratio is."""
+MIN_INVERSE_DEPTH = 1e-6
+"""1/metre that differences are relative to at least: two surfaces beyond 1000 km are one, whatever their ratio."""
 
-BESIDE = 2
-"""Pixels from a jump of depth, across and along rows, up to which errors count as those of the silhouette."""
+SILHOUETTE_PIXELS = 2
+"""Pixels from a depth discontinuity up to which errors count as those of the silhouette. Set by hand."""
 
 
 class PixelClasses(NamedTuple):
-    """Where pixels of each kind are, ``(height, width)`` each: every pixel is of exactly one.
+    """Masks ``(height, width)`` of the classes; every pixel is in exactly one.
 
     Attributes:
-        agree: both views show something, at one distance.
-        disagree: both show something, at different distances.
+        agree: both layers show something, at one depth.
+        disagree: both show something, at different depths.
         one_view: one of them shows something.
         hole: neither does.
     """
@@ -42,49 +41,49 @@ class PixelClasses(NamedTuple):
 
 
 def classify_pixels(first: Layer, second: Layer) -> PixelClasses:
-    """The kinds of the pixels of a target that two views are seen from, of numpy's arrays or torch's.
+    """The classes of all pixels, of numpy arrays or torch tensors.
 
     Args:
         first: of the first view.
         second: of the second view; of the same size.
     """
-    (is_seen_a, near_a), (is_seen_b, near_b) = _shown(first), _shown(second)
-    both, apart = is_seen_a & is_seen_b, is_other_surface(near_a, near_b)
-    return PixelClasses(both & ~apart, both & apart, is_seen_a ^ is_seen_b, ~(is_seen_a | is_seen_b))
+    (seen_a, rho_a), (seen_b, rho_b) = _seen_depth(first), _seen_depth(second)
+    both, differs = seen_a & seen_b, is_other_surface(rho_a, rho_b)
+    return PixelClasses(both & ~differs, both & differs, seen_a ^ seen_b, ~(seen_a | seen_b))
 
 
 def silhouette_mask(first: Layer, second: Layer) -> Bool[Array, "height width"]:
-    """Pixels at most :data:`BESIDE` pixels from where the nearer of both surfaces jumps; arguments as above."""
-    near_a, near_b = _shown(first)[1], _shown(second)[1]
-    return near_depth_edges(array_namespace(near_a).maximum(near_a, near_b), BESIDE)
+    """Pixels at most :data:`SILHOUETTE_PIXELS` from a discontinuity of the nearer surface; arguments as above."""
+    rho_a, rho_b = _seen_depth(first)[1], _seen_depth(second)[1]
+    return near_depth_edges(array_namespace(rho_a).maximum(rho_a, rho_b), SILHOUETTE_PIXELS)
 
 
-def _shown(view: Layer) -> tuple[Bool[Array, "height width"], Float[Array, "height width"]]:
-    """Where a view shows something, and its inverse depth, 0 where it shows nothing."""
-    xp, is_seen = array_namespace(view.inverse_depth), view.colour[..., 3] > float(MIN_VISIBLE_WEIGHT)
-    return is_seen, xp.where(is_seen, xp.clip(view.inverse_depth, min=0.0), xp.zeros_like(view.inverse_depth))
+def _seen_depth(layer: Layer) -> tuple[Bool[Array, "height width"], Float[Array, "height width"]]:
+    """Where a layer shows something, and its inverse depth, 0 where it shows nothing."""
+    xp, is_seen = array_namespace(layer.inverse_depth), layer.colour[..., 3] > float(MIN_VISIBLE_WEIGHT)
+    return is_seen, xp.where(is_seen, xp.clip(layer.inverse_depth, min=0.0), xp.zeros_like(layer.inverse_depth))
 
 
 def is_other_surface(one: Float[Array, "*pixels"], other: Float[Array, "*pixels"]) -> Bool[Array, "*pixels"]:
     """Whether inverse depths, 1/metre and >= 0, are those of different surfaces."""
     xp = array_namespace(one)
-    return xp.abs(one - other) > DISAGREEMENT * xp.clip(xp.maximum(one, other), min=FARTHEST)
+    return xp.abs(one - other) > SAME_SURFACE_TOLERANCE * xp.clip(xp.maximum(one, other), min=MIN_INVERSE_DEPTH)
 
 
-def near_depth_edges(inverse_depth: Float[Array, "height width"], reach: int) -> Bool[Array, "height width"]:
-    """Pixels within the square of ``reach`` pixels around one that neighbours another surface; columns wrap, rows end.
+def near_depth_edges(inverse_depth: Float[Array, "height width"], radius: int) -> Bool[Array, "height width"]:
+    """Pixels within a square window around a depth discontinuity; columns wrap, rows end.
 
     Args:
         inverse_depth: 1/metre, >= 0.
-        reach: 0 for the two pixels on both sides of a jump alone.
+        radius: of the window; 0 for the two pixels on both sides of a discontinuity alone.
     """
     xp = array_namespace(inverse_depth)
     across = is_other_surface(inverse_depth, xp.roll(inverse_depth, -1, axis=1))
     across = across | xp.roll(across, 1, axis=1)
     down = is_other_surface(inverse_depth[:-1], inverse_depth[1:])
-    beyond = xp.zeros_like(across[:1])
-    found = across | xp.concat([down, beyond]) | xp.concat([beyond, down])
-    for _ in range(reach):
+    no_row = xp.zeros_like(across[:1])
+    found = across | xp.concat([down, no_row]) | xp.concat([no_row, down])
+    for _ in range(radius):
         found = found | xp.roll(found, 1, axis=1) | xp.roll(found, -1, axis=1)
-        found = found | xp.concat([found[1:], beyond]) | xp.concat([beyond, found[:-1]])
+        found = found | xp.concat([found[1:], no_row]) | xp.concat([no_row, found[:-1]])
     return found

@@ -4,24 +4,28 @@
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.fusion.pixel_classes import DISAGREEMENT, FARTHEST
+from omnisyn_cli.fusion.pixel_classes import MIN_INVERSE_DEPTH
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS
 
-TOGETHER = 64
-"""Pixels that are passed over together if none of them is marked."""
+FIRST_EDGE, SECOND_EDGE = 1, 2
+"""Bits of a mark: which layer has a depth discontinuity there."""
+
+SKIP_COLUMNS = 64
+"""Pixels that are skipped together if none of them is marked: most rows have no edges. Set by hand."""
 
 
 @fast_kernel()
-def mark_edge_pixels(first, second, picture, scale, contrast, marks, begin, end):
-    """Mark pixels of rows ``begin`` to ``end`` beside a jump of either surface that can be told by their colours.
+def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, end):
+    """Mark pixels of rows ``begin`` to ``end`` beside a depth discontinuity of either layer, if it is visible.
 
     Args:
-        first: ``(height, width)`` inverse depth of the first view, negative where nothing is seen.
-        second: of the second view.
-        picture: ``(height, width, 3)`` what they were blended to.
-        scale: times its samples are levels of 8 bits.
-        contrast: levels by which some channel has to differ among a pixel and those around it.
-        marks: ``(height, width)`` uint8, written: 1 for a jump of the first surface, 2 for one of the second, 3.
+        first: ``(height, width)`` inverse depth of the first layer, negative where nothing is seen.
+        second: of the second layer.
+        picture: ``(height, width, 3)`` the blend of both.
+        scale: from its values to levels of 8 bits.
+        min_contrast: levels by which some channel has to vary over 3x3 pixels.
+        marks: ``(height, width)`` uint8, written: bits :data:`FIRST_EDGE` and :data:`SECOND_EDGE`.
         begin: first row.
         end: the row after the last.
     """
@@ -29,31 +33,32 @@ def mark_edge_pixels(first, second, picture, scale, contrast, marks, begin, end)
     for row in range(begin, end):
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         marks[row] = 0
-        _mark_jumps(first[above], first[row], first[below], marks[row], np.uint8(1))
-        _mark_jumps(second[above], second[row], second[below], marks[row], np.uint8(2))
-        for left in range(0, width, TOGETHER):
-            right = min(left + TOGETHER, width)
+        _mark_depth_edges(first[above], first[row], first[below], marks[row], np.uint8(FIRST_EDGE))
+        _mark_depth_edges(second[above], second[row], second[below], marks[row], np.uint8(SECOND_EDGE))
+        for left in range(0, width, SKIP_COLUMNS):
+            right = min(left + SKIP_COLUMNS, width)
             if not _is_any(marks[row], left, right):
                 continue
             for col in range(left, right):
-                if marks[row, col] and not _stands_out(picture, scale, contrast, above, below, col):
+                if marks[row, col] and not _has_contrast(picture, scale, min_contrast, above, below, col):
                     marks[row, col] = 0
 
 
 @fast_kernel()
-def _mark_jumps(above, rho, below, marks, mark):
-    """Mark those pixels of a row that one of their four neighbours is apart from."""
+def _mark_depth_edges(above, rho, below, marks, mark):
+    """Mark those pixels of a row that differ in depth from one of their four neighbours; columns wrap."""
     last = len(rho) - 1
+    # The seam is a loop of its own, so that LLVM vectorises the inner columns.
     for col in range(1, last):
         here = rho[col]
-        is_other_surface = _is_apart(here, rho[col - 1]) | _is_apart(here, rho[col + 1])
-        is_other_surface |= _is_apart(here, above[col]) | _is_apart(here, below[col])
-        marks[col] |= mark if is_other_surface else np.uint8(0)
+        is_edge = _is_other_surface(here, rho[col - 1]) | _is_other_surface(here, rho[col + 1])
+        is_edge |= _is_other_surface(here, above[col]) | _is_other_surface(here, below[col])
+        marks[col] |= mark if is_edge else np.uint8(0)
     for col in (0, last):
         here = rho[col]
-        is_other_surface = _is_apart(here, rho[col - 1]) | _is_apart(here, rho[0 if col == last else col + 1])
-        is_other_surface |= _is_apart(here, above[col]) | _is_apart(here, below[col])
-        marks[col] |= mark if is_other_surface else np.uint8(0)
+        is_edge = _is_other_surface(here, rho[col - 1]) | _is_other_surface(here, rho[0 if col == last else col + 1])
+        is_edge |= _is_other_surface(here, above[col]) | _is_other_surface(here, below[col])
+        marks[col] |= mark if is_edge else np.uint8(0)
 
 
 @fast_kernel()
@@ -65,15 +70,15 @@ def _is_any(marks, begin, end):
 
 
 @inlined(fastmath=True)
-def _is_apart(one, other):
-    """:func:`omnisyn_cli.fusion.pixel_classes.is_other_surface` of two pixels, what is not seen being infinitely far."""
+def _is_other_surface(one, other):
+    """:func:`omnisyn_cli.fusion.pixel_classes.is_other_surface` of two pixels; unseen ones count as infinitely far."""
     a, b = max(one, np.float32(0.0)), max(other, np.float32(0.0))
-    return abs(a - b) > np.float32(DISAGREEMENT) * max(max(a, b), np.float32(FARTHEST))
+    return abs(a - b) > np.float32(SAME_SURFACE_TOLERANCE) * max(max(a, b), np.float32(MIN_INVERSE_DEPTH))
 
 
 @inlined(fastmath=True)
-def _stands_out(picture, scale, contrast, above, below, col):
-    """Whether some channel differs enough among nine pixels; rows end, columns wrap."""
+def _has_contrast(picture, scale, min_contrast, above, below, col):
+    """Whether some channel varies enough over 3x3 pixels; rows end, columns wrap."""
     last = picture.shape[1] - 1
     left, right = col - 1 if col > 0 else last, col + 1 if col < last else 0
     for k in range(3):
@@ -82,80 +87,80 @@ def _stands_out(picture, scale, contrast, above, below, col):
             for at in (left, col, right):
                 value = min(max(picture[row, at, k] * scale, np.float32(0.0)), np.float32(255.0))
                 lowest, highest = min(lowest, value), max(highest, value)
-        if int(highest + np.float32(0.5)) - int(lowest + np.float32(0.5)) >= contrast:
+        # Rounded first, so that float and integer pictures have the same edges.
+        if int(highest + np.float32(0.5)) - int(lowest + np.float32(0.5)) >= min_contrast:
             return True
     return False
 
 
 @fast_kernel()
-def list_edge_pixels(marks, top, begins, cols, sin_table, cos_table, sin_a, cos_a):
-    """Write :class:`omnisyn_cli.types.EdgePixels` of the marked pixels of some rows; how many there are with padding.
+def list_edge_pixels(marks, top, tile_begins, cols, double_tables, sin_a, cos_a):
+    """List the marked pixels of some rows as in :class:`omnisyn_cli.types.EdgePixels`; returns how many, with padding.
 
     Args:
         marks: ``(height, width)``.
         top: first row.
-        begins: ``(rows, tiles + 1)``, written.
-        cols: with room for all, written.
-        sin_table: sines of the azimuths of the columns of a picture of twice the size.
-        cos_table: cosines.
+        tile_begins: ``(rows, tiles + 1)``, written.
+        cols: with space for all, written.
+        double_tables: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size.
         sin_a: of the samples, written.
         cos_a: likewise.
     """
     count, width = 0, marks.shape[1]
-    for row in range(len(begins)):
-        for left in range(0, width, TOGETHER):
-            right = min(left + TOGETHER, width)
+    for row in range(len(tile_begins)):
+        for left in range(0, width, SKIP_COLUMNS):
+            right = min(left + SKIP_COLUMNS, width)
             if not _is_any(marks[top + row], left, right):
-                begins[row, left // EDGE_TILE_COLUMNS : -(-right // EDGE_TILE_COLUMNS)] = count
+                tile_begins[row, left // EDGE_TILE_COLUMNS : -(-right // EDGE_TILE_COLUMNS)] = count
                 continue
             for col in range(left, right):
                 if col % EDGE_TILE_COLUMNS == 0:
-                    begins[row, col // EDGE_TILE_COLUMNS] = count
+                    tile_begins[row, col // EDGE_TILE_COLUMNS] = count
                 if marks[top + row, col]:
                     cols[count] = col
                     count += 1
         while count % EDGE_PIXEL_MULTIPLE != 0:
             cols[count] = -1
             count += 1
-        begins[row, -1] = count
+        tile_begins[row, -1] = count
     for at in range(count):
         col = max(cols[at], 0)
         for side in range(2):
-            sin_a[2 * at + side], cos_a[2 * at + side] = sin_table[2 * col + side], cos_table[2 * col + side]
+            sin_a[2 * at + side] = double_tables.sin_a[2 * col + side]
+            cos_a[2 * at + side] = double_tables.cos_a[2 * col + side]
     return count
 
 
 @fast_kernel()
-def prefill_visibility(marks, mark, rho, top, begins, cols, counts, inverse_depth):
-    """Write what is known of the samples of a view: where it does not jump they lie on a plane with their pixels.
+def prefill_visibility(marks, mark, rho, edge_pixels):
+    """Write the sample depths that need no rasterising: away from a layer's own edges they lie on a local plane.
 
     Args:
         marks: ``(height, width)``.
-        mark: which of them are jumps of this view's.
-        rho: ``(height, width)`` its inverse depth.
-        top: first row.
-        begins: see :class:`omnisyn_cli.types.EdgePixels`.
-        cols: likewise.
-        counts: written.
-        inverse_depth: ``(2, samples)``, written.
+        mark: the bit of this layer's edges; samples of such pixels are left to the rasteriser.
+        rho: ``(height, width)`` the layer's inverse depth.
+        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`; ``unknown_counts`` and ``inverse_depth`` are written.
     """
     height, width = marks.shape
-    for row in range(len(begins)):
-        here, tiles, tile, count = top + row, begins.shape[1] - 1, 0, 0
+    top, cols, tile_begins = edge_pixels.top, edge_pixels.cols, edge_pixels.tile_begins
+    unknown_counts, inverse_depth = edge_pixels.unknown_counts, edge_pixels.inverse_depth
+    for row in range(len(tile_begins)):
+        here, tiles, tile, count = top + row, tile_begins.shape[1] - 1, 0, 0
         above, below = max(here - 1, 0), min(here + 1, height - 1)
-        for at in range(begins[row, 0], begins[row, tiles]):
+        for at in range(tile_begins[row, 0], tile_begins[row, tiles]):
             col = cols[at]
             while col >= 0 and tile * EDGE_TILE_COLUMNS <= col:
-                counts[row, tile] = count
+                unknown_counts[row, tile] = count
                 tile += 1
             left, right = (col - 1 if col > 0 else width - 1), (col + 1 if col < width - 1 else 0)
-            is_sought = col < 0 or marks[here, col] & mark
-            count += 1 if is_sought and col >= 0 else 0
+            is_unknown = col < 0 or marks[here, col] & mark
+            count += 1 if is_unknown and col >= 0 else 0
+            # Samples lie a quarter of a pixel from the centre; the neighbours are two pixels apart, hence an eighth.
             across = np.float32(0.125) * (rho[here, right] - rho[here, left])
             down = np.float32(0.25) * (rho[below, col] - rho[above, col]) / np.float32(max(below - above, 1))
             for half in range(2):
                 for side in range(2):
                     value = rho[here, col] + (across if side else -across) + (down if half else -down)
                     known = max(value, np.float32(0.0)) if rho[here, col] >= np.float32(0.0) else np.float32(-1.0)
-                    inverse_depth[half, 2 * at + side] = np.float32(-1.0) if is_sought else known
-        counts[row, tile:] = count
+                    inverse_depth[half, 2 * at + side] = np.float32(-1.0) if is_unknown else known
+        unknown_counts[row, tile:] = count

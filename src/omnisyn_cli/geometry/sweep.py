@@ -23,11 +23,10 @@ from jaxtyping import Float, Shaped
 from omnisyn_cli.geometry.pose import Pose, rotation_taking
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import UP, pixel_directions
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
 __all__ = [
     "epipole_frame",
-    "exchanged_in_epipole_frame",
-    "exchanged_in_forward_frame",
     "forward_frame",
     "free_space_agreement",
     "inverse_depth_from_parallax",
@@ -35,13 +34,13 @@ __all__ = [
     "neighbourhood_agreement",
     "parallax_from_inverse_depth",
     "reproject_to_second",
+    "swap_cameras_in_epipole_frame",
+    "swap_cameras_in_forward_frame",
     "sweep_directions",
 ]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-AGREEMENT_TOLERANCE = 0.1
-"""Relative error in inverse depth that counts as agreement between two views; chosen by eye."""
 
 FREE_SPACE_SLACK = 1e-3
 """Inverse depth × baseline that the other camera may be short of: below it two values both mean infinity."""
@@ -81,12 +80,12 @@ def forward_frame(first: Pose, second: Pose) -> tuple[Pose, Pose, float]:
     return Pose(rotation, first.position), Pose(rotation, second.position), baseline
 
 
-def exchanged_in_epipole_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+def swap_cameras_in_epipole_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     """An image in the epipole frame after both cameras swapped roles; its own inverse."""
     return np.ascontiguousarray(image[::-1, ::-1])
 
 
-def exchanged_in_forward_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+def swap_cameras_in_forward_frame(image: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     """An image in the forward frame after both cameras swapped roles; its own inverse."""
     return np.roll(image, image.shape[1] // 2, axis=1)
 
@@ -161,7 +160,7 @@ def free_space_agreement(
     """
     expected, seen = _expected_and_seen(inverse_depth, other, other_from_this)
     too_far = np.maximum(expected - seen - FREE_SPACE_SLACK, 0.0) / np.maximum(expected, FREE_SPACE_SLACK)
-    return np.asarray(1.0 / (1.0 + (too_far / AGREEMENT_TOLERANCE) ** 2), np.float32)
+    return np.asarray(1.0 / (1.0 + (too_far / SAME_SURFACE_TOLERANCE) ** 2), np.float32)
 
 
 def neighbourhood_agreement(
@@ -170,14 +169,14 @@ def neighbourhood_agreement(
     """1 where both estimates agree around a pixel, ½ where they differ by :data:`HALF_CONFIDENCE_DISAGREEMENT` there.
 
     A pixel that agrees amid pixels that do not often agrees by chance. An occluded surface is not contradicted, but not
-    confirmed either: it counts as :data:`AGREEMENT_TOLERANCE` apart.
+    confirmed either: it counts as :data:`SAME_SURFACE_TOLERANCE` apart.
 
     Frames and units are those of :func:`free_space_agreement`.
     """
     expected, seen = _expected_and_seen(inverse_depth, other, other_from_this)
     difference = (expected - seen) / np.maximum(np.maximum(expected, seen), MIN_RELATIVE_SCALE)
     disagreement = np.where(
-        difference > 0.0, np.minimum(difference, MAX_DISAGREEMENT), np.minimum(-difference, AGREEMENT_TOLERANCE)
+        difference > 0.0, np.minimum(difference, MAX_DISAGREEMENT), np.minimum(-difference, SAME_SURFACE_TOLERANCE)
     )
     side = 2 * math.ceil(AGREEMENT_RADIUS * len(disagreement)) + 1
     blur = partial(cv2.blur, ksize=(side, side), borderType=cv2.BORDER_REPLICATE)

@@ -26,6 +26,7 @@ from jaxtyping import Bool, Float, Integer, UInt8
 
 from omnisyn_cli.geometry.sampling import max_pool
 from omnisyn_cli.geometry.sphere import UP, direction_tables, pixel_directions
+from omnisyn_cli.geometry.tolerances import MESH_CUT_STEP
 from omnisyn_cli.render.quad_blocks import (
     BLOCK,
     BOTTOM,
@@ -40,7 +41,7 @@ from omnisyn_cli.render.quad_blocks import (
     TOP,
     QuadBlocks,
     empty_blocks,
-    put,
+    write_quads,
 )
 from omnisyn_cli.render.surface_confidence import quarter_confidence
 
@@ -48,12 +49,12 @@ __all__ = ["Cut", "Mesh", "Triangles", "build_mesh", "mask_of_vertices"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-NO_SURFACE = -1e-9
+MASKED_INVERSE_DEPTH = -1e-9
 """Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
 
-_TINY = 1e-12
+MIN_INVERSE_DEPTH = 1e-12
 
-SOME = 1 << 12
+CUT_QUADS_AT_A_TIME = 1 << 12
 """Cut quads of which pieces are made at a time."""
 
 
@@ -66,7 +67,7 @@ class Cut:
         metres: largest step of depth (the paper's criterion, there 2 m). None switches the test off.
     """
 
-    relative: float | None = 0.05
+    relative: float | None = MESH_CUT_STEP
     metres: float | None = None
 
 
@@ -83,7 +84,7 @@ class Mesh:
 
     inverse_depth: Float[np.ndarray, "height width"]
     quads: UInt8[np.ndarray, "height-1 width"]
-    trust: Float[np.ndarray, "height-1 width 4"]
+    surface_confidence: Float[np.ndarray, "height-1 width 4"]
 
     @property
     def size(self) -> tuple[int, int]:
@@ -155,7 +156,7 @@ class Mesh:
 
         Every piece is split from its first point to its fourth.
         """
-        for quads in np.split(self.cut_quads, range(SOME, len(self.cut_quads), SOME)):
+        for quads in np.split(self.cut_quads, range(CUT_QUADS_AT_A_TIME, len(self.cut_quads), CUT_QUADS_AT_A_TIME)):
             corners = self.directions_of(self.vertices_of(quads))
             directions = np.einsum("qpc,ncx->nqpx", QUARTER_DIRECTIONS, corners).reshape(-1, 4, 3)
             yield _with_depths(directions, self._quarters(self.inverse_depth, quads))
@@ -181,7 +182,7 @@ class Mesh:
         first = 0
         for points in self.pieces():
             is_drawn = (points[..., 3] >= 0).all(axis=-1)
-            put(blocks, len(begin), first, points, np.where(is_drawn, np.uint8(0), np.uint8(REMOVED)))
+            write_quads(blocks, len(begin), first, points, np.where(is_drawn, np.uint8(0), np.uint8(REMOVED)))
             first += len(points)
         return blocks
 
@@ -306,7 +307,7 @@ def build_mesh(
     quads |= _flag(DIAGONAL, rising < falling)
     if mask is not None:
         quads |= _flag(REMOVED, ~_any_corner(mask))
-        rho = np.where(mask, rho, np.float32(NO_SURFACE))
+        rho = np.where(mask, rho, np.float32(MASKED_INVERSE_DEPTH))
     return Mesh(rho, quads, quarter_confidence(rho, (quads & CUT_EDGES) != 0, confidence))
 
 
@@ -335,7 +336,7 @@ def _cut_edges(rho: np.ndarray, cut: Cut, axis: int) -> np.ndarray:
     step = following - rho
     is_cut = np.zeros(step.shape, dtype=bool)
     if cut.relative is not None:
-        is_cut |= np.abs(step) > cut.relative * np.maximum(np.maximum(rho, following), _TINY)
+        is_cut |= np.abs(step) > cut.relative * np.maximum(np.maximum(rho, following), MIN_INVERSE_DEPTH)
     if cut.metres is not None:
         is_cut |= np.abs(step) > cut.metres * rho * following
     return is_cut

@@ -22,7 +22,7 @@ CENSUS_NOISE = np.float32(0.004)
 COST_PER_CENSUS_BIT = np.float32(1.0 / 24.0)
 """Half of the 48 bits differ between unrelated windows, which is a cost of 1."""
 
-UNSEEN_COST = np.float32(0.6)
+OUT_OF_VIEW_COST = np.float32(0.6)
 """Cost where the second image shows nothing (outside or masked): worse than a match, better than a contradiction;
 chosen by eye."""
 
@@ -66,12 +66,12 @@ def census_transform(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.
     """Which of the 48 neighbours in 7×7 are brighter than each pixel, as bits; columns wrap, end rows repeat."""
     wide = np.pad(luminance, ((0, 0), (CENSUS_RADIUS, CENSUS_RADIUS)), mode="wrap").astype(np.float32, copy=False)
     signature = np.zeros(luminance.shape, np.uint64)
-    run_bands(partial(_compare_with_neighbours, wide, signature), len(signature))
+    run_bands(partial(_census_rows, wide, signature), len(signature))
     return signature
 
 
 @kernel()
-def _compare_with_neighbours(wide, signature, begin, end):  # type: ignore[no-untyped-def]
+def _census_rows(wide, signature, begin, end):  # type: ignore[no-untyped-def]
     height, width = signature.shape
     for row in range(begin, end):
         for i in range(-CENSUS_RADIUS, CENSUS_RADIUS + 1):
@@ -134,9 +134,9 @@ def _fill_cost_volume(first, second, lowest, offsets, colour, cost, begin, end):
             for k in range(count):
                 difference = abs(red - reds[k]) + abs(green - greens[k]) + abs(blue - blues[k])
                 value = _combine_costs(bits ^ candidate_bits[k], difference, colour)
-                own[k] = _to_fixed_point(value if candidate_usable[k] else UNSEEN_COST)
+                own[k] = _to_fixed_point(value if candidate_usable[k] else OUT_OF_VIEW_COST)
             for k in range(count, np.uint64(len(own))):  # below the last row: beyond the other epipole
-                own[k] = _to_fixed_point(UNSEEN_COST)
+                own[k] = _to_fixed_point(OUT_OF_VIEW_COST)
 
 
 @inlined()
@@ -162,7 +162,7 @@ def surface_cost(
     run_bands(partial(_warp_rows, second, second_usable, disparity, warped, seen), len(warped))
     differing_bits = first_census ^ census_transform(luminance_of(warped))
     cost, colour = np.empty(disparity.shape, np.float32), ColourCost.of(colour_weight, colour_truncation)
-    run_bands(partial(_compare_with_warped, first, warped, differing_bits, disparity, seen, colour, cost), len(cost))
+    run_bands(partial(_surface_cost_rows, first, warped, differing_bits, disparity, seen, colour, cost), len(cost))
     return cost
 
 
@@ -181,7 +181,7 @@ def _warp_rows(second, second_usable, disparity, warped, seen, begin, end):  # t
 
 
 @kernel()
-def _compare_with_warped(  # type: ignore[no-untyped-def]
+def _surface_cost_rows(  # type: ignore[no-untyped-def]
     first, warped, differing_bits, disparity, seen, colour, cost, begin, end
 ):
     """Fills some rows of ``cost``.
@@ -202,7 +202,7 @@ def _compare_with_warped(  # type: ignore[no-untyped-def]
             if disparity[row, col] < 0:
                 cost[row, col] = INVALID_COST
             elif not seen[row, col]:
-                cost[row, col] = UNSEEN_COST
+                cost[row, col] = OUT_OF_VIEW_COST
             else:
                 difference = np.float32(0.0)
                 for k in range(3):

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, UInt16
 
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
+from omnisyn_cli.geometry.tolerances import LEFT_RIGHT_TOLERANCE
 from omnisyn_cli.stereo.costs import cost_volume, luminance_of
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair
 from omnisyn_cli.stereo.semi_global import DisparityRange, aggregate_costs, uniqueness_margin, winner_takes_all
@@ -21,16 +22,13 @@ ROWS_BEYOND_EPIPOLE = 4
 """Impossible disparities that are tried all the same: what has no match takes these, not the least wrong possible one.
 (Without them the shadow of a lamp on an untextured road fell to pieces.)"""
 
-BOUND_SLACK_ROWS = 1.5
+LOWER_BOUND_SLACK_ROWS = 1.5
 """A winner this close to the least possible disparity may have wanted to go below it, so it is not valid."""
 
-HORIZON_SINE = 0.17
+GROUND_BOUND_MIN_SINE = 0.17
 """Sine of the angle below the horizon (10°) where the bound on the ground's distance begins: ground may slope away;
 chosen by eye."""
 
-NEAR_TOLERANCE_SHARE = 0.08
-"""Tolerance of the left-right check as a share of the disparity, between its limits for far and for near things.
-(8 % without an upper limit took anything for agreement on an untextured road.)"""
 
 MAX_INTERPOLATED_STEP = 2.0
 """Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
@@ -38,7 +36,7 @@ MAX_INTERPOLATED_STEP = 2.0
 (With more, noise confirms itself: the shadow of a lamp on an untextured road fell to pieces.)
 """
 
-BLIND_ANGLE_DEG, NO_INFINITY_ANGLE_DEG = 4.0, 20.0
+EPIPOLE_BLIND_DEG, EPIPOLE_NO_INFINITY_DEG = 4.0, 20.0
 """Degrees from an epipole: within the first nothing is measurable; within the second near things hardly move either,
 so no parallax does not mean infinity. Chosen by eye."""
 
@@ -70,9 +68,9 @@ class MatchingOptions:
         label_penalty, label_contrast: as ``p2`` and ``p2_contrast``, between surface labels.
         valid_match_bias, invalid_match_bias: extra cost of the semi-global match against a plane, where it is valid and
             where it is not.
-        unsupported_bias: extra cost of a plane far from every point that it was fitted to, and of infinity far from
-            static texture: a ceiling is not the sky because a window shows some.
-        beyond_room_bias: extra cost of a surface below the floor or above a ceiling.
+        unsupported_plane_penalty: extra cost of a plane far from every point that it was fitted to, and of infinity
+            far from static texture: a ceiling is not the sky because a window shows some.
+        beyond_room_penalty: extra cost of a surface below the floor or above a ceiling.
         left_right_rows, near_left_right_rows: rows by which both directions may differ, for far and for near things.
     """
 
@@ -93,8 +91,8 @@ class MatchingOptions:
     label_contrast: float = 0.15
     valid_match_bias: float = 0.15
     invalid_match_bias: float = 0.5
-    unsupported_bias: float = 0.2
-    beyond_room_bias: float = 0.3
+    unsupported_plane_penalty: float = 0.2
+    beyond_room_penalty: float = 0.3
     left_right_rows: float = 1.0
     near_left_right_rows: float = 2.0
 
@@ -113,7 +111,10 @@ class DisparityMap:
 
 
 class LeftRightTolerance(NamedTuple):
-    """Rows by which both directions may differ: ``share · disparity``, but at least ``far`` and at most ``near``."""
+    """Rows by which both directions may differ: ``share · disparity``, but at least ``far`` and at most ``near``.
+
+    Without the upper limit anything passed for agreement on an untextured road.
+    """
 
     far: float
     near: float
@@ -121,18 +122,18 @@ class LeftRightTolerance(NamedTuple):
 
 
 def match_disparities(
-    pair: RectifiedPair, disparities: DisparityRange, options: MatchingOptions, *, is_complete: bool
+    pair: RectifiedPair, disparities: DisparityRange, options: MatchingOptions, *, is_complete_range: bool
 ) -> tuple[DisparityMap, UInt16[np.ndarray, " costs"]]:
     """Cost volume, semi-global matching and winner-takes-all over the given ranges; also the costs.
 
-    ``is_complete`` says that no other disparities exist.
+    ``is_complete_range`` says that no other disparities exist.
     """
     cost = cost_volume(
         pair.first, pair.second, pair.second_usable, disparities, options.colour_weight, options.colour_truncation
     )
     luminance = luminance_of(pair.first)
     total = aggregate_costs(cost, disparities, luminance, options.p1, options.p2, options.p2_contrast)
-    disparity, margin = winner_takes_all(total, disparities, is_complete=is_complete)
+    disparity, margin = winner_takes_all(total, disparities, is_complete_range=is_complete_range)
     return DisparityMap(disparity, (margin > options.min_margin) & pair.first_usable), cost
 
 
@@ -140,17 +141,17 @@ def match_all_disparities(
     pair: RectifiedPair, grid: EpipolarGrid, options: MatchingOptions
 ) -> tuple[DisparityMap, Bool[np.ndarray, "height width"]]:
     """Semi-global matching over all possible disparities, and where the match is unique."""
-    lowest = least_disparity(grid, options)
+    lowest = least_ground_disparity(grid, options)
     disparities = _possible_disparities(lowest, options)
-    matches, cost = match_disparities(pair, disparities, options, is_complete=True)
-    is_at_bound = (lowest > 0) & (matches.disparity <= lowest + BOUND_SLACK_ROWS)
+    matches, cost = match_disparities(pair, disparities, options, is_complete_range=True)
+    is_at_bound = (lowest > 0) & (matches.disparity <= lowest + LOWER_BOUND_SLACK_ROWS)
     is_unique = uniqueness_margin(cost, disparities, matches.disparity) > options.min_uniqueness
     return replace(matches, valid=matches.valid & ~is_at_bound), is_unique
 
 
-def least_disparity(grid: EpipolarGrid, options: MatchingOptions) -> Float[np.ndarray, "height width"]:
+def least_ground_disparity(grid: EpipolarGrid, options: MatchingOptions) -> Float[np.ndarray, "height width"]:
     """Disparity of ground that lies ``max_camera_height`` below the camera; 0 at and above the horizon."""
-    sin_depression = np.maximum(-grid.sin_elevation - HORIZON_SINE, 0.0)
+    sin_depression = np.maximum(-grid.sin_elevation - GROUND_BOUND_MIN_SINE, 0.0)
     return grid.disparity(sin_depression / options.max_camera_height)
 
 
@@ -174,7 +175,7 @@ def left_right_check(
         far_rows: rows by which they may differ.
         near_rows: rows by which they may differ where disparities are large; None makes no difference.
     """
-    tolerance = LeftRightTolerance(far_rows, near_rows or far_rows, NEAR_TOLERANCE_SHARE)
+    tolerance = LeftRightTolerance(far_rows, near_rows or far_rows, LEFT_RIGHT_TOLERANCE)
     first, second = (
         replace(own, valid=own.valid & _is_left_right_consistent(own.disparity, other.disparity, tolerance))
         for own, other in (maps, maps[::-1])
@@ -191,7 +192,7 @@ def _is_left_right_consistent(
     disparity changes a lot from row to row. So the other map is interpolated, unless an edge lies between the rows.
     """
     out = np.empty(disparity.shape, np.bool_)
-    exchanged = exchanged_in_epipole_frame(other)
+    exchanged = swap_cameras_in_epipole_frame(other)
     run_bands(partial(_check_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
     return out
 
@@ -215,5 +216,5 @@ def _check_rows(disparity, other, tolerance, max_step, out, begin, end):  # type
 
 def is_measurable(grid: EpipolarGrid, disparity: np.ndarray) -> Bool[np.ndarray, "height width"]:
     """Not next to an epipole, and no claim of infinity in the wider surroundings of one."""
-    is_infinity_known = grid.is_away_from_epipoles(NO_INFINITY_ANGLE_DEG)
-    return np.asarray(grid.is_away_from_epipoles(BLIND_ANGLE_DEG) & ((disparity >= 1.0) | is_infinity_known))
+    is_infinity_known = grid.is_away_from_epipoles(EPIPOLE_NO_INFINITY_DEG)
+    return np.asarray(grid.is_away_from_epipoles(EPIPOLE_BLIND_DEG) & ((disparity >= 1.0) | is_infinity_known))

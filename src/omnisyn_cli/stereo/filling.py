@@ -43,10 +43,10 @@ FALLBACK_WEIGHT = 1e-3
 TILT_RIDGE = 0.1
 """Ridge against tilts that the data do not ask for, relative to what data spread over the radius would weigh."""
 
-MAX_RELATIVE_RESIDUAL, MAX_SHARE_RESIDUAL = 0.1, 0.02
+ROBUST_SCALE_OF_ESTIMATE, ROBUST_SCALE_OF_MAXIMUM = 0.1, 0.02
 """Scale of the robust weights: 10 % of the estimate and 2 % of the greatest inverse depth; chosen by eye."""
 
-TEXTURE_WINDOW, TEXTURE_COLOUR_SIGMA, TEXTURE_SPACE_SIGMA = 7, 0.15, 3.0
+BILATERAL_WINDOW, BILATERAL_COLOUR_SIGMA, BILATERAL_SPACE_SIGMA = 7, 0.15, 3.0
 """Of the bilateral filter that removes mere texture before edges are taken: pixels, colour, pixels. Chosen by eye."""
 
 ROWS_PER_GROUP = 16
@@ -78,7 +78,7 @@ def fill_with_planes(
     directions, edges = pixel_directions(*values.shape), _colour_edges(guide, usable)
     estimate = _first_guess(values, known, directions)
     for radius in FIT_RADII:
-        residual = (values - estimate) / (MAX_RELATIVE_RESIDUAL * estimate + MAX_SHARE_RESIDUAL * high)
+        residual = (values - estimate) / (ROBUST_SCALE_OF_ESTIMATE * estimate + ROBUST_SCALE_OF_MAXIMUM * high)
         robust_weight = np.where(known, 1.0, 1.0 / (1.0 + residual**2))  # hints far from the estimate hardly count
         fitted = _fit_around_pixels(values, weight * robust_weight, estimate, directions, edges, radius)
         estimate = np.clip(fitted, low, high)
@@ -96,7 +96,7 @@ def _first_guess(values: np.ndarray, known: np.ndarray, directions: np.ndarray) 
 def _colour_edges(guide: np.ndarray, usable: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Colour differences to the pixel on the left and to the one above, without mere texture."""
     smooth = partial(
-        cv2.bilateralFilter, d=TEXTURE_WINDOW, sigmaColor=TEXTURE_COLOUR_SIGMA, sigmaSpace=TEXTURE_SPACE_SIGMA
+        cv2.bilateralFilter, d=BILATERAL_WINDOW, sigmaColor=BILATERAL_COLOUR_SIGMA, sigmaSpace=BILATERAL_SPACE_SIGMA
     )
     flat = filter_across_seam(smooth, guide.astype(np.float32), min(8, guide.shape[1]))
     left, above = np.roll(flat, 1, axis=1), np.concatenate([flat[:1], flat[:-1]])

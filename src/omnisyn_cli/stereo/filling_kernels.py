@@ -5,7 +5,7 @@ import numpy as np
 
 from omnisyn_cli.compute.jit import kernel
 
-SUMS = 9
+NORMAL_EQUATION_TERMS = 9
 """Numbers per pixel: the upper triangle of the matrix, row after row, and the right side."""
 
 
@@ -22,7 +22,7 @@ def normal_equations(values, weight, directions):
         ``(height, width, 9)`` float32.
     """
     height, width = values.shape
-    out = np.empty((height, width, SUMS), np.float32)
+    out = np.empty((height, width, NORMAL_EQUATION_TERMS), np.float32)
     for row in range(height):
         for col in range(width):
             x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
@@ -35,7 +35,7 @@ def normal_equations(values, weight, directions):
 
 
 @kernel()
-def fitted_values(sums, fallback, directions, fallback_weight, flatness):
+def fitted_values(sums, fallback, directions, fallback_weight, tilt_ridge):
     """The value at every pixel of the plane that is fitted around it.
 
     The matrix is positive definite: along the ray by the fallback, across it by the ridge, however little is known.
@@ -45,7 +45,7 @@ def fitted_values(sums, fallback, directions, fallback_weight, flatness):
         fallback: ``(height, width)``, what the plane is drawn to at the pixel itself.
         directions: ``(height, width, 3)`` unit vectors.
         fallback_weight: of it, > 0.
-        flatness: of a ridge against tilts, relative to the trace of the matrix.
+        tilt_ridge: of a ridge against tilts, relative to the trace of the matrix.
 
     Returns:
         ``(height, width)`` float64.
@@ -56,7 +56,7 @@ def fitted_values(sums, fallback, directions, fallback_weight, flatness):
         for col in range(width):
             x, y, z = directions[row, col, 0], directions[row, col, 1], directions[row, col, 2]
             s = sums[row, col]
-            ridge = flatness * (np.float64(s[0]) + np.float64(s[3]) + np.float64(s[5])) + 1e-9
+            ridge = tilt_ridge * (np.float64(s[0]) + np.float64(s[3]) + np.float64(s[5])) + 1e-9
             along = fallback_weight - ridge
             m00, m01, m02 = s[0] + along * x * x + ridge, s[1] + along * x * y, s[2] + along * x * z
             m11, m12, m22 = s[3] + along * y * y + ridge, s[4] + along * y * z, s[5] + along * z * z + ridge

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Float32, Int64
 from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
 SPECKLE_LEVELS_PER_STEP, SPECKLE_ZERO_LEVEL, SPECKLE_MAX_LEVEL, SPECKLE_UNKNOWN = 16, 16000, 32000, -1000
 """Inverse depths as the whole numbers of 16 bits that OpenCV's speckle filter takes: sixteen per relative step."""
@@ -30,11 +31,8 @@ UPSAMPLE_SPATIAL_DECAY = np.float32(1.0 / 4.5)
 UPSAMPLE_COLOUR_DECAY = np.float32(12.0)
 """Decay of the weights per colour difference, summed over the channels; chosen by eye."""
 
-SMOOTH_RATIO = np.float32(1.1)
+SMOOTH_RATIO = np.float32(1.0 + SAME_SURFACE_TOLERANCE)
 """Ratio of the greatest to the least inverse depth in a window up to which it shows one smooth surface."""
-
-SURFACE_TOLERANCE = np.float32(0.1)
-"""Relative difference to the median up to which a value belongs to the same surface."""
 
 BISECTION_STEPS = 12
 """Of the weighted median: its error is 1/4096 of the range in the window."""
@@ -70,7 +68,7 @@ def median_filter(values: Float32[np.ndarray, "height width"]) -> Float32[np.nda
     return filter_across_seam(partial(cv2.medianBlur, ksize=MEDIAN_WINDOW), values, MEDIAN_WINDOW // 2)
 
 
-class WindowTable(NamedTuple):
+class UpsampleWindows(NamedTuple):
     """Along one axis, the window of low pixels around each pixel.
 
     Attributes:
@@ -82,12 +80,12 @@ class WindowTable(NamedTuple):
     weight: Float32[np.ndarray, "count window"]
 
     @staticmethod
-    def of(count: int, low_count: int) -> "WindowTable":
+    def of(count: int, low_count: int) -> "UpsampleWindows":
         """For ``count`` pixels that cover the same as ``low_count`` low ones."""
         center = ((np.arange(count) + 0.5) * (low_count / count) - 0.5 + UPSAMPLE_RADIUS).astype(np.float32)
         first = np.floor(center + np.float32(0.5)).astype(np.int64) - UPSAMPLE_RADIUS + 1
         offset = first[:, None] + np.arange(2 * UPSAMPLE_RADIUS - 1) - center[:, None]
-        return WindowTable(first, np.exp(-UPSAMPLE_SPATIAL_DECAY * offset * offset).astype(np.float32))
+        return UpsampleWindows(first, np.exp(-UPSAMPLE_SPATIAL_DECAY * offset * offset).astype(np.float32))
 
 
 def joint_upsample(
@@ -105,7 +103,7 @@ def joint_upsample(
     (height, width), (low_height, low_width) = guide.shape[:2], inverse_depth.shape
     out = np.empty((height, width), np.float32)
     low, low_colours = (add_border(each, UPSAMPLE_RADIUS).astype(np.float32) for each in (inverse_depth, low_guide))
-    rows, cols = WindowTable.of(height, low_height), WindowTable.of(width, low_width)
+    rows, cols = UpsampleWindows.of(height, low_height), UpsampleWindows.of(width, low_width)
     run_bands(partial(_upsample_rows, low, low_colours, guide.astype(np.float32), rows, cols, out), height)
     return out
 
@@ -164,7 +162,7 @@ def _mean_near_median(value, weight, median):  # type: ignore[no-untyped-def]
         distance = abs(value[k] - median)
         if distance < gap:
             nearest, gap = value[k], distance
-        if distance <= SURFACE_TOLERANCE * median:
+        if distance <= np.float32(SAME_SURFACE_TOLERANCE) * median:
             total += weight[k]
             mean += weight[k] * value[k]
     return mean / total if total > 0 else nearest

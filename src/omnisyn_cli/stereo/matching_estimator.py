@@ -12,8 +12,9 @@ from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
 from omnisyn_cli.geometry.sweep import motion_in_baselines
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.stereo.disparity import (
-    NO_INFINITY_ANGLE_DEG,
+    EPIPOLE_NO_INFINITY_DEG,
     DisparityMap,
     MatchingOptions,
     is_measurable,
@@ -28,16 +29,13 @@ from omnisyn_cli.stereo.stereo_features import StereoFeatures
 from omnisyn_cli.stereo.surface_labels import label_surfaces
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["UNCONFIRMED_WEIGHT", "MatchingDepthEstimator", "MatchingOptions"]
+__all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptions"]
 
-UNCONFIRMED_WEIGHT = 0.002
+INCONSISTENT_MATCH_WEIGHT = 0.002
 """Weight in filling of a disparity that only one direction found, against 1 for a consistent one; chosen by eye."""
 
 MIN_ISLAND_PIXELS = 20
 """At half size: smaller islands of depth are mistakes more often than things."""
-
-MAX_ISLAND_STEP = 0.1
-"""Relative difference of inverse depth that separates an island from its surroundings."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,8 @@ class MatchingDepthEstimator:
         of_first, of_second = self.features(first, second)
         with limited_threads(self.threads):
             return both(
-                lambda: self._upsampled(first, of_first, baseline), lambda: self._upsampled(second, of_second, baseline)
+                lambda: self._upsampled_estimate(first, of_first, baseline),
+                lambda: self._upsampled_estimate(second, of_second, baseline),
             )
 
     def features(self, first: View, second: View) -> tuple[StereoFeatures, StereoFeatures]:
@@ -82,17 +81,17 @@ class MatchingDepthEstimator:
             grids = tuple(EpipolarGrid.of(each) for each in pairs)
             # Cost volume and semi-global matching, one direction after the other: costs take much memory.
             matched = [match_all_disparities(each, grid, options) for each, grid in zip(pairs, grids, strict=True)]
-            consistent = _checked((matched[0][0], matched[1][0]), options)
+            consistent = _check_left_right((matched[0][0], matched[1][0]), options)
             surfaces = both(
                 *(
                     partial(label_surfaces, each, grid, matches, is_unique, options)
                     for each, grid, matches, (_, is_unique) in zip(pairs, grids, consistent, matched, strict=True)
                 )
             )
-            disparities = _checked(surfaces, options)
+            disparities = _check_left_right(surfaces, options)
             return both(
-                lambda: _features_in_camera(first, second, pairs[0], grids[0], disparities[0]),
-                lambda: _features_in_camera(second, first, pairs[1], grids[1], disparities[1]),
+                lambda: _features_in_camera_frame(first, second, pairs[0], grids[0], disparities[0]),
+                lambda: _features_in_camera_frame(second, first, pairs[1], grids[1], disparities[1]),
             )
 
     def options_for(self, first: View, second: View) -> MatchingOptions:
@@ -101,7 +100,7 @@ class MatchingDepthEstimator:
             return self.options
         return replace(self.options, colour_weight=self.options.clipped_colour_weight)
 
-    def _upsampled(self, view: View, features: StereoFeatures, baseline: float) -> DepthEstimate:
+    def _upsampled_estimate(self, view: View, features: StereoFeatures, baseline: float) -> DepthEstimate:
         """At full size, with the edges of the image, in 1/metre."""
         guide = resize_area(view.image, self.options.size)
         inverse_depth = joint_upsample(np.where(features.sky, 0.0, features.filled), features.image, guide)
@@ -112,11 +111,13 @@ class MatchingDepthEstimator:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
 
 
-def _checked(maps: tuple[DisparityMap, DisparityMap], options: MatchingOptions) -> tuple[DisparityMap, DisparityMap]:
+def _check_left_right(
+    maps: tuple[DisparityMap, DisparityMap], options: MatchingOptions
+) -> tuple[DisparityMap, DisparityMap]:
     return left_right_check(maps, options.left_right_rows, options.near_left_right_rows)
 
 
-def _features_in_camera(
+def _features_in_camera_frame(
     view: View, other: View, pair: RectifiedPair, grid: EpipolarGrid, disparities: DisparityMap
 ) -> StereoFeatures:
     """From disparity in the frame of the pair to inverse depth in the frame of the camera, with sky and filling."""
@@ -125,11 +126,11 @@ def _features_in_camera(
     in_pair = pair.from_camera(pose, size)
     inverse_depth = in_pair.nearest(grid.inverse_depth(disparities.disparity))
     consistent = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
-    consistent = remove_speckles(inverse_depth, consistent & usable, MIN_ISLAND_PIXELS, MAX_ISLAND_STEP)
-    is_infinity_known = np.broadcast_to(grid.is_away_from_epipoles(NO_INFINITY_ANGLE_DEG), size)
+    consistent = remove_speckles(inverse_depth, consistent & usable, MIN_ISLAND_PIXELS, SAME_SURFACE_TOLERANCE)
+    is_infinity_known = np.broadcast_to(grid.is_away_from_epipoles(EPIPOLE_NO_INFINITY_DEG), size)
     sin_elevation = pixel_directions(*size) @ pose.rotation[1]
     sky = find_sky(inverse_depth, consistent & in_pair.nearest(is_infinity_known), sin_elevation, solid_angles(*size))
-    weight = np.where(sky, 0.0, np.where(consistent, 1.0, UNCONFIRMED_WEIGHT * usable))
+    weight = np.where(sky, 0.0, np.where(consistent, 1.0, INCONSISTENT_MATCH_WEIGHT * usable))
     return StereoFeatures(
         image=image,
         matched=inverse_depth,

@@ -19,10 +19,10 @@ PROPOSAL_WINDOW_SIDES = (12, 32, 64)
 MIN_WINDOW_POINTS = 12
 """A window with no more points proposes nothing."""
 
-LEVEL_PROPOSALS, UPRIGHT_PROPOSALS = 400, 800
+LEVEL_PLANE_PROPOSALS, UPRIGHT_PLANE_PROPOSALS = 400, 800
 """Random samples: one point defines a level plane, two define an upright one."""
 
-MIN_LEVEL_SINE = 0.15
+LEVEL_MIN_ELEVATION_SINE = 0.15
 """Sine of the elevation (9°) a point needs to propose a level plane: nearer the horizon its height is uncertain."""
 
 MIN_PAIR_DETERMINANT = 0.05
@@ -34,10 +34,10 @@ MAX_SCORED_POINTS = 6000
 MIN_POINTS = 100
 """With fewer points there is no plane."""
 
-EXPLAINED_TOLERANCE = 1.5
+EXPLAINED_TOLERANCE_FACTOR = 1.5
 """In tolerances: points this close to a chosen plane propose and support no other one."""
 
-OUTLIER_TOLERANCE = 2.0
+OUTLIER_TOLERANCE_FACTOR = 2.0
 """In tolerances: points farther away have no weight when a chosen plane is refitted."""
 
 ROBUST_ITERATIONS = 3
@@ -102,7 +102,7 @@ def find_planes(
     while len(planes) < max_planes and support.max() >= min_support * total:
         best = int(support.argmax())
         planes.append(_refit_to_inliers(proposals[best], points, weight > 0))
-        is_near = np.abs(points.residual(planes[-1])) < EXPLAINED_TOLERANCE * points.tolerance
+        is_near = np.abs(points.residual(planes[-1])) < EXPLAINED_TOLERANCE_FACTOR * points.tolerance
         explained = np.flatnonzero((is_near | (inliers[:, best] > 0)) & (weight > 0))
         support -= weight[explained] @ inliers[explained]  # each point supports one plane only
         support[best] = 0.0
@@ -174,10 +174,10 @@ def _normal_equations(
 def _propose_level(points: PlanePoints, up: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Floors and ceilings: ``normal = a · up``, where one point gives a."""
     sin_elevation = points.directions @ up
-    steep = np.flatnonzero(np.abs(sin_elevation) > MIN_LEVEL_SINE)
+    steep = np.flatnonzero(np.abs(sin_elevation) > LEVEL_MIN_ELEVATION_SINE)
     if len(steep) == 0:
         return np.zeros((0, 3))
-    sample = rng.choice(steep, min(LEVEL_PROPOSALS, len(steep)), replace=False)
+    sample = rng.choice(steep, min(LEVEL_PLANE_PROPOSALS, len(steep)), replace=False)
     return np.asarray((points.inverse_depth[sample] / sin_elevation[sample])[:, None] * up)
 
 
@@ -186,18 +186,18 @@ def _propose_upright(points: PlanePoints, up: np.ndarray, rng: np.random.Generat
     east = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     east /= np.linalg.norm(east)
     horizontal = np.stack([east, np.cross(up, east)])
-    pair = rng.integers(len(points.directions), size=(UPRIGHT_PROPOSALS, 2))
+    pair = rng.integers(len(points.directions), size=(UPRIGHT_PLANE_PROPOSALS, 2))
     matrix = points.directions[pair] @ horizontal.T
     is_solvable = np.abs(np.linalg.det(matrix)) > MIN_PAIR_DETERMINANT
     pair, matrix = pair[is_solvable], matrix[is_solvable]
     return np.asarray(np.linalg.solve(matrix, points.inverse_depth[pair][..., None])[..., 0] @ horizontal)
 
 
-def _refit_to_inliers(normal: np.ndarray, points: PlanePoints, is_free: np.ndarray) -> np.ndarray:
+def _refit_to_inliers(normal: np.ndarray, points: PlanePoints, is_unexplained: np.ndarray) -> np.ndarray:
     """The plane fitted to its inliers among the points that no other plane has explained."""
     for _ in range(ROBUST_ITERATIONS):
         residual = points.residual(normal) / points.tolerance
-        is_inlier = np.abs(residual) < OUTLIER_TOLERANCE
-        weight = is_free * is_inlier / (points.tolerance**2 * (1.0 + residual**2))
+        is_inlier = np.abs(residual) < OUTLIER_TOLERANCE_FACTOR
+        weight = is_unexplained * is_inlier / (points.tolerance**2 * (1.0 + residual**2))
         normal = _fit_normals(points, weight, np.zeros(len(residual), np.int64), 1)[0]
     return normal

@@ -14,19 +14,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.compute.threads import both
-from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import rotated_directions, sample_bilinear
 from omnisyn_cli.geometry.sphere import UP, pixel_directions, pixel_to_angles
 from omnisyn_cli.geometry.sweep import (
     epipole_frame,
-    exchanged_in_epipole_frame,
     inverse_depth_from_parallax,
     parallax_from_inverse_depth,
+    swap_cameras_in_epipole_frame,
 )
 from omnisyn_cli.types import View
 
-HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+HALF_TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 """Seen from the second panorama the first one lies at the zenith once the frame is turned upside down about z."""
 
 MAX_INVERSE_DEPTH = 20.0
@@ -67,17 +67,17 @@ class RectifiedPair:
     def reversed(self) -> RectifiedPair:
         """The same pair seen from the second panorama."""
         return RectifiedPair(
-            first=exchanged_in_epipole_frame(self.second),
-            second=exchanged_in_epipole_frame(self.first),
-            first_usable=exchanged_in_epipole_frame(self.second_usable),
-            second_usable=exchanged_in_epipole_frame(self.first_usable),
-            world_from_frame=self.world_from_frame @ HALF_TURN,
+            first=swap_cameras_in_epipole_frame(self.second),
+            second=swap_cameras_in_epipole_frame(self.first),
+            first_usable=swap_cameras_in_epipole_frame(self.second_usable),
+            second_usable=swap_cameras_in_epipole_frame(self.first_usable),
+            world_from_frame=self.world_from_frame @ HALF_TURN_ABOUT_Z,
             baseline=self.baseline,
         )
 
-    def from_camera(self, pose: Pose, size: tuple[int, int]) -> Lookup:
+    def from_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
         """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""
-        return Lookup.along(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)
+        return RemapTable.for_directions(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)
 
 
 @dataclass(frozen=True)
@@ -167,5 +167,5 @@ def _rotated_mask(view: View, frame: Pose, size: tuple[int, int]) -> np.ndarray:
 
 
 def _rotate(image: np.ndarray, pose: Pose, frame: Pose, size: tuple[int, int]) -> np.ndarray:
-    """Exact bilinear interpolation: a :class:`Lookup` has steps of 1/32 pixel, and matching would measure them."""
+    """Exact bilinear interpolation: a :class:`RemapTable` has steps of 1/32 pixel, and matching would measure them."""
     return np.asarray(sample_bilinear(image, rotated_directions(size, pose.rotation, frame.rotation)), np.float32)

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
-from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import at_same_position
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import rotated_directions, window_max, window_min
 from omnisyn_cli.geometry.sweep import free_space_agreement, motion_in_baselines, neighbourhood_agreement
+from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.stereo.depth_sizes import doubled_sizes
 from omnisyn_cli.stereo.disparity import (
     DisparityMap,
@@ -26,7 +27,7 @@ from omnisyn_cli.stereo.disparity import (
     match_disparities,
 )
 from omnisyn_cli.stereo.map_filters import joint_upsample, median_filter, remove_speckles
-from omnisyn_cli.stereo.matching_estimator import MAX_ISLAND_STEP, MIN_ISLAND_PIXELS, MatchingDepthEstimator
+from omnisyn_cli.stereo.matching_estimator import MIN_ISLAND_PIXELS, MatchingDepthEstimator
 from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.semi_global import DisparityRange
 from omnisyn_cli.stereo.stereo_features import (
@@ -48,14 +49,11 @@ RANGE_SLACK_ROWS = 4
 MAX_RANGE_ROWS = 128
 """Rows of the longest range, around the disparity of its pixel: it bounds time and memory."""
 
-SAME_SURFACE_TOLERANCE = 0.1
-"""Relative difference of inverse depth up to which matches at two sizes show one surface."""
-
 REMEASURED_CONFIDENCE = np.float32(0.8)
 """Least confidence of what refinement has measured; chosen by eye."""
 
-Views = tuple[View, View]
-Estimates = tuple[DepthEstimate, DepthEstimate]
+ViewPair = tuple[View, View]
+EstimatePair = tuple[DepthEstimate, DepthEstimate]
 InvDepthPair = tuple[InvDepthWithConfidence, InvDepthWithConfidence]
 
 
@@ -78,20 +76,20 @@ class RefinedDepthEstimator:
     completion: CompletionModel | None
     rows: int
 
-    def __call__(self, first: View, second: View) -> Estimates:
+    def __call__(self, first: View, second: View) -> EstimatePair:
         """Estimates for ``first`` and for ``second``, each in its own frame; ImageError for a panorama not 2:1."""
         if at_same_position(first.pose, second.pose):
             return self.matching(first, second)
         with limited_threads(self.matching.threads):
             return self._run_stages((first, second))
 
-    def _run_stages(self, views: Views) -> Estimates:
+    def _run_stages(self, views: ViewPair) -> EstimatePair:
         """All stages of depth, in order."""
         features = self.matching.features(*views)  # rectify, cost, semi-global matching, left-right check, planes
         completed = self._complete(features)
         refined = self._refine(views, completed)
         checked = _check_free_space(views, refined, features)
-        return _weigh_confidence(views, checked)
+        return _lower_confidence_amid_disagreement(views, checked)
 
     def _complete(self, features: tuple[StereoFeatures, StereoFeatures]) -> InvDepthPair:
         """The network's depth, or the filled map without one.
@@ -106,11 +104,11 @@ class RefinedDepthEstimator:
         answers = [self.completion(each) for each in channels]
         return _smoothed(first, *answers[0]), _smoothed(second, *answers[1])
 
-    def _refine(self, views: Views, maps: InvDepthPair) -> InvDepthPair:
+    def _refine(self, views: ViewPair, maps: InvDepthPair) -> InvDepthPair:
         """Measured again at twice the size, and again, up to the rows wanted and those of the pictures."""
         image_rows = max(view.image.shape[0] for view in views)
         for size in doubled_sizes(maps[0][0].shape[0], self.rows // 2, image_rows)[1:]:
-            maps = refine_pair(views, maps, size, self.matching.options_for(*views))
+            maps = refine_depth_at_size(views, maps, size, self.matching.options_for(*views))
         return maps
 
 
@@ -122,7 +120,9 @@ def _smoothed(features: StereoFeatures, inverse_depth: np.ndarray, confidence: n
     return np.where(features.valid, inverse_depth, median_filter(inverse_depth)), confidence
 
 
-def refine_pair(views: Views, maps: InvDepthPair, size: tuple[int, int], options: MatchingOptions) -> InvDepthPair:
+def refine_depth_at_size(
+    views: ViewPair, maps: InvDepthPair, size: tuple[int, int], options: MatchingOptions
+) -> InvDepthPair:
     """Inverse depth and confidence of both panoramas measured again at a larger size.
 
     Args:
@@ -155,7 +155,7 @@ def _enlarge(view: View, coarse: InvDepthWithConfidence, size: tuple[int, int]) 
 def _to_pair_frame(inverse_depth: np.ndarray, view: View, pair: RectifiedPair) -> np.ndarray:
     """A map of the pair's first camera in the frame of the pair."""
     directions = rotated_directions(pair.size, view.pose.rotation, pair.world_from_frame)
-    return Lookup.along(directions, inverse_depth.shape).nearest(inverse_depth)
+    return RemapTable.for_directions(directions, inverse_depth.shape).nearest(inverse_depth)
 
 
 def _match_around(
@@ -163,7 +163,7 @@ def _match_around(
 ) -> DisparityMap:
     """The best disparities near those of the coarse inverse depth."""
     disparities = _ranges_around(grid.disparity(inverse_depth))
-    return match_disparities(pair, disparities, options, is_complete=False)[0]
+    return match_disparities(pair, disparities, options, is_complete_range=False)[0]
 
 
 def _ranges_around(disparity: Float32[np.ndarray, "height width"]) -> DisparityRange:
@@ -186,7 +186,7 @@ def _replace_remeasured(
     in_pair = pair.from_camera(view.pose, size)
     exact = in_pair.nearest(grid.inverse_depth(disparities.disparity).astype(np.float32))
     valid = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
-    valid = remove_speckles(exact, valid & usable_pixels(view, size), MIN_ISLAND_PIXELS, MAX_ISLAND_STEP)
+    valid = remove_speckles(exact, valid & usable_pixels(view, size), MIN_ISLAND_PIXELS, SAME_SURFACE_TOLERANCE)
     least, greatest = (extreme(coarse_depth, EDGE_SEARCH_RADIUS) for extreme in (window_min, window_max))
     is_known = (exact >= (1.0 - SAME_SURFACE_TOLERANCE) * least) & (exact <= (1.0 + SAME_SURFACE_TOLERANCE) * greatest)
     taken = valid & is_known
@@ -194,7 +194,9 @@ def _replace_remeasured(
     return inverse_depth, np.where(taken, np.maximum(coarse_confidence, REMEASURED_CONFIDENCE), coarse_confidence)
 
 
-def _check_free_space(views: Views, maps: InvDepthPair, features: tuple[StereoFeatures, StereoFeatures]) -> Estimates:
+def _check_free_space(
+    views: ViewPair, maps: InvDepthPair, features: tuple[StereoFeatures, StereoFeatures]
+) -> EstimatePair:
     """Estimates in 1/metre: no confidence where masked, nor where the other panorama looks through the surface."""
     baseline = _baseline(views)
 
@@ -209,23 +211,23 @@ def _check_free_space(views: Views, maps: InvDepthPair, features: tuple[StereoFe
     return _both_ways(estimate)
 
 
-def _weigh_confidence(views: Views, estimates: Estimates) -> Estimates:
+def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair) -> EstimatePair:
     """Both estimates; their confidence is lower where they disagree with each other around a pixel."""
     baseline = np.float32(_baseline(views))
 
-    def weighed(own: int, other: int) -> DepthEstimate:
+    def confidence_lowered(own: int, other: int) -> DepthEstimate:
         own_map, other_map = (estimates[index].inverse_depth * baseline for index in (own, other))
         motion = motion_in_baselines(views[own].pose, views[other].pose)
         agreement = neighbourhood_agreement(own_map, other_map, motion)
         return replace(estimates[own], confidence=estimates[own].confidence * agreement)
 
-    return _both_ways(weighed)
+    return _both_ways(confidence_lowered)
 
 
-def _baseline(views: Views) -> float:
+def _baseline(views: ViewPair) -> float:
     return float(np.linalg.norm(views[1].pose.position - views[0].pose.position))
 
 
-def _both_ways(estimate: Callable[[int, int], DepthEstimate]) -> Estimates:
+def _both_ways(estimate: Callable[[int, int], DepthEstimate]) -> EstimatePair:
     """For the first panorama beside the second, and for the second beside the first."""
     return both(partial(estimate, 0, 1), partial(estimate, 1, 0))

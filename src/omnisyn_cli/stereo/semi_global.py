@@ -136,19 +136,19 @@ def aggregate_costs(
 
 
 def winner_takes_all(
-    total: UInt16[np.ndarray, " costs"], disparities: DisparityRange, *, is_complete: bool
+    total: UInt16[np.ndarray, " costs"], disparities: DisparityRange, *, is_complete_range: bool
 ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
     """The cheapest disparity of every pixel to a fraction of a row, and its margin over the best rival (0 = a tie).
 
     Args:
         total: aggregated costs, fixed-point.
         disparities: what the costs belong to.
-        is_complete: whether nothing exists outside of the ranges; else a winner at the end of its range has margin 0,
-            because the true one may lie beyond.
+        is_complete_range: whether nothing exists outside of the ranges; else a winner at the end of its range has
+            margin 0, because the true one may lie beyond.
     """
     shape = disparities.lowest.shape
     disparity, margin = np.empty(shape, np.float32), np.zeros(shape, np.float32)
-    inputs = (total, disparities.lowest, disparities.offsets, is_complete)
+    inputs = (total, disparities.lowest, disparities.offsets, is_complete_range)
     run_bands(partial(_select_winners, *inputs, disparity, margin), len(disparity))
     return disparity, margin
 
@@ -280,7 +280,7 @@ def _smaller(one, other):  # type: ignore[no-untyped-def]
 
 
 @fast_kernel()
-def _select_winners(total, lowest, offsets, is_complete, disparity, margin, begin, end):  # type: ignore[no-untyped-def]
+def _select_winners(total, lowest, offsets, is_complete_range, disparity, margin, begin, end):  # type: ignore[no-untyped-def]
     width = lowest.shape[1]
     for row in range(begin, end):
         for col in range(width):
@@ -295,7 +295,7 @@ def _select_winners(total, lowest, offsets, is_complete, disparity, margin, begi
             if is_inside:  # equiangular fit: the tip of a V with equal slopes through three costs
                 left, right = np.float32(costs[best - 1] - least), np.float32(costs[best + 1] - least)
                 disparity[row, col] += np.float32(0.5) * (left - right) / (max(left, right) + np.float32(1e-6))
-            if is_inside or is_complete:
+            if is_inside or is_complete_range:
                 before, after = np.uint64(max(best - 1, 0)), np.uint64(min(best + 2, len(costs)))
                 rival = _smaller(_range_min(costs, zero, before), _range_min(costs, after, count))
                 margin[row, col] = np.float32(rival - least) * np.float32(1.0 / FIXED_POINT_SCALE)

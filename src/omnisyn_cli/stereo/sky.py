@@ -8,13 +8,13 @@ from omnisyn_cli.geometry.regions import connected_regions
 MAX_SKY_INVERSE_DEPTH = 0.02
 """In 1/baselines: a matching resolution of a few hundred rows cannot tell this from 0."""
 
-MIN_TEXTURED_SHARE = 0.05
+MIN_SKY_TEXTURE_SHARE = 0.05
 """Share of the sky where texture must have shown that there is no parallax; chosen by eye."""
 
 MIN_SKY_SHARE = 0.01
 """Share of the sphere: a smaller region is no sky; chosen by eye."""
 
-MAX_GAP_SHARE = 0.003
+MAX_SKY_GAP_SHARE = 0.003
 """Share of the sphere: smaller gaps in the sky are closed; chosen by eye."""
 
 ZENITH_SINE = 0.9
@@ -42,7 +42,7 @@ def find_sky(
     is_far = (inverse_depth < MAX_SKY_INVERSE_DEPTH) & is_above
     region = _regions_at_zenith(is_far, sin_elevation)
     area, textured_area = (solid_angle * region).sum(), (solid_angle * (region & valid)).sum()
-    if area < MIN_SKY_SHARE * solid_angle.sum() or textured_area < MIN_TEXTURED_SHARE * area:
+    if area < MIN_SKY_SHARE * solid_angle.sum() or textured_area < MIN_SKY_TEXTURE_SHARE * area:
         return np.zeros_like(is_far)
     return np.asarray(region | _small_regions(~region & is_above, solid_angle))
 
@@ -56,6 +56,6 @@ def _regions_at_zenith(mask: np.ndarray, sin_elevation: np.ndarray) -> np.ndarra
 def _small_regions(mask: np.ndarray, solid_angle: np.ndarray) -> np.ndarray:
     labels = connected_regions(mask, is_diagonal=False)
     area = np.bincount(labels.ravel(), solid_angle.ravel())
-    is_small = area < MAX_GAP_SHARE * solid_angle.sum()
+    is_small = area < MAX_SKY_GAP_SHARE * solid_angle.sum()
     is_small[0] = False
     return np.asarray(is_small[labels])

@@ -10,13 +10,13 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import reproject_to_second
+from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 
 __all__ = [
-    "MAX_SQRT_INV_DEPTH",
     "CompletionModel",
     "InvDepthWithConfidence",
     "StereoFeatures",
@@ -27,8 +27,6 @@ __all__ = [
 InvDepthWithConfidence = tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]
 """Inverse depth in 1/baselines, and confidence in [0, 1]."""
 
-MAX_SQRT_INV_DEPTH = 2.0
-"""Square roots of inverse depth are clipped here: a quarter of a baseline away."""
 
 COMPLETION_CHANNEL_COUNT = 19
 """Channels of :func:`completion_channels`."""
@@ -92,7 +90,7 @@ def completion_channels(
     motion = features.second_from_first
     moved, expected = reproject_to_second(directions, features.filled, motion)
     moved_by_match, _ = reproject_to_second(directions, features.matched, motion)
-    at_filled, at_matched = (Lookup.along(each, other.filled.shape) for each in (moved, moved_by_match))
+    at_filled, at_matched = (RemapTable.for_directions(each, other.filled.shape) for each in (moved, moved_by_match))
     towards_other = motion.inverse().position
     matched = sqrt_inv_depth(features.matched)
     channels = [

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.stereo.costs import census_transform, luminance_of, surface_cost
-from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_disparity
+from omnisyn_cli.stereo.disparity import DisparityMap, MatchingOptions, least_ground_disparity
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.rectify import MAX_INVERSE_DEPTH, EpipolarGrid, RectifiedPair
 from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggregate_costs, to_fixed_point
@@ -25,25 +25,25 @@ from omnisyn_cli.stereo.semi_global import IMPOSSIBLE_COST, DisparityRange, aggr
 BEHIND_CAMERA = np.float32(-1.0)
 """Disparity of a surface that a pixel cannot show."""
 
-SUPPORT_SIGMAS_PER_HEIGHT = 24.0
+PLANE_SUPPORT_SIGMAS_PER_HEIGHT = 24.0
 """The support of a plane is spread by a Gaussian of 1/24 of the height (7.5°); chosen by eye."""
 
 FULL_SUPPORT_DENSITY = 0.05
 """Share of supporting points around a pixel from which support counts fully; chosen by eye."""
 
-SKY_EPIPOLE_SINE = 0.35
+MIN_SKY_EPIPOLE_SINE = 0.35
 """Sine of the angle to an epipole (20°) from which on static texture means that it is far."""
 
-MIN_STATIC_SHARE = 0.02
+MIN_STATIC_TEXTURE_SHARE = 0.02
 """Share of the upper half that must be static texture for the sky to be open; chosen by eye."""
 
-LEVEL_COSINE = 0.97
+LEVEL_PLANE_COSINE = 0.97
 """Cosine of the tilt (14°) up to which a plane counts as floor or ceiling; chosen by eye."""
 
 MIN_LEVEL_INVERSE_DISTANCE = 0.03
 """In 1/baselines: floors and ceilings farther away bound nothing; chosen by eye."""
 
-LEVEL_SLACK_SHARE, LEVEL_SLACK_ROWS = 0.85, 1.0
+LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 """A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row."""
 
 
@@ -60,15 +60,15 @@ def label_surfaces(
     """
     planes, support = _fit_planes(grid, replace(matches, valid=matches.valid & is_unique), options)
     is_static = _static_texture(grid, matches)
-    is_sky_open = bool(is_static.sum() > MIN_STATIC_SHARE * _shows_infinity(grid).sum())
+    is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
     if is_sky_open:
-        support = np.concatenate([support, _support_around(is_static)[..., None]], axis=-1)
+        support = np.concatenate([support, _plane_support(is_static)[..., None]], axis=-1)
     candidates = _candidate_disparities(grid, matches, planes, options, is_sky_open=is_sky_open)
     cost = _candidate_costs(pair, candidates, options)
-    is_beyond = candidates < _room_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
-    cost += options.beyond_room_bias * is_beyond
+    is_beyond = candidates < _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open)[..., None]
+    cost += options.beyond_room_penalty * is_beyond
     cost[..., 0] += np.where(matches.valid, options.valid_match_bias, options.invalid_match_bias)
-    cost[..., 1:] += options.unsupported_bias * (1.0 - support)
+    cost[..., 1:] += options.unsupported_plane_penalty * (1.0 - support)
     label = _select_labels(cost, luminance_of(pair.first), candidates < 0, options)
     disparity = np.take_along_axis(candidates, label[..., None], axis=-1)[..., 0]
     return DisparityMap(disparity, pair.first_usable & ((label > 0) | matches.valid))
@@ -91,7 +91,7 @@ def _candidate_disparities(
     grid: EpipolarGrid, matches: DisparityMap, planes: np.ndarray, options: MatchingOptions, *, is_sky_open: bool
 ) -> Float32[np.ndarray, "height width candidates"]:
     """Disparities of the matches, of the planes, and of infinity if the sky is open."""
-    lowest = least_disparity(grid, options)
+    lowest = least_ground_disparity(grid, options)
     candidates = [matches.disparity]
     for normal in planes:
         disparity = grid.disparity(grid.directions @ normal)
@@ -128,29 +128,31 @@ def _fit_planes(
     )  # fmt: skip
     support = np.empty((*usable.shape, len(planes)), np.float32)
     for k, normal in enumerate(planes):
-        support[..., k] = _support_around(usable & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
+        support[..., k] = _plane_support(usable & (np.abs(grid.directions @ normal - inverse_depth) < tolerance))
     return planes, support
 
 
-def _support_around(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
+def _plane_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     """1 among pixels of a mask, falling to 0 some 10° away."""
     height, width = mask.shape
-    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=height / SUPPORT_SIGMAS_PER_HEIGHT)
+    blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=height / PLANE_SUPPORT_SIGMAS_PER_HEIGHT)
     density = filter_across_seam(blur, mask.astype(np.float32), max(1, width // 8))
     return np.asarray(np.minimum(density / FULL_SUPPORT_DENSITY, 1.0))
 
 
-def _shows_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
+def _can_show_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
     """Above the horizon and away from the epipoles: no parallax means infinity there."""
-    return np.asarray((grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > SKY_EPIPOLE_SINE))
+    return np.asarray((grid.sin_elevation > 0) & (np.sin(grid.polar_angle) > MIN_SKY_EPIPOLE_SINE))
 
 
 def _static_texture(grid: EpipolarGrid, matches: DisparityMap) -> Bool[np.ndarray, "height width"]:
     """Texture above the horizon that has no parallax: clouds, or what stands at the horizon."""
-    return np.asarray(matches.valid & _shows_infinity(grid) & (matches.disparity < 1.0))
+    return np.asarray(matches.valid & _can_show_infinity(grid) & (matches.disparity < 1.0))
 
 
-def _room_bound(grid: EpipolarGrid, planes: np.ndarray, *, is_sky_open: bool) -> Float32[np.ndarray, "height width"]:
+def _floor_and_ceiling_bound(
+    grid: EpipolarGrid, planes: np.ndarray, *, is_sky_open: bool
+) -> Float32[np.ndarray, "height width"]:
     """Disparity below which a pixel is clearly farther than the floor or, unless the sky is open, the ceiling.
 
     Floor and ceiling are the best supported level planes below and above the camera.
@@ -159,9 +161,9 @@ def _room_bound(grid: EpipolarGrid, planes: np.ndarray, *, is_sky_open: bool) ->
     for side in (-1.0,) if is_sky_open else (-1.0, 1.0):
         for normal in planes:  # the best supported one first
             inverse_distance = float(np.linalg.norm(normal))
-            is_level = side * (normal @ grid.up) > LEVEL_COSINE * inverse_distance
+            is_level = side * (normal @ grid.up) > LEVEL_PLANE_COSINE * inverse_distance
             if is_level and inverse_distance > MIN_LEVEL_INVERSE_DISTANCE:
-                lowered = grid.disparity(LEVEL_SLACK_SHARE * (grid.directions @ normal)) - LEVEL_SLACK_ROWS
+                lowered = grid.disparity(LEVEL_BOUND_SHARE * (grid.directions @ normal)) - LEVEL_BOUND_SLACK_ROWS
                 bound = np.maximum(bound, lowered)
                 break
     return bound

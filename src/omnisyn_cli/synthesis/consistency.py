@@ -18,17 +18,22 @@ from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, estimate_curve, rough_curve
 from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
+from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererInputs
 from omnisyn_cli.types import DepthEstimate, Layer, View
 
-__all__ = ["CHECK_SIZE", "SAME_SURFACE_TOLERANCE", "CrossCheck", "equalize_exposure", "resized", "subsample_depth"]
+__all__ = [
+    "CROSS_CHECK_SIZE",
+    "CrossCheck",
+    "equalize_exposure",
+    "resized_to",
+    "subsample_depth",
+]
 
-CHECK_SIZE = (256, 512)
+CROSS_CHECK_SIZE = (256, 512)
 """Rows and columns that a pair is checked at; if a panorama is smaller, both are at its size."""
 
-SAME_SURFACE_TOLERANCE = 0.05
-"""Relative difference of inverse depth up to which two pictures show the same point; chosen by eye."""
 
 EXPOSURE_DEPTH_SIZE = (128, 256)
 """Rows and columns of the rough depth that exposures are compared with."""
@@ -92,7 +97,7 @@ def _render_crosswise(
     views: tuple[View, View], depths: tuple[DepthEstimate, DepthEstimate], cut: Cut, threads: int | None
 ) -> tuple[list[tuple[Layer, Layer]], tuple[View, View], list[Renderer]]:
     """Each photograph beside the other view's surface rendered at its position; both views, small; their renderers."""
-    size = min(CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
+    size = min(CROSS_CHECK_SIZE, views[0].image.shape[:2], views[1].image.shape[:2])
 
     def prepare(view: View, depth: DepthEstimate) -> tuple[View, Renderer]:
         small = _downsampled_view(view, depth, size)
@@ -111,10 +116,10 @@ def _render_crosswise(
 
 def _downsampled_view(view: View, depth: DepthEstimate, size: tuple[int, int]) -> View:
     """A view at the size of the check, its depth with it."""
-    image = resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
+    image = resized_to(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
     mask = view.mask
     if mask is not None:
-        mask = resized(mask.astype(np.float32), size, cv2.INTER_AREA) > MIN_USABLE_SHARE
+        mask = resized_to(mask.astype(np.float32), size, cv2.INTER_AREA) > MIN_USABLE_SHARE
     return View(image, view.pose, mask, subsample_depth(depth, size))
 
 
@@ -138,7 +143,7 @@ def _indices_around_centres(count: int, source_count: int) -> tuple[np.ndarray, 
     return np.floor(centre).astype(np.intp), np.ceil(centre).astype(np.intp)
 
 
-def resized(image: np.ndarray, size: tuple[int, int], interpolation: int) -> np.ndarray:
+def resized_to(image: np.ndarray, size: tuple[int, int], interpolation: int) -> np.ndarray:
     """An image at another size, with an interpolation of OpenCV; the same object if it has that size."""
     return image if image.shape[:2] == size else np.asarray(cv2.resize(image, size[::-1], interpolation=interpolation))
 
@@ -159,8 +164,8 @@ def _photo_and_other_surface(view: View, other_renderer: Renderer, other: View) 
     if depth is None:
         raise ValueError("expected a view with its depth, got one without")
     size = view.image.shape[:2]
-    inverse_depth = resized(depth.inverse_depth, size, cv2.INTER_NEAREST)
-    weight = np.maximum(resized(depth.confidence, size, cv2.INTER_NEAREST), MIN_PHOTO_WEIGHT)
+    inverse_depth = resized_to(depth.inverse_depth, size, cv2.INTER_NEAREST)
+    weight = np.maximum(resized_to(depth.confidence, size, cv2.INTER_NEAREST), MIN_PHOTO_WEIGHT)
     if view.mask is not None:
         inverse_depth, weight = np.where(view.mask, inverse_depth, np.float32(-1.0)), weight * view.mask
     colour = np.dstack([view.image, weight]).astype(np.float32)
@@ -199,5 +204,5 @@ def _common_colours(own: Layer, other: Layer) -> tuple[Float32[np.ndarray, "samp
     nearer = np.maximum(own.inverse_depth, other.inverse_depth)
     weight = solid_angles(*size) * np.minimum(own.colour[..., 3], other.colour[..., 3])
     is_seen = (other.inverse_depth >= 0.0) & (own.inverse_depth >= 0.0) & (weight > 0.0)
-    is_same = is_seen & (gap <= SAME_SURFACE_TOLERANCE * nearer)
+    is_same = is_seen & (gap <= SAME_POINT_TOLERANCE * nearer)
     return own.colour[is_same][:, :3], np.clip(other.colour[is_same][:, :3], 0.0, 1.0), weight[is_same]

@@ -25,13 +25,8 @@ from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.geometry.sampling import filter_across_seam, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.synthesis.consistency import (
-    CHECK_SIZE,
-    SAME_SURFACE_TOLERANCE,
-    equalize_exposure,
-    resized,
-    subsample_depth,
-)
+from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
+from omnisyn_cli.synthesis.consistency import CROSS_CHECK_SIZE, equalize_exposure, resized_to, subsample_depth
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 
 if TYPE_CHECKING:
@@ -92,7 +87,7 @@ def joined(one: Opinion, other: Opinion) -> DepthEstimate:
     weight, other_weight = sure * one.exactness(size), other_sure * other.exactness(size)
     weight_of_near = np.where(rho == near, weight, other_weight)
     share = weight_of_near / np.where(weight + other_weight > 0.0, weight + other_weight, 1.0)
-    agree = near - far <= SAME_SURFACE_TOLERANCE * near
+    agree = near - far <= SAME_POINT_TOLERANCE * near
     inverse_depth = np.where(agree, far + share * (near - far), np.where(is_first, rho, other_rho))
     confidence = np.where(agree, np.maximum(sure, other_sure), np.where(is_first, sure, other_sure))
     return DepthEstimate(inverse_depth.astype(np.float32), confidence.astype(np.float32))
@@ -101,9 +96,9 @@ def joined(one: Opinion, other: Opinion) -> DepthEstimate:
 def _likeness(depth: DepthEstimate, opinions: tuple[Opinion, Opinion]) -> Float32[np.ndarray, "height width"]:
     """How well colours fit to an estimate in the neighbour where they fit better, in (0, 1]."""
     reduced = subsample_depth(depth, opinions[0].image.shape[:2]).inverse_depth
-    reduced = resized(reduced, opinions[0].image.shape[:2], cv2.INTER_NEAREST)
+    reduced = resized_to(reduced, opinions[0].image.shape[:2], cv2.INTER_NEAREST)
     mismatch = np.minimum(*(opinion.mismatch(reduced) for opinion in opinions))
-    return resized(np.exp(-mismatch / np.float32(MISMATCH)), depth.inverse_depth.shape, cv2.INTER_NEAREST)
+    return resized_to(np.exp(-mismatch / np.float32(MISMATCH)), depth.inverse_depth.shape, cv2.INTER_NEAREST)
 
 
 def _enlarged(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
@@ -170,7 +165,7 @@ class TourDepths:
         with self._clock("depth"):
             alike = equalize_exposure(first, second, self._threads)
             depths = self._estimator(*alike)
-            size = min(CHECK_SIZE, *(view.image.shape[:2] for view in alike))
+            size = min(CROSS_CHECK_SIZE, *(view.image.shape[:2] for view in alike))
             pictures = [_reduced(view, size) for view in alike]
             there, back = (
                 Opinion(depths[k], pictures[k][..., :3], pictures[1 - k], alike[1 - k].pose.inverse() @ alike[k].pose)
@@ -181,6 +176,6 @@ class TourDepths:
 
 def _reduced(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 4"]:
     """The picture at the size of the check and, last, which of its pixels may be used."""
-    image = resized(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
+    image = resized_to(np.asarray(view.image, np.float32), size, cv2.INTER_AREA)
     usable = np.ones(view.image.shape[:2], np.float32) if view.mask is None else view.mask.astype(np.float32)
-    return np.dstack([image, resized(usable, size, cv2.INTER_AREA)])
+    return np.dstack([image, resized_to(usable, size, cv2.INTER_AREA)])

@@ -18,14 +18,15 @@ import torch
 from jaxtyping import Bool, Float, Float32
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
-from omnisyn_cli.stereo.stereo_features import MAX_SQRT_INV_DEPTH, StereoFeatures, completion_channels, sqrt_inv_depth
+from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH
 from omnisyn_cli.stereo.filling import fill_with_planes
-from omnisyn_cli.stereo.matching_estimator import UNCONFIRMED_WEIGHT
+from omnisyn_cli.stereo.matching_estimator import INCONSISTENT_MATCH_WEIGHT
+from omnisyn_cli.stereo.stereo_features import StereoFeatures, completion_channels, sqrt_inv_depth
 from omnisyn_cli.training.data import Augmentation, EvidenceBatch, PoolScene, is_made_by, load_scene, vary_colours
 from omnisyn_cli.training.evidence_pool import evidence_pair
 from omnisyn_cli.training.pool import held_askew
@@ -137,7 +138,7 @@ def _turned(
     scene: PoolScene, index: int, turn: np.ndarray, size: tuple[int, int], baseline: float, sign: float
 ) -> _Turned:
     image, inverse_depth = scene.images[index], np.asarray(scene.inverse_depth[index], np.float32)
-    turned = Lookup.along(pixel_directions(*size) @ turn.T, inverse_depth.shape)
+    turned = RemapTable.for_directions(pixel_directions(*size) @ turn.T, inverse_depth.shape)
     colours, depth = turned.bilinear(image).astype(np.float32) / np.float32(255.0), turned.nearest(inverse_depth)
     is_known = np.isfinite(depth)
     scaled = np.where(is_known, depth * np.float32(baseline), UNKNOWN)
@@ -154,7 +155,7 @@ def _evidence(view: _Turned, other: _Turned, up: np.ndarray, rng: np.random.Gene
     sky = (view.inverse_depth == 0) & (usable | (rng.random() < 0.5))
     sky &= _blobs(size, 8, rng) > rng.choice([0.0, 0.0, 0.4])
     left_right_consistent &= usable & ~sky & (view.inverse_depth > 0) & view.is_known
-    weight = np.where(sky, 0.0, np.where(left_right_consistent, 1.0, UNCONFIRMED_WEIGHT * usable))
+    weight = np.where(sky, 0.0, np.where(left_right_consistent, 1.0, INCONSISTENT_MATCH_WEIGHT * usable))
     filled = np.where(sky, 0.0, fill_with_planes(matched.astype(np.float64), weight, view.image, usable))
     motion = Pose(np.eye(3), -view.towards)
     return StereoFeatures(view.image, matched, left_right_consistent, sky, filled, usable, motion, up)
@@ -181,7 +182,7 @@ def _agreed(view: _Turned, other: _Turned, rng: np.random.Generator) -> Bool[np.
 def _is_seen(view: _Turned, other: _Turned, directions: np.ndarray) -> Bool[np.ndarray, "height width"]:
     """Whether the other camera sees the same point."""
     moved = sweep_directions(directions, view.inverse_depth.astype(np.float64), Pose(np.eye(3), -view.towards))
-    nearest = Lookup.along(moved, view.inverse_depth.shape).nearest(other.inverse_depth)
+    nearest = RemapTable.for_directions(moved, view.inverse_depth.shape).nearest(other.inverse_depth)
     expected = view.inverse_depth / np.maximum(np.linalg.norm(moved, axis=-1), 1e-6)
     return np.asarray(nearest <= SEEN_WITHIN * expected + 0.004)
 

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
-from omnisyn_cli.render.box_kernels import WIDE
-from omnisyn_cli.render.quad_kernels import EDGE_ON, split_quad
+from omnisyn_cli.render.box_kernels import WIDE_QUAD_RADIANS
+from omnisyn_cli.render.quad_kernels import EDGE_ON_DETERMINANT, split_quad
 from omnisyn_cli.synthesis.device.quads import Quads
 
 AT_A_POLE = 1e-8
@@ -29,10 +29,10 @@ AT_A_POLE = 1e-8
 QUADS_AT_A_TIME = 1 << 18
 CANDIDATES_AT_A_TIME = 1 << 21
 
-OVERLAP = 1e-9
+EDGE_OVERLAP_RADIANS = 1e-9
 """Radians by which edges are moved outwards, far beyond rounding: no gap opens between neighbours or at a vertex."""
 
-BOX_MARGIN = 1e-3
+BOX_MARGIN_PIXELS = 1e-3
 """Pixels added around boxes, for what is moved outwards and for rounding."""
 
 
@@ -95,11 +95,11 @@ class GpuRasterizer:
             sine = sin_p[row]
             ray = (sine * sin_a[col], cos_p[row], -sine * cos_a[col])
             cut = plan.cut[quad]
-            which = 2 * quad + (_along(ray, cut[:, :3]) + cut[:, 3] < 0.0)
+            which = 2 * quad + (_dot(ray, cut[:, :3]) + cut[:, 3] < 0.0)
             triangle = triangles[which]
-            is_hit = _along(ray, triangle[:, :3]) >= triangle[:, 9]
-            is_hit &= _along(ray, triangle[:, 3:6]) >= triangle[:, 10]
-            seen = _along(ray, triangle[:, 6:9])[is_hit].clamp_min(0.0).to(torch.float32)
+            is_hit = _dot(ray, triangle[:, :3]) >= triangle[:, 9]
+            is_hit &= _dot(ray, triangle[:, 3:6]) >= triangle[:, 10]
+            seen = _dot(ray, triangle[:, 6:9])[is_hit].clamp_min(0.0).to(torch.float32)
             nearest.scatter_reduce_(0, (row * self.size[1] + col)[is_hit], seen, "amax")
 
     def _candidates(self, boxes: _Boxes, is_seen: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
@@ -130,8 +130,8 @@ class GpuRasterizer:
         turn = turn - width * torch.round(turn / width)
         left, right = turn.amin(1), turn.amax(1)
         top, bottom, is_wide = self._row_range(row.amin(1), row.amax(1), (right - left) / col_scale)
-        first = torch.where(is_wide, 0.0, torch.ceil(col[:, 0] + left - BOX_MARGIN))
-        last = torch.where(is_wide, width - 1.0, torch.floor(col[:, 0] + right + BOX_MARGIN))
+        first = torch.where(is_wide, 0.0, torch.ceil(col[:, 0] + left - BOX_MARGIN_PIXELS))
+        last = torch.where(is_wide, width - 1.0, torch.floor(col[:, 0] + right + BOX_MARGIN_PIXELS))
         return _Boxes(
             top.to(torch.int64), first.to(torch.int64),
             (bottom - top + 1.0).clamp(0.0, height).to(torch.int64),
@@ -146,10 +146,10 @@ class GpuRasterizer:
         """
         height = self.size[0]
         middle = 0.5 * height - 0.5
-        is_wide = span >= WIDE
-        bulge = span * span * (self._scale[0] * 1.1 / 16.0) + BOX_MARGIN
-        north = torch.where(low > middle, low - BOX_MARGIN, -1.0)
-        south = torch.where(high < middle, high + BOX_MARGIN, float(height))
+        is_wide = span >= WIDE_QUAD_RADIANS
+        bulge = span * span * (self._scale[0] * 1.1 / 16.0) + BOX_MARGIN_PIXELS
+        north = torch.where(low > middle, low - BOX_MARGIN_PIXELS, -1.0)
+        south = torch.where(high < middle, high + BOX_MARGIN_PIXELS, float(height))
         first = torch.where(is_wide, north, low - bulge).ceil().clamp_min(0.0)
         last = torch.where(is_wide, south, high + bulge).floor().clamp_max(height - 1.0)
         return first, last, is_wide
@@ -159,8 +159,8 @@ def _planned(corners: Float[Tensor, "quads 4 3"], rho: Float[Tensor, "quads 4"])
     """Edges and planes, see :mod:`omnisyn_cli.render.quad_kernels`."""
     points = ((*corners[:, k].unbind(-1), rho[:, k]) for k in range(4))
     cut, left, bottom, right, top, det_a, plane_a, det_b, plane_b = split_quad(*points)  # type: ignore[no-untyped-call]
-    has_a, has_b = det_a > EDGE_ON, det_b > EDGE_ON
-    shift = _outwards(cut) * (has_b.to(det_b) - has_a.to(det_a))  # towards the triangle that is not seen
+    has_a, has_b = det_a > EDGE_ON_DETERMINANT, det_b > EDGE_ON_DETERMINANT
+    shift = _gap_offset(cut) * (has_b.to(det_b) - has_a.to(det_a))  # towards the triangle that is not seen
     triangle = torch.stack([
         _triangle(left, bottom, plane_a, det_a, has_a), _triangle(right, top, plane_b, det_b, has_b)
     ], dim=1)  # fmt: skip
@@ -173,15 +173,15 @@ Vector = tuple[Tensor, Tensor, Tensor]
 def _triangle(side: Vector, other: Vector, plane: Vector, det: Tensor, is_seen: Tensor) -> Float[Tensor, "quads 11"]:
     """Two edges, a plane and the offsets of the edges; no ray passes those of a triangle that is not seen."""
     scale = torch.where(is_seen, det, 1.0)
-    offsets = [torch.where(is_seen, _outwards(edge), math.inf) for edge in (side, other)]
+    offsets = [torch.where(is_seen, _gap_offset(edge), math.inf) for edge in (side, other)]
     return torch.stack([*side, *other, *(number / scale for number in plane), *offsets], dim=1)
 
 
-def _outwards(edge: Vector) -> Float[Tensor, " quads"]:
+def _gap_offset(edge: Vector) -> Float[Tensor, " quads"]:
     """What a ray's product with an edge is compared with."""
-    return -OVERLAP * (edge[0].abs() + edge[1].abs() + edge[2].abs())
+    return -EDGE_OVERLAP_RADIANS * (edge[0].abs() + edge[1].abs() + edge[2].abs())
 
 
-def _along(ray: Vector, vector: Float[Tensor, "candidates 3"]) -> Float[Tensor, " candidates"]:
+def _dot(ray: Vector, vector: Float[Tensor, "candidates 3"]) -> Float[Tensor, " candidates"]:
     x, y, z = vector.unbind(-1)
     return ray[0] * x + ray[1] * y + ray[2] * z
