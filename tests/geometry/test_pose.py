@@ -5,7 +5,9 @@ import pytest
 from geometry_samples import AXES, directions, poses, rotations
 
 from omnisyn_cli.geometry.pose import (
+    SAME_POSITION_METRES,
     Pose,
+    at_same_position,
     enu_from_geographic,
     interpolate_pose,
     nearest_rotation,
@@ -48,6 +50,13 @@ class TestGroup:
     def test_transforming_the_origin_gives_the_position(self):
         pose = poses()
         np.testing.assert_array_equal(pose.transform(np.zeros_like(pose.position)), pose.position)
+
+
+@pytest.mark.parametrize(("distance", "is_same"), [(0.0, True), (0.5, True), (2.0, False)])
+def test_panoramas_are_at_one_position_within_a_tolerance_however_they_are_turned(distance, is_same):
+    first = Pose(np.eye(3), np.array([3.0, -2.0, 1.0]))
+    second = Pose(rotations()[5], first.position + distance * SAME_POSITION_METRES * np.array([0.6, 0.0, -0.8]))
+    assert at_same_position(first, second) == at_same_position(second, first) == is_same
 
 
 class TestRotations:

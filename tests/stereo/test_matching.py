@@ -8,9 +8,9 @@ import pytest
 from stereo_samples import OPENINGS, SIZE, landscape, room
 
 from omnisyn_cli.errors import ImageError
-from omnisyn_cli.evaluation.depth_table import make_pair
+from omnisyn_cli.evaluation.depth_benchmark import make_pair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading, rotation_from_quaternion
-from omnisyn_cli.geometry.sweep import exchanged_in_epipole_frame
+from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
 from omnisyn_cli.scenes import generate_scene
 from omnisyn_cli.stereo import disparity as disparity_module
 from omnisyn_cli.stereo.disparity import DisparityMap, left_right_check
@@ -97,9 +97,10 @@ def test_a_bright_blank_ceiling_is_no_sky(estimator: MatchingDepthEstimator) -> 
     assert share_within(estimate[below], truth[below], 1.1) > 0.9
 
 
-def test_equal_positions_give_zero_with_no_confidence(estimator: MatchingDepthEstimator) -> None:
+@pytest.mark.parametrize("metres", [0.0, 1e-9])
+def test_equal_positions_give_zero_with_no_confidence(estimator: MatchingDepthEstimator, metres: float) -> None:
     first = room(ORIGIN)[0]
-    turned = room(Pose(rotation_from_heading(1.0), np.zeros(3)))[0]
+    turned = room(Pose(rotation_from_heading(1.0), np.array([metres, 0.0, 0.0])))[0]
     for estimate in estimator(first, turned):
         assert estimate.inverse_depth.shape == SIZE
         assert not estimate.inverse_depth.any()
@@ -172,7 +173,9 @@ def test_both_directions_may_differ_by_more_about_near_things(rows: float, apart
     """Far things move by a few rows, near ones by many; the other direction has found some rows more or less."""
     size, options = (64, 4), MatchingOptions()
     first = DisparityMap(np.full(size, rows, np.float32), np.ones(size, np.bool_))
-    second = DisparityMap(exchanged_in_epipole_frame(np.full(size, rows + apart, np.float32)), np.ones(size, np.bool_))
+    second = DisparityMap(
+        swap_cameras_in_epipole_frame(np.full(size, rows + apart, np.float32)), np.ones(size, np.bool_)
+    )
     valid = left_right_check((first, second), options.left_right_rows, options.near_left_right_rows)[0].valid
     assert valid[: 64 - int(rows)].all() == is_confirmed
     assert not valid[64 - int(rows) :].any()
@@ -185,7 +188,7 @@ def test_a_slope_is_read_between_the_rows_of_the_other_direction(monkeypatch: py
     seen_back = rows - np.interp(rows, rows + disparity, rows) + 0.8
     everywhere = np.ones((64, 4), np.bool_)
     there, back = (np.repeat(d[:, None], 4, axis=1).astype(np.float32) for d in (disparity, seen_back))
-    found = DisparityMap(there, everywhere), DisparityMap(exchanged_in_epipole_frame(back), everywhere)
+    found = DisparityMap(there, everywhere), DisparityMap(swap_cameras_in_epipole_frame(back), everywhere)
     assert left_right_check(found, 1.0)[0].valid.all()
     monkeypatch.setattr(disparity_module, "MAX_INTERPOLATED_STEP", -1.0)
     assert 0.2 < left_right_check(found, 1.0)[0].valid[10:30].mean() < 0.9

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.stereo.costs import UNSEEN_COST, cost_volume
+from omnisyn_cli.stereo.costs import OUT_OF_VIEW_COST, cost_volume
 from omnisyn_cli.stereo.semi_global import (
     FIXED_POINT_SCALE,
     MAX_COST,
@@ -109,7 +109,7 @@ def test_costs_of_ranges_are_those_of_the_whole_volume(random, ranges):
     volume = cost_volume(first, second, usable, everything((HEIGHT, WIDTH), LEVELS), 0.4, 0.1)
     cost = cost_volume(first, second, usable, ranges, 0.4, 0.1)
     np.testing.assert_array_equal(cost, volume.reshape(HEIGHT, WIDTH, LEVELS)[inside(ranges)])
-    assert (cost == to_fixed_point(UNSEEN_COST)).any()
+    assert (cost == to_fixed_point(OUT_OF_VIEW_COST)).any()
 
 
 def test_without_penalties_aggregation_is_eight_times_the_cost() -> None:
@@ -122,7 +122,7 @@ def test_with_the_largest_penalties_one_level_wins_everywhere_it_can_reach() -> 
     cost, volume = 0.1 * RNG.random((*SMALL, 5)), everything(SMALL, 5)
     cost[..., [0, 1, 2, 4]] += 0.05
     total = aggregate_costs(to_fixed_point(cost).ravel(), volume, np.zeros(SMALL, np.float32), 1e6, 1e6, 0.1)
-    assert np.all(np.rint(winner_takes_all(total, volume, is_complete=True)[0]) == 3)
+    assert np.all(np.rint(winner_takes_all(total, volume, is_complete_range=True)[0]) == 3)
 
 
 def test_the_largest_costs_and_penalties_do_not_overflow() -> None:
@@ -147,7 +147,7 @@ def test_aggregation_has_no_seam() -> None:
 def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
     tip = RNG.uniform(1.0, 5.0, SMALL)
     total = to_fixed_point(np.abs(np.arange(7) - tip[..., None]) / 2.0)
-    level, margin = winner_takes_all(total.ravel(), everything(SMALL, 7), is_complete=True)
+    level, margin = winner_takes_all(total.ravel(), everything(SMALL, 7), is_complete_range=True)
     np.testing.assert_allclose(level, tip, atol=2.0 / FIXED_POINT_SCALE)
     assert margin.min() > 0
 
@@ -156,20 +156,20 @@ def test_a_minimum_between_disparities_is_found_where_it_is(random):
     where = random.uniform(6.0, 12.0, (HEIGHT, WIDTH)).astype(np.float32)
     ranges = DisparityRange.between(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
     total = to_fixed_point(np.abs(np.arange(3, 16) - where[..., None]) / 4.0)
-    disparity, margin = winner_takes_all(total.ravel(), ranges, is_complete=False)
+    disparity, margin = winner_takes_all(total.ravel(), ranges, is_complete_range=False)
     np.testing.assert_allclose(disparity, where, atol=4.0 / FIXED_POINT_SCALE)
     nearest = np.rint(where)
     np.testing.assert_allclose(margin, 0.5 - 0.5 * np.abs(where - nearest), atol=2.0 / FIXED_POINT_SCALE)
 
 
 @pytest.mark.parametrize("falling", [True, False])
-@pytest.mark.parametrize("is_complete", [True, False])
-def test_only_where_nothing_lies_beyond_is_the_end_of_a_range_certain(falling, is_complete):
+@pytest.mark.parametrize("is_complete_range", [True, False])
+def test_only_where_nothing_lies_beyond_is_the_end_of_a_range_certain(falling, is_complete_range):
     ranges = DisparityRange.between(np.full((2, 4), 5, np.int32), 8)
     total = np.tile(FIXED_POINT_SCALE * np.arange(4, dtype=np.uint16)[:: -1 if falling else 1], 8)
-    disparity, margin = winner_takes_all(total, ranges, is_complete=is_complete)
+    disparity, margin = winner_takes_all(total, ranges, is_complete_range=is_complete_range)
     assert (disparity == (8 if falling else 5)).all()
-    assert (margin == (2.0 if is_complete else 0.0)).all()
+    assert (margin == (2.0 if is_complete_range else 0.0)).all()
 
 
 def test_the_uniqueness_margin_is_that_of_the_own_cost_over_what_lies_apart(random):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import sample_bicubic, sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 
@@ -25,7 +25,7 @@ def smooth(channels: int) -> np.ndarray:
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_interpolation_is_that_of_the_plain_form(channels: int) -> None:
-    image, looked = smooth(channels), Lookup.along(directions(), SIZE)
+    image, looked = smooth(channels), RemapTable.for_directions(directions(), SIZE)
     pairs = ((looked.bilinear, sample_bilinear, 0.02), (looked.bicubic, sample_bicubic, 0.05))
     for read, plain, tolerance in pairs:
         np.testing.assert_allclose(read(image).reshape(40, 50, channels), plain(image, directions()), atol=tolerance)
@@ -34,18 +34,18 @@ def test_interpolation_is_that_of_the_plain_form(channels: int) -> None:
 def test_the_nearest_pixel_is_that_of_the_plain_form() -> None:
     """But for places within a thirtieth of a pixel of the line between two."""
     image = np.arange(SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
-    is_same = Lookup.along(directions(), SIZE).nearest(image) == sample_nearest(image, directions())
+    is_same = RemapTable.for_directions(directions(), SIZE).nearest(image) == sample_nearest(image, directions())
     assert is_same.mean() > 0.9
 
 
 def test_a_mask_stays_one() -> None:
-    mask, looked = smooth(1).reshape(SIZE) > 0.5, Lookup.along(directions(), SIZE)
+    mask, looked = smooth(1).reshape(SIZE) > 0.5, RemapTable.for_directions(directions(), SIZE)
     found = looked.nearest(mask)
     assert found.dtype == np.bool_
     np.testing.assert_array_equal(found, looked.nearest(mask.astype(np.float32)) > 0)
 
 
 def test_at_its_own_pixels_an_image_is_itself() -> None:
-    image, looked = smooth(3), Lookup.along(7.0 * pixel_directions(*SIZE), SIZE)
+    image, looked = smooth(3), RemapTable.for_directions(7.0 * pixel_directions(*SIZE), SIZE)
     for read in (looked.nearest, looked.bilinear, looked.bicubic):
         np.testing.assert_allclose(read(image), image, atol=1e-5)

@@ -10,7 +10,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.stereo.depth_sizes import matching_rows, refinement_sizes
 from omnisyn_cli.stereo.matching_estimator import MatchingOptions
 from omnisyn_cli.stereo.rectify import resize_area
-from omnisyn_cli.stereo.refined_estimator import refine_pair
+from omnisyn_cli.stereo.refined_estimator import refine_depth_at_size
 from omnisyn_cli.types import View
 
 OPTIONS = MatchingOptions()
@@ -34,7 +34,7 @@ def error(answer, truth):
 def test_what_is_told_a_little_wrong_is_measured_again():
     views, truths, answers = told(factor=1.06)
     for (exact, confidence), (coarse, _), truth in zip(
-        refine_pair(views, answers, SIZE, OPTIONS), answers, truths, strict=True
+        refine_depth_at_size(views, answers, SIZE, OPTIONS), answers, truths, strict=True
     ):
         assert exact.shape == confidence.shape == SIZE
         assert exact.dtype == confidence.dtype == np.float32
@@ -46,8 +46,8 @@ def test_what_is_told_a_little_wrong_is_measured_again():
 
 def test_swapping_the_panoramas_swaps_the_answers():
     views, _, answers = told()
-    forward = refine_pair(views, answers, SIZE, OPTIONS)
-    swapped = refine_pair(views[::-1], answers[::-1], SIZE, OPTIONS)[::-1]
+    forward = refine_depth_at_size(views, answers, SIZE, OPTIONS)
+    swapped = refine_depth_at_size(views[::-1], answers[::-1], SIZE, OPTIONS)[::-1]
     for (one, _), (other, _) in zip(forward, swapped, strict=True):
         assert np.isclose(one, other, rtol=1e-3).mean() > 0.99
 
@@ -55,14 +55,14 @@ def test_swapping_the_panoramas_swaps_the_answers():
 def test_nothing_is_found_that_is_no_surface_around():
     """Everything is told four times too near: the truth lies in no band, or is no surface that is known."""
     views, truths, answers = told(factor=4.0)
-    for (found, _), truth in zip(refine_pair(views, answers, SIZE, OPTIONS), truths, strict=True):
+    for (found, _), truth in zip(refine_depth_at_size(views, answers, SIZE, OPTIONS), truths, strict=True):
         assert (found > 2.0 * truth).mean() > 0.99
 
 
 def test_without_texture_things_stay_as_they_were_told():
     views, truths, answers = told()
     blank = [replace(view, image=np.full_like(view.image, 0.5)) for view in views]
-    for (found, confidence), truth in zip(refine_pair(blank, answers, SIZE, OPTIONS), truths, strict=True):
+    for (found, confidence), truth in zip(refine_depth_at_size(blank, answers, SIZE, OPTIONS), truths, strict=True):
         assert np.isclose(found, truth, rtol=0.1).mean() > 0.95
         assert (confidence == 0.5).mean() > 0.95  # the rest lies next to the other epipole
 
@@ -71,7 +71,7 @@ def test_a_masked_pixel_is_not_measured():
     views, _, answers = told()
     mask = np.ones(SIZE, bool)
     mask[:, 100:150] = False
-    (_, confidence), (_, other) = refine_pair((replace(views[0], mask=mask), views[1]), answers, SIZE, OPTIONS)
+    (_, confidence), (_, other) = refine_depth_at_size((replace(views[0], mask=mask), views[1]), answers, SIZE, OPTIONS)
     assert (confidence[:, 102:148] == 0.5).all()
     assert (other == np.float32(0.8)).mean() > 0.5
 
@@ -82,8 +82,8 @@ def test_rolling_the_columns_of_the_pictures_rolls_the_answers():
     turn = rotation_from_heading(-2.0 * np.pi * columns / SIZE[1])
     rolled = [View(np.roll(v.image, columns, axis=1), Pose(v.pose.rotation @ turn, v.pose.position)) for v in views]
     told_rolled = tuple((np.roll(a, columns // STEP, axis=1), b) for a, b in answers)
-    before = refine_pair(views, answers, SIZE, OPTIONS)
-    after = refine_pair(rolled, told_rolled, SIZE, OPTIONS)
+    before = refine_depth_at_size(views, answers, SIZE, OPTIONS)
+    after = refine_depth_at_size(rolled, told_rolled, SIZE, OPTIONS)
     for (one, _), (other, _) in zip(before, after, strict=True):
         assert np.isclose(np.roll(one, columns, axis=1), other, rtol=0.01).mean() > 0.97
 

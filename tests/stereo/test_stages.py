@@ -13,7 +13,7 @@ from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
 from omnisyn_cli.stereo.rectify import EpipolarGrid, rectify, resize_area
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.stereo.sky import find_sky
-from omnisyn_cli.stereo.surface_labels import _room_bound, _support_around
+from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _plane_support
 
 SMALL = (48, 96)
 RNG = np.random.default_rng(3)
@@ -172,8 +172,8 @@ def test_sky_needs_the_zenith_and_texture() -> None:
 def test_support_knows_no_seam_at_any_width(size: tuple[int, int]) -> None:
     mask = RNG.random(size) < 0.1
     for columns in (1, size[1] // 2):
-        rolled = _support_around(np.roll(mask, columns, axis=1))
-        np.testing.assert_allclose(rolled, np.roll(_support_around(mask), columns, axis=1), atol=1e-5)
+        rolled = _plane_support(np.roll(mask, columns, axis=1))
+        np.testing.assert_allclose(rolled, np.roll(_plane_support(mask), columns, axis=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(6, 12), (8, 16), (24, 48)])
@@ -192,7 +192,7 @@ def test_nothing_is_beyond_the_floor_nor_unless_the_sky_is_open_the_ceiling(name
     wall = np.cross(grid.up, [0.3, 0.5, 0.8])
     planes = np.array([wall, 2.0 * grid.up, 0.5 * grid.up, -1.5 * grid.up])
     for is_sky_open in (False, True):
-        bound = _room_bound(grid, planes, is_sky_open=is_sky_open)
+        bound = _floor_and_ceiling_bound(grid, planes, is_sky_open=is_sky_open)
         for normal in (-1.5 * grid.up, 2.0 * grid.up):
             inverse_depth = grid.directions @ normal
             is_bounded = not (is_sky_open and normal @ grid.up > 0)
