@@ -11,8 +11,8 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import (
     epipole_frame,
-    exchanged_in_epipole_frame,
-    exchanged_in_forward_frame,
+    swap_cameras_in_epipole_frame,
+    swap_cameras_in_forward_frame,
     forward_frame,
     free_space_agreement,
     neighbourhood_agreement,
@@ -40,7 +40,7 @@ class Oracle:
 
     def __init__(self, first, second):
         here, other, baseline = forward_frame(first, second)
-        self.truth = [ball(here)[0] * baseline, exchanged_in_forward_frame(ball(other)[0]) * baseline]
+        self.truth = [ball(here)[0] * baseline, swap_cameras_in_forward_frame(ball(other)[0]) * baseline]
         self.seen = []
 
     def get_modelmeta(self):
@@ -68,7 +68,7 @@ def test_the_network_is_shown_its_frame_and_its_answer_comes_back_in_metres(size
     for shown, truth in zip(oracle.seen[0], expected, strict=True):
         assert np.abs(shown[0].transpose(1, 2, 0) - truth).max() < 0.03
     for shown, truth in zip(oracle.seen[1], expected[::-1], strict=True):
-        assert np.abs(exchanged_in_forward_frame(shown[0].transpose(1, 2, 0)) - truth).max() < 0.03
+        assert np.abs(swap_cameras_in_forward_frame(shown[0].transpose(1, 2, 0)) - truth).max() < 0.03
     for estimate, pose in zip(estimates, (FIRST, SECOND), strict=True):
         np.testing.assert_allclose(estimate.inverse_depth, ball(pose)[0], rtol=0.02)
         assert estimate.confidence.min() > 0.95
@@ -77,7 +77,7 @@ def test_the_network_is_shown_its_frame_and_its_answer_comes_back_in_metres(size
 
 @pytest.mark.parametrize(
     ("hold", "exchange"),
-    [(epipole_frame, exchanged_in_epipole_frame), (forward_frame, exchanged_in_forward_frame)],
+    [(epipole_frame, swap_cameras_in_epipole_frame), (forward_frame, swap_cameras_in_forward_frame)],
     ids=["epipole", "forward"],
 )
 def test_exchanging_the_roles_is_the_frame_of_the_way_back(hold, exchange):

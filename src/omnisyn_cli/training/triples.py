@@ -16,7 +16,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.lookup import Lookup
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.training import data
 
@@ -30,7 +30,7 @@ EDGE = 0.05
 def exchanged_panoramas(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
     """Panoramas of the forward frame as they look when the roles of both cameras are exchanged; its own inverse.
 
-    See :func:`omnisyn_cli.geometry.sweep.exchanged_in_forward_frame`.
+    See :func:`omnisyn_cli.geometry.sweep.swap_cameras_in_forward_frame`.
     """
     return x.roll(x.shape[-1] // 2, -1)
 
@@ -73,9 +73,9 @@ def turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) 
 
 
 @lru_cache(maxsize=4)
-def _forward(source: tuple[int, ...], size: tuple[int, int]) -> Lookup:
+def _forward(source: tuple[int, ...], size: tuple[int, int]) -> RemapTable:
     """Where images of the epipole frame show what those of the forward frame show in their pixels."""
-    return Lookup.along(pixel_directions(*size) @ EPIPOLE_FROM_FORWARD.T, source)
+    return RemapTable.for_directions(pixel_directions(*size) @ EPIPOLE_FROM_FORWARD.T, source)
 
 
 LEAST_VIEWS = 3

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from omnisyn_cli.geometry.lookup import MAX_REMAP_COLUMNS, Lookup
+from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
@@ -133,7 +133,7 @@ def _seen_along(picture: UInt8[np.ndarray, "height width 3"], directions: np.nda
     """The panorama in some directions, bicubic."""
     if picture.shape[1] > MAX_REMAP_COLUMNS:
         picture = np.asarray(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    return Lookup.along(directions, picture.shape).bicubic(picture)
+    return RemapTable.for_directions(directions, picture.shape).bicubic(picture)
 
 
 def _write_picture(path: Path, samples: np.ndarray) -> None:
