@@ -8,10 +8,11 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, Shaped, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, Integer, Shaped, UInt8
 
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import direction_tables
 
 __all__ = [
     "DEPTH_CONFIDENCE_GAIN",
@@ -21,6 +22,7 @@ __all__ = [
     "ColourStep",
     "DepthEstimate",
     "DepthEstimator",
+    "DirectionTables",
     "EdgePixels",
     "EdgeSamples",
     "Fuser",
@@ -67,7 +69,7 @@ class View:
         known_depth: depth that came with the panorama, at a resolution of its own; ``None`` if there is none.
         is_clipped: whether much of it was clipped at white before it was darkened to the exposure of another panorama.
             The true colours there are unknown.
-        samples: ``(height, width, 3)`` what ``image`` is 1/255 of, where it comes from samples of 8 bits.
+        image_uint8: ``(height, width, 3)`` the same image with 8 bits per channel, if it came with these.
     """
 
     image: Float[np.ndarray, "height width 3"]
@@ -75,7 +77,7 @@ class View:
     mask: Bool[np.ndarray, "height width"] | None = None
     known_depth: DepthEstimate | None = None
     is_clipped: bool = False
-    samples: UInt8[np.ndarray, "height width 3"] | None = None
+    image_uint8: UInt8[np.ndarray, "height width 3"] | None = None
 
     def check_shape(self) -> None:
         """Raise ImageError unless the image is 2:1."""
@@ -90,6 +92,35 @@ class DepthEstimator(Protocol):
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``, each in its own frame."""
         ...
+
+
+class DirectionTables(NamedTuple):
+    """Directions of the pixels of a target, factored into rows and columns, float32. Kernels take it as it is.
+
+    Attributes:
+        sin_p: sines of the polar angles of the rows.
+        cos_p: cosines of the same.
+        sin_a: sines of the azimuths of the columns.
+        cos_a: cosines of the same.
+    """
+
+    sin_p: Float32[np.ndarray, " rows"]
+    cos_p: Float32[np.ndarray, " rows"]
+    sin_a: Float32[np.ndarray, " cols"]
+    cos_a: Float32[np.ndarray, " cols"]
+
+    @staticmethod
+    def of_size(height: int, width: int) -> DirectionTables:
+        """Of all pixels of a target."""
+        return DirectionTables(*(table.astype(np.float32) for table in direction_tables(height, width)))
+
+    def of_rows(self, rows: slice | Integer[np.ndarray, " some"]) -> DirectionTables:
+        """Of some rows."""
+        return self._replace(sin_p=self.sin_p[rows], cos_p=self.cos_p[rows])
+
+    def of_cols(self, cols: slice | Integer[np.ndarray, " some"]) -> DirectionTables:
+        """Of some columns."""
+        return self._replace(sin_a=self.sin_a[cols], cos_a=self.cos_a[cols])
 
 
 EDGE_TILE_COLUMNS = 4

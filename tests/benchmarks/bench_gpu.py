@@ -17,14 +17,14 @@ import numpy as np
 import torch
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
+from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.pipeline.config import DepthSource
+from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.synthesis.device.pair import GpuFrames
-from omnisyn_cli.synthesis.making import make_estimator
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.recipe import DepthSource
 from omnisyn_cli.synthesis.segments import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth, View
@@ -43,9 +43,9 @@ def with_depth(first: Path, second: Path, poses: Path) -> tuple[View, View]:
     for path in (first, second):
         panorama = read_panorama(path)
         samples = panorama.original if panorama.original is not None and panorama.original.dtype == np.uint8 else None
-        views.append(View(panorama.image, entries.of(path).pose, samples=samples))
+        views.append(View(panorama.image, entries.of(path).pose, image_uint8=samples))
     depths = make_estimator(DepthSource("matching"), device="cpu")(*views)
-    known = [View(v.image, v.pose, None, d, samples=v.samples) for v, d in zip(views, depths, strict=True)]
+    known = [View(v.image, v.pose, None, d, image_uint8=v.image_uint8) for v, d in zip(views, depths, strict=True)]
     return known[0], known[1]
 
 

@@ -22,7 +22,7 @@ def views(*, as_samples: bool) -> list[View]:
         view = hall_view(pose, (128, 256))
         samples = as_bytes(view.image * (1.0, 0.85)[index])
         image = np.float32(samples / np.float32(255))
-        made.append(View(image, pose, None, view.known_depth, samples=samples if as_samples else None))
+        made.append(View(image, pose, None, view.known_depth, image_uint8=samples if as_samples else None))
     return made
 
 

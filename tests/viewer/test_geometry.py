@@ -143,7 +143,7 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
         for waves in ([[3, 1, 0], [0, 2, 3], [1, 0, 2]], [[1, 2, 3], [2, 0, 1], [0, 3, 1]])
     ]
     surfaces = [
-        replace(surface, view=replace(surface.view, image=np.rint(255 * image).astype(np.uint8) / 255, samples=None))
+        replace(surface, view=replace(surface.view, image=np.rint(255 * image).astype(np.uint8) / 255, image_uint8=None))
         for surface, image in zip(shot.pair.surfaces, smooth, strict=True)
     ]
     painted = replace(shot, pair=replace(shot.pair, surfaces=(surfaces[0], surfaces[1])))

@@ -112,8 +112,8 @@ class DepthCache:
 
 def _digest(view: View) -> bytes:
     """What tells a view from another without its picture: both may have been made of their files anew."""
-    digest = hashlib.sha256(f"{view.image.shape} {view.samples is None} {view.is_clipped}".encode())
-    pixels = view.image if view.samples is None else view.samples
+    digest = hashlib.sha256(f"{view.image.shape} {view.image_uint8 is None} {view.is_clipped}".encode())
+    pixels = view.image if view.image_uint8 is None else view.image_uint8
     for values in (pixels, view.mask, view.pose.position + 0.0, view.pose.rotation + 0.0):  # + 0.0: no minus zero
         if values is not None:
             digest.update(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)

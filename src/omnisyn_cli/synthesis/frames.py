@@ -78,7 +78,7 @@ def _photograph_at(
             image = turned_panorama(view.image, turn, options.size, options.threads)
         else:
             image = out()
-            _turn_rows(view.image if view.samples is None else view.samples, turn, image, options.threads)
+            _turn_rows(view.image if view.image_uint8 is None else view.image_uint8, turn, image, options.threads)
     return Frame(image, waypoint, None, confidence)
 
 

@@ -145,7 +145,7 @@ def usable_image(
     Samples of 8 bits where they do as well: they take a quarter of the memory.
     """
     if view.mask is None or view.mask.all():
-        return view.samples if view.samples is not None and options.renderer.shades_on_demand else view.image
+        return view.image_uint8 if view.image_uint8 is not None and options.renderer.shades_on_demand else view.image
     image = np.array(view.image, np.float32)
     HoleFiller(view.mask.shape, options.threads)(image, view.mask.astype(np.float32))
     return image

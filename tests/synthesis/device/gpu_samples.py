@@ -62,7 +62,7 @@ def pair_along(kind: str, way: tuple[float, float, float], size: tuple[int, int]
 
 def in_8_bits(view: View) -> View:
     samples = np.rint(view.image * 255).astype(np.uint8)
-    return replace(view, image=np.float32(samples / np.float32(255)), samples=samples)
+    return replace(view, image=np.float32(samples / np.float32(255)), image_uint8=samples)
 
 
 def target_between(first: View, second: View, t: float, turn: tuple[float, float, float] = (0.4, 0.3, 0.2)) -> Pose:
@@ -74,7 +74,7 @@ def target_between(first: View, second: View, t: float, turn: tuple[float, float
 def pair_on(device: str, views: tuple[View, View], size: tuple[int, int], curve: ExposureCurve) -> GpuPair:
     frames = GpuFrames(size, device)
     first, second = (
-        frames.surface(view.image if view.samples is None else view.samples, view.mask, view.known_depth)
+        frames.surface(view.image if view.image_uint8 is None else view.image_uint8, view.mask, view.known_depth)
         for view in views
     )
     return frames.pair(first, second, curve)
@@ -97,7 +97,7 @@ def on_processor(
     shown = []
     for view in views:
         pose, depth = target.inverse() @ view.pose, view.known_depth
-        image = view.image if view.samples is None else view.samples
+        image = view.image if view.image_uint8 is None else view.image_uint8
         render = MeshRenderer(RendererInputs(image, view.mask, depth.inverse_depth, depth.confidence, size, threads=1))
         shown.append(render(pose))
     return GeometricFuser(size, threads=1, edges=False)(*ExposureMatcher(curve)(*shown, t), t)
