@@ -9,6 +9,7 @@ import click
 from omnisyn_cli.cli.options import quiet_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
+from omnisyn_cli.cli.scenes_render import render
 
 KINDS = ("street", "room", "home", "jumble", "yard")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
@@ -23,6 +24,9 @@ TEXTURES = click.option(
 @click.group()
 def scenes() -> None:
     """Make procedural scenes with exact depth and poses."""
+
+
+scenes.add_command(render)
 
 
 OF_THE_SUITE = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"}

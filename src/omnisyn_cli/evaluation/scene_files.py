@@ -1,7 +1,9 @@
 """Generated scenes on disk, in this program's own layout: single ones, and the standard evaluation set."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from omnisyn_cli import scenes
 from omnisyn_cli.geometry.pose import Pose
@@ -18,7 +20,15 @@ from omnisyn_cli.scenes.suite import (
     wide_walk,
 )
 
-__all__ = ["depth_name", "suite_files", "suite_scenes", "wide_scenes", "write_scene", "write_suite_scene"]
+__all__ = [
+    "depth_name",
+    "suite_files",
+    "suite_scenes",
+    "wide_scenes",
+    "write_renderings",
+    "write_scene",
+    "write_suite_scene",
+]
 
 PANORAMA_NAMES = tuple(f"{frame:04d}.png" for frame in range(FRAMES_PER_WALK))
 """Of the panoramas of every scene of the standard set."""
@@ -60,9 +70,34 @@ def write_scene(
 
     The folder exists. A pixel has ``supersample``² samples. WriteError: the disk is full, or the folder went away.
     """
+
+    def render(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        return scenes.render_panorama(scene, pose, size, supersample=supersample, threads=threads)
+
+    write_renderings(folder, render, dict(zip(names, path, strict=True)), with_depth=with_depth)
+
+
+def write_renderings(
+    folder: Path,
+    render: Callable[[Pose], tuple[np.ndarray, np.ndarray]],
+    path: Mapping[str, Pose],
+    *,
+    with_depth: bool = True,
+) -> None:
+    """Write panoramas, their depth (EXR, metres) if it is wanted, and their poses.
+
+    Args:
+        folder: exists.
+        render: colours and depth of a pose.
+        path: poses by the image file of each panorama.
+        with_depth: whether to write depth as well.
+
+    Raises:
+        WriteError: the disk is full, or the folder went away.
+    """
     panoramas = {}
-    for name, pose in zip(names, path, strict=True):
-        image, depth = scenes.render_panorama(scene, pose, size, supersample=supersample, threads=threads)
+    for name, pose in path.items():
+        image, depth = render(pose)
         write_image(folder / name, image)
         depth_file = folder / depth_name(name) if with_depth else None
         if depth_file is not None:

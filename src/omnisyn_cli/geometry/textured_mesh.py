@@ -49,7 +49,7 @@ class TexturedMesh:
         uv: ``(vertices, 2)`` texture coordinates, (0, 0) in the lower left corner; they wrap.
         face_material: ``(faces,)`` index into ``materials``.
         materials: of all faces.
-        vertex_colours: ``(vertices, 3)`` sRGB in [0, 1] that replace the colour of materials without a texture, or None.
+        vertex_colours: ``(vertices, 3)`` sRGB in [0, 1] instead of materials' colours, or None.
         light_uv: ``(vertices, 2)`` coordinates of the light map, as ``uv`` but clamped, or None.
         light_map: ``(height, width, 3)`` light, 1 is as bright as the texture, or None.
     """

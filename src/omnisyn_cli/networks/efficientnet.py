@@ -36,7 +36,7 @@ CHANNELS = (16, 24, 40, 112, 320)
 SHIFTS = (1, 0, 1, 0, 1)
 """Where the outputs of each strided convolution are centred: on the left (0) or right (1) input of every two.
 
-Alternating keeps the drift small: features at stride 4 are centred half an input pixel before the centre of their block.
+Alternating keeps the drift small: features at stride 4 lie half an input pixel before the centre of their block.
 """
 
 EPSILON = 1e-3

@@ -1,4 +1,4 @@
-"""Depth of a panorama from a pair, with a pretrained encoder, a cost volume, and what matching measured if there is any.
+"""Depth of a panorama from a pair: a pretrained encoder, a cost volume, and what matching measured, if anything.
 
 Both panoramas are upright, turned so that the other camera is ahead (−z, up to the slope of the baseline). Features at
 a quarter of the size are correlated over spheres uniform in √(inverse depth × baseline). The costs are channels of a
@@ -7,8 +7,8 @@ matching and plane sweeps may guide it: their maps are further channels, all zer
 
 It answers with √(inverse depth × baseline) at full size and with the scale of a Laplace distribution around it.
 
-Source: cost volume in a 2-D network with image features: Sayed et al., SimpleRecon, 2022; group-wise correlation: Guo et
-al., 2019; convex upsampling: Teed and Deng, RAFT, 2020; Laplace scale: Kendall and Gal, 2017.
+Source: cost volume in a 2-D network with image features: Sayed et al., SimpleRecon, 2022; group-wise correlation: Guo
+et al., 2019; convex upsampling: Teed and Deng, RAFT, 2020; Laplace scale: Kendall and Gal, 2017.
 """
 
 from collections.abc import Mapping
@@ -36,8 +36,8 @@ STRIDE = 4
 """Of the cost volume and of the guidance."""
 
 GUIDANCE_CHANNELS = 8
-"""Of matching: √(inverse depth × baseline), valid, left-right consistent, peak ratio; of plane sweeps: the same root and
-a score; then whether there is matching, and whether there are plane sweeps. Zero where there is none."""
+"""Root, valid, left-right consistent and peak ratio of matching; root and score of plane sweeps; whether there is
+matching, whether there are plane sweeps. The root is √(inverse depth × baseline); all is zero where there is none."""
 
 FEATURE_SHIFT = -0.125
 """Columns and rows of the quarter-size features by which their centres are off, see ``SHIFTS`` of the encoder."""

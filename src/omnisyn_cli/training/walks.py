@@ -35,7 +35,7 @@ from omnisyn_cli.scenes.mesh import (
 )
 from omnisyn_cli.training.data import save_arrays
 
-__all__ = ["MESH", "MeshSource", "Walk", "WalkConfig", "load_walk", "make_walk", "save_walk"]
+__all__ = ["MESH", "MeshSource", "Walk", "WalkConfig", "load_walk", "make_walk", "mesh_walk", "save_walk"]
 
 MESH = "mesh"
 """Kind of scene that is a mesh; the others are those of :data:`omnisyn_cli.scenes.GENERATORS`."""
@@ -216,11 +216,15 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
     scene = MeshScene.of(mesh, draw_lighting(caster, rng, line[0], LIGHT_RAYS), caster)
     rotation = rotation_from_heading(rng.uniform(-np.pi, np.pi))
     scene = scene.exposed_at(Pose(rotation, line[0]))
-    views = [
-        render_mesh(scene, Pose(rotation, position), config.size, supersample=config.supersample) for position in line
-    ]
-    is_dark = min(float(image.mean()) for image, _ in views) < DARKEST
-    return None if is_dark else _walk(views, line, rotation, is_mesh=True)
+    walk = mesh_walk(scene, [Pose(rotation, position) for position in line], config.size, config.supersample)
+    is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * DARKEST
+    return None if is_dark else walk
+
+
+def mesh_walk(scene: MeshScene, poses: Sequence[Pose], size: tuple[int, int], supersample: int) -> Walk:
+    """A mesh seen from poses that share a rotation."""
+    views = [render_mesh(scene, pose, size, supersample=supersample) for pose in poses]
+    return _walk(views, [pose.position for pose in poses], poses[0].rotation, is_mesh=True)
 
 
 def _walk(

@@ -7,7 +7,8 @@ from omnisyn_cli.scenes.mesh.lighting import Lighting, draw_lighting
 from omnisyn_cli.scenes.mesh.places import Place, find_line, find_places
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
 from omnisyn_cli.scenes.mesh.render import MeshScene, render_mesh
-from omnisyn_cli.scenes.mesh.variation import varied_mesh
+from omnisyn_cli.scenes.mesh.texturing import untextured_share
+from omnisyn_cli.scenes.mesh.variation import papered_mesh, varied_mesh
 
 __all__ = [
     "Lighting",
@@ -17,6 +18,8 @@ __all__ = [
     "draw_lighting",
     "find_line",
     "find_places",
+    "papered_mesh",
     "render_mesh",
+    "untextured_share",
     "varied_mesh",
 ]

@@ -28,7 +28,7 @@ EXPOSURES = (0.3, 12.0)
 """Least and greatest factor of the exposure."""
 
 SAME_SURFACE = 0.02
-"""Greatest distance of a sample from the plane of the pixel's centre to share its light, relative to that to the camera."""
+"""Distance from the plane of the pixel's centre, relative to that to the camera, within which samples share light."""
 
 SAME_NORMAL = 0.95
 """Least cosine between normals that share light."""

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
+from omnisyn_cli.geometry.textured_mesh import TexturedMesh
 from omnisyn_cli.scenes.mesh.raycast import Hits
 
 __all__ = ["SurfaceColours"]
@@ -128,10 +128,6 @@ def untextured_share(mesh: TexturedMesh) -> float:
     """Share of the area without texture or colours of its own."""
     if mesh.vertex_colours is not None:
         return 0.0
-    plain = np.array([not _is_painted(material) for material in mesh.materials])[mesh.face_material]
+    plain = np.array([not material.is_textured for material in mesh.materials])[mesh.face_material]
     areas = mesh.face_areas()
     return float(areas[plain].sum() / max(areas.sum(), 1e-12))
-
-
-def _is_painted(material: Material) -> bool:
-    return material.is_textured

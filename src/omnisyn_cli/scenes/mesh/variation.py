@@ -8,7 +8,7 @@ from jaxtyping import Bool, UInt8
 
 from omnisyn_cli.geometry.textured_mesh import Material, TexturedMesh
 
-__all__ = ["varied_mesh"]
+__all__ = ["papered_mesh", "varied_mesh"]
 
 SCALES = (0.75, 1.35)
 
@@ -48,6 +48,20 @@ def varied_mesh(
         face_material=mesh.face_material[kept],
         materials=tuple(_varied(material, rng, photos, share) for material in mesh.materials),
     )
+
+
+def papered_mesh(
+    mesh: TexturedMesh, rng: np.random.Generator, photos: Sequence[UInt8[np.ndarray, "height width 3"]]
+) -> TexturedMesh:
+    """The mesh with a photograph on every material that has no texture and does not shine."""
+    return replace(mesh, materials=tuple(_papered(material, rng, photos) for material in mesh.materials))
+
+
+def _papered(material: Material, rng: np.random.Generator, photos: Sequence[np.ndarray]) -> Material:
+    photo, tile = rng.integers(len(photos)), rng.uniform(*np.log(TILES))
+    if material.is_textured or material.is_emissive:
+        return material
+    return replace(material, texture=photos[photo], tile=float(np.exp(tile)))
 
 
 def _kept_faces(mesh: TexturedMesh, rng: np.random.Generator) -> Bool[np.ndarray, " faces"]:
