@@ -8,7 +8,7 @@ from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
@@ -47,7 +47,7 @@ def judged(
     last = disturbed(last, degrees, metres) if degrees or metres else last
     options = SynthesisOptions(first.image.shape[:2], threads=2)
     pair = SurfaceMethod(estimator, options).prepare(0, [first, last])
-    confidence, frame = pair.segment.check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
+    confidence, frame = pair.prepared.check.confidence, pair.frame(Waypoint(0, 0.5, middle.pose))
     true = ws_psnr(np.clip(frame.image, 0, 1), middle.image)
     return Judged(name, confidence.score, confidence.expected, true)
 

@@ -7,9 +7,9 @@ from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
-from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 

@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.fusion.photometry.exposure_curve import srgb_to_linear, linear_to_srgb
+from omnisyn_cli.fusion.photometry.exposure_curve import linear_to_srgb, srgb_to_linear
 from omnisyn_cli.io import read_panorama
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.synthesis.frames import synthesize
-from omnisyn_cli.synthesis.making import make_estimator
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, View
 

@@ -25,7 +25,7 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.synthesis.device.pair import GpuFrames
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth, View
 

@@ -19,7 +19,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.runtime import session
-from omnisyn_cli.synthesis.frames import Frame
+from omnisyn_cli.synthesis.synthesize import Frame
 from omnisyn_cli.types import DepthEstimate, View
 from synthesis_samples import distance_to_wall, posed, write_hall, ws_psnr
 

@@ -14,7 +14,7 @@ from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime import models
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
 

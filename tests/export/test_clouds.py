@@ -13,7 +13,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_quaternion
 from omnisyn_cli.geometry.sphere import pixel_directions, pixel_scale
 from omnisyn_cli.interpolation.export import plan_export, run_export
-from omnisyn_cli.interpolation.export.points import DISC, points_of
+from omnisyn_cli.interpolation.export.points import DISC_RADIUS_SHARE, points_of
 from omnisyn_cli.io import read_depth, write_depth
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from synthesis_samples import RADIUS, SIZE, posed
@@ -76,8 +76,8 @@ def test_a_disc_covers_its_pixel_on_a_slanted_floor() -> None:
     floor = (local[:, 1] < -height + 1e-4) & (distance < 4.0) & (local[:, 1] / distance > -0.99)
     spacing = distance[floor] / pixel_scale(SIZE)[0]
     cosine = height / distance[floor]
-    np.testing.assert_allclose(points.radius[floor, 1], DISC * spacing, rtol=1e-5)
-    np.testing.assert_allclose(points.radius[floor, 0], DISC * spacing / cosine, rtol=0.02)
+    np.testing.assert_allclose(points.radius[floor, 1], DISC_RADIUS_SHARE * spacing, rtol=1e-5)
+    np.testing.assert_allclose(points.radius[floor, 0], DISC_RADIUS_SHARE * spacing / cosine, rtol=0.02)
     axes = rotation_from_quaternion(points.turn[floor])
     np.testing.assert_allclose(axes[..., 2], np.broadcast_to(pose.rotation[:, 1], axes[..., 2].shape), atol=0.02)
     away = (points.position - pose.position)[floor]

@@ -15,7 +15,7 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
 from omnisyn_cli.interpolation.export import mesh as export_mesh
-from omnisyn_cli.interpolation.export.mesh import FLATNESS, TexturedMesh, textured_mesh
+from omnisyn_cli.interpolation.export.mesh import MAX_FLATNESS, TexturedMesh, textured_mesh
 from omnisyn_cli.io import read_depth, write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
@@ -44,7 +44,7 @@ def test_nodes_stand_where_panoramas_were_taken_and_surfaces_where_the_wall_is(t
         np.testing.assert_allclose(node[:3, 3], pose.position, atol=1e-6)
         np.testing.assert_allclose(node[:3, :3], pose.rotation, atol=1e-6)
         mesh = scene.geometry[name].copy().apply_transform(node)
-        assert off_wall(mesh.vertices).max() < 1.5 * FLATNESS * RADIUS
+        assert off_wall(mesh.vertices).max() < 1.5 * MAX_FLATNESS * RADIUS
         assert mesh.area == pytest.approx(4 * np.pi * RADIUS**2, rel=0.01)
 
 

@@ -18,15 +18,15 @@ import pytest
 from onnx import TensorProto, numpy_helper
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.runtime.models import find_model, models_folder
 from omnisyn_cli.runtime.image_networks import CompletionSession
+from omnisyn_cli.runtime.models import find_model, models_folder
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.scenes import generate_scene, render_views, sample_path
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 from omnisyn_cli.stereo.stereo_features import StereoFeatures, completion_channels
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synthesis_samples import ws_psnr

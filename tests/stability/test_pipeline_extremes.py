@@ -10,22 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from interpolation_samples import job_of, listing
 from omnisyn_cli.errors import ImageError
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_inverse_depth, read_panorama, write_depth
 from omnisyn_cli.io.encode import write_channels
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.rasterize import rasterize
-from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
-from process_memory import peak_memory, renewed_peak_memory
+from process_limits import peak_memory, renewed_peak_memory
 from synthesis_samples import RADIUS, SIZE, distance_to_wall, hall_image, hall_view, posed, write_hall, ws_psnr
 
 PAIR = (posed((-0.5, -0.1, 0.4), 0.3), posed((0.4, 0.2, -0.3), 0.9))
@@ -60,15 +60,10 @@ def test_only_the_ratio_of_depth_and_baseline_counts(baseline: float) -> None:
         assert ws_psnr(other, plain) > 80
 
 
-def test_a_baseline_of_a_micrometre_shows_the_photographs() -> None:
+@pytest.mark.parametrize("baseline", [0.0, 1e-6])
+def test_a_baseline_of_nothing_or_a_micrometre_shows_the_photographs(baseline: float) -> None:
     """In a hall of metres nothing moves by more than rounding."""
-    first, second = posed((0, 0, 0)), posed((1e-6, 0, 0))
-    for frame in frames([hall_view(first), hall_view(second)]):
-        assert ws_psnr(frame, hall_image(first)) > 60
-
-
-def test_no_baseline_cross_fades() -> None:
-    views = [hall_view(posed((0, 0, 0))), hall_view(posed((0, 0, 0)))]
+    views = [hall_view(posed((x, 0, 0))) for x in (0.0, baseline)]
     for frame in frames(views):
         assert ws_psnr(frame, views[0].image) > 60
 
@@ -188,8 +183,7 @@ def test_tiny_and_odd_sizes(source: tuple[int, int], target: tuple[int, int]) ->
 
 def run(folder: Path, images: list[Path], output: str, **options: object) -> list[np.ndarray]:
     """Frames of an interpolation as files, read again."""
-    job = InterpolationJob(tuple(images), folder / "poses.json", folder / output, **{"frames": 5, **options})  # type: ignore[arg-type]
-    run_interpolation(plan_interpolation(job))
+    run_interpolation(plan_interpolation(job_of(folder, images, output=folder / output, **{"frames": 5, **options})))
     return [read_panorama(file).image for file in sorted((folder / output).iterdir())]
 
 
@@ -197,35 +191,23 @@ def test_eight_by_four_pixels_from_files_to_a_video(tmp_path: Path) -> None:
     images = write_hall(tmp_path, PAIR, (4, 8))
     for depth in ("file", "matching"):
         assert [frame.shape for frame in run(tmp_path, images, depth, depth=depth, threads=1)] == [(4, 8, 3)] * 5
-    job = InterpolationJob(tuple(images), tmp_path / "poses.json", tmp_path / "out.mp4", frames=3, threads=1)
-    run_interpolation(plan_interpolation(job))
+    run_interpolation(plan_interpolation(job_of(tmp_path, images, output=tmp_path / "out.mp4")))
     assert (tmp_path / "out.mp4").stat().st_size > 0
 
 
-def test_equal_runs_make_equal_bytes_at_any_number_of_threads(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, PAIR, (32, 64))
-    made = {}
+@pytest.mark.parametrize(("name", "size", "depth"), [("frames", (32, 64), "matching"), ("a.mp4", (64, 128), "file")])
+def test_equal_runs_make_equal_bytes_at_any_number_of_threads(
+    tmp_path: Path, name: str, size: tuple[int, int], depth: str
+) -> None:
+    images = write_hall(tmp_path, PAIR, size)
+    made = []
     for threads in (1, 2, 5):
         folder = tmp_path / f"{threads}"
-        job = InterpolationJob(
-            tuple(images), tmp_path / "poses.json", folder, frames=4, depth="matching", threads=threads,
-            save_depth=tmp_path / f"d{threads}",
-        )  # fmt: skip
-        run_interpolation(plan_interpolation(job))
-        places = (folder, tmp_path / f"d{threads}")
-        made[threads] = [file.read_bytes() for place in places for file in sorted(place.iterdir())]
-    assert len(made[1]) == 4 + 2
-    assert made[1] == made[2] == made[5]
-
-
-def test_equal_runs_make_equal_videos_at_any_number_of_threads(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, PAIR, (64, 128))
-    made = []
-    for threads in (1, 2, 3):
-        output = tmp_path / f"{threads}.mp4"
-        job = InterpolationJob(tuple(images), tmp_path / "poses.json", output, frames=20, threads=threads)
-        run_interpolation(plan_interpolation(job))
-        made.append(output.read_bytes())
+        folder.mkdir()
+        options = {"frames": 20, "depth": depth, "threads": threads, "save_depth": folder / "depth"}
+        run_interpolation(plan_interpolation(job_of(tmp_path, images, output=folder / name, **options)))
+        made.append(listing(folder))
+    assert len(made[0]) == (20 if name == "frames" else 1) + 2
     assert made[0] == made[1] == made[2]
 
 
@@ -263,10 +245,7 @@ def test_turning_both_panoramas_turns_the_video(
 def test_sixteen_thousand_columns(tmp_path: Path) -> None:
     """16384×8192 from panoramas of 1024×512: within the memory that the plan says."""
     images = write_hall(tmp_path, PAIR, (512, 1024))
-    job = InterpolationJob(
-        tuple(images), tmp_path / "poses.json", tmp_path / "out", frames=3, size=(8192, 16384), codec="jpg"
-    )
-    plan = plan_interpolation(job)
+    plan = plan_interpolation(job_of(tmp_path, images, size=(8192, 16384), codec="jpg", threads=None))
     renewed_peak_memory()
     run_interpolation(plan)
     used = peak_memory()

@@ -8,10 +8,10 @@ import pytest
 from interpolation_samples import job_of
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
-from omnisyn_cli.synthesis import between
-from omnisyn_cli.synthesis.frames import Frame, synthesize
+from omnisyn_cli.synthesis import frame
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, Layer
 from synthesis_samples import hall_view, posed, write_hall
@@ -66,7 +66,7 @@ def test_triangles_are_counted_and_the_switch_draws_them_all() -> None:
     counts = {}
     for adaptive in (False, True):
         method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1, adaptive=adaptive))
-        counts[adaptive] = method.prepare(0, views).segment.triangles
+        counts[adaptive] = method.prepare(0, views).prepared.triangles
     assert counts[False][0] == counts[False][1] == counts[True][1] > counts[True][0]
 
 

@@ -21,9 +21,9 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.networks.export import export_network
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork
 from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
-from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth
 from synthesis_samples import hall_view, posed, write_hall

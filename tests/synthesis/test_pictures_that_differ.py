@@ -16,7 +16,7 @@ from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, KnownDepth, View
 from photometry_samples import exposed, in_eight_bits
@@ -62,7 +62,7 @@ def test_white_balance_is_matched_as_well(room: list[View]) -> None:
 
 def test_pictures_exposed_alike_are_not_changed_at_all(room: list[View]) -> None:
     pair = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE)).prepare(0, [room[0], room[2]])
-    assert pair.segment.check.curve.is_identity
+    assert pair.prepared.check.curve.is_identity
 
 
 def test_with_wrong_poses_a_cross_fade_is_shown_where_nothing_fits(room: list[View]) -> None:

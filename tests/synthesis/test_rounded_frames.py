@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.synthesis.fallback import CrossFade
-from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import as_bytes, hall_view, posed

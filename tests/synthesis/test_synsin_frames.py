@@ -14,8 +14,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.pipeline.methods import open_synsin
 from omnisyn_cli.runtime import models
 from omnisyn_cli.runtime.session import open_session
-from omnisyn_cli.synthesis.frames import synthesize
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 from synsin_samples import TINY_SIZE, HallNetworks, write_synsin_models

@@ -7,9 +7,9 @@ import pytest
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.synthesis.frames import Frame, synthesize, turned_panorama
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import Frame, synthesize, turned_panorama
 from omnisyn_cli.synthesis.trajectory import HEADINGS, Waypoint, plan_path
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import SIZE, hall_image, hall_view, posed, ws_psnr
@@ -74,7 +74,7 @@ def test_a_chain_shows_every_photograph_and_prepares_every_pair_once() -> None:
     views = [hall_view(pose) for pose in poses]
     method, prepared = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1)), []
     made = list(synthesize(views, plan_path(poses, 9), method, on_pair=lambda *told: prepared.append(told)))
-    assert [(index, pair.segment.index) for index, pair in prepared] == [(0, 0), (1, 1)]
+    assert [(index, pair.prepared.index) for index, pair in prepared] == [(0, 0), (1, 1)]
     shown = {m.panorama: m.image for m in made if m.panorama is not None}
     assert all(shown[index] is view.image for index, view in enumerate(views))
     assert len(made) == 9
@@ -153,7 +153,7 @@ def test_what_a_mask_forbids_does_not_come_back_where_photographs_are_cross_fade
     views = [replace(garbled(hall_view(pose), hole), known_depth=wrong) for pose in poses]
     options = SynthesisOptions(SIZE, threads=1, cross_fade=True)
     pair = SurfaceMethod(KnownDepth(), options).prepare(0, views)
-    assert pair.segment.cross_fade is not None
+    assert pair.prepared.cross_fade is not None
     assert pair.frame(plan_path(poses, 3)[1]).image.max() < 1.2
 
 

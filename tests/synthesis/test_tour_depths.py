@@ -9,10 +9,10 @@ import pytest
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.chain_depth import ChainDepth, PairDepth, fuse_depth
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
-from omnisyn_cli.synthesis.tours import Opinion, TourDepths, joined
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import plan_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 from synthesis_samples import SIZE, hall_view, posed
@@ -33,12 +33,12 @@ def opinions(
     *depths: DepthEstimate,
     views: Sequence[View] | None = None,
     others: Sequence[Sequence[float]] = ((0, 0, 1), (0, 0, -1)),
-) -> tuple[Opinion, ...]:
+) -> tuple[PairDepth, ...]:
     """Of the second of three views, by comparison with the first and the last."""
     before, own, after = views or [grey_view(others[0]), grey_view((0, 0, 0)), grey_view(others[1])]
     usable = np.ones((*SIZE, 1), np.float32)
     return tuple(
-        Opinion(depth, own.image, np.dstack([other.image, usable]), other.pose.inverse() @ own.pose)
+        PairDepth(depth, own.image, np.dstack([other.image, usable]), other.pose.inverse() @ own.pose)
         for depth, other in zip(depths, (before, after), strict=True)
     )
 
@@ -70,8 +70,8 @@ class Counted:
         return self._estimator(first, second)
 
 
-def tour_of(views: Sequence[View], estimator: DepthEstimator) -> TourDepths:
-    return TourDepths(views, estimator, Stopwatch(), 1)
+def tour_of(views: Sequence[View], estimator: DepthEstimator) -> ChainDepth:
+    return ChainDepth(views, estimator, Stopwatch(), 1)
 
 
 def assert_equal(one: DepthEstimate, other: DepthEstimate) -> None:
@@ -80,31 +80,31 @@ def assert_equal(one: DepthEstimate, other: DepthEstimate) -> None:
 
 
 def test_joining_an_estimate_with_itself_changes_nothing() -> None:
-    assert_equal(joined(*opinions(guesses(1), guesses(1))), guesses(1))
+    assert_equal(fuse_depth(*opinions(guesses(1), guesses(1))), guesses(1))
 
 
 def test_the_order_of_both_opinions_is_nothing() -> None:
     one, other = opinions(guesses(1), guesses(2), others=((0, 0, 1), (0.3, 0.1, -0.5)))
-    assert_equal(joined(one, other), joined(other, one))
+    assert_equal(fuse_depth(one, other), fuse_depth(other, one))
 
 
 @pytest.mark.parametrize("right", [0.301, 0.9], ids=["they agree", "they contradict each other"])
 def test_where_one_knows_nothing_the_other_stands(right: float) -> None:
     for both in ((everywhere(0.3, 0.0), everywhere(right, 0.4)), (everywhere(right, 0.4), everywhere(0.3, 0.0))):
-        found = joined(*opinions(*both))
+        found = fuse_depth(*opinions(*both))
         np.testing.assert_allclose(found.inverse_depth, right, rtol=1e-6)
         np.testing.assert_allclose(found.confidence, 0.4)
 
 
 def test_the_surer_one_stands_where_they_contradict_each_other_and_colours_say_nothing() -> None:
-    found = joined(*opinions(everywhere(0.3, 0.4), everywhere(0.5, 0.6)))
+    found = fuse_depth(*opinions(everywhere(0.3, 0.4), everywhere(0.5, 0.6)))
     np.testing.assert_array_equal(found.inverse_depth, np.float32(0.5))
     np.testing.assert_array_equal(found.confidence, np.float32(0.6))
 
 
 def test_in_a_mean_each_counts_by_the_square_of_its_parallax() -> None:
     """Neighbours 1 m ahead and 2 m aside: each is blind along its own axis, the farther one more exact."""
-    found = joined(*opinions(everywhere(0.5, 0.8), everywhere(0.51, 0.8), others=((0, 0, -1), (2, 0, 0))))
+    found = fuse_depth(*opinions(everywhere(0.5, 0.8), everywhere(0.51, 0.8), others=((0, 0, -1), (2, 0, 0))))
     directions = pixel_directions(*SIZE)
     ahead, aside = 1 - directions[..., 2] ** 2, 4 * (1 - directions[..., 0] ** 2)
     np.testing.assert_allclose(found.inverse_depth, (0.5 * ahead + 0.51 * aside) / (ahead + aside), rtol=1e-5)
@@ -118,7 +118,7 @@ def test_colours_overrule_confidence_where_one_neighbour_at_least_shows_them() -
     wrong = DepthEstimate(2.0 * truth.inverse_depth, np.full(SIZE, 0.9, np.float32))
     unsure = replace(truth, confidence=np.full(SIZE, 0.5, np.float32))
     views[2] = replace(views[2], image=np.zeros_like(views[2].image))
-    found = joined(*opinions(wrong, unsure, views=views))
+    found = fuse_depth(*opinions(wrong, unsure, views=views))
     assert (found.inverse_depth == truth.inverse_depth).mean() > 0.8
 
 
@@ -126,7 +126,7 @@ def test_estimates_of_two_sizes_meet_at_the_larger_one() -> None:
     """The smaller one is nearest-neighbour, right way up and round: its upper left quarter is the surer one."""
     small, sure = np.full((16, 32), 0.9, np.float32), np.zeros((16, 32), np.float32)
     sure[:8, :16] = 0.8
-    found = joined(*opinions(DepthEstimate(small, sure), everywhere(0.2, 0.5)))
+    found = fuse_depth(*opinions(DepthEstimate(small, sure), everywhere(0.2, 0.5)))
     expected = np.full(SIZE, 0.2, np.float32)
     expected[:32, :64] = 0.9
     np.testing.assert_array_equal(found.inverse_depth, expected)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from omnisyn_cli.interpolation.viewer.packing import (
-    NO_SURFACE,
+    NO_SURFACE_CODE,
     inverse_depth_codes,
     packed_map,
     packed_mask,
@@ -42,15 +42,15 @@ def test_a_plane_takes_next_to_nothing() -> None:
 def test_inverse_depths_are_off_by_less_than_one_part_in_their_code() -> None:
     rho = np.geomspace(1e-5, 7.0, 4096, dtype=np.float32).reshape(64, 64)
     codes, peak = inverse_depth_codes(rho)
-    decoded = peak * (codes / (NO_SURFACE - 1.0)) ** 2
+    decoded = peak * (codes / (NO_SURFACE_CODE - 1.0)) ** 2
     assert (np.abs(decoded - rho) <= rho / np.maximum(codes, 1) * 1.01).all()
-    assert codes.max() == NO_SURFACE - 1
+    assert codes.max() == NO_SURFACE_CODE - 1
     assert peak == pytest.approx(7.0)
 
 
 def test_infinitely_far_and_no_surface_have_codes_of_their_own() -> None:
     codes, peak = inverse_depth_codes(np.array([[0.0, -1e-9], [1e-7, 2.0]], np.float32))
-    assert codes.tolist() == [[0, NO_SURFACE], [round(65534 * (1e-7 / peak) ** 0.5), 65534]]
+    assert codes.tolist() == [[0, NO_SURFACE_CODE], [round(65534 * (1e-7 / peak) ** 0.5), 65534]]
     assert (inverse_depth_codes(np.zeros((2, 4), np.float32))[0] == 0).all()
 
 

@@ -53,7 +53,9 @@ class DirectFuser(GeometricFuser):
         super().__init__(size, threads=threads)
         self._network = network
         small = self._small = working_size(size, MAX_NETWORK_ROWS, SIZE_MULTIPLE, scale=1)
-        self._enlarge = None if small is None or small == size else RemapTable.for_directions(pixel_directions(*size), small)
+        self._enlarge = (
+            None if small is None or small == size else RemapTable.for_directions(pixel_directions(*size), small)
+        )
 
     def __call__(
         self, first: Layer, second: Layer, t: float, out: Picture | None = None, confidence: Confidence | None = None

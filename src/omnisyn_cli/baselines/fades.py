@@ -15,14 +15,14 @@ from jaxtyping import Float, Float32
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import add_border
-from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames, turned_panorama
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
 __all__ = ["CrossFades", "FlowFades"]
 
-LEAST_HEIGHT = 32
+MIN_FLOW_ROWS = 32
 """Rows of the smallest pictures that optical flow is looked for in."""
 
 
@@ -63,7 +63,7 @@ class _CrossFadePair:
     def __init__(self, views: tuple[View, View], options: SynthesisOptions, clock: Stopwatch) -> None:
         self._views, self._options, self._clock = views, options, clock
 
-    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+    def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """Their average, as numbers."""
         with self._clock("render"):
             first, second = self._turned_to(waypoint.pose)
@@ -92,7 +92,7 @@ class _FlowPair(_CrossFadePair):
         self._turned: tuple[np.ndarray, ...] = ()
         self._flows: tuple[np.ndarray, ...] = ()
 
-    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+    def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """The average of both, moved, as numbers."""
         self._find_flow(waypoint.pose)
         (first, second), (forth, back), t = self._turned, self._flows, waypoint.t
@@ -123,7 +123,7 @@ def optical_flow(
     Source: Kroeger et al., Fast optical flow using dense inverse search, 2016, as in OpenCV.
     """
     height, width = first.shape[:2]
-    if height < LEAST_HEIGHT:
+    if height < MIN_FLOW_ROWS:
         return np.zeros((height, width, 2), np.float32)
     border = height // 4
     grey = [add_border(cv2.cvtColor(_bytes(image), cv2.COLOR_RGB2GRAY), border) for image in (first, second)]

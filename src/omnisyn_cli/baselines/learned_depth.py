@@ -16,7 +16,7 @@ from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["LearnedDepthEstimator"]
 
-AHEAD = np.array([0.0, 0.0, -1.0])
+FORWARD_DIRECTION = np.array([0.0, 0.0, -1.0])
 """From the first camera to the second in the forward frame, in baselines."""
 
 
@@ -58,8 +58,12 @@ class LearnedDepthEstimator:
         swapped = [swap_cameras_in_forward_frame(image) for image in reversed(images)]
         of_first, first_confidence = self._run(*images)
         of_second, second_confidence = (swap_cameras_in_forward_frame(x) for x in self._run(*swapped))
-        first_confidence = first_confidence * free_space_agreement(of_first, of_second, Pose(np.eye(3), -AHEAD))
-        second_confidence = second_confidence * free_space_agreement(of_second, of_first, Pose(np.eye(3), AHEAD))
+        first_confidence = first_confidence * free_space_agreement(
+            of_first, of_second, Pose(np.eye(3), -FORWARD_DIRECTION)
+        )
+        second_confidence = second_confidence * free_space_agreement(
+            of_second, of_first, Pose(np.eye(3), FORWARD_DIRECTION)
+        )
         return (
             self._estimate(first, frame, of_first / np.float32(baseline), first_confidence),
             self._estimate(second, frame, of_second / np.float32(baseline), second_confidence),

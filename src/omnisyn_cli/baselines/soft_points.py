@@ -23,16 +23,16 @@ from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 
 __all__ = ["NO_POINT", "Cloud", "splat"]
 
-RADIUS = 4.0
+POINT_RADIUS_ROWS = 4.0
 """Rows of the target that a disc reaches over."""
 
-POINTS = 32
+POINTS_PER_PIXEL = 32
 """How many points a pixel is made of at most: what is behind them is worth less than 1 in 1000."""
 
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Multiples of it, modulo 1, keep away from each other."""
 
-FLOOR = 1e-3
+MIN_OPACITY = 1e-3
 """Least squared distance in radii: no point is quite opaque, so that gradients reach what is behind it."""
 
 
@@ -77,7 +77,7 @@ def even_points(height: int, width: int) -> Bool[np.ndarray, "height width"]:
     Every row begins elsewhere between two points, so that no column goes without.
     """
     share = direction_tables(height, width)[0][:, None]
-    begin, column = GOLDEN * np.arange(height)[:, None] % 1.0, np.arange(width)
+    begin, column = GOLDEN_RATIO * np.arange(height)[:, None] % 1.0, np.arange(width)
     return np.asarray(np.floor(begin + (column + 1) * share) > np.floor(begin + column * share))
 
 
@@ -87,8 +87,8 @@ def list_visible(
     size: tuple[int, int],
     masks: Sequence[Bool[np.ndarray, "height width"] | None] | None = None,
     *,
-    radius: float = RADIUS,
-    most: int = POINTS,
+    radius: float = POINT_RADIUS_ROWS,
+    most: int = POINTS_PER_PIXEL,
     threads: int | None = None,
 ) -> PointLists:
     """The nearest points that cover each pixel of a target of ``size = (rows, cols)``.
@@ -139,8 +139,8 @@ def splat(
     clouds: Sequence[Cloud],
     size: tuple[int, int],
     *,
-    radius: float = RADIUS,
-    most: int = POINTS,
+    radius: float = POINT_RADIUS_ROWS,
+    most: int = POINTS_PER_PIXEL,
     threads: int | None = None,
 ) -> Float32[np.ndarray, "rows cols channels+1"]:
     """The features that a target sees, and last how opaque all points of a pixel are together, in [0, 1).
@@ -168,7 +168,7 @@ def splat(
     angle = disc_angle(radius, size[0])
 
     def band(begin: int, end: int) -> None:
-        composite(lists.points, lists.found, features, angle, FLOOR, sin_p, cos_p, out, begin, end)
+        composite(lists.points, lists.found, features, angle, MIN_OPACITY, sin_p, cos_p, out, begin, end)
 
     run_bands(band, size[0], threads)
     return out

@@ -20,8 +20,8 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import rotated_directions, sample_nearest
-from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames, turned_panorama
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator, turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -84,7 +84,7 @@ class SynSinPair:
         """Each panorama's depth as its network sees it, looked for when it is asked for."""
         return self._method.networks.estimator(*self._views)
 
-    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+    def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """What the networks show at a waypoint, as numbers in [0, 1]."""
         method, near = self._method, int(waypoint.t >= 0.5)
         clouds = [self._seen_from(k, waypoint.pose.position) for k in ((0, 1) if method.sources == 2 else (near,))]

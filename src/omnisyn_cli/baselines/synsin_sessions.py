@@ -14,14 +14,14 @@ from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["MonocularDepthEstimator", "SynSinSessions", "upright_image"]
 
-UPRIGHT = np.eye(3)
+WORLD_ROTATION = np.eye(3)
 """World from camera of a panorama as the networks want it held: up is up, and it looks along the world's −z."""
 
 
 def upright_image(view: View, size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
     """A panorama as the networks are shown it; ImageError for one that is not 2:1."""
     view.check_shape()
-    return np.asarray(rotated_image(view.image, view.pose.rotation, UPRIGHT, size), np.float32)
+    return np.asarray(rotated_image(view.image, view.pose.rotation, WORLD_ROTATION, size), np.float32)
 
 
 class MonocularDepthEstimator:
@@ -55,7 +55,7 @@ class MonocularDepthEstimator:
     def _estimate(self, view: View) -> DepthEstimate:
         """Inverse depth as the camera was held."""
         found = self.inverse_depth(upright_image(view, self.size))
-        directions = rotated_directions(self.size, UPRIGHT, view.pose.rotation)
+        directions = rotated_directions(self.size, WORLD_ROTATION, view.pose.rotation)
         confidence = np.ones(self.size, np.float32)
         if view.mask is not None:
             confidence = sample_nearest(view.mask.astype(np.float32), pixel_directions(*self.size))

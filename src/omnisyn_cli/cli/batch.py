@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from omnisyn_cli.batch.manifest import Manifest
     from omnisyn_cli.batch.runner import BatchReport, Progress
 
-MOST_SHOWN = 20
+MAX_SHOWN_JOBS = 20
 """Failures in the table at the end; all of them are in results.jsonl and in --json."""
 
 
@@ -169,10 +169,10 @@ def _print_failures(report: BatchReport) -> None:
     from rich.table import Table
 
     table = Table("job", "attempts", "error", title=f"{len(report.failed)} failed")
-    for record in report.failed[:MOST_SHOWN]:
+    for record in report.failed[:MAX_SHOWN_JOBS]:
         table.add_row(str(record["id"]), str(record.get("attempts", "")), str(record.get("error", "")))
-    if len(report.failed) > MOST_SHOWN:
-        table.add_row("…", "", f"{len(report.failed) - MOST_SHOWN} more in results.jsonl")
+    if len(report.failed) > MAX_SHOWN_JOBS:
+        table.add_row("…", "", f"{len(report.failed) - MAX_SHOWN_JOBS} more in results.jsonl")
     Console(stderr=True, markup=False).print(table)
 
 

@@ -10,7 +10,7 @@ from omnisyn_cli.cli.options import device_option, json_option, print_json, quie
 from omnisyn_cli.cli.parameters import FilePath, Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, working_folder
 
-QUICK: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512)}
+QUICK_OPTIONS: dict[str, Any] = {"sizes": ((256, 512),), "scene_size": (256, 512)}
 """What ``--quick`` stands for."""
 
 
@@ -83,7 +83,7 @@ def bench(
     from omnisyn_cli.io import check_output
 
     if quick:
-        scene_size, options = QUICK["scene_size"], {**options, "sizes": QUICK["sizes"]}
+        scene_size, options = QUICK_OPTIONS["scene_size"], {**options, "sizes": QUICK_OPTIONS["sizes"]}
     if store is not None:
         check_output(store, overwrite=True)
     with working_folder(report, "bench", is_quiet=quiet) as folder:

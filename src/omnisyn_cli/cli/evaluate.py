@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 LAYOUTS = ("auto", "omnisyn", "carla", "m3d", "zind")
 """Keys of :data:`omnisyn_cli.evaluation.datasets.FORMATS`, written out because ``--help`` should not load them."""
 
-WIDTH = 160
+TABLE_COLUMNS = 160
 """Characters of a table that no terminal limits."""
 
 
@@ -151,7 +151,7 @@ def print_table(shown: Table, title: str | None = None) -> None:
             format_value(cell.value, column.digits) for cell, column in zip(row.cells, shown.columns, strict=False)
         ]
         table.add_row(f"{row.name} (upper bound)" if row.is_bound else row.name, *cells)
-    Console(width=None if sys.stdout.isatty() else WIDTH, markup=False).print(table)
+    Console(width=None if sys.stdout.isatty() else TABLE_COLUMNS, markup=False).print(table)
     for row in shown.rows:
         if not row.cells:
             click.echo(f"{row.name}: {row.reason}")

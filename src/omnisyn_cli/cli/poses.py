@@ -30,7 +30,7 @@ EXPORT_FORMATS = ("colmap", "nerfstudio", "tum")
 
 CAMERA_AXES = ("opengl", "opencv", "flu")
 
-UP = ("y", "-y", "z", "-z", "cameras")
+UP_AXES = ("y", "-y", "z", "-z", "cameras")
 
 images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
 poses_option = click.option(
@@ -87,7 +87,9 @@ def poses() -> None:
 @click.option(
     "--origin", type=Place(), metavar="LAT,LON[,ALT]", help="Origin of a georeferenced world.  [default: first]"
 )
-@click.option("--up", type=click.Choice(UP), help="Axis of SOURCE's world that points up.  [default: the format's]")
+@click.option(
+    "--up", type=click.Choice(UP_AXES), help="Axis of SOURCE's world that points up.  [default: the format's]"
+)
 @click.option(
     "--camera-axes", "camera", type=click.Choice(CAMERA_AXES), help="Axes of SOURCE's cameras.  [default: the format's]"
 )

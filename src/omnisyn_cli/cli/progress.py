@@ -10,7 +10,7 @@ import click
 
 COMPILING = "note: compiling the kernels, once per installation: about half a minute"
 
-SHORT = 1.5
+MIN_BAR_SECONDS = 1.5
 """Seconds of compiling that nobody needs to be told about."""
 
 COMPILING_AGAIN = (
@@ -36,7 +36,7 @@ def say_when_compiling(
         if not is_quiet:
             click.echo(note, err=True)
 
-    return when_compiling(say, SHORT)
+    return when_compiling(say, MIN_BAR_SECONDS)
 
 
 @contextmanager

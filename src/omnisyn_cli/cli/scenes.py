@@ -29,7 +29,7 @@ def scenes() -> None:
 scenes.add_command(render)
 
 
-OF_THE_SUITE = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"}
+SUITE_OPTIONS = {"out", "suite", "wide", "size", "threads", "overwrite", "quiet"}
 """Parameters that the standard set has not fixed."""
 
 
@@ -130,7 +130,7 @@ def _check_suite_options(context: click.Context) -> None:
     given = [
         option.opts[0]
         for option in context.command.params
-        if option.name not in OF_THE_SUITE and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
+        if option.name not in SUITE_OPTIONS and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE
     ]
     if given:
         options = ", ".join(given)

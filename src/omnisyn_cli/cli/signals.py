@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-FORMER: dict[str, Callable[[int, FrameType | None], Any] | signal.Handlers] = {
+FORMER_HANDLERS: dict[str, Callable[[int, FrameType | None], Any] | signal.Handlers] = {
     "SIGINT": signal.default_int_handler,
     "SIGTERM": signal.SIG_DFL,
     "SIGHUP": signal.SIG_DFL,
@@ -19,10 +19,10 @@ FORMER: dict[str, Callable[[int, FrameType | None], Any] | signal.Handlers] = {
 HAS_ALARM = hasattr(signal, "setitimer")
 """Whether the system wakes a program to look again; Windows does not, so exceptions are raised at once there."""
 
-MOMENT = 0.02
+SIGNAL_RETRY_SECONDS = 0.02
 """Seconds until it is looked again whether an exception may be raised."""
 
-PATIENCE = 10.0
+SIGNAL_PATIENCE_SECONDS = 10.0
 """Seconds after which it is raised wherever the program is: something hangs."""
 
 FRAGILE_MODULES = {
@@ -32,10 +32,10 @@ FRAGILE_MODULES = {
 FRAGILE_FUNCTIONS = {"__del__", "__enter__", "__exit__"}
 """Where an exception is lost, leaves a lock taken or gives it back twice, or breaks off what tidies up or publishes."""
 
-WAITING = {"as_completed", "result", "wait"}
+WAITING_FUNCTIONS = {"as_completed", "result", "wait"}
 """Functions of fragile modules that may wait for ever and, while they do, bear an exception."""
 
-DECORATED = "inner"
+CONTEXT_FUNCTION = "inner"
 """Of contextlib: calls a function that is decorated with a context, which may be the whole work."""
 
 
@@ -50,7 +50,7 @@ def signals_raised() -> Iterator[None]:
     That a signal came is raised at the end in any case, whatever else failed, or was still done, after it.
     """
     is_main = threading.current_thread() is threading.main_thread()
-    ours = [getattr(signal, name) for name, former in FORMER.items() if is_main and _handler(name) is former]
+    ours = [getattr(signal, name) for name, former in FORMER_HANDLERS.items() if is_main and _handler(name) is former]
     arrived: list[tuple[int, float]] = []
     seen = 0, -1
 
@@ -59,10 +59,10 @@ def signals_raised() -> Iterator[None]:
         if not arrived:
             arrived.append((number, time.monotonic()))
         before, seen = seen, (id(frame), frame.f_lasti if frame else -1)
-        is_late = time.monotonic() > arrived[0][1] + PATIENCE
+        is_late = time.monotonic() > arrived[0][1] + SIGNAL_PATIENCE_SECONDS
         if is_late or not HAS_ALARM or not _is_fragile(frame, is_waiting=seen == before):
             raise _ending(arrived[0][0])
-        signal.setitimer(signal.ITIMER_REAL, MOMENT)
+        signal.setitimer(signal.ITIMER_REAL, SIGNAL_RETRY_SECONDS)
 
     for number in ours:
         signal.signal(number, look)
@@ -75,7 +75,7 @@ def signals_raised() -> Iterator[None]:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, signal.SIG_DFL)
         for number in ours:
-            signal.signal(number, FORMER[signal.Signals(number).name])
+            signal.signal(number, FORMER_HANDLERS[signal.Signals(number).name])
         if arrived:
             raise _ending(arrived[0][0]) from None
 
@@ -93,7 +93,7 @@ def _is_fragile(frame: FrameType | None, *, is_waiting: bool) -> bool:
     collectors = {getattr(callback, "__code__", None) for callback in gc.callbacks}  # what they raise is lost
     while frame is not None:
         name, module = frame.f_code.co_name, frame.f_globals.get("__name__")
-        is_borne = name == DECORATED or (is_waiting and name in WAITING)
+        is_borne = name == CONTEXT_FUNCTION or (is_waiting and name in WAITING_FUNCTIONS)
         is_tidying = name in FRAGILE_FUNCTIONS or frame.f_code in collectors
         if is_tidying or (module in FRAGILE_MODULES and not is_borne):
             return True

@@ -10,7 +10,7 @@ from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
-from omnisyn_cli.synthesis.presets import DEFAULT_PRESET, PRESETS
+from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
 FOLDER = FilePath(file_okay=False)
 

@@ -32,10 +32,10 @@ Decorator = Callable[..., Any]
 """Numba's decorators say nothing about the types of what they make."""
 
 
-COMPILATION = "numba:compile"
+COMPILE_EVENT = "numba:compile"
 """What numba calls it."""
 
-ELSEWHERE = "elsewhere"
+OTHER_PROCESS = "elsewhere"
 """Said of what another process compiles, and long enough to be worth a word."""
 
 
@@ -129,7 +129,7 @@ class _Compilation(event.Listener):  # type: ignore[misc]
         self._depth += 1
         if self._depth > 1 or self._say is None:
             return
-        if self._left <= 0.0 or event.data == ELSEWHERE:
+        if self._left <= 0.0 or event.data == OTHER_PROCESS:
             self._tell()
             return
         self._begun = time.perf_counter()
@@ -160,7 +160,7 @@ def when_compiling(say: Callable[[], None], patience: float = 0.0) -> Iterator[N
     """Call ``say`` once if kernels are compiled in between for longer than so many seconds; others are on disk."""
     listener = _Compilation(say, patience)
     try:
-        with event.install_listener(COMPILATION, listener):
+        with event.install_listener(COMPILE_EVENT, listener):
             yield
     finally:
         listener.rest()
@@ -186,11 +186,11 @@ class _Change(event.Listener):  # type: ignore[misc]
 @contextmanager
 def while_compiling(say: Callable[[bool], None]) -> Iterator[None]:
     """Call ``say`` with True whenever a kernel is compiled in between, and with False afterwards."""
-    with event.install_listener(COMPILATION, _Change(say)):
+    with event.install_listener(COMPILE_EVENT, _Change(say)):
         yield
 
 
 def announce_compiling() -> None:
     """Let those who wait in :func:`when_compiling` know that another process, started by this one, compiles."""
-    event.start_event(COMPILATION, data=ELSEWHERE)
-    event.end_event(COMPILATION, data=ELSEWHERE)
+    event.start_event(COMPILE_EVENT, data=OTHER_PROCESS)
+    event.end_event(COMPILE_EVENT, data=OTHER_PROCESS)

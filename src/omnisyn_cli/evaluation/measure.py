@@ -21,7 +21,7 @@ from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
 from omnisyn_cli.geometry.pose import Pose, at_same_position, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
-from omnisyn_cli.synthesis.frames import turned_panorama
+from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.methods import Pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
@@ -176,8 +176,8 @@ def _depth_record(found: DepthEstimate, view: View, name: str) -> DepthRecord:
     plain, weighted = (metrics.depth_metrics(estimate, truth, weighted=weighted) for weighted in (False, True))
     doubt, reliability = metrics.confidence_metrics(estimate, confidence, truth)
     if found.stereo_valid is not None:
-        sure = sample_nearest(found.stereo_valid.astype(np.float32), pixel_directions(*truth.shape))
-        doubt |= metrics.unsure_metrics(estimate, truth, sure > 0)
+        stereo_valid = sample_nearest(found.stereo_valid.astype(np.float32), pixel_directions(*truth.shape))
+        doubt |= metrics.left_right_metrics(estimate, truth, stereo_valid > 0)
     return DepthRecord(name, plain, weighted, doubt=doubt, reliability=reliability)
 
 

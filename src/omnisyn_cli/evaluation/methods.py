@@ -38,7 +38,7 @@ from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.synthesis.frames import Frame, MemoryForFrames
+from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
@@ -196,7 +196,7 @@ class _FirstOfPair:
     def __init__(self, pair: SurfacePair) -> None:
         self._pair, self.depths = pair, pair.depths
 
-    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+    def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """What the first view shows."""
         return self._pair.frame(replace(waypoint, t=AT_FIRST), out)
 

@@ -9,7 +9,7 @@ from omnisyn_cli.evaluation.datasets import Pair, SceneFrame
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_mask, read_panorama
 from omnisyn_cli.io.images import check_mask_size
-from omnisyn_cli.synthesis.frames import turned_panorama
+from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 

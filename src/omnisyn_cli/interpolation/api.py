@@ -1,7 +1,7 @@
 """The library in a few verbs, for notebooks and scripts: what ``import omnisyn_cli`` offers.
 
-Read panoramas and poses, estimate depth, make frames, write a video; :mod:`omnisyn_cli.evaluation.public_api` evaluates. An
-estimator of depth or a fuser of your own is any callable with the signature of
+Read panoramas and poses, estimate depth, make frames, write a video; :mod:`omnisyn_cli.evaluation.public_api`
+evaluates. An estimator of depth or a fuser of your own is any callable with the signature of
 :class:`~omnisyn_cli.types.DepthEstimator` or :class:`~omnisyn_cli.types.Fuser`.
 """
 
@@ -28,7 +28,7 @@ from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.synthesis.consistency import equalize_exposure
-from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Ease, Heading, plan_path
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 

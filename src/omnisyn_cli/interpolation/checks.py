@@ -19,7 +19,7 @@ from omnisyn_cli.poses.file import PosedPanorama
 
 __all__ = ["check_choices"]
 
-OF_OWN_FRAMES = (
+SURFACE_FIELDS = (
     "preset", "depth", "model", "renderer", "cut", "cut_metres", "fusion", "adaptive", "fallback", "save_confidence",
     "save_depth", "view",
 )  # fmt: skip
@@ -28,7 +28,7 @@ OF_OWN_FRAMES = (
 OUTPUTS = ("output", "save_depth", "save_frames", "save_confidence", "view")
 """Fields of a job that name what is written."""
 
-MOST_NADIR = math.radians(90.0)
+MAX_NADIR_RADIANS = math.radians(90.0)
 """A cap that is no hemisphere yet."""
 
 
@@ -73,10 +73,10 @@ def check_choices(job: TourJob) -> None:
             f"expected one mask for each of {len(job.images)} panoramas, got {len(job.masks)}; name them in the order "
             "of the panoramas, or in the pose file"
         )
-    if not 0.0 <= job.nadir < MOST_NADIR:
+    if not 0.0 <= job.nadir < MAX_NADIR_RADIANS:
         raise InputError(
-            f"expected a cap around the nadir of at least 0 and less than {math.degrees(MOST_NADIR):g} degrees, got "
-            f"{math.degrees(job.nadir):g}; give the angle from straight down to its edge"
+            f"expected a cap around the nadir of at least 0 and less than {math.degrees(MAX_NADIR_RADIANS):g} degrees, "
+            f"got {math.degrees(job.nadir):g}; give the angle from straight down to its edge"
         )
 
 
@@ -89,7 +89,7 @@ def check_method(job: InterpolationJob) -> None:
     if METHODS[job.method].draws_surfaces:
         return
     usual = InterpolationJob(job.images, job.poses, job.output)
-    for name in OF_OWN_FRAMES:
+    for name in SURFACE_FIELDS:
         chosen = getattr(job, name)
         if chosen != getattr(usual, name):
             raise InputError(

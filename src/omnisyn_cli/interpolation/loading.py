@@ -62,7 +62,9 @@ class Loader(Sequence[View]):
     def __getitem__(self, index: int) -> View:  # type: ignore[override]
         with self._clock("decode"):
             panorama, (mask, known_depth) = self.panorama(index), self._companions(index)
-            return View(panorama.image(), self._plan.entries[index].pose, mask, known_depth, image_uint8=panorama.samples)
+            return View(
+                panorama.image(), self._plan.entries[index].pose, mask, known_depth, image_uint8=panorama.samples
+            )
 
     def forget_numbers(self, index: int) -> None:
         """What the surfaces of a pair have been made of is not needed as numbers any more."""

@@ -11,7 +11,12 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.interpolation import checks
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, TourJob
-from omnisyn_cli.interpolation.planning.memory import Keeping, estimated_memory, estimated_surface_memory, joins_depth
+from omnisyn_cli.interpolation.planning.memory import (
+    Footprint,
+    estimated_memory,
+    estimated_surface_memory,
+    fuses_chain_depth,
+)
 from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, surface_recipe, video_recipe
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
@@ -25,7 +30,7 @@ __all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpo
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
 
-MOST_FRAMES = 1_000_000
+MAX_FRAMES = 1_000_000
 """Nine hours; more is taken for a mistake."""
 
 
@@ -50,10 +55,10 @@ class TourPlan:
     @property
     def looks_ahead(self) -> bool:
         """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
-        return joins_depth(self.recipe, len(self.entries))
+        return fuses_chain_depth(self.recipe, len(self.entries))
 
     @property
-    def joined_depths(self) -> int:
+    def fused_depths(self) -> int:
         """How many panoramas have their depth from both neighbours: those inside that stand apart from both."""
         is_apart = [not at_same_position(before.pose, after.pose) for before, after in pairwise(self.entries)]
         return sum(a and b for a, b in pairwise(is_apart)) if self.looks_ahead else 0
@@ -81,7 +86,7 @@ class TourPlan:
             "preset": self.job.preset if is_own else "",
             "depth": recipe.depth.kind,
             "model": (recipe.depth.model or "") if is_own else ", ".join(recipe.networks),
-            "joined_depths": self.joined_depths,
+            "joined_depths": self.fused_depths,
             **(after or {}),
             "memory_mib": round(memory / 2**20),
             "notes": list(self.notes),
@@ -147,9 +152,7 @@ def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     )  # fmt: skip
 
 
-def plan_tour(
-    job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], Recipe] = surface_recipe
-) -> TourPlan:
+def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], Recipe] = surface_recipe) -> TourPlan:
     """Check what does not depend on what is made of the panoramas; the output's name is looked at, but not its place.
 
     Args:
@@ -173,7 +176,7 @@ def plan_tour(
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
 
 
-def memory_of_surfaces(tour: TourPlan, keeping: Keeping) -> int:
+def memory_of_surfaces(tour: TourPlan, keeping: Footprint) -> int:
     """Bytes that something made of the surfaces of a tour will take, estimated."""
     surfaces = _surface_sizes(tour.recipe, tour.source_sizes, tour.entries)
     return estimated_surface_memory(tour.job, tour.recipe, tour.source_sizes, surfaces, keeping)
@@ -239,8 +242,8 @@ def frame_count(job: InterpolationJob) -> int:
         )
     seconds = job.duration if job.duration is not None else SECONDS_PER_PAIR * (len(job.images) - 1)
     count = job.frames if job.frames is not None else seconds * job.fps
-    if not math.isfinite(count) or count > MOST_FRAMES:
-        raise InputError(f"expected at most {MOST_FRAMES:,} frames, got {count:g}; ask for fewer")
+    if not math.isfinite(count) or count > MAX_FRAMES:
+        raise InputError(f"expected at most {MAX_FRAMES:,} frames, got {count:g}; ask for fewer")
     if round(count) < len(job.images):
         raise InputError(
             f"expected at least {len(job.images)} frames, one for each panorama, got {round(count)}; "
@@ -275,9 +278,7 @@ def _notes_about_depth(job: TourJob, entries: Sequence[PosedPanorama], recipe: R
         yield f"{job.poses.name} names depth, but {why}: depth of all is estimated from the pictures"
 
 
-def _notes_about_video(
-    job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe
-) -> Iterator[str]:
+def _notes_about_video(job: InterpolationJob, entries: Sequence[PosedPanorama], recipe: Recipe) -> Iterator[str]:
     if note := recipe.method_strategy.note:
         yield f"{recipe.method} {note}"
     for where, is_turned in pairs_at_one_place(job, entries):

@@ -14,7 +14,7 @@ from omnisyn_cli.runtime.session import check_device_of_networks
 
 __all__ = ["check_device", "surface_recipe", "video_recipe"]
 
-FRAMES_THAT_PAY = 32
+MIN_FRAMES_TO_SIMPLIFY = 32
 """Between two panoramas, from which on fewer triangles save more time than it takes to find them.
 
 Finding them takes 0.5 s of one core for a mesh of 1024×512, each frame of 1024×512 or 2048×1024 then 0.02 s less.
@@ -62,7 +62,7 @@ def for_frames(recipe: Recipe, job: InterpolationJob, frames: int) -> Recipe:
     """The recipe for so many frames: with fewer triangles, if nobody says otherwise, where that saves time."""
     if job.adaptive is not None:
         return recipe
-    is_worth_it = frames > FRAMES_THAT_PAY * (len(job.images) - 1) and not recipe.is_on_gpu
+    is_worth_it = frames > MIN_FRAMES_TO_SIMPLIFY * (len(job.images) - 1) and not recipe.is_on_gpu
     return replace(recipe, adaptive=recipe.adaptive and is_worth_it)
 
 

@@ -29,9 +29,9 @@ from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
 from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.synthesis.consistency import CrossCheck
-from omnisyn_cli.synthesis.frames import Frame, synthesize
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
-from omnisyn_cli.synthesis.segments import measure_pair
+from omnisyn_cli.synthesis.prepared_pair import measure_pair
+from omnisyn_cli.synthesis.synthesize import Frame, synthesize
 from omnisyn_cli.types import DepthEstimate, DepthEstimator
 
 __all__ = ["run_interpolation"]
@@ -178,12 +178,12 @@ class _PairKeeper:
         """Look at a pair before its frames are made; give up on a doubtful one if that is asked for."""
         if not isinstance(pair, SurfacePair):
             return
-        self.pairs[index] = confidence = pair.segment.check.confidence
-        if pair.segment.triangles is not None:
-            self.made.triangles[index] = pair.segment.triangles
+        self.pairs[index] = confidence = pair.prepared.check.confidence
+        if pair.prepared.triangles is not None:
+            self.made.triangles[index] = pair.prepared.triangles
         self.made.shade_at_infinity[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         refuse_doubtful(self._plan, index, confidence)
-        self._keep(index, pair.depths, pair.segment.check)
+        self._keep(index, pair.depths, pair.prepared.check)
         self._loader.forget_numbers(index)
 
     def count(self, frame: Frame) -> None:

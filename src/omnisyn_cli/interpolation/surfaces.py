@@ -20,9 +20,9 @@ from omnisyn_cli.interpolation.plan import TourPlan
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
+from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck
-from omnisyn_cli.synthesis.segments import SynthesisOptions, measure_pair, usable_image
-from omnisyn_cli.synthesis.tours import TourDepths
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions, measure_pair, usable_image
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View
 
 
@@ -94,7 +94,7 @@ def tour_surfaces(
     clock, recipe, threads = clock or Stopwatch(), plan.recipe, plan.job.threads
     loader = Loader(plan, clock, read)
     estimator = estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
-    tour = TourDepths(loader, estimator, clock, threads)
+    tour = ChainDepth(loader, estimator, clock, threads)
     for first, second in pairwise(range(len(loader))):
         with limited_threads(threads):
             views = loader[first], loader[second]

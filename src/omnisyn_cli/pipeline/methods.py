@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
     from omnisyn_cli.pipeline.config import Recipe
     from omnisyn_cli.synthesis.methods import Method
-    from omnisyn_cli.synthesis.segments import SynthesisOptions
+    from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
     from omnisyn_cli.types import DepthEstimator, Fuser
 
 __all__ = ["METHODS", "OMNISYN", "SYNSIN_MODELS", "make_method", "open_synsin"]
@@ -156,7 +156,7 @@ def make_method(
         InputError: a network cannot be found or loaded, or there is no such device.
     """
     from omnisyn_cli.render.mesh import Cut
-    from omnisyn_cli.synthesis.segments import SynthesisOptions
+    from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 
     options = SynthesisOptions(
         size, recipe.renderer_strategy.load(), Cut(recipe.cut, recipe.cut_metres), threads,

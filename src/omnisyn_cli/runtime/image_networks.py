@@ -8,9 +8,9 @@ from jaxtyping import Float32
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.runtime.session import run_depth_network, run_network
 
-__all__ = ["ResidualFusionSession", "DirectFusionSession", "CompletionSession"]
+__all__ = ["CompletionSession", "DirectFusionSession", "ResidualFusionSession"]
 
-MULTIPLE = 32
+SIZE_MULTIPLE = 32
 """The completion network halves its input five times, the other one four: heights and widths are multiples of this."""
 
 
@@ -82,7 +82,7 @@ class DirectFusionSession:
 def _padded(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes rows columns"]:
     """Of a size that networks can halve, carried on over the seam and beyond the poles."""
     height, width = planes.shape[1:]
-    below, beyond = -height % MULTIPLE, -width % MULTIPLE
+    below, beyond = -height % SIZE_MULTIPLE, -width % SIZE_MULTIPLE
     padded = np.pad(planes, ((0, 0), (0, below), (0, 0)), mode="edge")
     return np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
 

@@ -36,7 +36,7 @@ __all__ = ["MANIFEST", "MANIFEST_VERSION", "ModelEntry", "find_model", "models_f
 MANIFEST = "manifest.toml"
 MANIFEST_VERSION = 1
 
-LONGEST_REASON = 500
+MAX_REASON_CHARS = 500
 """Characters of what a parser complains about."""
 
 
@@ -78,7 +78,7 @@ def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
         manifest = tomllib.loads(path.read_text(encoding="utf-8"))
         entries = TypeAdapter(list[ModelEntry]).validate_python(manifest.get("models", []))
     except (OSError, ValueError, RecursionError) as error:  # of TOML, of UTF-8, of pydantic
-        reason = f"{error!s:.{LONGEST_REASON}}".replace("\n", " ")
+        reason = f"{error!s:.{MAX_REASON_CHARS}}".replace("\n", " ")
         raise InputError(f"expected a manifest of models in {path}, but {reason}; write it with export-onnx") from error
     if manifest.get("version") != MANIFEST_VERSION:
         raise InputError(

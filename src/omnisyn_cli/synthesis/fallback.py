@@ -58,6 +58,8 @@ class CrossFade:
                     for turn, texture, share in zip(turns, self._textures, (1.0 - t, t), strict=True):
                         photograph = self._shader.rows_at_infinity(texture, turn, rows.start, rows.stop)[..., :3]
                         mixed += np.float32(share) * here * np.maximum(photograph, 0.0)
-                    image[rows] = np.minimum(mixed, quantization.max_colour) * quantization.scale + quantization.rounding
+                    image[rows] = (
+                        np.minimum(mixed, quantization.max_colour) * quantization.scale + quantization.rounding
+                    )
 
         run_bands(band, len(image), self._threads)

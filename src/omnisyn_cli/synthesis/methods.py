@@ -14,9 +14,9 @@ from jaxtyping import Float32
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.synthesis.between import Frame, Fused, MemoryForFrames, fused
-from omnisyn_cli.synthesis.segments import Segment, SynthesisOptions, prepare_segment
-from omnisyn_cli.synthesis.tours import TourDepths
+from omnisyn_cli.synthesis.chain_depth import ChainDepth
+from omnisyn_cli.synthesis.frame import Frame, FrameAllocator, FusedFrame, fuse_frame
+from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions, prepare_pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
@@ -34,7 +34,7 @@ class Pair(Protocol):
         """What is known about the distances in both; None for methods without geometry."""
         ...
 
-    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+    def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """What is seen at a waypoint.
 
         Args:
@@ -72,7 +72,7 @@ class SurfaceMethod:
     """Depth → mesh → render both → fuse; a :class:`Method`.
 
     Args:
-        estimator: finds the depth of each pair, see :class:`~omnisyn_cli.synthesis.tours.TourDepths`.
+        estimator: finds the depth of each pair, see :class:`~omnisyn_cli.synthesis.chain_depth.ChainDepth`.
         options: size and settings.
         fuser: joins the two renderings; geometric by default.
         clock: collects seconds by stage.
@@ -86,18 +86,18 @@ class SurfaceMethod:
     ) -> None:  # fmt: skip
         self.estimator, self.options, self.clock = estimator, options, clock or Stopwatch()
         self._fuser, self._device = fuser or GeometricFuser(options.size, threads=options.threads), device
-        self._tour: TourDepths | None = None
+        self._tour: ChainDepth | None = None
 
-    def depths_of(self, views: Sequence[View]) -> TourDepths:
+    def depths_of(self, views: Sequence[View]) -> ChainDepth:
         """The depth of a chain, which remembers what the next pair needs as long as no other chain is asked for."""
         if self._tour is None or self._tour.views is not views:
-            self._tour = TourDepths(views, self.estimator, self.clock, self.options.threads)
+            self._tour = ChainDepth(views, self.estimator, self.clock, self.options.threads)
         return self._tour
 
     def prepare(self, index: int, views: Sequence[View]) -> SurfacePair:
         """Find the depth of both and make their surfaces."""
-        segment = prepare_segment(index, self.depths_of(views), self.options, self.clock, self._device)
-        return SurfacePair(segment, self._fuser, self.options, self.clock)
+        prepared = prepare_pair(index, self.depths_of(views), self.options, self.clock, self._device)
+        return SurfacePair(prepared, self._fuser, self.options, self.clock)
 
 
 class SurfacePair:
@@ -106,23 +106,23 @@ class SurfacePair:
     A frame in which nothing would be seen aside of where it was in the one before is that one, shown again.
 
     Attributes:
-        segment: the surfaces.
+        prepared: the surfaces.
     """
 
-    def __init__(self, segment: Segment, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> None:
-        self.segment, self._fuser, self._options, self._clock = segment, fuser, options, clock
-        self._last: Fused | None = None
+    def __init__(self, prepared: PreparedPair, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch) -> None:
+        self.prepared, self._fuser, self._options, self._clock = prepared, fuser, options, clock
+        self._last: FusedFrame | None = None
 
     @property
     def depths(self) -> tuple[DepthEstimate, DepthEstimate]:
         """See :class:`Pair`."""
-        return self.segment.depths
+        return self.prepared.depths
 
-    def frame(self, waypoint: Waypoint, out: MemoryForFrames | None = None) -> Frame:
+    def frame(self, waypoint: Waypoint, out: FrameAllocator | None = None) -> Frame:
         """See :class:`Pair`."""
         if self._last is not None and self._last.looks_the_same_from(waypoint):
             return self._last.again(waypoint, out)
-        self._last = fused(self.segment, waypoint, self._fuser, self._options, self._clock, out)
+        self._last = fuse_frame(self.prepared, waypoint, self._fuser, self._options, self._clock, out)
         return self._last.frame
 
     def inverse_depth(self, waypoint: Waypoint, views: Sequence[int] = (0, 1)) -> Float32[np.ndarray, "height width"]:
@@ -135,4 +135,4 @@ class SurfacePair:
         return self._rendering(waypoint, 0), self._rendering(waypoint, 1)
 
     def _rendering(self, waypoint: Waypoint, view: int) -> Layer:
-        return self.segment.renderers[view](waypoint.pose.inverse() @ self.segment.poses[view])
+        return self.prepared.renderers[view](waypoint.pose.inverse() @ self.prepared.poses[view])

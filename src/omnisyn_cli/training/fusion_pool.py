@@ -39,9 +39,9 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import Scene, render_panorama
-from omnisyn_cli.synthesis.frames import synthesize
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.training.data import load_samples, save_samples, stacked, window_columns
 from omnisyn_cli.training.pool import TiltedConfig, as_told, held_askew, scene_path
@@ -138,10 +138,10 @@ class _Recorder(ResidualFuser):
         self._kept = kept
         self.seen: list[tuple[np.ndarray, np.ndarray]] = []
 
-    def correct(self, planes: np.ndarray, look: WarpCandidates, strength: np.ndarray, picture: np.ndarray) -> None:
+    def correct(self, channels: np.ndarray, candidates: WarpCandidates, strength: np.ndarray, picture: np.ndarray) -> None:
         """See :class:`omnisyn_cli.fusion.residual.ResidualFuser`; nothing is corrected."""
-        pictures = [picture, *look.candidates(self.size)[..., :3]]
-        self.seen.append((planes, np.concatenate([small_planes(each, self._kept) for each in pictures])))
+        pictures = [picture, *candidates.candidates(self.size)[..., :3]]
+        self.seen.append((channels, np.concatenate([small_planes(each, self._kept) for each in pictures])))
 
 
 class _Recording:

@@ -6,9 +6,9 @@ import pytest
 from confidence_samples import generated_views
 from omnisyn_cli.fusion.confidence import confidence_step, low_confidence_regions
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, Layer
 

@@ -18,9 +18,9 @@ from omnisyn_cli.io import read_panorama
 from omnisyn_cli.pipeline.methods import METHODS
 from omnisyn_cli.synthesis.device import pair
 from omnisyn_cli.synthesis.device.pair import GpuFrames
-from omnisyn_cli.synthesis.frames import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
-from omnisyn_cli.synthesis.segments import SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint, plan_path
 from omnisyn_cli.types import KnownDepth
 from synthesis_samples import hall_view, posed, write_hall
@@ -168,6 +168,6 @@ def test_masked_photographs_are_painted_over_first() -> None:
         fuser = GeometricFuser(SIZE, threads=1, edges=False)
         method = SurfaceMethod(KnownDepth(), SynthesisOptions(SIZE, threads=1), fuser, device=device)
         frames[name] = [frame.image.copy() for frame in synthesize(views, path, method)]
-        assert (method.prepare(0, views).segment.on_device is None) == (device is None)
+        assert (method.prepare(0, views).prepared.on_device is None) == (device is None)
     for found, expected in zip(frames["gpu"], frames["cpu"], strict=True):
         assert share_within_a_level(found, expected) >= 0.995

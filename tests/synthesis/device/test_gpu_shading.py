@@ -11,7 +11,7 @@ from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.shade import make_confidence_map
 from omnisyn_cli.render.shade import shade as shade_by_kernels
 from omnisyn_cli.render.texture import Texture, make_texture
-from omnisyn_cli.synthesis.device.shading import shade, texture_on, confidence_on
+from omnisyn_cli.synthesis.device.shading import confidence_on, shade, texture_on
 
 SIZE = (40, 80)
 

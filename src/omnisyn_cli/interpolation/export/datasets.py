@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.remap import MAX_REMAP_COLUMNS, RemapTable
 from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_scale, pixel_to_texture
 from omnisyn_cli.interpolation.export.points import Points, ply_points
@@ -34,7 +34,7 @@ PANORAMAS, RIG = "panoramas", "faces"
 
 MODEL = "sparse/0"
 
-MILLIMETRES, MOST_MILLIMETRES = 1000.0, 65535
+MILLIMETRES, MAX_DEPTH_MILLIMETRES = 1000.0, 65535
 """In a metre; in samples of 16 bits."""
 
 
@@ -114,7 +114,7 @@ def write_nerfstudio_view(folder: Path, view: DatasetView) -> None:
     """Picture, depth in millimetres along the ray, mask."""
     _write_picture(folder / "images" / f"{view.name}.jpg", view.picture)
     millimetres = np.rint(MILLIMETRES * _depth(view.inverse_depth, 0.0))
-    known = np.where(millimetres <= MOST_MILLIMETRES, millimetres, 0)
+    known = np.where(millimetres <= MAX_DEPTH_MILLIMETRES, millimetres, 0)
     _write_picture(folder / "depths" / f"{view.name}.png", known.astype(np.uint16))
     _write_mask(folder / "masks" / f"{view.name}.png", view.usable())
 

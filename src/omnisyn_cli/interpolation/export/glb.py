@@ -19,7 +19,7 @@ from omnisyn_cli.interpolation.export.mesh import TexturedMesh
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 
-MOST_BYTES = 2**32 - 1
+MAX_GLB_BYTES = 2**32 - 1
 """Lengths in a GLB are numbers of 32 bits."""
 
 TRIANGLES, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 4, 34962, 34963
@@ -127,7 +127,7 @@ class GltfModel:
         view = {"buffer": 0, "byteOffset": self._length, "byteLength": len(data)}
         self._chunks.append(data + bytes(-len(data) % 4))
         self._length += len(self._chunks[-1])
-        if self._length > MOST_BYTES // 2:
+        if self._length > MAX_GLB_BYTES // 2:
             raise InputError(
                 "expected a model of at most 2 GiB, which is what viewers can hold, got more; name fewer panoramas, or "
                 "ask for a smaller texture (--texture)"

@@ -16,7 +16,7 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_to_angles, pix
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.simplify import flat_rectangles
 
-FLATNESS = 0.01
+MAX_FLATNESS = 0.01
 """Share of its distance by which a point of the surface may be moved along its ray.
 
 With true depth that leaves one triangle in six and costs 0.03 dB half way; with estimated depth one in four."""
@@ -65,7 +65,7 @@ def textured_mesh(mesh: Mesh, texture_height: int, threads: int | None = None) -
     """
     shift = SHIFT * mesh.size[0] / texture_height  # in pixels of the mesh
     angle = shift * float(pixel_to_angles(1.0, 0.0, mesh.size)[1] - pixel_to_angles(0.0, 0.0, mesh.size)[1])
-    rectangles, pieces = flat_rectangles(mesh, FLATNESS, angle, threads)
+    rectangles, pieces = flat_rectangles(mesh, MAX_FLATNESS, angle, threads)
     parts = [_stitched(mesh, _split(mesh, rectangles, shift)), _in_pieces(mesh, pieces)]
     begin = np.cumsum([0, *(len(points) for points, _, _ in parts)])
     points, pixels = (np.concatenate([part[k] for part in parts]) for k in (0, 1))

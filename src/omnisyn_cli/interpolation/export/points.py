@@ -13,19 +13,19 @@ from omnisyn_cli.geometry.sphere import direction_tables, normalize, pixel_direc
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import BOTTOM, LEFT, TOP
 
-DISC = 0.55
+DISC_RADIUS_SHARE = 0.55
 """Standard deviation of a disc, in distances of its neighbours: four of them cover what lies between to 90 %.
 
 Half way through a warehouse 0.5 and 0.55 are best (24.6 dB, 0.6 has 24.1), and 0.5 lets twice as much through.
 """
 
-THICKNESS = 0.01
+DISC_THICKNESS_SHARE = 0.01
 """Of a disc, in its radius."""
 
-LEAST_COSINE = 0.25
+MIN_COSINE = 0.25
 """Between a surface's normal and the line of sight: what is seen at a smaller angle gets no longer discs."""
 
-OPACITY = 0.99
+DISC_OPACITY = 0.99
 
 ZEROTH_HARMONIC = 0.28209479177387814
 """The constant spherical harmonic, √(1/4π): colours are stored as what lies above one half, divided by it."""
@@ -83,8 +83,8 @@ def points_of(
     colour = _colours(picture, direction, max(height // stride, 1))
     normal = _normals(mesh)[row, col]
     turn, cosine = _facing(direction, normal)
-    across = DISC * stride / pixel_scale(mesh.size)[0] / rho
-    radius = np.stack([across / np.maximum(cosine, LEAST_COSINE), across], -1)
+    across = DISC_RADIUS_SHARE * stride / pixel_scale(mesh.size)[0] / rho
+    radius = np.stack([across / np.maximum(cosine, MIN_COSINE), across], -1)
     return Points(
         pose.transform(direction / rho[:, None]), colour, confidence[row, col], normal @ pose.rotation.T, radius,
         quaternion_from_rotation(pose.rotation @ turn),
@@ -158,11 +158,11 @@ def ply_splats(points: Points) -> np.ndarray:
 
     Source: Kerbl et al., 3D Gaussian Splatting for Real-Time Radiance Field Layer, 2023; their ``save_ply``.
     """
-    thin = THICKNESS * points.radius[:, 1:]
+    thin = DISC_THICKNESS_SHARE * points.radius[:, 1:]
     return _structured({
         **_named(("x", "y", "z"), points.position, "<f4"), **_named(("nx", "ny", "nz"), points.normal, "<f4"),
         **_named(("f_dc_0", "f_dc_1", "f_dc_2"), (points.colour / 255.0 - 0.5) / ZEROTH_HARMONIC, "<f4"),
-        "opacity": (np.full(len(points), np.log(OPACITY / (1.0 - OPACITY))), "<f4"),
+        "opacity": (np.full(len(points), np.log(DISC_OPACITY / (1.0 - DISC_OPACITY))), "<f4"),
         **_named(("scale_0", "scale_1", "scale_2"), np.log(np.concatenate([points.radius, thin], axis=1)), "<f4"),
         **_named(("rot_0", "rot_1", "rot_2", "rot_3"), points.turn, "<f4"),
     })  # fmt: skip

@@ -18,7 +18,7 @@ from omnisyn_cli.interpolation.export.mesh import textured_mesh
 from omnisyn_cli.interpolation.export.points import Points, joined, ply_points, ply_splats, points_of
 from omnisyn_cli.interpolation.job import TourJob
 from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
-from omnisyn_cli.interpolation.planning.memory import Keeping
+from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary
 from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import check_output
@@ -28,13 +28,13 @@ from omnisyn_cli.poses.formats import foreign_from_pose
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh, mask_of_vertices
 from omnisyn_cli.types import DepthEstimator
 
-JPEG_BYTES, MODEL_BYTES = 0.4, 40
+JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES = 0.4, 40
 """Of each pixel of a texture and each vertex of a surface in a GLB."""
 
-POINT_BYTES, SPREAD = 107, 0.64
+POINT_BYTES, POINTS_PER_VERTEX = 107, 0.64
 """Of a point that is kept, and points for each vertex: they lie as dense everywhere, vertices denser at the poles."""
 
-PLY_POINT, PLY_SPLAT = 31, 68
+PLY_POINT_BYTES, PLY_SPLAT_BYTES = 31, 68
 """Bytes of a point and of a disc in a file."""
 
 
@@ -60,17 +60,17 @@ class Format(NamedTuple):
 
 FORMATS: Mapping[str, Format] = {
     "glb": Format(".glb", "y", 1, sky=True),
-    "ply": Format(".ply", "y", 1, sky=False, point=PLY_POINT),
-    "splats": Format(".ply", "-y", 1, sky=True, point=PLY_SPLAT),
-    "colmap": Format("", "-y", 4, sky=False, point=PLY_POINT, writing=37),
-    "nerfstudio": Format("", "z", 4, sky=False, point=PLY_POINT, writing=20),
+    "ply": Format(".ply", "y", 1, sky=False, point=PLY_POINT_BYTES),
+    "splats": Format(".ply", "-y", 1, sky=True, point=PLY_SPLAT_BYTES),
+    "colmap": Format("", "-y", 4, sky=False, point=PLY_POINT_BYTES, writing=37),
+    "nerfstudio": Format("", "z", 4, sky=False, point=PLY_POINT_BYTES, writing=20),
 }
 """By name. A ``.ply`` without a name is points."""
 
-SHELLS = 0.01
+DOME_STEP_SHARE = 0.01
 """Share of its radius by which the dome of each panorama is larger than the last one's, so that none flickers."""
 
-ON_DOME = 1.0 - 1e-4
+DOME_SHARE = 1.0 - 1e-4
 """What is as far as this share of the dome's radius lies on it."""
 
 
@@ -112,10 +112,10 @@ class ExportPlan(TourPlan):
         """Bytes that it will take, estimated."""
         chosen = FORMATS[self.format]
         if chosen.point == 0:
-            keeping = Keeping(JPEG_BYTES, MODEL_BYTES, columns=self.job.texture)
+            keeping = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)
         else:
-            spread = SPREAD / self.stride**2
-            keeping = Keeping(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
+            spread = POINTS_PER_VERTEX / self.stride**2
+            keeping = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
         return memory_of_surfaces(self, keeping)
 
     def describe(self) -> dict[str, Any]:
@@ -231,9 +231,9 @@ def _write_model(plan: ExportPlan, surfaces: Iterator[PanoramaSurface], clock: S
     for surface in surfaces:
         with clock("export"):
             picture = surface.samples(plan.job.texture)
-            radius = plan.job.dome * (1.0 + SHELLS * surface.index)
+            radius = plan.job.dome * (1.0 + DOME_STEP_SHARE * surface.index)
             whole = textured_mesh(_domed(plan, surface, radius), len(picture), plan.job.threads)
-            near, sky = whole.split(radius * ON_DOME)
+            near, sky = whole.split(radius * DOME_SHARE)
             shown = {"": near, "sky": sky} if plan.sky else {"": near}
             model.add(plan.job.images[surface.index].name, surface.view.pose, shown, picture)
             triangles += sum(len(mesh.triangles) for mesh in shown.values())
@@ -289,7 +289,7 @@ def _points(plan: ExportPlan, surface: PanoramaSurface) -> Points:
     """Of one panorama, in the format's world."""
     dome = plan.job.dome
     pose = foreign_from_pose(surface.view.pose, camera="opengl", up=FORMATS[plan.format].up)
-    farthest = np.inf if plan.sky else ON_DOME * dome
+    farthest = np.inf if plan.sky else DOME_SHARE * dome
     mesh = _domed(plan, surface, dome)
     return points_of(mesh, surface.depth.confidence, surface.samples(), pose, plan.stride, farthest)
 

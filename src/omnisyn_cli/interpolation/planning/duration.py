@@ -1,10 +1,9 @@
 """How long a job will take on this machine: its work by what was measured elsewhere, its pace by former runs here.
 
-Work is computing in seconds of one core of the machine that :data:`TABLE` was measured on: once, plus so much for each
-pair of panoramas, plus so much for each frame. Every stage has the figures of a setting that agrees in what this stage
-depends on. Pace is what a second of work takes here on the clock: that of the most similar runs which this machine
-remembers, or, before there is one, a guess from the time of a small piece of work (:func:`probe`). Nothing heavy is
-loaded for any of it.
+Work is computing, in seconds of one core of the machine of :data:`TABLE_NAME`: once, for each pair, and for each frame.
+Every stage has the figures of a setting that agrees in what this stage depends on. Pace is the time on the clock for a
+second of work: that of the most similar former runs here. Before there is one, :func:`probe` guesses it. Nothing heavy
+is loaded for any of it.
 """
 
 from __future__ import annotations
@@ -37,23 +36,23 @@ if TYPE_CHECKING:
 
 __all__ = ["Duration", "expected_duration", "probe", "remember_run", "shipped_table"]
 
-TABLE = "pareto.json"
+TABLE_NAME = "pareto.json"
 
 RUNS_NAME = "runs.json"
 
-MOST_RUNS = 40
+MAX_RUNS = 40
 """That are remembered."""
 
 SIMILAR_RUNS = 5
 """Of which the median is the pace."""
 
-SPREADING = 0.75
+THREAD_SCALING_EXPONENT = 0.75
 """A guess: n threads do as much as n to this power."""
 
-LEAST_SECONDS = 0.5
+MIN_WORK_SECONDS = 0.5
 """Of work, below which a run says nothing about the pace."""
 
-TRIES = 7
+PROBE_REPEATS = 7
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def probe() -> float:
     values = np.linspace(0.0, 1.0, 1 << 18)
     places, found = np.random.default_rng(0).permutation(len(values)), np.empty_like(values)
     least = math.inf
-    for _ in range(TRIES):
+    for _ in range(PROBE_REPEATS):
         begin = time.process_time()
         np.take(values, places, out=found, mode="clip")
         np.cumsum(found, out=found)
@@ -119,7 +118,7 @@ def probe() -> float:
 
 def shipped_table() -> tuple[Figures, ...]:
     """The figures that came with the program; InputError: they are missing or damaged."""
-    return read_table(Path(str(files("omnisyn_cli"))) / "interpolation" / "planning" / TABLE)
+    return read_table(Path(str(files("omnisyn_cli"))) / "interpolation" / "planning" / TABLE_NAME)
 
 
 def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None = None) -> Duration | None:
@@ -133,7 +132,7 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
         return None
     slowness = probe() / median(figures.probe for figures in table)
     threads = _threads(plan)
-    guess = slowness / threads**SPREADING
+    guess = slowness / threads**THREAD_SCALING_EXPONENT
     runs = _similar(remembered_runs(), threads, math.prod(plan.size))
     pairs, frames = (_pace((getattr(run, part) for run in runs), guess) for part in ("pairs", "frames"))
     source = (
@@ -154,11 +153,11 @@ def remember_run(summary: Summary) -> None:
             return
         pairs = sum(seconds.get(stage, 0.0) for stage in ("decode", "depth", "check", "mesh"))
         pace = (
-            took / planned if planned >= LEAST_SECONDS else None
+            took / planned if planned >= MIN_WORK_SECONDS else None
             for took, planned in ((pairs, work.pairs), (seconds["total"] - pairs, work.frames))
         )
         run = Run(_threads(plan), math.prod(plan.size), *pace)
-        runs = [run, *remembered_runs()][:MOST_RUNS]
+        runs = [run, *remembered_runs()][:MAX_RUNS]
         folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
         write_parts(folder / RUNS_NAME, [json.dumps([asdict(each) for each in runs]).encode()])
@@ -232,10 +231,10 @@ def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
 
 
 def _usual(table: Sequence[Figures]) -> list[Figures]:
-    return _like(table, PRESETS[DEFAULT_PRESET].recipe, *ASPECTS)
+    return _like(table, PRESETS[DEFAULT_PRESET].recipe, *STAGE_SETTINGS)
 
 
-ASPECTS: dict[str, Callable[[Recipe], object]] = {
+STAGE_SETTINGS: dict[str, Callable[[Recipe], object]] = {
     "depth.kind": lambda recipe: recipe.depth.kind,
     "depth.networks": lambda recipe: recipe.depth.networks,
     "renderer": lambda recipe: recipe.renderer,
@@ -247,7 +246,11 @@ ASPECTS: dict[str, Callable[[Recipe], object]] = {
 
 def _like(table: Sequence[Figures], recipe: Recipe, *aspects: str) -> list[Figures]:
     """Figures of settings that agree with a recipe."""
-    return [f for f in table if all(ASPECTS[aspect](f.recipe) == ASPECTS[aspect](recipe) for aspect in aspects)]
+    return [
+        f
+        for f in table
+        if all(STAGE_SETTINGS[aspect](f.recipe) == STAGE_SETTINGS[aspect](recipe) for aspect in aspects)
+    ]
 
 
 def _nearest(measured: Sequence[Figures], recipe: Recipe) -> Figures:

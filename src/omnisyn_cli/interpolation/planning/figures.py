@@ -40,7 +40,7 @@ FRAME_STAGES = ("render", "fuse", "encode")
 STANDARD_FRAMES = 90
 """Frames of the clip that settings are compared by: three seconds between two panoramas."""
 
-VERSION = 2
+TABLE_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Setting:
         return f"{self.method}, {self.size[1]}x{self.size[0]}, {threads}"
 
 
-NO_RECIPE = Recipe()
+DEFAULT_RECIPE = Recipe()
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Figures:
     setting: Setting
     status: Literal["done", "failed"] = "done"
     reason: str = ""
-    recipe: Recipe = NO_RECIPE
+    recipe: Recipe = DEFAULT_RECIPE
     key: str = ""
     source: tuple[int, int] = (0, 0)
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -164,7 +164,7 @@ def write_table(path: Path, machine: str, measured: Sequence[Figures]) -> None:
     WriteError: the disk is full, or there is no such folder.
     """
     done = [figures.to_json() for figures in measured if figures.status == "done"]
-    content = {"version": VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
+    content = {"version": TABLE_VERSION, "omnisyn": __version__, "machine": machine, "figures": done}
     text = json.dumps(content, allow_nan=False).replace('{"setting"', '\n{"setting"')  # a line for each
     write_parts(path, [f"{text}\n".encode()])
 
@@ -173,12 +173,13 @@ def read_table(path: Path) -> tuple[Figures, ...]:
     """The figures that :func:`write_table` wrote, all of one machine; InputError: it cannot be read, or is none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if content["version"] != VERSION:
+        if content["version"] != TABLE_VERSION:
             raise ValueError(f"version {content['version']}")
         return tuple(FIGURES.validate_python(values) for values in content["figures"])
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path}: expected a table of version {VERSION} from `omnisyn bench --store`, got '{error}'; write it anew"
+            f"{path}: expected a table of version {TABLE_VERSION} from `omnisyn bench --store`, got '{error}'; write it "
+            "anew"
         ) from error
 
 

@@ -11,34 +11,34 @@ from omnisyn_cli.io import read_header
 from omnisyn_cli.io.background import frames_in_queue
 from omnisyn_cli.pipeline.config import Recipe
 
-PASSING, PASSING_ROUNDED = 18, 10
+FRAME_COPY_BYTES, ROUNDED_COPY_BYTES = 18, 10
 """Bytes of each pixel of a frame that are held for a moment on the way from one form to another; if it is made of
 samples of 8 bits."""
 
-CONFIDENCE = 12
+CONFIDENCE_BYTES = 12
 """Bytes of each pixel of a frame for how far it can be relied on, and on the way of that to where it goes."""
 
-MIP_LEVELS = 4 / 3
+MIP_LEVEL_SHARE = 4 / 3
 """Pixels of a texture with its mip levels, in those of the picture."""
 
 
-NUMBERS = 12
+FLOAT_PIXEL_BYTES = 12
 """Bytes of each pixel of a panorama as numbers, which depth is found in."""
 
-BETWEEN_PAIRS = 80e6
+UNCOLLECTED_BYTES = 80e6
 """Bytes that finding the depth of one pair leaves lying until that of the next is found."""
 
-AHEAD = 4 * 8
+LOOK_AHEAD_VERTEX_BYTES = 4 * 8
 """Bytes of each vertex of a surface that are held of the pair after the one at work, and while both are joined."""
 
 
-def joins_depth(recipe: Recipe, panoramas: int) -> bool:
+def fuses_chain_depth(recipe: Recipe, panoramas: int) -> bool:
     """Whether depth of a panorama comes from both its neighbours, for which the next pair is compared as well."""
     return recipe.estimates_depth and panoramas > 2
 
 
 @dataclass(frozen=True)
-class Keeping:
+class Footprint:
     """Bytes that something made of surfaces takes.
 
     Attributes:
@@ -58,7 +58,7 @@ class Keeping:
 
 def estimated_surface_memory(
     job: TourJob, recipe: Recipe, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
-    keeping: Keeping,
+    keeping: Footprint,
 ) -> int:  # fmt: skip
     """Bytes, estimated: the most of what is held while depth is found and while something is made of a surface.
 
@@ -75,10 +75,10 @@ def estimated_surface_memory(
     source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    panorama = NUMBERS + (3 if has_edge_samples else NUMBERS)
-    more = (panorama * largest + BETWEEN_PAIRS) if len(sources) > 2 else 0.0
-    if joins_depth(recipe, len(sources)):
-        more += panorama * largest + AHEAD * vertices
+    panorama = FLOAT_PIXEL_BYTES + (3 if has_edge_samples else FLOAT_PIXEL_BYTES)
+    more = (panorama * largest + UNCOLLECTED_BYTES) if len(sources) > 2 else 0.0
+    if fuses_chain_depth(recipe, len(sources)):
+        more += panorama * largest + LOOK_AHEAD_VERTEX_BYTES * vertices
     picture = largest if keeping.columns is None else min(largest, keeping.columns**2 // 2)
     kept = len(sources) * (keeping.per_pixel * picture + keeping.per_vertex * vertices)
     making = max(
@@ -113,19 +113,25 @@ def estimated_memory(
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
     has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
     is_kept_as_samples = has_edge_samples and recipe.renderer == "mesh"
-    kept = (3 if has_edge_samples else 12) + MIP_LEVELS * 4 * (1 if is_kept_as_samples else 4)
+    kept = (3 if has_edge_samples else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
     texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
     program = source.bytes_of_program(depths)
-    frames = _bytes_of_frames(job, recipe, size) + NUMBERS * largest
+    frames = _bytes_of_frames(job, recipe, size) + FLOAT_PIXEL_BYTES * largest
     if not recipe.draws_surfaces:
         return int(program + 2 * kept * largest + frames)
     finding = source.bytes_of_finding(depths)
     if source.refines(depths):
-        finding += 2 * NUMBERS * largest
-    ahead = (NUMBERS + (3 if has_edge_samples else 0)) * largest + AHEAD * vertices + BETWEEN_PAIRS
-    texturing_surfaces = 2 * recipe.renderer_strategy.building_bytes * vertices + 2 * (NUMBERS + texturing) * largest
+        finding += 2 * FLOAT_PIXEL_BYTES * largest
+    ahead = (
+        (FLOAT_PIXEL_BYTES + (3 if has_edge_samples else 0)) * largest
+        + LOOK_AHEAD_VERTEX_BYTES * vertices
+        + UNCOLLECTED_BYTES
+    )
+    texturing_surfaces = (
+        2 * recipe.renderer_strategy.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * largest
+    )
     frames += 2 * recipe.renderer_strategy.kept_bytes * vertices
-    more = ahead if joins_depth(recipe, len(sources)) else 0.0
+    more = ahead if fuses_chain_depth(recipe, len(sources)) else 0.0
     return int(program + 2 * kept * largest + more + max(finding, texturing_surfaces, frames))
 
 
@@ -141,6 +147,12 @@ def _bytes_of_frames(job: InterpolationJob, recipe: Recipe, size: tuple[int, int
     is_held = not renderer.shades_on_demand or (fusion.by_rules and ghost_sample_step(size) == 1)
     is_judged = recipe.fallback == "crossfade" or recipe.confidence
     marked = 1 if recipe.supersamples else 0
-    frame = PASSING_ROUNDED if is_rounded(job) else 12 + PASSING
-    whole = 2 * (renderer.pixel_bytes + (16 if is_held else 0)) + 1 + marked + frame + (CONFIDENCE if is_judged else 0)
+    frame = ROUNDED_COPY_BYTES if is_rounded(job) else 12 + FRAME_COPY_BYTES
+    whole = (
+        2 * (renderer.pixel_bytes + (16 if is_held else 0))
+        + 1
+        + marked
+        + frame
+        + (CONFIDENCE_BYTES if is_judged else 0)
+    )
     return fusion.network_bytes(pixels) + pixels * (whole + pyramid + 3 * largest_sample * waiting + planes)

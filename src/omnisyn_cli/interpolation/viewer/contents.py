@@ -27,10 +27,10 @@ from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT
 
 UP_AXIS = 1
 
-STEEP = 0.8
+MIN_GROUND_COSINE = 0.8
 """Cosine of the angle from straight down up to which ground is looked for."""
 
-USUAL_HEIGHT = 1.5
+DEFAULT_EYE_HEIGHT_METRES = 1.5
 
 STORED_LEVELS = np.linspace(0.0, 1.0, 256)
 
@@ -143,8 +143,8 @@ def _eye_height(surface: PanoramaSurface) -> float:
     """Metres above the ground that lies below a panorama; 1.5 where nothing is known of it."""
     rho, confidence = surface.mesh.inverse_depth, surface.depth.confidence
     down = -(pixel_directions(*surface.mesh.size) @ surface.view.pose.rotation[UP_AXIS])
-    is_known = (down > STEEP) & (rho > 0.0) & (confidence > 0.0)
-    return float(np.median(down[is_known] / rho[is_known])) if is_known.any() else USUAL_HEIGHT
+    is_known = (down > MIN_GROUND_COSINE) & (rho > 0.0) & (confidence > 0.0)
+    return float(np.median(down[is_known] / rho[is_known])) if is_known.any() else DEFAULT_EYE_HEIGHT_METRES
 
 
 def _poles(mesh: Mesh) -> list[float | None]:

@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.render.mesh import Mesh
 
-NO_SURFACE = 65535
+NO_SURFACE_CODE = 65535
 """Code of a vertex without a surface; those of inverse depths are smaller."""
 
-QUALITY = 88
+JPEG_QUALITY = 88
 """Of JPEG files: at 92 they are a third larger."""
 
 
@@ -57,8 +57,8 @@ def inverse_depth_codes(inverse_depth: Float[np.ndarray, "rows cols"]) -> tuple[
     An inverse depth is off by at most one part in its code: by 0.1 % where it is 1/4000 of the greatest.
     """
     peak = max(float(inverse_depth.max()), 1e-6)
-    codes = np.rint(np.sqrt(np.maximum(inverse_depth, 0.0) / peak) * (NO_SURFACE - 1))
-    return np.where(inverse_depth < 0.0, NO_SURFACE, codes).astype(np.uint16), peak
+    codes = np.rint(np.sqrt(np.maximum(inverse_depth, 0.0) / peak) * (NO_SURFACE_CODE - 1))
+    return np.where(inverse_depth < 0.0, NO_SURFACE_CODE, codes).astype(np.uint16), peak
 
 
 def confidence_codes(mesh: Mesh) -> UInt8[np.ndarray, "quarter_rows quarter_cols"] | None:
@@ -75,7 +75,7 @@ def packed_photograph(
     samples: UInt8[np.ndarray, "height width 3"], *, is_lossless: bool
 ) -> tuple[bytes, dict[str, Any]]:
     """A photograph as a file, and its kind and size."""
-    kind, data = ("png", _png_bytes(samples)) if is_lossless else ("jpeg", jpeg_bytes(samples, QUALITY))
+    kind, data = ("png", _png_bytes(samples)) if is_lossless else ("jpeg", jpeg_bytes(samples, JPEG_QUALITY))
     return data, {"type": f"image/{kind}", "width": samples.shape[1], "height": samples.shape[0]}
 
 

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from omnisyn_cli.interpolation.viewer.contents import RULES, Walk
 from omnisyn_cli.io.outputs import staged_folder, write_parts
 
-MOST_BYTES = 32 * 2**20
+MAX_PAGE_BYTES = 32 * 2**20
 """Of one file: what phones open without running out of memory."""
 
 SCRIPTS = (

@@ -10,18 +10,18 @@ from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.interpolation.checks import check_page
 from omnisyn_cli.interpolation.job import TourJob
 from omnisyn_cli.interpolation.plan import TourPlan, memory_of_surfaces, pairs_at_one_place, plan_tour
-from omnisyn_cli.interpolation.planning.memory import Keeping
+from omnisyn_cli.interpolation.planning.memory import Footprint
 from omnisyn_cli.interpolation.summary import TourSummary, refuse_doubtful
 from omnisyn_cli.interpolation.surfaces import tour_surfaces
 from omnisyn_cli.interpolation.viewer.contents import TourPacker, ViewOptions
-from omnisyn_cli.interpolation.viewer.page import MOST_BYTES, write_folder, write_page
+from omnisyn_cli.interpolation.viewer.page import MAX_PAGE_BYTES, write_folder, write_page
 from omnisyn_cli.io.outputs import check_empty_folder, check_kept
 from omnisyn_cli.types import DepthEstimator
 
-JPEG_BYTES, PNG_BYTES = 0.3, 2.0
+JPEG_PIXEL_BYTES, PNG_PIXEL_BYTES = 0.3, 2.0
 """Of each pixel of a photograph in a page; everything is there twice, packed and as the text of the page."""
 
-MAP_BYTES = 4.0
+MAP_VERTEX_BYTES = 4.0
 """Of each vertex of a surface, likewise: of both neighbours' pairs."""
 
 
@@ -47,8 +47,10 @@ class ViewPlan(TourPlan):
     @property
     def memory(self) -> int:
         """Bytes that it will take, estimated."""
-        per_pixel = PNG_BYTES if self.job.options.is_lossless else JPEG_BYTES
-        return memory_of_surfaces(self, Keeping(2 * per_pixel, 2 * MAP_BYTES, columns=self.job.options.texture))
+        per_pixel = PNG_PIXEL_BYTES if self.job.options.is_lossless else JPEG_PIXEL_BYTES
+        return memory_of_surfaces(
+            self, Footprint(2 * per_pixel, 2 * MAP_VERTEX_BYTES, columns=self.job.options.texture)
+        )
 
     def describe(self) -> dict[str, Any]:
         """See :meth:`TourPlan.described`."""
@@ -127,9 +129,9 @@ def run_view(
 
 def _check_size(plan: ViewPlan, packer: TourPacker) -> None:
     """As early as it shows."""
-    if packer.blocks.size * 4 / 3 > MOST_BYTES:
+    if packer.blocks.size * 4 / 3 > MAX_PAGE_BYTES:
         raise OutputPathError(
-            f"{plan.job.output}: expected a walk of at most {MOST_BYTES >> 20} MiB in one file, got more with "
+            f"{plan.job.output}: expected a walk of at most {MAX_PAGE_BYTES >> 20} MiB in one file, got more with "
             f"{len(plan.entries)} panoramas of {plan.job.options.texture} columns; ask for fewer columns "
             "(--texture), or for a folder (--folder --serve)"
         )

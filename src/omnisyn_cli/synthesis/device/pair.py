@@ -37,7 +37,7 @@ from omnisyn_cli.types import DepthEstimate, Layer
 
 __all__ = ["GpuFrames"]
 
-PIXELS_AT_A_TIME = 1 << 20
+PIXELS_PER_STEP = 1 << 20
 """Pixels that are coloured or blended together."""
 
 
@@ -88,7 +88,7 @@ class GpuFrames:
 
     def bands(self) -> Iterator[slice]:
         """Rows that are coloured or blended together."""
-        rows = max(1, PIXELS_AT_A_TIME // self.size[1])
+        rows = max(1, PIXELS_PER_STEP // self.size[1])
         for top in range(0, self.size[0], rows):
             yield slice(top, min(top + rows, self.size[0]))
 
@@ -197,7 +197,9 @@ class GpuPair:
         """The picture, ghosts suppressed and holes filled, see :class:`omnisyn_cli.fusion.geometric.GeometricFuser`."""
         frames = self._frames
         if frames.ghosts.is_full_resolution:
-            first, second = (surface.with_cached_colour(view) for surface, view in zip(self.surfaces, (first, second), strict=True))
+            first, second = (
+                surface.with_cached_colour(view) for surface, view in zip(self.surfaces, (first, second), strict=True)
+            )
         suppression = None if have_same_position(first, second) else frames.ghosts(first, second, rule)
         views = LayerPair(first, second).with_step(suppression)
         image = torch.empty((*frames.size, 3), device=frames.device)

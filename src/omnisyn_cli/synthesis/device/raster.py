@@ -5,7 +5,7 @@ All of it is float64: the work is reading and writing memory, on a GPU too, and 
 float32 would be too coarse. The nearest surface is the maximum of the inverse depths; that does not depend on the order
 in which pixels are visited, so neither does the picture.
 
-Memory: 1 kB for each of :data:`QUADS_AT_A_TIME` quads, 0.3 kB for each of :data:`CANDIDATES_AT_A_TIME` pixels in boxes,
+Memory: 1 kB for each of :data:`QUADS_PER_STEP` quads, 0.3 kB for each of :data:`CANDIDATES_PER_STEP` pixels in boxes,
 24 bytes for every point of the mesh and 4 for every pixel of the target.
 """
 
@@ -23,11 +23,11 @@ from omnisyn_cli.render.box_kernels import WIDE_QUAD_RADIANS
 from omnisyn_cli.render.quad_kernels import EDGE_ON_DETERMINANT, split_quad
 from omnisyn_cli.synthesis.device.quads import Quads
 
-AT_A_POLE = 1e-8
+MIN_POLE_SINE = 1e-8
 """A point that is less than this (radians) from a pole of the target has no azimuth of its own."""
 
-QUADS_AT_A_TIME = 1 << 18
-CANDIDATES_AT_A_TIME = 1 << 21
+QUADS_PER_STEP = 1 << 18
+CANDIDATES_PER_STEP = 1 << 21
 
 EDGE_OVERLAP_RADIANS = 1e-9
 """Radians by which edges are moved outwards, far beyond rounding: no gap opens between neighbours or at a vertex."""
@@ -80,8 +80,8 @@ class GpuRasterizer:
         position = torch.as_tensor(target_from_source.position).to(quads.direction)
         points = quads.direction @ rotation.T + quads.inverse_depth[:, None] * position
         nearest = torch.full((self.size[0] * self.size[1],), -1.0, device=self.device)
-        for begin in range(0, len(quads.corner), QUADS_AT_A_TIME):
-            corner = quads.corner[begin : begin + QUADS_AT_A_TIME]
+        for begin in range(0, len(quads.corner), QUADS_PER_STEP):
+            corner = quads.corner[begin : begin + QUADS_PER_STEP]
             corners = points[corner]
             plan = _planned(corners, quads.inverse_depth[corner])
             self._draw(plan, self._boxes(corners), nearest)
@@ -110,8 +110,8 @@ class GpuRasterizer:
         area = torch.where(is_seen, boxes.rows * boxes.cols, 0)
         ends = area.cumsum(0)
         begins, total = ends - area, int(ends[-1])
-        for begin in range(0, total, CANDIDATES_AT_A_TIME):
-            number = torch.arange(begin, min(begin + CANDIDATES_AT_A_TIME, total), device=self.device)
+        for begin in range(0, total, CANDIDATES_PER_STEP):
+            number = torch.arange(begin, min(begin + CANDIDATES_PER_STEP, total), device=self.device)
             quad = torch.searchsorted(ends, number, right=True)
             number, cols = number - begins[quad], boxes.cols[quad]
             down = torch.div(number, cols, rounding_mode="floor")
@@ -124,7 +124,7 @@ class GpuRasterizer:
         x, y, z = corners.unbind(-1)
         row = torch.atan2(torch.hypot(x, z), y) * row_scale + row_zero
         col = torch.atan2(x, -z) * col_scale + col_zero
-        is_pole = torch.maximum(x.abs(), z.abs()) <= AT_A_POLE * y.abs()
+        is_pole = torch.maximum(x.abs(), z.abs()) <= MIN_POLE_SINE * y.abs()
         col = torch.where(is_pole, col.roll(2, dims=1), col)
         turn = col - col[:, :1]
         turn = turn - width * torch.round(turn / width)

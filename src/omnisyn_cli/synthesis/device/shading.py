@@ -111,7 +111,9 @@ def shade(
     col = torch.atan2(x, -z) * col_scale + col_zero
     footprint = (texture.rows / target_rows) ** 2 / (flat + y * y + 1e-20)
     level = 0.5 * torch.log2(footprint)
-    level = torch.maximum((1.0 - float(MIP_BIAS)) * level, level - float(MIP_BIAS)).clamp_max(float(len(texture.begin) - 1))
+    level = torch.maximum((1.0 - float(MIP_BIAS)) * level, level - float(MIP_BIAS)).clamp_max(
+        float(len(texture.begin) - 1)
+    )
     is_minified = (level > float(MAX_FULL_RESOLUTION_LEVEL))[..., None]
     colour = torch.where(is_minified, _between_levels(texture, row, col, level), _bicubic(texture, row, col))
     colour = colour * texture.unit

@@ -32,20 +32,20 @@ from omnisyn_cli.types import DepthEstimate, DepthEstimator, KnownDepth, View
 if TYPE_CHECKING:
     from omnisyn_cli.compute.stopwatch import Stopwatch
 
-__all__ = ["TourDepths"]
+__all__ = ["ChainDepth"]
 
-MISMATCH = 0.02
+COLOUR_MISMATCH_SCALE = 0.02
 """Difference of colours that makes an estimate e times less likely where two contradict each other."""
 
-MOST_MISMATCH = 0.2
+MAX_COLOUR_MISMATCH = 0.2
 """Greater differences say no more, as masked pixels do."""
 
-AROUND = 3
+MISMATCH_WINDOW_PIXELS = 3
 """Side in pixels, at the size of the check, of the squares that colours are compared in."""
 
 
 @dataclass(frozen=True)
-class Opinion:
+class PairDepth:
     """What was found of a panorama by comparing it with one neighbour.
 
     Attributes:
@@ -72,14 +72,18 @@ class Opinion:
         )
         seen = sample_nearest(self.other, moved)
         gap = np.abs(seen[..., :3] - self.image).mean(axis=-1)
-        gap = np.where(seen[..., 3] > 0.99, np.minimum(gap, MOST_MISMATCH), MOST_MISMATCH)
-        return filter_across_seam(partial(cv2.blur, ksize=(AROUND, AROUND)), gap.astype(np.float32), AROUND // 2)
+        gap = np.where(seen[..., 3] > 0.99, np.minimum(gap, MAX_COLOUR_MISMATCH), MAX_COLOUR_MISMATCH)
+        return filter_across_seam(
+            partial(cv2.blur, ksize=(MISMATCH_WINDOW_PIXELS, MISMATCH_WINDOW_PIXELS)),
+            gap.astype(np.float32),
+            MISMATCH_WINDOW_PIXELS // 2,
+        )
 
 
-def joined(one: Opinion, other: Opinion) -> DepthEstimate:
+def fuse_depth(one: PairDepth, other: PairDepth) -> DepthEstimate:
     """Both opinions of a panorama as one estimate, of the size of the larger; their order changes nothing."""
     size = max(one.depth.inverse_depth.shape, other.depth.inverse_depth.shape)
-    depths = [_enlarged(opinion.depth, size) for opinion in (one, other)]
+    depths = [_enlarged(pair_depth.depth, size) for pair_depth in (one, other)]
     (rho, sure), (other_rho, other_sure) = ((depth.inverse_depth, depth.confidence) for depth in depths)
     near, far = np.maximum(rho, other_rho), np.minimum(rho, other_rho)
     likely, other_likely = (depth.confidence * _likeness(depth, (one, other)) for depth in depths)
@@ -93,12 +97,14 @@ def joined(one: Opinion, other: Opinion) -> DepthEstimate:
     return DepthEstimate(inverse_depth.astype(np.float32), confidence.astype(np.float32))
 
 
-def _likeness(depth: DepthEstimate, opinions: tuple[Opinion, Opinion]) -> Float32[np.ndarray, "height width"]:
+def _likeness(depth: DepthEstimate, pair_depths: tuple[PairDepth, PairDepth]) -> Float32[np.ndarray, "height width"]:
     """How well colours fit to an estimate in the neighbour where they fit better, in (0, 1]."""
-    reduced = subsample_depth(depth, opinions[0].image.shape[:2]).inverse_depth
-    reduced = resized_to(reduced, opinions[0].image.shape[:2], cv2.INTER_NEAREST)
-    mismatch = np.minimum(*(opinion.mismatch(reduced) for opinion in opinions))
-    return resized_to(np.exp(-mismatch / np.float32(MISMATCH)), depth.inverse_depth.shape, cv2.INTER_NEAREST)
+    reduced = subsample_depth(depth, pair_depths[0].image.shape[:2]).inverse_depth
+    reduced = resized_to(reduced, pair_depths[0].image.shape[:2], cv2.INTER_NEAREST)
+    mismatch = np.minimum(*(pair_depth.mismatch(reduced) for pair_depth in pair_depths))
+    return resized_to(
+        np.exp(-mismatch / np.float32(COLOUR_MISMATCH_SCALE)), depth.inverse_depth.shape, cv2.INTER_NEAREST
+    )
 
 
 def _enlarged(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
@@ -108,7 +114,7 @@ def _enlarged(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
     return DepthEstimate(*(sample_nearest(np.asarray(x), directions) for x in (depth.inverse_depth, depth.confidence)))
 
 
-class TourDepths:
+class ChainDepth:
     """The depth of the panoramas of a chain, found when it is asked for.
 
     To know all about the second panorama of a pair, the pair after it is compared too. What has been found and may be
@@ -127,7 +133,7 @@ class TourDepths:
     ) -> None:
         self.views = views
         self._estimator, self._clock, self._threads = estimator, clock, threads
-        self._opinions: dict[tuple[int, int], Opinion | None] = {}
+        self._pair_depths: dict[tuple[int, int], PairDepth | None] = {}
         self._known: dict[int, DepthEstimate] = {}
 
     def __call__(self, index: int) -> tuple[DepthEstimate, DepthEstimate]:
@@ -138,8 +144,8 @@ class TourDepths:
                 return self._estimator(*views)
         depths = self._of(index), self._of(index + 1)
         self._known = {view: depth for view, depth in self._known.items() if view in (index, index + 1)}
-        self._opinions = {
-            (view, other): opinion for (view, other), opinion in self._opinions.items()
+        self._pair_depths = {
+            (view, other): pair_depth for (view, other), pair_depth in self._pair_depths.items()
             if view in (index - 1, index + 2) and other in (index, index + 1)
         }  # fmt: skip
         return depths
@@ -147,17 +153,19 @@ class TourDepths:
     def _of(self, view: int) -> DepthEstimate:
         if view not in self._known:
             others = [other for other in (view - 1, view + 1) if 0 <= other < len(self.views)]
-            opinions = [opinion for other in others if (opinion := self._opinion(view, other)) is not None]
+            pair_depths = [pair_depth for other in others if (pair_depth := self._pair_depth(view, other)) is not None]
             with self._clock("depth"):
-                self._known[view] = opinions[0].depth if len(opinions) == 1 else joined(opinions[0], opinions[1])
+                self._known[view] = (
+                    pair_depths[0].depth if len(pair_depths) == 1 else fuse_depth(pair_depths[0], pair_depths[1])
+                )
         return self._known[view]
 
-    def _opinion(self, view: int, other: int) -> Opinion | None:
-        if (view, other) not in self._opinions:
-            self._opinions.update(self._found(min(view, other)))
-        return self._opinions[view, other]
+    def _pair_depth(self, view: int, other: int) -> PairDepth | None:
+        if (view, other) not in self._pair_depths:
+            self._pair_depths.update(self._found(min(view, other)))
+        return self._pair_depths[view, other]
 
-    def _found(self, index: int) -> dict[tuple[int, int], Opinion | None]:
+    def _found(self, index: int) -> dict[tuple[int, int], PairDepth | None]:
         """What a pair says of both its views; nothing where they stand at one place."""
         first, second = self.views[index], self.views[index + 1]
         if at_same_position(first.pose, second.pose):
@@ -168,7 +176,7 @@ class TourDepths:
             size = min(CROSS_CHECK_SIZE, *(view.image.shape[:2] for view in alike))
             pictures = [_reduced(view, size) for view in alike]
             there, back = (
-                Opinion(depths[k], pictures[k][..., :3], pictures[1 - k], alike[1 - k].pose.inverse() @ alike[k].pose)
+                PairDepth(depths[k], pictures[k][..., :3], pictures[1 - k], alike[1 - k].pose.inverse() @ alike[k].pose)
                 for k in (0, 1)
             )
         return {(index, index + 1): there, (index + 1, index): back}

@@ -15,19 +15,19 @@ from omnisyn_cli.fusion.geometric import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.synthesis.between import Frame, MemoryForFrames
+from omnisyn_cli.synthesis.frame import Frame, FrameAllocator
 from omnisyn_cli.synthesis.methods import Method, Pair
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import View
 
-__all__ = ["Frame", "MemoryForFrames", "synthesize", "turned_panorama"]
+__all__ = ["Frame", "FrameAllocator", "synthesize", "turned_panorama"]
 
 
 def synthesize(
     views: Sequence[View],
     path: Sequence[Waypoint],
     method: Method,
-    out: MemoryForFrames | None = None,
+    out: FrameAllocator | None = None,
     on_pair: Callable[[int, Pair], None] | None = None,
 ) -> Iterator[Frame]:
     """All frames of a path, in order: the photographs themselves where they were taken, between them the method's.
@@ -56,7 +56,7 @@ def synthesize(
 
 
 def _photograph_at(
-    views: Sequence[View], waypoint: Waypoint, method: Method, out: MemoryForFrames | None
+    views: Sequence[View], waypoint: Waypoint, method: Method, out: FrameAllocator | None
 ) -> Frame | None:
     """The panorama that was taken at a waypoint; None where there is none, or not all of it may be used.
 

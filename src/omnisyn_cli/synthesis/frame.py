@@ -13,20 +13,20 @@ from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.geometry.pose import rotation_vector_from_rotation
 from omnisyn_cli.geometry.sphere import pixel_scale
-from omnisyn_cli.synthesis.segments import Segment, SynthesisOptions
+from omnisyn_cli.synthesis.prepared_pair import PreparedPair, SynthesisOptions
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import Fuser
 
 if TYPE_CHECKING:
     from omnisyn_cli.synthesis.device.pair import GpuPair
 
-MemoryForFrames = Callable[[], UInt8[np.ndarray, "height width 3"]]
+FrameAllocator = Callable[[], UInt8[np.ndarray, "height width 3"]]
 
 
-ASIDE = 0.25
+MAX_SHIFT_PIXELS = 0.25
 """Pixels by which everything may be seen aside of where it was in the frame before for that to be shown again."""
 
-SAME_SHARE = 1.0 / 512.0
+MAX_SHARE_STEP = 1.0 / 512.0
 """A share of the way that changes no colour by more than half of one of 256 levels."""
 
 
@@ -50,7 +50,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Fused:
+class FusedFrame:
     """A frame and what it was made of, in buffers that the next one overwrites.
 
     Attributes:
@@ -64,17 +64,17 @@ class Fused:
     def looks_the_same_from(self, waypoint: Waypoint) -> bool:
         """Whether nothing in the frame would be seen more than a quarter of a pixel aside from there."""
         before = self.frame.waypoint
-        if abs(waypoint.t - before.t) > SAME_SHARE:
+        if abs(waypoint.t - before.t) > MAX_SHARE_STEP:
             return False
         height, width, _ = self.frame.image.shape
-        angle = ASIDE / pixel_scale((height, width))[0]
+        angle = MAX_SHIFT_PIXELS / pixel_scale((height, width))[0]
         turned = np.linalg.norm(rotation_vector_from_rotation(before.pose.rotation.T @ waypoint.pose.rotation))
         moved = np.linalg.norm(waypoint.pose.position - before.pose.position)
         if turned > angle or moved == 0.0:
             return bool(turned <= angle)
         return bool(turned + moved * self.nearest() <= angle)
 
-    def again(self, waypoint: Waypoint, samples: MemoryForFrames | None) -> Frame:
+    def again(self, waypoint: Waypoint, samples: FrameAllocator | None) -> Frame:
         """The frame at another place; samples, which are kept until they are written, in memory of their own."""
         image = self.frame.image
         if samples is not None and image.dtype == np.uint8:
@@ -83,36 +83,36 @@ class Fused:
         return replace(self.frame, image=image, waypoint=waypoint, is_shown_again=True)
 
 
-def fused(
-    segment: Segment, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
-    samples: MemoryForFrames | None,
-) -> Fused:  # fmt: skip
+def fuse_frame(
+    pair: PreparedPair, waypoint: Waypoint, fuser: Fuser, options: SynthesisOptions, clock: Stopwatch,
+    samples: FrameAllocator | None,
+) -> FusedFrame:  # fmt: skip
     """The frame of two renderings that were given one exposure."""
-    if segment.on_device is not None:
-        return _fused_on_device(segment, segment.on_device, waypoint, options, clock, samples)
-    is_judged = options.confidence or segment.cross_fade is not None
+    if pair.on_device is not None:
+        return _fuse_frame_on_device(pair, pair.on_device, waypoint, options, clock, samples)
+    is_judged = options.confidence or pair.cross_fade is not None
     confidence = np.empty(options.size, np.float32) if is_judged else None
     with clock("render"):
-        target_from_sources = (waypoint.pose.inverse() @ pose for pose in segment.poses)
-        seen = [render(pose) for render, pose in zip(segment.renderers, target_from_sources, strict=True)]
+        target_from_sources = (waypoint.pose.inverse() @ pose for pose in pair.poses)
+        seen = [render(pose) for render, pose in zip(pair.renderers, target_from_sources, strict=True)]
     with clock("fuse"):
-        first, second = ExposureMatcher(segment.check.curve)(seen[0], seen[1], waypoint.t)
+        first, second = ExposureMatcher(pair.check.curve)(seen[0], seen[1], waypoint.t)
         asked = {"out": None if samples is None else samples(), "confidence": confidence}
         image = fuser(first, second, waypoint.t, **{name: kept for name, kept in asked.items() if kept is not None})
-        if segment.cross_fade is not None and confidence is not None:
-            segment.cross_fade(image, confidence, waypoint.pose, waypoint.t)
-    return Fused(
+        if pair.cross_fade is not None and confidence is not None:
+            pair.cross_fade(image, confidence, waypoint.pose, waypoint.t)
+    return FusedFrame(
         Frame(image, waypoint, None, confidence), lambda: max(float(view.inverse_depth.max()) for view in seen)
     )
 
 
-def _fused_on_device(
-    segment: Segment, pair: GpuPair, waypoint: Waypoint, options: SynthesisOptions, clock: Stopwatch,
-    samples: MemoryForFrames | None,
-) -> Fused:  # fmt: skip
+def _fuse_frame_on_device(
+    pair: PreparedPair, on_device: GpuPair, waypoint: Waypoint, options: SynthesisOptions, clock: Stopwatch,
+    samples: FrameAllocator | None,
+) -> FusedFrame:  # fmt: skip
     """The same, all of it on a device."""
     image = np.empty((*options.size, 3), np.float32) if samples is None else samples()
     with clock("render"):
-        target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in segment.poses)
-        pair.frame(target_from_first, target_from_second, waypoint.t, image)
-    return Fused(Frame(image, waypoint, None), lambda: pair.nearest)
+        target_from_first, target_from_second = (waypoint.pose.inverse() @ pose for pose in pair.poses)
+        on_device.frame(target_from_first, target_from_second, waypoint.t, image)
+    return FusedFrame(Frame(image, waypoint, None), lambda: on_device.nearest)

@@ -15,9 +15,9 @@ from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.geometry.pose import Pose, at_same_position
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.render.renderer import MeshRenderer, Renderer, RendererClass, RendererInputs
+from omnisyn_cli.synthesis.chain_depth import ChainDepth
 from omnisyn_cli.synthesis.consistency import CrossCheck, cross_check
 from omnisyn_cli.synthesis.fallback import CrossFade
-from omnisyn_cli.synthesis.tours import TourDepths
 from omnisyn_cli.types import DepthEstimate, View
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class SynthesisOptions:
 
 
 @dataclass(frozen=True)
-class Segment:
+class PreparedPair:
     """Two neighbouring views with their depth, ready to be rendered.
 
     Attributes:
@@ -76,7 +76,7 @@ class Segment:
 
 
 def measure_pair(
-    index: int, tour: TourDepths, options: SynthesisOptions, clock: Stopwatch
+    index: int, tour: ChainDepth, options: SynthesisOptions, clock: Stopwatch
 ) -> tuple[tuple[DepthEstimate, DepthEstimate], CrossCheck]:
     """The depth of the view number ``index`` of a tour and of the next, and what they say of each other through it.
 
@@ -92,9 +92,9 @@ def measure_pair(
         return depths, cross_check((first, second), depths, options.cut, options.threads)
 
 
-def prepare_segment(
-    index: int, tour: TourDepths, options: SynthesisOptions, clock: Stopwatch, device: GpuFrames | None = None
-) -> Segment:
+def prepare_pair(
+    index: int, tour: ChainDepth, options: SynthesisOptions, clock: Stopwatch, device: GpuFrames | None = None
+) -> PreparedPair:
     """Depth and surfaces of a pair, see :func:`measure_pair`; the surfaces keep the photographs' own exposure."""
     depths, check = measure_pair(index, tour, options, clock)
     views = first, second = tour.views[index], tour.views[index + 1]
@@ -107,7 +107,7 @@ def prepare_segment(
             ]
             pair = device.pair(surfaces[0], surfaces[1], check.curve)
         triangles = (pair.triangles, pair.triangles)
-        return Segment(index, poses, depths, pair.surfaces, check, triangles=triangles, on_device=pair)
+        return PreparedPair(index, poses, depths, pair.surfaces, check, triangles=triangles, on_device=pair)
     with clock("mesh"), limited_threads(options.threads):
         renderers = both(
             lambda: _renderer(first, second, depths[0], options), lambda: _renderer(second, first, depths[1], options)
@@ -118,7 +118,7 @@ def prepare_segment(
         cross_fade = CrossFade(images, poses, options.size, options.threads)
     drawn = [renderer.triangles for renderer in renderers if isinstance(renderer, MeshRenderer)]
     counts = (sum(kept for kept, _ in drawn), sum(every for _, every in drawn)) if drawn else None
-    return Segment(index, poses, depths, renderers, check, cross_fade, counts)
+    return PreparedPair(index, poses, depths, renderers, check, cross_fade, counts)
 
 
 def _renderer(view: View, other: View, depth: DepthEstimate, options: SynthesisOptions) -> Renderer:
