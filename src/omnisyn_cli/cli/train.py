@@ -24,7 +24,7 @@ SYNSIN_EMA, SYNSIN_WARMUP = 0.99, 50
 
 @click.group(cls=PlainGroup)
 def train() -> None:
-    """Train the networks on scenes that the program makes itself."""
+    """Train the networks on generated scenes."""
 
 
 for command in (convert, evidence, fusion_pool, pool, recipe):
@@ -34,7 +34,7 @@ for command in (convert, evidence, fusion_pool, pool, recipe):
 def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
     """What every training command takes."""
     warm, half = "Learning rate after the warm-up.", "auto uses bfloat16 if the machine has it."
-    learn, judge = f"Scenes to learn from, made by `omnisyn train {pool}`.", "Scenes to be judged by: other seeds."
+    learn, judge = f"Scenes to learn from, made by `omnisyn train {pool}`.", "Scenes for validation, from other seeds."
     at_least_0, at_least_1 = WholeRange(0), WholeRange(1)
     shown: dict[str, Any] = {"show_default": True}
     return all_of(
@@ -43,17 +43,23 @@ def _stage_options(pool: str, batch: int, rate: float) -> Callable[..., Any]:
         click.option("--validation-pool", required=True, type=FOLDER, help=judge),
         click.option("--batch", default=batch, type=at_least_1, help="Pairs per step.", **shown),
         click.option("--rate", default=rate, type=FiniteRange(0), help=warm, **shown),
-        click.option("--cooldown-steps", default=0, type=at_least_0, help="Take the rate to 0, end.", **shown),
+        click.option(
+            "--cooldown-steps",
+            default=0,
+            type=at_least_0,
+            help="Lower the rate to 0 over this many steps, then end.",
+            **shown,
+        ),
         click.option("--minutes", type=FiniteRange(0), help="Stop after this time. [default: never]"),
         click.option("--steps", default=None, type=at_least_1, help="Stop at this step. [default: never]"),
-        click.option("--seed", default=0, type=at_least_0, help="Of the weights and the batches.", **shown),
-        click.option("--threads", default=0, type=at_least_0, help="Of the processor. [default: all]"),
+        click.option("--seed", default=0, type=at_least_0, help="Seed of weights and batches.", **shown),
+        click.option("--threads", default=0, type=at_least_0, help="Processor threads. [default: all]"),
         click.option("--device", default="auto", type=click.Choice(DEVICES), help=half, **shown),
-        click.option("--tensorboard", type=FOLDER, help="Write curves and pictures for TensorBoard here as well."),
+        click.option("--tensorboard", type=FOLDER, help="Write curves and pictures for TensorBoard here."),
     )
 
 
-def _variant_option(default: str, what: str = "Network of a fresh run.") -> Callable[..., Any]:
+def _variant_option(default: str, what: str = "Network of a new run.") -> Callable[..., Any]:
     return click.option("--variant", default=default, show_default=True, help=what)
 
 
@@ -64,31 +70,31 @@ def _height_option(default: int, least: int, more: str = ".") -> Callable[..., A
 
 @train.command()
 @_stage_options("pool", batch=4, rate=1e-4)
-@_variant_option("paper-narrow", "Network of a fresh run: paper, paper-square, paper-narrow.")
+@_variant_option("paper-narrow", "Network of a new run: paper, paper-square or paper-narrow.")
 @_height_option(256, 64)
 def depth(**options: Any) -> None:
-    """Train a depth network in FOLDER; a run that is there goes on, whether it was stopped or killed."""
+    """Train a depth network in FOLDER, or continue the run there."""
     _train_variant("depth", **options)
 
 
 @train.command()
 @_stage_options("pool", batch=4, rate=8e-4)
 @_variant_option("balanced")
-@_height_option(128, 64, ", at most those of the pool; a run can go on with more.")
+@_height_option(128, 64, ", at most those of the pool; a run can continue with more.")
 def completion(**options: Any) -> None:
-    """Train the network that completes what matching leaves open in FOLDER; a run that is there goes on.
+    """Train the network that completes matched depth in FOLDER, or continue the run there.
 
-    What matching would know is made up from the exact depth of the pool. Scenes of `omnisyn train evidence`, which were
-    matched, will do as well, in a pool of their own or beside the others: few scenes for much time, best taken last.
+    Matching is simulated from the exact depth of the pool. Pools of `omnisyn train evidence` hold really matched
+    scenes. They take long to make, so use them last.
     """
     _train_variant("completion", **options)
 
 
 @train.command()
 @_stage_options("fusion-pool", batch=4, rate=1e-3)
-@_variant_option("residual", "Network of a fresh run: residual, paper, paper-narrow.")
+@_variant_option("residual", "Network of a new run: residual, paper or paper-narrow.")
 def fusion(**options: Any) -> None:
-    """Train the network that joins two renderings in FOLDER; a run that is there goes on."""
+    """Train the network that fuses two renderings in FOLDER, or continue the run there."""
     _train_variant("fusion", **options)
 
 
@@ -98,17 +104,20 @@ def fusion(**options: Any) -> None:
     "--depth",
     default="paper-narrow",
     show_default=True,
-    help="Of a fresh run: a variant, or a checkpoint to begin with.",
+    help="Depth network of a new run: a variant or a checkpoint.",
 )
 @click.option(
-    "--fusion", default="paper-narrow", show_default=True, help="The same for the fusion network, which has to paint."
+    "--fusion",
+    default="paper-narrow",
+    show_default=True,
+    help="Fusion network of a new run: a variant or a checkpoint that paints.",
 )
 @_height_option(256, 64)
 def joint(depth: str, fusion: str, **options: Any) -> None:
-    """Train depth and fusion together in FOLDER, through the rendering between them; a run that is there goes on.
+    """Train depth and fusion together in FOLDER, through the renderer, or continue the run there.
 
-    The pool's scenes need three views: the outer ones are the pair, the inner one is what the fused picture is compared
-    with. `omnisyn export-onnx` writes both networks of the checkpoint, and each of them can begin another run.
+    Scenes of the pool need three views: the outer two are the pair, and the fused picture is compared with the inner
+    one. `omnisyn export-onnx` writes both networks. Each can start another run.
     """
     from omnisyn_cli.training.joint import JointConfig
 
@@ -123,13 +132,13 @@ def joint(depth: str, fusion: str, **options: Any) -> None:
 
 @train.command()
 @_stage_options("pool", batch=2, rate=6e-4)
-@_variant_option("small", "Networks of a fresh run.")
-@_height_option(128, 32, "; with half of them first it learns faster.")
+@_variant_option("small", "Networks of a new run.")
+@_height_option(128, 32, "; it learns faster with half of them first.")
 def synsin(**options: Any) -> None:
-    """Train SynSin in FOLDER, which frames are compared with; a run that is there goes on.
+    """Train the baseline SynSin in FOLDER, or continue the run there.
 
-    Its depth network, its features and its decoder learn together, on pictures made of one panorama and of two in turn,
-    by themselves at first and then against a network that tells true pictures from made ones.
+    Depth network, encoder and decoder learn together, from one panorama and from two in turn. A discriminator joins
+    after the first steps.
     """
     _train_variant("synsin", ema=SYNSIN_EMA, warmup_steps=SYNSIN_WARMUP, **options)
 
@@ -217,7 +226,7 @@ def _size(network: Any, name: str, height: int) -> tuple[int, int]:
 def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
     """Keep only the averaged weights of CHECKPOINT, in half precision.
 
-    The result is an eighth of the size. It can be exported, and put into a new folder as checkpoint.pt to train on.
+    The result is an eighth of the size. Export it, or copy it to a new folder as checkpoint.pt to continue training.
     """
     from omnisyn_cli.io import check_output
     from omnisyn_cli.io.outputs import check_kept

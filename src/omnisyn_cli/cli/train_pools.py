@@ -26,14 +26,14 @@ def _scene_options(count: int, of: str, height: int = 256) -> Callable[..., Any]
     """What commands take that render scenes."""
     return all_of(
         click.argument("folder", type=FOLDER),
-        click.option("--scenes", default=count, show_default=True, type=WholeRange(1), help="How many scenes."),
+        click.option("--scenes", default=count, show_default=True, type=WholeRange(1), help="Number of scenes."),
         click.option("--seed", default=0, show_default=True, type=WholeRange(0), help="Seed of the first scene."),
         _height_option(of, height),
     )
 
 
 WORKERS = click.option(
-    "--workers", default=1, show_default=True, type=WholeRange(1), help="Processes, at low priority."
+    "--workers", default=1, show_default=True, type=WholeRange(1), help="Number of processes, at low priority."
 )
 
 
@@ -41,12 +41,12 @@ WORKERS = click.option(
 @_scene_options(1000, "view")
 @click.option("--views", default=3, show_default=True, type=WholeRange(2, 9), help="Views per scene, on a line.")
 @click.option(
-    "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="May be given several times.  [default: all]"
+    "--kind", "kinds", type=click.Choice(KINDS), multiple=True, help="Kind of scene; may be repeated.  [default: all]"
 )
 @WORKERS
 @TEXTURES
 def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> None:
-    """Render procedural scenes into FOLDER; those that are there already stay."""
+    """Render generated scenes into FOLDER; existing ones stay."""
     from omnisyn_cli.training.pool import PoolConfig, render_to_pool
 
     chosen: dict[str, Any] = {"kinds": kinds} if kinds else {}
@@ -56,15 +56,21 @@ def pool(height: int, views: int, kinds: tuple[str, ...], **options: Any) -> Non
 @click.command()
 @click.argument("dataset", type=FOLDER)
 @click.argument("folder", type=FOLDER)
-@click.option("--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Of the data, see omnisyn eval.")
 @click.option(
-    "--pairs", metavar="0:4|every:N|FILE", default="every:1", show_default=True, help="Of frames, see omnisyn eval."
+    "--format", "layout", type=click.Choice(LAYOUTS), default="auto", help="Layout of the data, see omnisyn eval."
+)
+@click.option(
+    "--pairs",
+    metavar="0:4|every:N|FILE",
+    default="every:1",
+    show_default=True,
+    help="Pairs of frames, see omnisyn eval.",
 )
 @_height_option("view")
 def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -> None:
-    """Add the pairs of DATASET, panoramas with poses and depth in files, to the pool FOLDER for `train depth`.
+    """Add the pairs of DATASET, panoramas with poses and depth files, to the pool FOLDER for `train depth`.
 
-    Those that are there already stay; damaged scenes and pairs without depth are named and left out.
+    Existing pairs stay. Damaged scenes and pairs without depth are named and skipped.
     """
     from omnisyn_cli.errors import InputError
     from omnisyn_cli.evaluation.datasets import choose_pairs, find_scenes
@@ -95,7 +101,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 @WORKERS
 @TEXTURES
 def evidence(height: int, **options: Any) -> None:
-    """Render scenes into FOLDER and match them, for `train completion`; those that are there already stay."""
+    """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
     from omnisyn_cli.training.evidence_pool import make_evidence
     from omnisyn_cli.training.pool import TiltedConfig
 
@@ -110,12 +116,12 @@ def evidence(height: int, **options: Any) -> None:
     default=DEFAULT_PRESET,
     show_default=True,
     type=click.Choice(list(PRESETS)),
-    help="Whose depth and renderer they are made with.",
+    help="Preset whose depth and renderer are used.",
 )
 @WORKERS
 @TEXTURES
 def fusion_pool(height: int, preset: str, **options: Any) -> None:
-    """Render scenes into FOLDER from estimated depth, for `train fusion`; those that are there already stay."""
+    """Render scenes in FOLDER from estimated depth for `train fusion`; existing ones stay."""
     from omnisyn_cli.training.fusion_pool import FusionPoolConfig, make_fusion_scene
 
     _check_pool_height(height)

@@ -34,40 +34,40 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--texture", metavar="COLUMNS", type=WholeRange(16, 16384), default=4096, show_default=True,
-    help="Of the photographs in the page; larger panoramas are reduced to it.",
+    help="Maximum width of the photographs in the page.",
 )  # fmt: skip
-@click.option("--lossless", is_flag=True, help="Keep photographs as PNG, several times as large as JPEG.")
-@click.option(
-    "--folder", is_flag=True, help="Write a folder for a server instead of one file, which may have 32 MiB at most."
-)
+@click.option("--lossless", is_flag=True, help="Store photographs as PNG, several times as large as JPEG.")
+@click.option("--folder", is_flag=True, help="Write a folder for a web server instead of one file of at most 32 MiB.")
 @click.option("--serve", is_flag=True, help="Serve the folder to browsers on this machine until Ctrl-C.")
 @click.option("--open", "is_opened", is_flag=True, help="Open the walk in the browser.")
 @surface_options
 @click.option(
     "--fallback", type=click.Choice(FALLBACKS), default="none", show_default=True,
-    help="Where confidence is low: warn only, cross-fade the photographs of that pair, or give up.",
+    help="Where confidence is low: only warn, cross-fade the photographs of that pair, or fail.",
 )  # fmt: skip
-@click.option("--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of its names.")
-@click.option("--dry-run", is_flag=True, help="Check everything that can be, print the plan, make nothing.")
+@click.option(
+    "--overwrite", is_flag=True, help="Replace the output if it exists; in a folder, files of the same names."
+)
+@click.option("--dry-run", is_flag=True, help="Check the input, print the plan, and make nothing.")
 @json_option("the summary")
 @quiet_option
 def view(
     *, as_json: bool, dry_run: bool, quiet: bool, nadir: float, texture: int, lossless: bool,
     folder: bool, serve: bool, is_opened: bool, **options: Any,
 ) -> None:  # fmt: skip
-    """Make a page in which one walks from panorama A to B, and on through C and further ones.
+    """Make a page to walk in, from panorama A to B, and on through C and more.
 
     \b
     omnisyn view a.jpg b.jpg --poses poses.json --open
     omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset balanced
     omnisyn view tour/ --folder --serve --open
 
-    FOLDER stands for the panoramas that its poses.json names, in the order of that file.
+    FOLDER means the panoramas in its poses.json, in the order of that file.
 
-    The page needs nothing beside itself: a double click opens it, without a network. Poses, masks and depth are found
-    as `omnisyn interpolate` finds them, and it shows what a video would show, from any place near the way.
+    The page works offline from a double click. It shows what a video frame would show, from any place near the path.
+    Poses, masks and depth work as in `omnisyn interpolate`.
 
-    Names that begin with a dash go after ``--``.
+    Put names that begin with a dash after ``--``.
     """  # noqa: D301 - click's \b is a backspace
     from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view
 
