@@ -22,16 +22,16 @@ MEDIUM_TEXTURE = 0.5
 @click.option("--count", type=WholeRange(1), default=1, show_default=True, help="Walks through each mesh.")
 @click.option("--frames", type=WholeRange(1), default=3, show_default=True, help="Panoramas on a straight line.")
 @click.option("--poses", type=FilePath(dir_okay=False), help="Pose file of the cameras, in the mesh's frame, y up.")
-@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Of the panoramas.")
+@click.option("--size", type=Size(), default="1024x512", show_default=True, help="Size of the panoramas.")
 @click.option("--scale", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Metres per unit.")
 @click.option("--z-up", is_flag=True, help="The z axis of the files is up, instead of y.")
-@click.option("--unlit", is_flag=True, help="Show textures as they are, as those of scans.")
+@click.option("--unlit", is_flag=True, help="Show textures without lighting, as for scans.")
 @click.option("--textures", type=FilePath(file_okay=False), help="Photographs for surfaces without texture.")
-@click.option("--light-rays", type=WholeRange(4, 1024), default=64, show_default=True, help="Per pixel.")
+@click.option("--light-rays", type=WholeRange(4, 1024), default=64, show_default=True, help="Light rays per pixel.")
 @click.option(
     "--supersample", type=WholeRange(1, 8), default=2, show_default=True, help="Samples per pixel along each axis."
 )
-@click.option("--seed", type=WholeRange(0), default=0, show_default=True, help="Of the walks and the light.")
+@click.option("--seed", type=WholeRange(0), default=0, show_default=True, help="Seed of walks and lighting.")
 @click.option("--pool", is_flag=True, help="Write training scenes (.npz) for `omnisyn train recipe` instead.")
 @click.option("--no-depth", is_flag=True, help="Write no depth files.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
@@ -43,9 +43,8 @@ def render(
 ) -> None:  # fmt: skip
     """Walk through MESHES (glTF, OBJ, PLY): panoramas, their depth (EXR, metres) and poses.json.
 
-    Cameras stand at eye height above a floor, in free space, on straight lines that the program finds, or at --poses.
-    Light comes from light maps where there are some, else from the sky, lamps and other surfaces. Each walk gets a
-    folder in the output if there are several.
+    Cameras stand at eye height in free space, on straight lines that the program finds, or at --poses. Light comes from
+    light maps if there are any, else from the sky, lamps and other surfaces. Several walks get a folder each.
 
     Needs `pip install "omnisyn-cli[scenes]"`.
     """

