@@ -6,7 +6,7 @@ import pytest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
-FALLBACK, FLATNESS = 1e-3, 0.05
+FALLBACK_WEIGHT, TILT_RIDGE = 1e-3, 0.05
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 DIRECTIONS = pixel_directions(8, 16)
 
@@ -18,8 +18,8 @@ def solved(sums: np.ndarray, fallback: np.ndarray) -> np.ndarray:
         matrix[..., i, j] = matrix[..., j, i] = sums[..., k]
     amount = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
     along = DIRECTIONS[..., :, None] * DIRECTIONS[..., None, :]
-    matrix += FALLBACK * along + (FLATNESS * amount + 1e-9) * (np.eye(3) - along)
-    vector = sums[..., 6:] + FALLBACK * fallback[..., None] * DIRECTIONS
+    matrix += FALLBACK_WEIGHT * along + (TILT_RIDGE * amount + 1e-9) * (np.eye(3) - along)
+    vector = sums[..., 6:] + FALLBACK_WEIGHT * fallback[..., None] * DIRECTIONS
     return (np.linalg.solve(matrix, vector[..., None])[..., 0] * DIRECTIONS).sum(axis=-1)
 
 
@@ -32,7 +32,7 @@ def test_a_fit_is_that_of_the_solver(share: float) -> None:
     own = normal_equations(values, weight, DIRECTIONS)
     everywhere = np.broadcast_to(own.sum(axis=(0, 1)), own.shape)
     for sums in (own, np.ascontiguousarray(everywhere)):
-        found = fitted_values(sums, fallback, DIRECTIONS, FALLBACK, FLATNESS)
+        found = fitted_values(sums, fallback, DIRECTIONS, FALLBACK_WEIGHT, TILT_RIDGE)
         np.testing.assert_allclose(found, solved(sums.astype(np.float64), fallback), rtol=1e-6, atol=1e-9)
     if share == 0.0:
         np.testing.assert_allclose(found, fallback, rtol=1e-9)

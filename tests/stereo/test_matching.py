@@ -46,8 +46,8 @@ def test_a_textured_room_is_recovered_from_both_ends_of_any_baseline(
 @pytest.mark.parametrize("name", ["level", "oblique and turned"])
 def test_swapping_the_inputs_swaps_the_outputs(estimator: MatchingDepthEstimator, name: str) -> None:
     first, second = room(ORIGIN)[0], room(OPENINGS[name])[0]
-    there, back = estimator(first, second), estimator(second, first)
-    for a, b in zip(there, back[::-1], strict=True):
+    estimates, swapped = estimator(first, second), estimator(second, first)
+    for a, b in zip(estimates, swapped[::-1], strict=True):
         assert np.mean(np.isclose(a.inverse_depth, b.inverse_depth, rtol=1e-3)) > 0.99
 
 
@@ -185,10 +185,10 @@ def test_a_slope_is_read_between_the_rows_of_the_other_direction(monkeypatch: py
     """The other picture foreshortens it: its disparity changes by 1.5 a row, and is found 0.8 too large."""
     rows = np.arange(64, dtype=np.float64)
     disparity = np.interp(rows, [10.0, 30.0], [12.0, 0.0])
-    seen_back = rows - np.interp(rows, rows + disparity, rows) + 0.8
+    in_second = rows - np.interp(rows, rows + disparity, rows) + 0.8
     everywhere = np.ones((64, 4), np.bool_)
-    there, back = (np.repeat(d[:, None], 4, axis=1).astype(np.float32) for d in (disparity, seen_back))
-    found = DisparityMap(there, everywhere), DisparityMap(swap_cameras_in_epipole_frame(back), everywhere)
+    first, second = (np.repeat(d[:, None], 4, axis=1).astype(np.float32) for d in (disparity, in_second))
+    found = DisparityMap(first, everywhere), DisparityMap(swap_cameras_in_epipole_frame(second), everywhere)
     assert left_right_check(found, 1.0)[0].valid.all()
     monkeypatch.setattr(disparity_module, "MAX_INTERPOLATED_STEP", -1.0)
     assert 0.2 < left_right_check(found, 1.0)[0].valid[10:30].mean() < 0.9

@@ -1,4 +1,4 @@
-"""Refinement around a network: here functions whose answers are known stand in for it."""
+"""Completion and refinement around a network; functions with known answers stand in for it."""
 
 from dataclasses import replace
 
@@ -51,27 +51,27 @@ def both():
 
 
 def test_true_depth_shows_the_same_point_in_both_panoramas_and_no_contradiction(both):
-    planes = completion_channels(*both)
-    assert planes.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
-    assert planes.dtype == np.float32
+    channels = completion_channels(*both)
+    assert channels.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
+    assert channels.dtype == np.float32
     inner = slice(3, -3)  # bilinear interpolation is coarse next to the poles
-    for warped in (planes[8:11], planes[11:14]):
-        np.testing.assert_allclose(warped[:, inner], planes[:3, inner], atol=0.02)
-    assert np.abs(planes[14]).max() < 0.05
-    assert (planes[15] == 1).all()
+    for warped in (channels[8:11], channels[11:14]):
+        np.testing.assert_allclose(warped[:, inner], channels[:3, inner], atol=0.02)
+    assert np.abs(channels[14]).max() < 0.05
+    assert (channels[15] == 1).all()
 
 
 def test_where_the_other_panorama_sees_farther_the_difference_is_positive(both):
     first, second = both
-    planes = completion_channels(first, replace(second, filled=0.25 * second.filled))
-    assert (planes[14] > 0.2).all()
+    channels = completion_channels(first, replace(second, filled=0.25 * second.filled))
+    assert (channels[14] > 0.2).all()
 
 
-def test_motion_and_elevation_are_told(both):
-    planes = completion_channels(*both)
+def test_motion_and_elevation_are_channels(both):
+    channels = completion_channels(*both)
     directions = pixel_directions(*SIZE)
-    np.testing.assert_allclose(planes[16], directions @ (OFFSET / np.linalg.norm(OFFSET)), atol=1e-6)
-    np.testing.assert_allclose(planes[17], directions[..., 1], atol=1e-6)
+    np.testing.assert_allclose(channels[16], directions @ (OFFSET / np.linalg.norm(OFFSET)), atol=1e-6)
+    np.testing.assert_allclose(channels[17], directions[..., 1], atol=1e-6)
     turned = completion_channels(both[1], both[0])
     np.testing.assert_allclose(turned[17], directions @ TURN[1], atol=1e-6)
 
@@ -81,12 +81,12 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
     monkeypatch.setattr(MatchingDepthEstimator, "features", lambda *_: both)
     views = [View(both[0].image, Pose.identity()), View(both[1].image, Pose(TURN, OFFSET))]
 
-    def true(planes):
-        return planes[3] ** 2, np.ones(SIZE, np.float32)
+    def true(channels):
+        return channels[3] ** 2, np.ones(SIZE, np.float32)
 
-    def half_of_the_first_too_near(planes):
-        inverse_depth = planes[3] ** 2
-        if np.allclose(planes[:3], np.moveaxis(both[0].image, -1, 0)):
+    def half_of_the_first_too_near(channels):
+        inverse_depth = channels[3] ** 2
+        if np.allclose(channels[:3], np.moveaxis(both[0].image, -1, 0)):
             inverse_depth[:, :32] *= 3.0
         return inverse_depth, np.ones(SIZE, np.float32)
 
@@ -98,15 +98,15 @@ def test_an_estimate_that_the_other_panorama_looks_through_loses_its_confidence(
     assert wrong.confidence[8:-8, :24].mean() < 0.5 < wrong.confidence[8:-8, 40:56].mean()
 
 
-def test_without_a_network_the_answer_is_what_one_says_that_repeats_what_matching_filled(monkeypatch, both):
-    """But for the median that answers of a network get where matching is unsure: here it is sure everywhere."""
+def test_without_a_network_the_estimate_is_that_of_one_that_repeats_the_filled_map(monkeypatch, both):
+    """But for the median that smooths a network's answers where stereo is not valid: here it is valid everywhere."""
     monkeypatch.setattr(MatchingDepthEstimator, "features", lambda *_: both)
     first, second = (
         View(one.image, pose) for one, pose in zip(both, (Pose.identity(), Pose(TURN, OFFSET)), strict=True)
     )
 
-    def repeats(planes):
-        return planes[3] ** 2, np.maximum(planes[5], planes[6])
+    def repeats(channels):
+        return channels[3] ** 2, np.maximum(channels[5], channels[6])
 
     estimators = [RefinedDepthEstimator(MatchingDepthEstimator(MatchingOptions(size=SIZE)), each, SIZE[0])
                   for each in (None, repeats)]  # fmt: skip
@@ -120,8 +120,8 @@ def test_estimates_have_the_last_size_that_the_pictures_have_pixels_for(monkeypa
     matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)
     monkeypatch.setattr(MatchingDepthEstimator, "features", lambda *_: both)
 
-    def true(planes):
-        return planes[3] ** 2, np.ones(SIZE, np.float32)
+    def true(channels):
+        return channels[3] ** 2, np.ones(SIZE, np.float32)
 
     views = [View(both[0].image, Pose.identity()), View(both[1].image, Pose(TURN, OFFSET))]
     for estimate, position, rotation in zip(
@@ -133,7 +133,7 @@ def test_estimates_have_the_last_size_that_the_pictures_have_pixels_for(monkeypa
 
 
 def test_panoramas_of_one_place_have_nothing_to_refine():
-    def never(planes):
+    def never(channels):
         raise AssertionError
 
     matching = MatchingDepthEstimator(MatchingOptions(size=(64, 128)), threads=1)

@@ -10,7 +10,7 @@ from omnisyn_cli.stereo.costs import census_transform, cost_volume, surface_cost
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
 from omnisyn_cli.stereo.plane_fitting import PlanePoints, find_planes
-from omnisyn_cli.stereo.rectify import EpipolarGrid, rectify, resize_area
+from omnisyn_cli.stereo.rectify import rectify, resize_area
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, DisparityRange
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.surface_labels import _floor_and_ceiling_bound, _plane_support
@@ -28,7 +28,7 @@ def plane(size: tuple[int, int], normal: np.ndarray) -> np.ndarray:
 def test_rectified_matches_lie_in_one_column_where_the_true_depth_says(name: str) -> None:
     first, second = room(Pose.identity())[0], room(OPENINGS[name])[0]
     pair = rectify(first, second, SIZE)
-    grid = EpipolarGrid.of(pair)
+    grid = pair.grid
     to_camera = grid.directions @ pair.world_from_frame.T
     row = np.arange(SIZE[0])[:, None]
     half = np.array([4.0, 1.6, 5.0])
@@ -51,7 +51,7 @@ def test_a_pair_seen_from_its_second_panorama_twice_is_the_pair() -> None:
 
 def test_disparity_and_inverse_depth_are_each_others_inverse() -> None:
     pair = rectify(room(Pose.identity())[0], room(OPENINGS["oblique and turned"])[0], SMALL)
-    grid = EpipolarGrid.of(pair)
+    grid = pair.grid
     inverse_depth = RNG.uniform(0.0, 2.0, SMALL)
     np.testing.assert_allclose(grid.inverse_depth(grid.disparity(inverse_depth)), inverse_depth, rtol=1e-3, atol=1e-4)
 
@@ -188,7 +188,7 @@ def test_resizing_averages_over_the_area_of_a_new_pixel(size: tuple[int, int]) -
 @pytest.mark.parametrize("name", OPENINGS)
 def test_nothing_is_beyond_the_floor_nor_unless_the_sky_is_open_the_ceiling(name: str) -> None:
     """Of level planes the first, which is the best supported one, is taken; walls bound nothing."""
-    grid = EpipolarGrid.of(rectify(room(Pose.identity())[0], room(OPENINGS[name])[0], SMALL))
+    grid = rectify(room(Pose.identity())[0], room(OPENINGS[name])[0], SMALL).grid
     wall = np.cross(grid.up, [0.3, 0.5, 0.8])
     planes = np.array([wall, 2.0 * grid.up, 0.5 * grid.up, -1.5 * grid.up])
     for is_sky_open in (False, True):

@@ -104,10 +104,12 @@ class DisparityMap:
     Attributes:
         disparity: ``(height, width)`` rows.
         valid: where matching decided clearly; the other values are guesses.
+        unique: where nothing else matches nearly as well; None if that was not measured.
     """
 
     disparity: Float[np.ndarray, "height width"]
     valid: Bool[np.ndarray, "height width"]
+    unique: Bool[np.ndarray, "height width"] | None = None
 
 
 class LeftRightTolerance(NamedTuple):
@@ -137,16 +139,14 @@ def match_disparities(
     return DisparityMap(disparity, (margin > options.min_margin) & pair.first_usable), cost
 
 
-def match_all_disparities(
-    pair: RectifiedPair, grid: EpipolarGrid, options: MatchingOptions
-) -> tuple[DisparityMap, Bool[np.ndarray, "height width"]]:
-    """Semi-global matching over all possible disparities, and where the match is unique."""
-    lowest = least_ground_disparity(grid, options)
+def match_all_disparities(pair: RectifiedPair, options: MatchingOptions) -> DisparityMap:
+    """Semi-global matching over all possible disparities."""
+    lowest = least_ground_disparity(pair.grid, options)
     disparities = _possible_disparities(lowest, options)
     matches, cost = match_disparities(pair, disparities, options, is_complete_range=True)
     is_at_bound = (lowest > 0) & (matches.disparity <= lowest + LOWER_BOUND_SLACK_ROWS)
-    is_unique = uniqueness_margin(cost, disparities, matches.disparity) > options.min_uniqueness
-    return replace(matches, valid=matches.valid & ~is_at_bound), is_unique
+    unique = uniqueness_margin(cost, disparities, matches.disparity) > options.min_uniqueness
+    return replace(matches, valid=matches.valid & ~is_at_bound, unique=unique)
 
 
 def least_ground_disparity(grid: EpipolarGrid, options: MatchingOptions) -> Float[np.ndarray, "height width"]:

@@ -4,7 +4,6 @@
 """
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from omnisyn_cli.stereo.disparity import (
 )
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
-from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
 from omnisyn_cli.stereo.surface_labels import label_surfaces
@@ -77,21 +76,18 @@ class MatchingDepthEstimator:
         options = self.options_for(first, second)
         with limited_threads(self.threads):
             pair = rectify(first, second, (height // 2, width // 2))
-            pairs = (pair, pair.reversed())
-            grids = tuple(EpipolarGrid.of(each) for each in pairs)
+            reverse = pair.reversed()
             # Cost volume and semi-global matching, one direction after the other: costs take much memory.
-            matched = [match_all_disparities(each, grid, options) for each, grid in zip(pairs, grids, strict=True)]
-            consistent = _check_left_right((matched[0][0], matched[1][0]), options)
+            matches = match_all_disparities(pair, options), match_all_disparities(reverse, options)
+            consistent = _check_left_right(matches, options)
             surfaces = both(
-                *(
-                    partial(label_surfaces, each, grid, matches, is_unique, options)
-                    for each, grid, matches, (_, is_unique) in zip(pairs, grids, consistent, matched, strict=True)
-                )
+                lambda: label_surfaces(pair, consistent[0], options),
+                lambda: label_surfaces(reverse, consistent[1], options),
             )
             disparities = _check_left_right(surfaces, options)
             return both(
-                lambda: _features_in_camera_frame(first, second, pairs[0], grids[0], disparities[0]),
-                lambda: _features_in_camera_frame(second, first, pairs[1], grids[1], disparities[1]),
+                lambda: _features_in_camera_frame(first, second, pair, disparities[0]),
+                lambda: _features_in_camera_frame(second, first, reverse, disparities[1]),
             )
 
     def options_for(self, first: View, second: View) -> MatchingOptions:
@@ -118,10 +114,10 @@ def _check_left_right(
 
 
 def _features_in_camera_frame(
-    view: View, other: View, pair: RectifiedPair, grid: EpipolarGrid, disparities: DisparityMap
+    view: View, other: View, pair: RectifiedPair, disparities: DisparityMap
 ) -> StereoFeatures:
     """From disparity in the frame of the pair to inverse depth in the frame of the camera, with sky and filling."""
-    size, pose = pair.size, view.pose
+    size, pose, grid = pair.size, view.pose, pair.grid
     image, usable = resize_area(view.image, size), usable_pixels(view, size)
     in_pair = pair.from_camera(pose, size)
     inverse_depth = in_pair.nearest(grid.inverse_depth(disparities.disparity))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -59,10 +59,12 @@ class RectifiedPair:
         """``(height, width)`` of the images."""
         return self.first.shape[0], self.first.shape[1]
 
-    @property
-    def up(self) -> Float[np.ndarray, " 3"]:
-        """The world's up in the frame of the pair."""
-        return np.asarray(self.world_from_frame.T @ UP)
+    @cached_property
+    def grid(self) -> EpipolarGrid:
+        """The pixels of both images."""
+        rows = np.arange(self.size[0], dtype=np.float64)[:, None]
+        _, polar_angle = pixel_to_angles(rows, np.zeros_like(rows), self.size)
+        return EpipolarGrid(pixel_directions(*self.size), polar_angle, np.asarray(self.world_from_frame.T @ UP))
 
     def reversed(self) -> RectifiedPair:
         """The same pair seen from the second panorama."""
@@ -93,13 +95,6 @@ class EpipolarGrid:
     directions: Float[np.ndarray, "height width 3"]
     polar_angle: Float[np.ndarray, "height 1"]
     up: Float[np.ndarray, " 3"]
-
-    @staticmethod
-    def of(pair: RectifiedPair) -> EpipolarGrid:
-        """The grid of a pair."""
-        rows = np.arange(pair.size[0], dtype=np.float64)[:, None]
-        _, polar_angle = pixel_to_angles(rows, np.zeros_like(rows), pair.size)
-        return EpipolarGrid(pixel_directions(*pair.size), polar_angle, pair.up)
 
     @property
     def height(self) -> int:

@@ -28,7 +28,7 @@ from omnisyn_cli.stereo.disparity import (
 )
 from omnisyn_cli.stereo.map_filters import joint_upsample, median_filter, remove_speckles
 from omnisyn_cli.stereo.matching_estimator import MIN_ISLAND_PIXELS, MatchingDepthEstimator
-from omnisyn_cli.stereo.rectify import EpipolarGrid, RectifiedPair, rectify, resize_area, usable_pixels
+from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.semi_global import DisparityRange
 from omnisyn_cli.stereo.stereo_features import (
     CompletionModel,
@@ -85,7 +85,8 @@ class RefinedDepthEstimator:
 
     def _run_stages(self, views: ViewPair) -> EstimatePair:
         """All stages of depth, in order."""
-        features = self.matching.features(*views)  # rectify, cost, semi-global matching, left-right check, planes
+        # Rectification, cost volume, semi-global matching, left-right check, planes; then:
+        features = self.matching.features(*views)
         completed = self._complete(features)
         refined = self._refine(views, completed)
         checked = _check_free_space(views, refined, features)
@@ -134,15 +135,12 @@ def refine_depth_at_size(
     coarse = both(*(partial(_enlarge, view, each, size) for view, each in zip(views, maps, strict=True)))
     pair = rectify(*views, size)
     pairs = (pair, pair.reversed())
-    grids = [EpipolarGrid.of(each) for each in pairs]
     first, second = (  # one after the other: costs take much memory
-        _match_around(each, grid, _to_pair_frame(inverse_depth, view, each), options)
-        for each, grid, (inverse_depth, _), view in zip(pairs, grids, coarse, views, strict=True)
+        _match_around(each, _to_pair_frame(inverse_depth, view, each), options)
+        for each, (inverse_depth, _), view in zip(pairs, coarse, views, strict=True)
     )
     disparities = left_right_check((first, second), options.left_right_rows)
-    return both(
-        *(partial(_replace_remeasured, *each) for each in zip(views, coarse, pairs, grids, disparities, strict=True))
-    )
+    return both(*(partial(_replace_remeasured, *each) for each in zip(views, coarse, pairs, disparities, strict=True)))
 
 
 def _enlarge(view: View, coarse: InvDepthWithConfidence, size: tuple[int, int]) -> InvDepthWithConfidence:
@@ -158,11 +156,9 @@ def _to_pair_frame(inverse_depth: np.ndarray, view: View, pair: RectifiedPair) -
     return RemapTable.for_directions(directions, inverse_depth.shape).nearest(inverse_depth)
 
 
-def _match_around(
-    pair: RectifiedPair, grid: EpipolarGrid, inverse_depth: np.ndarray, options: MatchingOptions
-) -> DisparityMap:
+def _match_around(pair: RectifiedPair, inverse_depth: np.ndarray, options: MatchingOptions) -> DisparityMap:
     """The best disparities near those of the coarse inverse depth."""
-    disparities = _ranges_around(grid.disparity(inverse_depth))
+    disparities = _ranges_around(pair.grid.disparity(inverse_depth))
     return match_disparities(pair, disparities, options, is_complete_range=False)[0]
 
 
@@ -176,13 +172,13 @@ def _ranges_around(disparity: Float32[np.ndarray, "height width"]) -> DisparityR
 
 
 def _replace_remeasured(
-    view: View, coarse: InvDepthWithConfidence, pair: RectifiedPair, grid: EpipolarGrid, disparities: DisparityMap
+    view: View, coarse: InvDepthWithConfidence, pair: RectifiedPair, disparities: DisparityMap
 ) -> InvDepthWithConfidence:
     """The coarse map with every valid new match that lies on a surface known around there.
 
     Single pixels are noise more often than things, so a median filter follows.
     """
-    size, (coarse_depth, coarse_confidence) = pair.size, coarse
+    size, grid, (coarse_depth, coarse_confidence) = pair.size, pair.grid, coarse
     in_pair = pair.from_camera(view.pose, size)
     exact = in_pair.nearest(grid.inverse_depth(disparities.disparity).astype(np.float32))
     valid = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))

@@ -8,7 +8,6 @@ Source: the labelling idea of Sinha et al., Piecewise planar stereo for image-ba
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -47,18 +46,13 @@ LEVEL_BOUND_SHARE, LEVEL_BOUND_SLACK_ROWS = 0.85, 1.0
 """A surface is beyond the floor if its disparity is lower than at 85 % of the floor's inverse depth, less one row."""
 
 
-def label_surfaces(
-    pair: RectifiedPair,
-    grid: EpipolarGrid,
-    matches: DisparityMap,
-    is_unique: Bool[np.ndarray, "height width"],
-    options: MatchingOptions,
-) -> DisparityMap:
+def label_surfaces(pair: RectifiedPair, matches: DisparityMap, options: MatchingOptions) -> DisparityMap:
     """The surface that explains each pixel best, given left-right consistent matches.
 
     A plane is valid also where there is no texture; a match is not. Only unique matches propose planes.
     """
-    planes, support = _fit_planes(grid, replace(matches, valid=matches.valid & is_unique), options)
+    grid = pair.grid
+    planes, support = _fit_planes(grid, matches, options)
     is_static = _static_texture(grid, matches)
     is_sky_open = bool(is_static.sum() > MIN_STATIC_TEXTURE_SHARE * _can_show_infinity(grid).sum())
     if is_sky_open:
@@ -119,6 +113,8 @@ def _fit_planes(
     """Normals of the planes, and how much support each has from its points around every pixel."""
     inverse_depth = grid.inverse_depth(matches.disparity)
     usable = matches.valid & (inverse_depth < MAX_INVERSE_DEPTH)
+    if matches.unique is not None:
+        usable &= matches.unique
     tolerance = grid.inverse_depth_per_row(matches.disparity)  # an inlier is off by at most one row
     solid_angle = np.broadcast_to(np.sin(grid.polar_angle), usable.shape)
     points = PlanePoints(grid.directions[usable], inverse_depth[usable], tolerance[usable])
