@@ -90,7 +90,6 @@ TASKS: Mapping[str, Task] = {
         scores=guided_scores,
         pictures=_guided_pictures,
         pools=("recipe",),
-        rate=8e-4,
     ),
     "completion": Task(
         CompletionConfig,
