@@ -17,15 +17,17 @@ def noise(height: int, width: int) -> np.ndarray:
 
 @pytest.mark.parametrize("index", [0, 7, 60, 130, 180])
 def test_both_cameras_mean_the_same_direction_of_the_world(index: int) -> None:
-    source, held = rotations()[index], rotations()[-1 - index]
-    in_world = rotated_directions(SIZE, source, held) @ source.T
-    np.testing.assert_allclose(in_world, pixel_directions(*SIZE) @ held.T, atol=1e-12)
+    source, target = rotations()[index], rotations()[-1 - index]
+    in_world = rotated_directions(SIZE, source, target) @ source.T
+    np.testing.assert_allclose(in_world, pixel_directions(*SIZE) @ target.T, atol=1e-12)
 
 
 @pytest.mark.parametrize("columns", [0, 1, 5, 31])
 def test_looking_further_to_the_right_moves_what_is_seen_to_the_left(columns: int) -> None:
-    image, held = noise(*SIZE), rotation_from_heading(columns / SIZE[1] * 2 * np.pi)
-    np.testing.assert_allclose(rotated_image(image, np.eye(3), held, SIZE), np.roll(image, -columns, axis=1), atol=1e-5)
+    image, target = noise(*SIZE), rotation_from_heading(columns / SIZE[1] * 2 * np.pi)
+    np.testing.assert_allclose(
+        rotated_image(image, np.eye(3), target, SIZE), np.roll(image, -columns, axis=1), atol=1e-5
+    )
 
 
 def test_a_larger_panorama_is_averaged_over_areas_and_a_smaller_one_is_not() -> None:

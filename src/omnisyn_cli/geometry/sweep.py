@@ -41,7 +41,6 @@ __all__ = [
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-
 FREE_SPACE_SLACK = 1e-3
 """Inverse depth × baseline that the other camera may be short of: below it two values both mean infinity."""
 

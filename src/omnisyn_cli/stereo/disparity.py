@@ -29,7 +29,6 @@ GROUND_BOUND_MIN_SINE = 0.17
 """Sine of the angle below the horizon (10°) where the bound on the ground's distance begins: ground may slope away;
 chosen by eye."""
 
-
 MAX_INTERPOLATED_STEP = 2.0
 """Rows by which disparities of neighbouring rows may differ and still be one surface to interpolate on.
 
@@ -45,8 +44,8 @@ so no parallax does not mean infinity. Chosen by eye."""
 class MatchingOptions:
     """Parameters of semi-global matching and plane labelling.
 
-    Costs and penalties are in units of the matching cost: 0 is a perfect match, 1 an unrelated window. Unless
-    said otherwise the defaults were tuned by hand on ray-traced warehouses.
+    Costs and penalties are in units of the matching cost: 0 is a perfect match, 1 an unrelated window. Unless said
+    otherwise the defaults were tuned by hand on ray-traced warehouses.
 
     Attributes:
         size: ``(height, width)`` of the estimates; matching runs at half of it.

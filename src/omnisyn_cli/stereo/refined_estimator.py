@@ -84,8 +84,12 @@ class RefinedDepthEstimator:
             return self._run_stages((first, second))
 
     def _run_stages(self, views: ViewPair) -> EstimatePair:
-        """All stages of depth, in order."""
-        # Rectification, cost volume, semi-global matching, left-right check, planes; then:
+        """All stages of depth, in order.
+
+        :meth:`MatchingDepthEstimator.features` rectifies the pair (1), computes the cost volume (2), matches
+        semi-globally (3), checks left against right (4) and fits planes (5). Completion (6), refinement (7), the
+        free-space check (8) and confidence (9) follow.
+        """
         features = self.matching.features(*views)
         completed = self._complete(features)
         refined = self._refine(views, completed)
