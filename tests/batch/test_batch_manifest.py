@@ -129,7 +129,7 @@ def test_what_is_said_twice_or_is_no_number_is_refused(tmp_path):
     text = json.dumps(line(0, 1))
     twice, endless = (f"{text[:-1]}, {more}}}" for more in ('"frames": 4', '"crf": NaN'))
     assert problems(tmp_path, twice, endless) == [
-        "line 1: expected every key once, got 'frames' twice in one object; remove one of them",
+        "line 1: expected every key once, got 'frames' twice in one object; remove one",
         "line 2: expected finite numbers, got NaN; write a number",
     ]
     table = tmp_path / "jobs.csv"

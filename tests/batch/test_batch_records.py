@@ -7,6 +7,7 @@ import pytest
 
 from omnisyn_cli.batch.folder import Records
 from omnisyn_cli.errors import OutputPathError, WriteError
+from process_limits import file_size_limit
 
 
 def test_the_last_line_of_a_job_counts(tmp_path):
@@ -53,12 +54,10 @@ def test_a_file_of_something_else_is_left_alone(tmp_path, content):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")
 def test_a_full_disk_is_said_of_the_records_also_when_they_are_closed(tmp_path):
-    import resource
-
-    path, former = tmp_path / "r.jsonl", resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4, former[1]))
-    try:
-        with pytest.raises(WriteError, match=r"r\.jsonl: expected to write it"), Records(path) as records:
-            records.append({"id": "a"})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, former)
+    path = tmp_path / "r.jsonl"
+    with (
+        file_size_limit(4),
+        pytest.raises(WriteError, match=r"r\.jsonl: expected to write"),
+        Records(path) as records,
+    ):
+        records.append({"id": "a"})

@@ -180,15 +180,8 @@ def test_panoramas_are_a_metre_apart_and_show_one_scene():
 
 def test_the_command_prints_both_tables(tmp_path):
     arguments = [
-        "--scenes",
-        "2",
-        "--size",
-        "32x16",
-        "--methods",
-        "synsin,network:depth-gone",
-        "--report",
-        str(tmp_path / "r"),
-    ]
+        "--scenes", "2", "--size", "32x16", "--methods", "synsin,network:depth-gone", "--report", str(tmp_path / "r"),
+    ]  # fmt: skip
     result = CliRunner().invoke(command, arguments, standalone_mode=False)
     assert result.return_value == 0, result.output
     assert "Streets, 1 m" in result.output

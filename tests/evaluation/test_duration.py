@@ -42,7 +42,7 @@ def figures_of(recipe: Recipe, rows: int = 64, **changes: object) -> Figures:
     return replace(Figures(setting, recipe=recipe, source=(64, 128), seconds=SECONDS, probe=0.01, pairs=2), **changes)
 
 
-TABLE = (
+TABLE_NAME = (
     *(
         figures_of(SCALE[name].recipe, seconds={**SECONDS, "depth": depth}, scores={"a": score, "b": score + 1})
         for (name, score), depth in zip(SCORES.items(), (2.0, 10.0), strict=True)
@@ -57,8 +57,8 @@ def memory(tmp_path, monkeypatch):
     """Where runs are remembered; this machine is as fast as that of the table."""
     monkeypatch.setenv("OMNISYN_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(duration, "probe", lambda: 0.01)
-    monkeypatch.setattr(duration, "shipped_table", lambda: TABLE)
-    monkeypatch.setattr(budget, "shipped_table", lambda: TABLE)
+    monkeypatch.setattr(duration, "shipped_table", lambda: TABLE_NAME)
+    monkeypatch.setattr(budget, "shipped_table", lambda: TABLE_NAME)
     return tmp_path / "cache"
 
 
@@ -69,7 +69,7 @@ def plan(tmp_path):
     return plan_interpolation(job_of(tmp_path, images, frames=12, threads=1, output=tmp_path / "out.mp4"))
 
 
-def work(plan: InterpolationPlan, table: Sequence[Figures] = TABLE) -> Work:
+def work(plan: InterpolationPlan, table: Sequence[Figures] = TABLE_NAME) -> Work:
     """Of a job that was measured."""
     found = work_of(plan, table)
     assert found is not None
@@ -78,7 +78,7 @@ def work(plan: InterpolationPlan, table: Sequence[Figures] = TABLE) -> Work:
 
 def expected(plan: InterpolationPlan) -> Duration:
     """Of a job that was measured."""
-    found = expected_duration(plan, TABLE)
+    found = expected_duration(plan, TABLE_NAME)
     assert found is not None
     return found
 
@@ -101,7 +101,7 @@ def test_stages_have_the_figures_of_what_they_depend_on(plan):
     two_pass = figures_of(replace(base, renderer="two-pass"), seconds={**SECONDS, "render": 1.0})
     closer = figures_of(replace(base, fusion_rows=128), seconds={**SECONDS, "fuse": 3.04})
     both = replace(plan, recipe=replace(base, renderer="two-pass", fusion_rows=128))
-    usual, asked = (work(each, (*TABLE, two_pass, closer)) for each in (plan, both))
+    usual, asked = (work(each, (*TABLE_NAME, two_pass, closer)) for each in (plan, both))
     assert asked.frames - usual.frames == pytest.approx(10 * (0.9 + 3.0))
     assert asked.pairs == usual.pairs
     assert usual.pairs - work(with_preset(plan, "fast")).pairs == pytest.approx(8.0)
@@ -111,7 +111,7 @@ def test_frames_of_other_sizes_lie_between_those_that_were_measured(plan):
     """A mesh costs the same in every size, so a frame of four times the pixels does not take four times as long."""
     recipe = replace(plan.recipe, adaptive=True)  # as it was measured
     large = figures_of(recipe, 128, seconds={**SECONDS, "render": 0.16}, pairs=1)
-    table = (*TABLE, large)
+    table = (*TABLE_NAME, large)
 
     def render(rows: int) -> float:
         whole, without = (
@@ -136,7 +136,7 @@ def test_depth_from_files_takes_no_time_to_find(plan):
     [Recipe(method="synsin"), PRESETS["paper"].recipe, replace(SCALE["fast"].recipe, is_on_gpu=True)],
 )
 def test_what_was_not_measured_is_not_guessed(plan, recipe):
-    assert expected_duration(replace(plan, recipe=recipe), TABLE) is None
+    assert expected_duration(replace(plan, recipe=recipe), TABLE_NAME) is None
 
 
 def test_the_first_guess_is_by_the_pace_of_a_small_piece_of_work(plan, monkeypatch):
@@ -179,7 +179,7 @@ def test_the_last_runs_count(plan):
     for pace in [9.0] * 60 + [1.0] * 5:
         remember_run(summary_of(long, 11.0 * pace, 18.0))
     assert expected(long).seconds == pytest.approx(3.0 + 11.0 + 18.0)
-    assert len(remembered_runs()) == duration.MOST_RUNS
+    assert len(remembered_runs()) == duration.MAX_RUNS
 
 
 def test_runs_that_make_other_things_as_well_are_not_remembered(plan, tmp_path):
@@ -194,7 +194,7 @@ def test_runs_that_make_other_things_as_well_are_not_remembered(plan, tmp_path):
 def test_a_memory_that_is_damaged_is_as_good_as_none(plan, memory, text):
     memory.mkdir()
     (memory / "runs.json").write_text(text)
-    assert expected_duration(plan, TABLE) is not None
+    assert expected_duration(plan, TABLE_NAME) is not None
     remember_run(summary_of(chain_of(plan, 2, 92), 11.0, 18.0))
     assert len(remembered_runs()) == 1
 
@@ -214,7 +214,7 @@ def test_the_probe_does_real_work():
     [(1.0, "fast", False), (8.0, "fast", True), (15.9, "fast", True), (16.1, "balanced", True)],
 )  # fmt: skip
 def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_brings(plan, seconds, preset, fits):
-    choice = choose_preset(plan, TABLE, seconds)
+    choice = choose_preset(plan, TABLE_NAME, seconds)
     assert (choice.preset, choice.fits) == (preset, fits)
     assert {name: each.seconds for name, each in choice.expected.items()} == pytest.approx(
         {"fast": 8.0, "balanced": 16.0}
@@ -225,13 +225,13 @@ def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_bring
 
 
 def test_a_preset_that_is_slower_and_worse_is_never_chosen(plan):
-    choice = choose_preset(plan, [TABLE[0], replace(TABLE[1], scores={"a": 24.0})], 1e9)
+    choice = choose_preset(plan, [TABLE_NAME[0], replace(TABLE_NAME[1], scores={"a": 24.0})], 1e9)
     assert (choice.preset, choice.more) == ("fast", "")
 
 
 def test_without_figures_of_a_preset_there_is_no_choice(plan):
     with pytest.raises(InputError, match="omnisyn bench --store"):
-        choose_preset(plan, [replace(TABLE[0], scores={})], 10.0)
+        choose_preset(plan, [replace(TABLE_NAME[0], scores={})], 10.0)
 
 
 def test_the_figures_that_come_with_the_program_are_of_the_whole_scale(plan, monkeypatch):

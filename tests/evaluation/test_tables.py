@@ -41,13 +41,10 @@ def test_methods_are_averaged_over_all_their_frames_and_ranked():
 def test_tours_are_compared_with_pairs_frame_by_frame():
     """Only frames that both have count; the standard error is that of the means of the scenes."""
     records = [
-        unit("hall", "matching", (20.0, 22.0)),
-        unit("hall", "matching:neighbours=2", (21.0, 22.5)),
-        unit("street", "matching", (30.0,)),
-        unit("street", "matching:neighbours=2", (30.25,)),
-        unit("street", "flat", (30.0,)),
-        unit("yard", "matching:neighbours=2", (10.0,)),
-    ]
+        unit("hall", "matching", (20.0, 22.0)), unit("hall", "matching:neighbours=2", (21.0, 22.5)),
+        unit("street", "matching", (30.0,)), unit("street", "matching:neighbours=2", (30.25,)),
+        unit("street", "flat", (30.0,)), unit("yard", "matching:neighbours=2", (10.0,)),
+    ]  # fmt: skip
     shown = figures(table("In tours", records))
     assert list(shown) == ["matching"]
     assert list(shown["matching"].values()) == pytest.approx([(1 + 0.5 + 0.25) / 3, 0.25, 0.25, 1.0, 3])

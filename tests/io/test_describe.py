@@ -51,7 +51,7 @@ def test_a_panorama_too_small_for_a_surface_is_not_usable(tmp_path):
     write_with(tmp_path / "dot.png", smooth_image()[:1, :2])
     seen = describe_file(tmp_path / "dot.png")
     assert (seen["usable"], seen["width"]) == (False, 2)
-    assert "at least 4×2 pixels, got 2×1" in seen["problem"]
+    assert "at least 4×2, got 2×1" in seen["problem"]
 
 
 def test_a_panorama_without_a_visible_pixel_is_not_usable(tmp_path):

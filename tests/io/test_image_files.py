@@ -1,8 +1,5 @@
 """Panoramas survive reading exactly, arrive upright and whole, and damage never passes."""
 
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,28 +11,13 @@ from io_samples import smooth_image, write_with
 from omnisyn_cli.errors import ImageError, OutputPathError, WriteError
 from omnisyn_cli.io import read_header, read_mask, read_panorama, write_image
 from omnisyn_cli.io.images import upright
+from process_limits import file_size_limit
 
 AWKWARD_NAMES = [
-    "with space.png",
-    'it\'s "quoted".png',
-    "-leading-dash.png",
-    "ünï日本🌍.png",
-    "100%06d.png",
-    "a?b=c&d.png",
-]
+    "with space.png", 'it\'s "quoted".png', "-leading-dash.png", "ünï日本🌍.png", "100%06d.png", "a?b=c&d.png",
+]  # fmt: skip
 
 DAMAGE = {"a.jpg": {}, "p.jpg": {"jpeg:progressive": 1}, "a.png": {}, "a.tif": {}, "a.exr": {}, "a.webp": {}}
-
-
-@contextmanager
-def file_size_limit(size: int) -> Iterator[None]:
-    """A disk that is full after ``size`` bytes of any file."""
-    former = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, former[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, former)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
@@ -115,14 +97,10 @@ def test_exif_orientation_is_applied(tmp_path):
 
 
 CROP = {
-    "GPano:ProjectionType": "equirectangular",
-    "GPano:FullPanoWidthPixels": 64,
-    "GPano:FullPanoHeightPixels": 32,
-    "GPano:CroppedAreaImageWidthPixels": 40,
-    "GPano:CroppedAreaImageHeightPixels": 20,
-    "GPano:CroppedAreaLeftPixels": 10,
-    "GPano:CroppedAreaTopPixels": 6,
-}
+    "GPano:ProjectionType": "equirectangular", "GPano:FullPanoWidthPixels": 64, "GPano:FullPanoHeightPixels": 32,
+    "GPano:CroppedAreaImageWidthPixels": 40, "GPano:CroppedAreaImageHeightPixels": 20,
+    "GPano:CroppedAreaLeftPixels": 10, "GPano:CroppedAreaTopPixels": 6,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("scale", [1, 2])
@@ -224,7 +202,7 @@ def test_undefined_samples_are_counted(tmp_path, bad):
     samples = np.ones((8, 16, 3), np.float32)
     samples[1, 2, 0] = samples[3, 4, 1] = bad
     write_with(tmp_path / "a.exr", samples)
-    with pytest.raises(ImageError, match="got 2 that are NaN or infinite"):
+    with pytest.raises(ImageError, match="got 2 NaN or infinite"):
         read_panorama(tmp_path / "a.exr")
 
 

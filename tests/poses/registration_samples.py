@@ -124,22 +124,16 @@ def _each(change: Callable[[Pose], Pose]) -> Callable[[Pose, Pose], tuple[Pose, 
 
 
 MADE: dict[str, Callable[[Pose, Pose], tuple[Pose, Pose]]] = {
-    "world-to-camera": _each(_inverted),
-    "opencv-extrinsics": _each(lambda pose: _inverted(_opencv(pose))),
+    "world-to-camera": _each(_inverted), "opencv-extrinsics": _each(lambda pose: _inverted(_opencv(pose))),
     "rotation-transposed": _each(lambda pose: Pose(pose.rotation.T, pose.position)),
     "translation-for-position": _each(lambda pose: Pose(pose.rotation, -pose.rotation.T @ pose.position)),
-    "images-swapped": lambda first, second: (second, first),
-    "opencv-axes": _each(_opencv),
-    "centre-at-edge": _each(_half_turned),
-    "second-centre-at-edge": lambda first, second: (first, _half_turned(second)),
-    "z-up-camera": _each(_z_up_camera),
-    "mirrored-x": _each(_mirrored(0)),
-    "mirrored-y": _each(_mirrored(1)),
+    "images-swapped": lambda first, second: (second, first), "opencv-axes": _each(_opencv),
+    "centre-at-edge": _each(_half_turned), "second-centre-at-edge": lambda first, second: (first, _half_turned(second)),
+    "z-up-camera": _each(_z_up_camera), "mirrored-x": _each(_mirrored(0)), "mirrored-y": _each(_mirrored(1)),
     "mirrored-z": _each(_mirrored(2)),
     "position-yz-swapped": _each(lambda pose: Pose(pose.rotation, pose.position[[0, 2, 1]])),
     "position-x-mirrored": _each(lambda pose: Pose(pose.rotation, pose.position * [-1, 1, 1])),
     "position-negated": _each(lambda pose: Pose(pose.rotation, -pose.position)),
-    "quaternion-order": _each(_scalar_last),
-    "degrees-for-radians": _each(_degrees_taken_for_radians),
-}
+    "quaternion-order": _each(_scalar_last), "degrees-for-radians": _each(_degrees_taken_for_radians),
+}  # fmt: skip
 """By the name of the mistake: right poses written down wrongly, spelt out differently from the corrections."""

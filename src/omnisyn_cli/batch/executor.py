@@ -59,7 +59,7 @@ class Answer:
     Attributes:
         value: of the work function; None after an error.
         error: one line, None if there was none.
-        trace: the traceback of an error that nobody foresaw.
+        trace: the traceback of an unexpected error.
         worker: ``host:pid``.
     """
 

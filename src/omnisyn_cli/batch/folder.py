@@ -157,7 +157,7 @@ def open_staging_dir(folder: Path) -> Iterator[str]:
 
 
 def shares_staging_dir(folder: Path, token: str) -> bool:
-    """Whether this is the folder in which somebody, maybe on another machine, called :func:`open_staging_dir`."""
+    """Whether this is the folder, seen from this machine, in which :func:`open_staging_dir` was called."""
     return (folder / STAGING_DIR / token).exists()
 
 

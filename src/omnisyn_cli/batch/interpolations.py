@@ -105,8 +105,8 @@ class DepthCache:
     def __call__(self, first: View, second: View) -> tuple[DepthEstimate, DepthEstimate]:
         """Estimates for ``first`` and for ``second``."""
         if tuple(second.pose.position) < tuple(first.pose.position):
-            there, back = self(second, first)
-            return back, there
+            depth_of_second, depth_of_first = self(second, first)
+            return depth_of_first, depth_of_second
         return self._known.get((_digest(first), _digest(second)), lambda: self._estimator(first, second))
 
 
@@ -130,7 +130,7 @@ class WorkerSettings:
 
     Attributes:
         folder: of the batch, absolute.
-        token: of the batch's workshop, see :func:`~omnisyn_cli.batch.folder.workshop_is_seen`.
+        token: of the batch's staging directory, see :func:`~omnisyn_cli.batch.folder.shares_staging_dir`.
         threads: of each interpolation.
     """
 

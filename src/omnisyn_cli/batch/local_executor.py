@@ -98,7 +98,7 @@ class LocalExecutor:
 
 
 def _serve(connection: Connection, work: Work, threads: int) -> None:
-    """Do what comes until nobody asks any more."""
+    """Work through jobs until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal: the first one decides
     for name in THREAD_VARIABLES:  # libraries read them when they are loaded, which they are not yet
         os.environ.setdefault(name, str(threads))
@@ -113,7 +113,7 @@ def _serve(connection: Connection, work: Work, threads: int) -> None:
 
 
 def end_with_parent() -> None:
-    """End this process with the one that started it, in the middle of whatever is done: nobody wants it any more."""
+    """End this process as soon as the one that started it ends."""
     threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 

@@ -17,7 +17,7 @@ from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import CHOICES, InterpolationJob
 from omnisyn_cli.io.documents import json_path, parse_json, problem_sentence, read_text
 
-LARGEST_FILE = 1 << 30
+MAX_MANIFEST_BYTES = 1 << 30
 
 LIST_COLUMNS = frozenset({"inputs", "masks"})
 """Columns of CSV with several file names, separated by semicolons."""
@@ -28,7 +28,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
 
     InputError: the file cannot be read.
     """
-    text = read_text(path, "a manifest", LARGEST_FILE, InputError)
+    text = read_text(path, "a manifest", MAX_MANIFEST_BYTES, InputError)
     if path.suffix.lower() == ".csv":
         yield from _rows(csv.DictReader(io.StringIO(text), strict=True))
         return
@@ -38,7 +38,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, dict[str, Any] | str]]:
 
 
 def _rows(rows: csv.DictReader[str]) -> Iterator[tuple[int, dict[str, Any] | str]]:
-    """Of CSV; nothing of a file whose columns are not told apart."""
+    """Rows of a CSV file; none of one with repeated columns."""
     try:
         columns = rows.fieldnames or ()
         if repeated := [column for column, count in Counter(columns).items() if count > 1 and column]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from omnisyn_cli.evaluation.results import FrameRecord, UnitRecord, mean
 
 ORACLE_METHODS = frozenset({"oracle-depth"})
-"""Methods that are told what the others have to find out, whatever their parameters."""
+"""Methods that are given the true depth, whatever their parameters: upper bounds."""
 
 TOUR_PARAMETER = "neighbours=2"
 """The parameter of a method that lets depth come from both neighbours of a panorama."""
@@ -31,7 +31,7 @@ def finished(records: Iterable[UnitRecord], method: str | None = None) -> list[U
 
 
 def is_oracle(method: str) -> bool:
-    """Whether a method is an upper bound, which is shown but never called the best."""
+    """Whether a method is an upper bound, which is shown but never marked as the best."""
     return method.partition(":")[0] in ORACLE_METHODS
 
 

@@ -21,8 +21,8 @@ from omnisyn_cli.fusion.pixel_classes import classify_pixels, silhouette_mask
 from omnisyn_cli.geometry.pose import Pose, at_same_position, interpolate_pose
 from omnisyn_cli.geometry.sampling import sample_bilinear, sample_nearest
 from omnisyn_cli.geometry.sphere import mean_over_sphere, pixel_directions
-from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.methods import Pair
+from omnisyn_cli.synthesis.synthesize import turned_panorama
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, View
 

@@ -38,8 +38,8 @@ from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.methods import Pair, SurfacePair
+from omnisyn_cli.synthesis.synthesize import Frame, FrameAllocator
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, Fuser, Layer, View
 
@@ -305,8 +305,8 @@ def _changed(method: ComparedMethod, parameter: str, name: str) -> ComparedMetho
         pass
     raise InputError(
         f"expected cut=0.05, metres=2, depth=512x256, renderer=two-pass, {', '.join((*FUSED_BY, *LEFT_OUT))}, "
-        f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {TOUR_PARAMETER} (where depth is "
-        f"looked for) after the colon, got {parameter!r} in {name!r}"
+        f"rows=1024 or {WITHOUT_NETWORK} (where a network refines matching), {ONE_VIEW} or {TOUR_PARAMETER} (where "
+        f"depth is estimated) after the colon, got {parameter!r} in {name!r}"
     )
 
 

@@ -79,7 +79,7 @@ def turbo(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Inverse depth in the Turbo colours: red is near, dark blue infinitely far, black unknown (negative or NaN).
 
-    The colour is that of the square root of ``inverse_depth / largest``, so that far things differ as well.
+    The colour is that of the square root of ``inverse_depth / largest``, so that far surfaces differ as well.
 
     Args:
         inverse_depth: 1/m.

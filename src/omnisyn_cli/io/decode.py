@@ -182,7 +182,7 @@ def _opened(path: Path) -> Iterator[tuple[ImageHeader, Any]]:
 
 
 def check_is_file(path: Path) -> None:
-    """Refuse names that lead to nothing, to a folder, to an empty file or to one that must not be read."""
+    """Refuse paths that are missing, a folder, an empty file or not readable."""
     try:
         if not path.is_file():
             found = "a folder" if path.is_dir() else "a device or a pipe" if path.exists() else "no such file"
@@ -240,8 +240,8 @@ def _complaint(message: Callable[[], str]) -> str:
         text = error.object.decode("utf-8", "backslashreplace")
     lines = [line.strip() for line in text.splitlines()]
     harmful = [line for line in lines if line and not any(harmless in line for harmless in HARMLESS_COMPLAINTS)]
-    told = (line for k, line in enumerate(harmful) if not any(line in other for other in harmful[k + 1 :]))
-    return "; ".join(told)[:MAX_COMPLAINT_CHARS]
+    complaints = (line for k, line in enumerate(harmful) if not any(line in other for other in harmful[k + 1 :]))
+    return "; ".join(complaints)[:MAX_COMPLAINT_CHARS]
 
 
 def _check_png_is_complete(path: Path) -> None:

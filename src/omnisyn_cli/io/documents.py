@@ -77,7 +77,7 @@ def read_json(path: Path, what: str = "a readable file", largest: int = MAX_DOCU
 
 
 def parse_json(text: str) -> Any:
-    """The value that a text says, without repeated keys, NaN and infinity, of which readers make different things.
+    """The value that a text says, without repeated keys, NaN and infinity, which JSON readers treat differently.
 
     A ValueError says what was expected, what came and what to do.
     """

@@ -1,4 +1,4 @@
-"""What can be encoded and with which arguments; ffmpeg is told that it is BT.709, or to convert to it."""
+"""Codecs and the ffmpeg arguments for them; videos are converted to BT.709 and tagged as that."""
 
 import functools
 import re
@@ -118,7 +118,8 @@ def check_settings(path: Path, settings: EncoderSettings) -> None:
     if settings.crf is not None and codec.crf is None:
         raise InputError(f"expected no quality for {settings.codec}, got {settings.crf}; choose a preset instead")
     if settings.crf is not None and not 0 <= settings.crf <= codec.largest_crf:
-        raise InputError(f"expected a quality from 0 to {codec.largest_crf}, got {settings.crf}; choose one in between")
+        scale = f"0 (largest file) to {codec.largest_crf}"
+        raise InputError(f"expected a quality from {scale} for {settings.codec}, got {settings.crf}; choose another")
     if settings.dtype not in codec.pixel_formats:
         raise InputError(
             f"expected {' or '.join(codec.pixel_formats)} frames for {settings.codec}, got {settings.dtype}; "

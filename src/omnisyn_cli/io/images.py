@@ -138,7 +138,7 @@ def check_mask_size(path: Path, size: tuple[int, ...], expected: tuple[int, ...]
 
 
 def outside_nadir(size: tuple[int, int], angle: float) -> Bool[np.ndarray, "height width"]:
-    """True where a panorama looks farther than ``angle`` radians away from its own straight down.
+    """True farther than ``angle`` radians away from the nadir of the image.
 
     Its own: the last row of the image, whatever the pose says, because a tripod and the roof of a car turn with the
     camera. With an angle of 0 it is True everywhere.
@@ -170,7 +170,9 @@ def unit_range(samples: np.ndarray, path: Path) -> Float[np.ndarray, "*shape"]:
         raise ImageError(f"{path}: expected 8- or 16-bit or floating-point samples, got {name}; convert it first")
     finite = np.isfinite(samples)
     if not finite.all():
-        raise ImageError(f"{path}: expected finite samples, got {np.count_nonzero(~finite)} others; export it anew")
+        raise ImageError(
+            f"{path}: expected finite samples, got {np.count_nonzero(~finite)} NaN or infinite; export it anew"
+        )
     return samples.astype(np.float32)
 
 

@@ -58,7 +58,7 @@ def check_output(path: Path | str, overwrite: bool = False) -> None:
     if is_folder:
         raise OutputPathError(f"{target}: expected a file name, got a folder; add a file name to it")
     if exists and not overwrite:
-        raise OutputPathError(f"{target}: expected a new file, got one that exists; choose another or use --overwrite")
+        raise OutputPathError(f"{target}: expected a new file, got one that exists; allow overwriting (--overwrite)")
 
 
 def check_name(path: Path) -> None:
@@ -127,7 +127,9 @@ def check_empty_folder(folder: Path, overwrite: bool) -> None:
     """Refuse (OutputPathError) what is no folder of its own for new files, unless others of their names may go."""
     check_staged_folder(folder)
     if not overwrite and folder.is_dir() and any(folder.iterdir()):
-        raise OutputPathError(f"{folder}: expected an empty folder, got files in it; choose another or use --overwrite")
+        raise OutputPathError(
+            f"{folder}: expected a new or empty folder, got files in it; choose another (--overwrite)"
+        )
 
 
 @contextmanager

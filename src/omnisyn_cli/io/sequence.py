@@ -127,7 +127,7 @@ def open_sequence(
         writer = ImageSequenceWriter(temporary, sequence, size)
         yield writer
         if writer.frame_count == 0:
-            raise EncodingError(f"{folder}: expected at least one frame to write, got none; check the trajectory")
+            raise EncodingError(f"{folder}: expected a frame to write, got none; check the trajectory")
         check_sequence(sequence, overwrite)  # somebody else may have made frames in the meantime
         with write_errors(folder):
             folder.mkdir(exist_ok=True)

@@ -170,7 +170,7 @@ def _matrix_pose(where: str, matrix: np.ndarray, position: list[float] | None) -
 
 
 def rigid_rotation(where: str, matrix: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """As :func:`checked_rotation`, for whoever writes a pose file."""
+    """As :func:`checked_rotation`, with remedies for the author of a pose file."""
     return checked_rotation(
         f"{where}.matrix",
         matrix,

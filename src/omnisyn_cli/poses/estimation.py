@@ -25,7 +25,7 @@ from omnisyn_cli.poses.registration.robust import MIN_INLIERS, Estimate, estimat
 __all__ = ["PictureOptions", "check_poses", "estimate_poses", "refine_poses"]
 
 DEFAULT_BASELINE = 1.0
-"""Metres between two panoramas if nobody knows."""
+"""Metres between two panoramas where no baseline is given."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""``poses.json``: where each panorama was taken and how it was held, checked and explained to whoever wrote it.
+"""``poses.json``: position and rotation of each panorama, validated with errors that say what to correct.
 
 Version 1. Per panorama ``position`` with ``rotation`` ``[w, x, y, z]`` or ``matrix`` (3×3, or 4×4 that holds the
 position too; camera-to-world), or ``latitude, longitude, altitude, heading`` with ``pitch, roll``; optionally ``depth``

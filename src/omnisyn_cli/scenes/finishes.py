@@ -1,4 +1,4 @@
-"""What walls, floors and things are made of."""
+"""Materials of walls, floors and objects."""
 
 import math
 
@@ -91,7 +91,7 @@ def random_finish(rng: np.random.Generator, size: float) -> Material:
 
 
 def low_texture_finish(rng: np.random.Generator, use: str) -> Material:
-    """Draw paint in which hardly anything can be found again, for most walls; arguments as of :func:`wall_finish`."""
+    """Draw paint with hardly any texture to match, for most walls; arguments as of :func:`wall_finish`."""
     if rng.random() < 0.3:
         return wall_finish(rng, use)
     tone = pick(rng, palette.INTERIOR)

@@ -1,4 +1,4 @@
-"""How rooms and halls are furnished: what stands against walls and on floors, what hangs there, what is stored."""
+"""Furniture of rooms and halls: against walls, on floors, on walls, in stock."""
 
 import math
 from collections.abc import Callable
@@ -27,10 +27,10 @@ WINDOW_FURNITURE: tuple[FurnitureMaker, ...] = (furniture.table, furniture.plant
 """What stands before a window."""
 
 INWARD_YAW = {"south": 0.0, "north": math.pi, "west": 0.5 * math.pi, "east": -0.5 * math.pi}
-"""Yaw of what looks away from a wall."""
+"""Yaw (radians) of furniture that faces away from a wall."""
 
 OccupiedDisks = list[tuple[float, float, float]]
-"""Places on the floor that are taken: x, z and radius, metres."""
+"""Occupied disks on the floor: x, z and radius, metres."""
 
 
 def furnish(build: SceneBuilder, cell: Cell, use: str, openings: Openings) -> None:

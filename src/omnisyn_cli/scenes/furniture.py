@@ -1,4 +1,4 @@
-"""What stands in rooms: every function adds one thing to the floor, its front looking along the local +z axis."""
+"""Furniture: every function adds one piece to the floor, its front along the local +z axis."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What is stored: cartons, pallets and racks; every function adds one thing to the floor, as those of furniture do."""
+"""Stock: cartons, pallets and racks; every function adds one to the floor, as those of furniture do."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Homes: rooms on a grid with doorways and windows, furniture close to the way, walls with hardly any texture."""
+"""Homes: rooms on a grid with doorways and windows, furniture close to the camera path, walls with little texture."""
 
 import math
 from dataclasses import replace
@@ -22,10 +22,10 @@ PATH_FURNITURE = (
 )  # fmt: skip
 
 BASELINE_RANGE = (0.25, 8.0)
-"""Metres."""
+"""Shortest and longest distance between the first and the last camera, metres."""
 
 MAX_BASELINE_IN_DEPTHS = 3.0
-"""Longest baseline in distances of the nearest thing."""
+"""Longest baseline, in multiples of the depth of the nearest surface."""
 
 Grid = dict[tuple[int, int], tuple[Cell, Openings]]
 """Rooms with their openings by column and row."""
@@ -131,7 +131,7 @@ def _add_room_walkway(build: SceneBuilder, cell: Cell) -> None:
 
 
 def _add_obstacles(build: SceneBuilder, cell: Cell) -> None:
-    """Put things next to a way through a room: furniture, lamps, somebody, and in half of the rooms shapes adrift."""
+    """Put obstacles beside a camera path: furniture, lamps, people, and floating shapes in half of the rooms."""
     rng = build.rng
     enclosure = _draw_enclosure(rng, cell)
     for _ in range(int(rng.integers(2, 7))):
@@ -153,7 +153,7 @@ def _add_obstacles(build: SceneBuilder, cell: Cell) -> None:
 
 
 def _draw_enclosure(rng: np.random.Generator, cell: Cell) -> Enclosure:
-    """A room, and a way through it at the height of a camera."""
+    """A room, and a path through it at the height of a camera."""
     low, high = (cell.low[0] + 0.15, 0.0, cell.low[1] + 0.15), (cell.high[0] - 0.15, cell.height, cell.high[1] - 0.15)
     ends = [(rng.uniform(low[0] + 0.4, high[0] - 0.4), rng.uniform(1.0, 1.8), rng.uniform(low[2] + 0.4, high[2] - 0.4))
             for _ in range(2)]  # fmt: skip
@@ -161,7 +161,7 @@ def _draw_enclosure(rng: np.random.Generator, cell: Cell) -> Enclosure:
 
 
 def _add_chandelier(build: SceneBuilder, enclosure: Enclosure) -> None:
-    """Hang a chandelier beside the way."""
+    """Hang a chandelier beside the path."""
     x, _, z = enclosure.sample_point(build.rng)
     drop = build.rng.uniform(0.3, 1.0)
     if enclosure.path.is_clear_of((x, enclosure.high[1] - drop, z), 0.5):
@@ -169,7 +169,7 @@ def _add_chandelier(build: SceneBuilder, enclosure: Enclosure) -> None:
 
 
 def _add_person_or_tripod(build: SceneBuilder, enclosure: Enclosure) -> None:
-    """Somebody, or a tripod."""
+    """A person or a tripod beside the path."""
     place = enclosure.sample_floor_point(build.rng, 0.3, 1.9)
     if place is not None and build.rng.random() < 0.6:
         props.person(build, place)
@@ -186,7 +186,7 @@ def _add_dark_doorway(build: SceneBuilder, enclosure: Enclosure) -> None:
 
 
 def _add_outdoors(build: SceneBuilder) -> None:
-    """What is seen through the windows."""
+    """Trees and buildings outside the windows."""
     rng = build.rng
     for _ in range(int(rng.integers(3, 9))):
         angle, far = rng.uniform(-math.pi, math.pi), rng.uniform(12.0, 35.0)

@@ -1,4 +1,4 @@
-"""Places that no architect planned: halls, vaults, courts and yards full of blocks, bars, arches and shapes adrift."""
+"""Cluttered places: halls, courts and yards full of blocks, bars, arches and floating shapes."""
 
 import math
 from collections.abc import Callable
@@ -18,7 +18,7 @@ FinishSampler = Callable[[np.random.Generator, str], Material]
 
 
 def jumble(seed: int) -> Scene:
-    """Generate a hall or a roofless court full of things; equal seeds give equal places."""
+    """Generate a cluttered hall or roofless court; equal seeds give equal places."""
     rng = np.random.default_rng([19, seed])
     has_roof = rng.random() < 0.6
     build = SceneBuilder(rng, lighting=indoor_light(rng) if has_roof else daylight(rng))
@@ -67,7 +67,7 @@ def _draw_finish(rng: np.random.Generator, typical: FinishSampler, size: float) 
 
 
 def _draw_enclosure(rng: np.random.Generator, sides: np.ndarray, height: float) -> Enclosure:
-    """A box around the origin, and a way through it."""
+    """A box around the origin, and a camera path through it."""
     half = 0.5 * float(sides[0]), 0.5 * float(sides[1])
     top = min(2.2, height - 0.6)
     ends = [(rng.uniform(-0.8, 0.8) * half[0], rng.uniform(0.7, top), rng.uniform(-0.8, 0.8) * half[1])
@@ -155,7 +155,7 @@ def _add_boundaries(build: SceneBuilder, enclosure: Enclosure) -> None:
 
 
 def _draw_boundary(rng: np.random.Generator, choice: float) -> tuple[float, float, Material]:
-    """Half depth, height and material of what closes a side."""
+    """Half depth, height and material of a front, wall, hedge or fence, by ``choice`` in [0, 1)."""
     if choice < 0.35:
         tone = pick(rng, palette.PLASTER)
         front = Material(
@@ -191,7 +191,7 @@ def _add_plant(build: SceneBuilder, enclosure: Enclosure) -> None:
 
 
 def _add_figure(build: SceneBuilder, enclosure: Enclosure) -> None:
-    """Somebody, a tripod, a lamp, a sign or a bench close to the way."""
+    """A person, tripod, sign, bin or bollard close to the path."""
     rng = build.rng
     place = enclosure.sample_floor_point(rng, 0.35, 1.9)
     if place is None:
@@ -210,7 +210,7 @@ def _add_figure(build: SceneBuilder, enclosure: Enclosure) -> None:
 
 
 def _add_walkways(build: SceneBuilder, enclosure: Enclosure) -> None:
-    """Cameras stand on the way and, now and then, anywhere else."""
+    """Cameras stand on the path and, for one walkway in four, anywhere else."""
     build.walkways.extend([enclosure.path.walkway(build.ground[3], BASELINE_RANGE, MAX_BASELINE_IN_DEPTHS)] * 3)
     low = (enclosure.low[0] + 0.4, 0.6, enclosure.low[2] + 0.4)
     high = (enclosure.high[0] - 0.4, min(2.4, enclosure.high[1] - 0.4), enclosure.high[2] - 0.4)

@@ -1,4 +1,4 @@
-"""What makes depth hard to find: shapes adrift, thin things, dark gaps, what stands or hangs close to the way."""
+"""Obstacles that make depth hard to estimate: floating shapes, thin structures, dark gaps, objects near the path."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ NEAR_PATH_SHARE = 0.65
 
 @dataclass(frozen=True)
 class CameraPath:
-    """A straight way that cameras may take, and that things keep clear of; metres.
+    """A straight path of cameras that obstacles keep clear of; metres.
 
     Attributes:
         start, end: of the line.
@@ -36,7 +36,7 @@ class CameraPath:
     clearance: float
 
     def is_clear_of(self, point: Point, radius: float) -> bool:
-        """Whether a ball around a point leaves the way free."""
+        """Whether a ball around a point leaves the path free."""
         start, step = np.array(self.start), np.subtract(self.end, self.start)
         share = np.clip((np.array(point) - start) @ step / max(float(step @ step), 1e-9), 0.0, 1.0)
         return float(np.linalg.norm(start + share * step - point)) > radius + self.clearance
@@ -54,14 +54,14 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class Enclosure:
-    """A box to put things into, and the way through it; metres."""
+    """A box to put obstacles into, and the camera path through it; metres."""
 
     low: Point
     high: Point
     path: CameraPath
 
     def sample_point(self, rng: np.random.Generator) -> Point:
-        """Any point of it, two of three times one beside the way: what is near is what is hard."""
+        """A random point, in most cases one beside the path: near surfaces are the hard ones."""
         point = rng.uniform(self.low, self.high)
         if rng.random() < NEAR_PATH_SHARE:
             on_way = np.array(self.path.start) + rng.random() * np.subtract(self.path.end, self.path.start)
@@ -70,7 +70,7 @@ class Enclosure:
         return float(point[0]), float(point[1]), float(point[2])
 
     def sample_floor_point(self, rng: np.random.Generator, radius: float, height: float) -> Point | None:
-        """A place on the floor that leaves the way free; None where none was found."""
+        """A place on the floor that leaves the path free; None where none was found."""
         for _ in range(MAX_PLACEMENT_TRIES):
             x, _, z = self.sample_point(rng)
             heights = np.arange(self.low[1] + min(radius, height), self.low[1] + height + 0.01, max(radius, 0.1))
@@ -80,7 +80,7 @@ class Enclosure:
 
 
 def _draw_half_size(rng: np.random.Generator, min_size: float, max_size: float) -> Point:
-    """Half sizes of a thing, compact, flat or long."""
+    """Half sizes of a compact, flat or long object."""
     size = math.exp(rng.uniform(math.log(min_size), math.log(max_size)))
     a, b, c = size * rng.uniform(0.5, 1.0, 3)
     shape = rng.random()
@@ -98,7 +98,7 @@ def _draw_shape(rng: np.random.Generator, half: Point) -> tuple[Shape, Point]:
 
 
 def floating_shapes(build: SceneBuilder, enclosure: Enclosure, count: int, max_size: float = 0.6) -> None:
-    """Let shapes of any material float about."""
+    """Add floating shapes of any material."""
     rng = build.rng
     for _ in range(count):
         half = _draw_half_size(rng, 0.05, max_size)

@@ -1,4 +1,4 @@
-"""Things that stand in a street: trees, lamps, signs, cars, people; every function adds one to the ground."""
+"""Street props: trees, lamps, signs, cars, people; every function adds one to the ground."""
 
 import math
 
@@ -169,7 +169,7 @@ def car(local: LocalFrame) -> None:
 
 
 def person(build: SceneBuilder, base: Point) -> None:
-    """Add somebody standing or walking."""
+    """Add a person, standing or walking."""
     rng = build.rng
     x, y, z = base
     height = rng.uniform(1.5, 1.9)

@@ -87,7 +87,7 @@ def _indoor_light(rng: np.random.Generator, plan: _Plan) -> Lighting:
 
 
 def _add_outdoors(build: SceneBuilder, level: float) -> None:
-    """Add the ground outside and a few things to see through the windows."""
+    """Add the ground outside, and buildings and trees in view of the windows."""
     rng = build.rng
     green = pick(rng, palette.FOLIAGE)
     build.ground = (0.0, 1.0, 0.0, level)

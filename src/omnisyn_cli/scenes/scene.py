@@ -1,8 +1,7 @@
 """A scene as arrays: convex shapes, materials, one ground plane, a sky, a sun and lamps.
 
 The frame is that of :mod:`omnisyn_cli.geometry.sphere` (y is up), lengths are metres. A shape is a unit shape in a
-box of half sizes ``half`` that is rotated and moved. :class:`SceneBuilder` collects the shapes while a generator
-walks down its street.
+box of half sizes ``half`` that is rotated and moved. A generator collects the shapes in a :class:`SceneBuilder`.
 """
 
 import math
@@ -73,8 +72,8 @@ class Walkway:
         heading: direction of motion in the horizontal plane (x, z), unit length; (0, 0) = any.
         baselines: shortest and longest usual distance between the first and the last camera.
         clearance: distance that cameras keep from everything, metres.
-        nearness: longest usual baseline in distances of what is nearest to the ends; baselines are then drawn evenly in
-            their logarithm and shortened until they fit. None = drawn evenly.
+        max_baseline_in_depths: longest usual baseline in multiples of the nearest depth at its ends. Baselines are then
+            drawn evenly in their logarithm and shortened until they fit. None: drawn evenly.
         slope: standard deviation of the climb of those paths that are not level, a tangent.
     """
 

@@ -2,7 +2,8 @@
 
 All baselines of a scene begin at the same first panorama and go the same way, so that figures differ by the distance
 and by nothing else. The wide set has ten scenes of every kind instead, each walked once and as far as is usual there,
-so that figures do not hang on a seed. Poses are rounded so far that they are the same numbers on every machine.
+so that figures do not depend on a single seed. Poses are rounded so far that they are the same numbers on every
+machine.
 """
 
 from collections.abc import Iterator

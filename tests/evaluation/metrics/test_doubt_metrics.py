@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.evaluation.metrics import confidence_metrics, merged_reliability, unsure_metrics
+from omnisyn_cli.evaluation.metrics import confidence_metrics, left_right_metrics, merged_reliability
 from omnisyn_cli.evaluation.metrics.confidence import rank_correlation
 from omnisyn_cli.geometry.sphere import row_weights
 
@@ -20,7 +20,7 @@ def test_the_unsure_area_is_weighted_by_solid_angle_and_scored_where_depth_is():
     truth, estimate = truth_and_estimate()
     truth[2], truth[5] = np.nan, 1.5
     sure = np.random.default_rng(1).random(SIZE) < 0.6
-    figures = unsure_metrics(estimate, truth, sure)
+    figures = left_right_metrics(estimate, truth, sure)
     sums = {True: [0.0, 0.0], False: [0.0, 0.0]}
     for row, weight in enumerate(row_weights(SIZE[0])):
         if row not in (2, 5):
@@ -35,7 +35,7 @@ def test_the_unsure_area_is_weighted_by_solid_angle_and_scored_where_depth_is():
 
 def test_where_all_is_sure_nothing_is_said_about_the_unsure_area():
     truth, _ = truth_and_estimate()
-    assert unsure_metrics(truth, truth, np.ones(SIZE, bool)) == {"unsure_area": 0.0, "within_5_sure": 1.0}
+    assert left_right_metrics(truth, truth, np.ones(SIZE, bool)) == {"unsure_area": 0.0, "within_5_sure": 1.0}
 
 
 def test_rank_correlation_is_that_of_repeated_entries():

@@ -30,13 +30,10 @@ from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_h
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth
 from omnisyn_cli.io.documents import ForeignModel, read_json, validated
-from omnisyn_cli.poses.file import read_poses
+from omnisyn_cli.poses.file import POSES_NAME, read_poses
 from omnisyn_cli.poses.formats.files import natural_key
 from omnisyn_cli.poses.formats.habitat import habitat_pose
-from omnisyn_cli.poses.formats.zind import POSES as TOUR
-from omnisyn_cli.poses.formats.zind import Panorama, pose_on_floor, read_tour
-
-POSES = "poses.json"
+from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, Panorama, pose_on_floor, read_tour
 
 HABITAT_POSITION = "*/tran.txt"
 
@@ -49,12 +46,13 @@ def own_scenes(folder: Path, *, allow_outside: bool = False) -> list[SceneSource
         allow_outside: whether depth and masks of a scene may lie outside of its folder.
     """
     return [
-        SceneSource(name, partial(_own_frames, scene, allow_outside)) for name, scene in scene_folders(folder, POSES)
+        SceneSource(name, partial(_own_frames, scene, allow_outside))
+        for name, scene in scene_folders(folder, POSES_NAME)
     ]
 
 
 def _own_frames(folder: Path, allow_outside: bool) -> Iterator[SceneFrame]:
-    for image, panorama in read_poses(folder / POSES, allow_outside=allow_outside).panoramas.items():
+    for image, panorama in read_poses(folder / POSES_NAME, allow_outside=allow_outside).panoramas.items():
         yield SceneFrame(image, folder / image, panorama.pose, panorama.depth, panorama.mask)
 
 
@@ -74,12 +72,12 @@ def _habitat_frames(folder: Path) -> Iterator[SceneFrame]:
 
 def zind_scenes(folder: Path) -> list[SceneSource]:
     """The rooms of all tours of a folder, or of a single tour; none where nothing has this layout."""
-    return [room for name, tour in scene_folders(folder, TOUR) for room in _rooms(name, tour)]
+    return [room for name, tour in scene_folders(folder, ZIND_FILE_NAME) for room in _rooms(name, tour)]
 
 
 def _rooms(name: str, folder: Path) -> list[SceneSource]:
     """Rooms with at least two panoramas; a damaged tour is one source that says so when it is read."""
-    path = folder / TOUR
+    path = folder / ZIND_FILE_NAME
     try:
         tour = read_tour(path)
         rooms = {
@@ -109,7 +107,9 @@ def _fail(error: PoseError) -> Never:
 
 def _room_frames(folder: Path, floor: str, panoramas: dict[str, Panorama], scale: float | None) -> Iterable[SceneFrame]:
     if scale is None:
-        raise NoScaleError(f"{folder / TOUR}: expected metres per coordinate of {floor}, got null; choose other floors")
+        raise NoScaleError(
+            f"{folder / ZIND_FILE_NAME}: expected metres per coordinate of {floor}, got null; choose other floors"
+        )
     for key in sorted(panoramas, key=natural_key):
         yield SceneFrame(key, folder / panoramas[key].image_path, pose_on_floor(panoramas[key], scale))
 

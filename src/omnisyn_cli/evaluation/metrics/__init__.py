@@ -1,12 +1,24 @@
 """How good pictures, depth and video are; ``temporal`` and ``lpips`` are modules of their own."""
 
-from omnisyn_cli.evaluation.metrics.confidence import confidence_metrics, merged_reliability, unsure_metrics
+from omnisyn_cli.evaluation.metrics.confidence import confidence_metrics, left_right_metrics, merged_reliability
 from omnisyn_cli.evaluation.metrics.depth_errors import depth_metrics, scored_pixels
 from omnisyn_cli.evaluation.metrics.flying import flying_share
 from omnisyn_cli.evaluation.metrics.image import end_psnr, lrce, psnr, ssim, ws_psnr, ws_ssim
 from omnisyn_cli.evaluation.metrics.kinds import end_masks, kind_figures
 
 __all__ = [
-    "confidence_metrics", "depth_metrics", "end_masks", "end_psnr", "flying_share", "kind_figures", "lrce",
-    "merged_reliability", "psnr", "scored_pixels", "ssim", "unsure_metrics", "ws_psnr", "ws_ssim",
+    "confidence_metrics",
+    "depth_metrics",
+    "end_masks",
+    "end_psnr",
+    "flying_share",
+    "kind_figures",
+    "left_right_metrics",
+    "lrce",
+    "merged_reliability",
+    "psnr",
+    "scored_pixels",
+    "ssim",
+    "ws_psnr",
+    "ws_ssim",
 ]  # fmt: skip

@@ -20,11 +20,11 @@ CONFIDENCE_BINS = 10
 Values = Float[np.ndarray, " count"]
 
 
-def unsure_metrics(
+def left_right_metrics(
     estimate: Float[np.ndarray, "height width"], truth: Float[np.ndarray, "height width"],
-    sure: Bool[np.ndarray, "height width"],
+    stereo_valid: Bool[np.ndarray, "height width"],
 ) -> dict[str, float]:  # fmt: skip
-    """How much matching was not sure of, and how right the depth is there and elsewhere.
+    """Area without left-right consistent disparities, and the accuracy of depth there and elsewhere.
 
     ``unsure_area`` is that share of the scored pixels; ``within_5_unsure`` and ``within_5_sure`` are the shares of the
     values within 5 % of the truth in it and in the rest; that of an empty area is missing.
@@ -32,13 +32,13 @@ def unsure_metrics(
     Args:
         estimate: inverse depth, 1/m, >= 0.
         truth: true inverse depth, 1/m; 0 is infinitely far, NaN unknown; somewhere it is scored.
-        sure: where matching was sure.
+        stereo_valid: where both directions of matching agreed.
     """
     check_same_size(estimate, truth)
     scored, weights = _scored(truth)
-    is_close, is_sure = _ratio(estimate[scored], truth[scored]) < DELTAS["105"], sure[scored]
-    shares = {"unsure": ~is_sure, "sure": is_sure}
-    return {"unsure_area": float(weights[~is_sure].sum())} | {
+    is_close, is_valid = _ratio(estimate[scored], truth[scored]) < DELTAS["105"], stereo_valid[scored]
+    shares = {"unsure": ~is_valid, "sure": is_valid}
+    return {"unsure_area": float(weights[~is_valid].sum())} | {
         f"within_5_{name}": float(np.average(is_close[area], weights=weights[area]))
         for name, area in shares.items()
         if area.any()

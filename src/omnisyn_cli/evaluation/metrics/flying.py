@@ -25,16 +25,16 @@ from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.types import View
 
 COLOUR_TOLERANCE = 30 / 255
-"""Difference in any channel from which on a colour is another one."""
+"""Largest difference of a channel between colours that count as equal: 30 of 255 levels."""
 
 CELL_GRID_SIZE = (64, 128)
-"""Rows and columns of cells."""
+"""Rows and columns of cells of 2.8°."""
 
 DEPTH_GRID_SIZE = (128, 256)
-"""Rows and columns of true depth that cells are told by: four for each, 36 with those around it."""
+"""Rows and columns of the true depth that gives the range of a cell: four samples each, 36 with its neighbours."""
 
-CELL_SEARCH_ANGLE = np.radians(1.4)
-"""Angle from the line."""
+EPIPOLAR_MARGIN = np.radians(1.4)
+"""Radians beside the epipolar line that are searched: half a cell."""
 
 
 class _Pixels(NamedTuple):
@@ -102,9 +102,9 @@ def _carried(pose: Pose, view: View) -> tuple[tuple[np.ndarray, np.ndarray], np.
 def _is_shown(pixels: _Pixels, view: View, pose: Pose) -> Bool[np.ndarray, " count"]:
     """Whether a photograph has the colour of each pixel near its line: looked for from the far end to the near one."""
     view_from_frame = view.pose.inverse() @ pose
-    step = 2.0 * CELL_SEARCH_ANGLE / max(float(np.linalg.norm(view_from_frame.position)), 1e-9)
+    step = 2.0 * EPIPOLAR_MARGIN / max(float(np.linalg.norm(view_from_frame.position)), 1e-9)
     size = (view.image.shape[0], view.image.shape[1])
-    reach = max(1, round(CELL_SEARCH_ANGLE * pixel_scale(size)[0]))
+    reach = max(1, round(EPIPOLAR_MARGIN * pixel_scale(size)[0]))
     wide, is_shown = add_border(view.image.astype(np.float32), reach), np.zeros(len(pixels.colours), bool)
     left, inverse_depth = np.arange(len(is_shown)), pixels.farthest
     while left.size:

@@ -31,7 +31,7 @@ from omnisyn_cli.poses.formats.opensfm import read_opensfm
 from omnisyn_cli.poses.formats.street_view import read_table
 from omnisyn_cli.poses.formats.trajectories import ROTATIONS, read_authors, read_kitti, read_tum
 from omnisyn_cli.poses.formats.writers import EXPORT_FORMATS, export_poses, write_imported
-from omnisyn_cli.poses.formats.zind import POSES, read_zind
+from omnisyn_cli.poses.formats.zind import ZIND_FILE_NAME, read_zind
 
 __all__ = [
     "CAMERA_AXES",
@@ -62,7 +62,7 @@ class Format:
         key: at the top of its JSON.
         columns: of the first line of its text.
         is_on_earth: it may know where on earth it is.
-        is_level: its axes are beyond doubt.
+        is_level: its axes are fixed by the format.
         is_of_many: there may be several sources.
     """
 
@@ -79,7 +79,7 @@ FORMATS: Mapping[str, Format] = {
     "exif": Format(read_exif, is_on_earth=True, is_level=True, is_of_many=True),
     "table": Format(read_table, is_on_earth=True, is_level=True),
     "colmap": Format(read_colmap, IMAGES),
-    "zind": Format(read_zind, POSES, "merger", is_level=True),
+    "zind": Format(read_zind, ZIND_FILE_NAME, "merger", is_level=True),
     "opensfm": Format(read_opensfm, "reconstruction.json", "shots", is_on_earth=True),
     "nerfstudio": Format(read_nerfstudio, "transforms.json", "frames"),
     "authors": Format(read_authors, ROTATIONS),
@@ -119,7 +119,7 @@ def import_poses(sources: Sequence[Path], format_name: str, options: ImportOptio
 
 
 def detected_format(sources: Sequence[Path]) -> str:
-    """Which program's poses a file or folder holds, told by names and by what is inside."""
+    """The format of the poses in a file or folder, by file names and content."""
     for source in sources:
         if not source.exists():
             raise PoseError(f"{source}: expected a file or folder with poses, got none; check the name")
@@ -157,7 +157,8 @@ def _of_folder(folder: Path) -> str:
     if found:
         return found[0]
     if (model_folder(folder, "images.bin") / "images.bin").is_file():
-        raise PoseError(f"{folder}: expected a COLMAP text model, got a binary one; use 'colmap model_converter'")
+        remedy = "convert it with 'colmap model_converter --output_type TXT'"
+        raise PoseError(f"{folder}: expected a COLMAP text model, got a binary one; {remedy}")
     if images_in(folder):
         return "exif"
     raise _unknown(folder, f"none of {', '.join(marks.values())}, rot.txt in sub-folders, or images")

@@ -25,7 +25,7 @@ from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreig
 
 IMAGES = "images.txt"
 
-PANORAMIC = "EQUIRECTANGULAR"
+EQUIRECTANGULAR = "EQUIRECTANGULAR"
 
 HEADER = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
 
@@ -49,7 +49,7 @@ def read_colmap(source: Path, options: ImportOptions) -> ImportedPoses:
         fields = line.split(maxsplit=9)
         if len(fields) != 10:
             raise PoseError(f"{where}: expected {HEADER}, got {len(fields)} fields; correct the line")
-        if models.get(fields[8], PANORAMIC) != PANORAMIC:
+        if models.get(fields[8], EQUIRECTANGULAR) != EQUIRECTANGULAR:
             skipped.append(fields[9])
             continue
         name = fields[9].strip()
@@ -134,7 +134,7 @@ def colmap_rig_files(
 
 
 def _in_rig(face: str, face_from_rig: Pose) -> dict[str, Any]:
-    """A camera as ``colmap rig_configurator`` is told of it."""
+    """A camera in the configuration of ``colmap rig_configurator``."""
     if np.array_equal(face_from_rig.rotation, np.eye(3)):
         return {"image_prefix": f"{face}/", "ref_sensor": True}
     turn = quaternion_from_rotation(face_from_rig.rotation).tolist()

@@ -29,7 +29,7 @@ Row = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 Matrix = Annotated[list[Row], Field(min_length=3, max_length=4)]
 
-PANORAMIC = "EQUIRECTANGULAR"
+EQUIRECTANGULAR = "EQUIRECTANGULAR"
 
 
 class Frame(ForeignModel):
@@ -58,7 +58,7 @@ def read_nerfstudio(source: Path, options: ImportOptions) -> ImportedPoses:
     for index, frame in enumerate(document.frames):
         model = frame.camera_model or document.camera_model
         undeclared |= model is None
-        if model is not None and model.upper() != PANORAMIC:
+        if model is not None and model.upper() != EQUIRECTANGULAR:
             skipped.append(frame.file_path)
             continue
         where = f"{path}: frames[{index}]"
@@ -100,7 +100,7 @@ def nerfstudio_text(
         for name, pose in poses.items()
     ]
     lines = ",\n".join(f"  {json.dumps(frame, ensure_ascii=False)}" for frame in frames)
-    head = json.dumps({"camera_model": PANORAMIC, "orientation_override": "none", **shared}, ensure_ascii=False)
+    head = json.dumps({"camera_model": EQUIRECTANGULAR, "orientation_override": "none", **shared}, ensure_ascii=False)
     return f'{head[:-1]}, "frames": [\n{lines}\n]}}\n'
 
 

@@ -22,9 +22,9 @@ from omnisyn_cli.io.documents import ForeignModel, listed, read_json, validated
 from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions
 
-__all__ = ["POSES", "Panorama", "pose_on_floor", "read_tour"]
+__all__ = ["ZIND_FILE_NAME", "Panorama", "pose_on_floor", "read_tour"]
 
-POSES = "zind_data.json"
+ZIND_FILE_NAME = "zind_data.json"
 
 
 class Similarity(ForeignModel):
@@ -72,7 +72,7 @@ def read_zind(source: Path, options: ImportOptions) -> ImportedPoses:
 
     The world's y counts from the floor, x and z span the floor plan.
     """
-    path = source / POSES if source.is_dir() else source
+    path = source / ZIND_FILE_NAME if source.is_dir() else source
     tour = read_tour(path)
     floor = _floor(path, tour, options)
     metres = tour.scale_meters_per_coordinate.get(floor)

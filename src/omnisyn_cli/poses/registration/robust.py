@@ -2,7 +2,7 @@
 
 Samples of five matches give hypotheses; those that most matches agree with are refined (:mod:`.least_squares`), and so
 is a pose that is already known. Random numbers come from a fixed seed: equal matches give equal poses. That the cameras
-stand in one place, so that no direction can be told, is recognised by a rotation alone explaining as much.
+stand in one place, so that the baseline has no direction, is recognised by a pure rotation explaining as many matches.
 """
 
 from collections.abc import Sequence
