@@ -1,6 +1,7 @@
 """When two depths belong to one surface, and how near the nearest thing is: numbers that several rooms share.
 
-Differences of inverse depth are relative to the greater of the two. All were chosen by eye unless a line says otherwise.
+Differences of inverse depth are relative to the greater of the two. They were chosen by eye unless a line says
+otherwise.
 """
 
 __all__ = [
