@@ -5,7 +5,7 @@ import numpy as np
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Triangles
-from omnisyn_cli.render.rasterize import NOTHING, Fragments
+from omnisyn_cli.render.rasterize import NO_FACE, Fragments
 
 
 def rasterize_reference(triangles: Triangles, target_from_source: Pose, size: tuple[int, int]) -> Fragments:
@@ -14,7 +14,7 @@ def rasterize_reference(triangles: Triangles, target_from_source: Pose, size: tu
     Time and memory grow with ``pixels × triangles``; meant for images of some dozen rows.
     """
     rays = pixel_directions(*size).reshape(-1, 3)
-    nearest, face = np.full(len(rays), -1.0), np.full(len(rays), NOTHING, np.int32)
+    nearest, face = np.full(len(rays), -1.0), np.full(len(rays), NO_FACE, np.int32)
     for number, directions, inverse_depth in zip(
         triangles.face, triangles.direction, triangles.inverse_depth, strict=True
     ):

@@ -75,21 +75,21 @@ def photograph(size: tuple[int, int]) -> np.ndarray:
 def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """Rasterises and shades one view."""
     texture = make_texture(photograph(size))
-    rasterizer, shader, trust = (
+    rasterizer, shader, surface_confidence = (
         Rasterizer(size, threads=1),
         Shader(size, threads=1),
         make_confidence_map(mesh, texture),
     )
-    return lambda: shader(rasterizer(mesh.blocks, POSE), trust, texture, POSE)
+    return lambda: shader(rasterizer(mesh.blocks, POSE), surface_confidence, texture, POSE)
 
 
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
     texture = make_texture(photograph(size))
-    (quads, kept), trust = simplify(mesh, -POSE.position, size[0], threads=1), make_confidence_map(mesh, texture)
+    (quads, kept), surface_confidence = simplify(mesh, -POSE.position, size[0], threads=1), make_confidence_map(mesh, texture)
     print(f"{size[1]}×{size[0]}  {kept} of {mesh.face_count()} triangles kept")
     rasterizer, shader = Rasterizer(size, threads=1), Shader(size, threads=1)
-    return lambda: shader(rasterizer(quads, POSE), trust, texture, POSE)
+    return lambda: shader(rasterizer(quads, POSE), surface_confidence, texture, POSE)
 
 
 def best_of(contestants: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:

@@ -28,7 +28,7 @@ from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 
 WIDTHS = (1024, 2048, 4096, 8192)
 FEW = 4
@@ -109,7 +109,7 @@ def frames(threads: int, width: int = 4096) -> Callable[[], object]:
     directions, size = pixel_directions(256, 512), (width // 2, width)
     inverse_depth = np.asarray(0.3 + 0.2 * (directions[..., 1] < 0) + 0.3 * (directions[..., 0] > 0.8), np.float32)
     image = np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
-    views = [MeshRenderer(image, None, inverse_depth, None, size, None, threads) for _ in range(2)]
+    views = [MeshRenderer(RendererInputs(image, None, inverse_depth, None, size, None, threads)) for _ in range(2)]
     poses = [Pose(np.eye(3), np.array([side * 0.1, 0.0, side * 0.4])) for side in (1.0, -1.0)]
     fuser, out = GeometricFuser(size, threads=threads), np.empty((*size, 3), np.uint8)
 

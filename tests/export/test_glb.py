@@ -16,13 +16,13 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
 from omnisyn_cli.interpolation.export import mesh as export_mesh
 from omnisyn_cli.interpolation.export.mesh import MAX_FLATNESS, TexturedMesh, textured_mesh
-from omnisyn_cli.io import read_depth, write_depth, write_image
+from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.scenes.panorama import render_panorama
-from synthesis_samples import RADIUS, SIZE, posed, write_hall
+from synthesis_samples import RADIUS, SIZE, open_to_the_sky, posed, write_hall, write_mask
 
 
 def scene_of(path: Path) -> trimesh.Scene:
@@ -162,10 +162,7 @@ def test_the_picture_is_shifted_by_no_more_than_is_said(monkeypatch: pytest.Monk
 
 def test_the_sky_is_a_node_of_its_own_on_the_dome(tmp_path: Path) -> None:
     job = job_in(tmp_path, "sky.glb", chain=CHAIN[:2], dome=30.0)
-    for index in (0, 1):
-        depth = np.array(read_depth(tmp_path / f"p{index}_depth.exr"))
-        depth[:20] = np.inf
-        write_depth(tmp_path / f"p{index}_depth.exr", depth)
+    open_to_the_sky(tmp_path, 20)
     run_export(plan_export(job))
     scene = scene_of(tmp_path / "sky.glb")
     for index, pose in enumerate(CHAIN[:2]):
@@ -178,10 +175,7 @@ def test_the_sky_is_a_node_of_its_own_on_the_dome(tmp_path: Path) -> None:
 
 
 def test_masked_parts_have_no_surface(tmp_path: Path) -> None:
-    usable = np.full((*SIZE, 3), 255, np.uint8)
-    usable[40:] = 0
-    mask = tmp_path / "not below.png"
-    write_image(mask, usable)
+    mask = write_mask(tmp_path / "not below.png", 40)
     exported(tmp_path, "hall.glb", chain=CHAIN[:2], masks=(mask, mask))
     for mesh in scene_of(tmp_path / "hall.glb").geometry.values():
         row, _ = direction_to_pixel(mesh.vertices, SIZE)

@@ -6,7 +6,7 @@ from fusion_samples import asked
 
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghost_grid import ghost_sample_step
-from omnisyn_cli.fusion.layer_pair import ROWS, LayerPair, RowTileRunner
+from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, RowTileRunner
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer
@@ -46,7 +46,10 @@ def correct(planes: np.ndarray) -> np.ndarray:
     return np.full_like(planes[:4], 0.1)
 
 
-FUSERS = {"geometric": GeometricFuser, "network": lambda size, threads: ResidualFuser(size, correct, 128, None, threads)}
+FUSERS = {
+    "geometric": GeometricFuser,
+    "network": lambda size, threads: ResidualFuser(size, correct, 128, None, threads),
+}
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -79,7 +82,8 @@ def test_ghosts_are_suppressed_in_what_is_blended() -> None:
 def test_bands_cover_every_row_once_in_order_of_their_steps(height: int) -> None:
     size, seen, told = (height, 4), np.zeros(height, int), []
     first, second = (
-        Layer.from_arrays(np.zeros(size, np.float32), np.full((*size, 4), k, np.float32), Pose.identity()) for k in (1, 2)
+        Layer.from_arrays(np.zeros(size, np.float32), np.full((*size, 4), k, np.float32), Pose.identity())
+        for k in (1, 2)
     )
 
     def double(a: np.ndarray, b: np.ndarray, top: int) -> None:
@@ -95,9 +99,9 @@ def test_bands_cover_every_row_once_in_order_of_their_steps(height: int) -> None
         assert (b == 4).all()
         assert a.shape == (bottom - top, 4, 4)
 
-    RowTileRunner(size, 3)(LayerPair(first, second).then(double).then(None).then(add), use)
+    RowTileRunner(size, 3)(LayerPair(first, second).with_step(double).with_step(None).with_step(add), use)
     assert (seen == 1).all()
-    assert sorted(told) == list(range(0, height, ROWS))
+    assert sorted(told) == list(range(0, height, TILE_ROWS))
 
 
 def test_what_nobody_sees_is_black_and_the_former_frame_does_not_show() -> None:

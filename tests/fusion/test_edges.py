@@ -11,10 +11,10 @@ from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.ghosts import GhostSuppression
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.pixel_classes import is_other_surface
-from omnisyn_cli.fusion.supersampling import CONTRAST, EdgeSupersampler
+from omnisyn_cli.fusion.supersampling import MIN_CONTRAST_LEVELS, EdgeSupersampler
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
-from omnisyn_cli.render.renderer import MeshRenderer
+from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 from omnisyn_cli.types import Layer
 
 SIZE = (64, 128)
@@ -33,7 +33,10 @@ def image(place: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def seen(size: tuple[int, int], target: np.ndarray = TARGET) -> list[Layer]:
     fine = (192, 384)
-    drawn = [MeshRenderer(image(p, fine), None, inverse_depth(p, fine), None, size, threads=1) for p in PLACES]
+    drawn = [
+        MeshRenderer(RendererInputs(image(p, fine), None, inverse_depth(p, fine), None, size, threads=1))
+        for p in PLACES
+    ]
     return [draw(Pose(np.eye(3), p - target)) for draw, p in zip(drawn, PLACES, strict=True)]
 
 
@@ -46,7 +49,7 @@ def fused(views: list[Layer], size: tuple[int, int], t: float = 0.5, **options: 
 
 
 def edge_pixels(picture: np.ndarray) -> np.ndarray:
-    return EdgeSupersampler(SIZE, 1).marked(LayerPair(*VIEWS), picture) > 0
+    return EdgeSupersampler(SIZE, 1).mark(LayerPair(*VIEWS), picture) > 0
 
 
 def halved(picture: np.ndarray) -> np.ndarray:
@@ -86,7 +89,7 @@ def test_spots_are_where_surfaces_jump_and_colours_differ() -> None:
     )
     around = np.stack([levels[i : i + SIZE[0], j : j + SIZE[1]] for i in range(3) for j in range(3)])
     contrast = np.ptp(around, axis=0).max(axis=-1)
-    np.testing.assert_array_equal(edge_pixels(picture), jumps & (contrast >= CONTRAST))
+    np.testing.assert_array_equal(edge_pixels(picture), jumps & (contrast >= MIN_CONTRAST_LEVELS))
 
 
 @pytest.mark.parametrize("t", [0.06, 0.5])
@@ -118,7 +121,7 @@ def test_samples_set_in_with_the_rule() -> None:
 
 
 def test_nothing_is_sampled_in_place_or_without_samples() -> None:
-    bare = [replace(view, samples=None) for view in VIEWS]
+    bare = [replace(view, edge_samples=None) for view in VIEWS]
     np.testing.assert_array_equal(fused(bare, SIZE), fused(VIEWS, SIZE, edges=False))
     in_place = [replace(view, target_from_source=Pose(np.eye(3), CENTRE)) for view in VIEWS]
     np.testing.assert_array_equal(fused(in_place, SIZE), fused(in_place, SIZE, edges=False))
@@ -129,12 +132,12 @@ def test_what_is_suppressed_is_suppressed_in_samples() -> None:
     views = LayerPair(*VIEWS)
     rule, cells = BlendRule.at(0.5, BlendOptions()), np.full((8, 16), -1.0, np.float32)
     fuser, out = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
-    fuser.paint(views.then(GhostSuppression(cells, 8)), rule, out)
+    fuser.blend(views.with_step(GhostSuppression(cells, 8)), rule, out)
     fine = GeometricFuser(DOUBLE, threads=1, edges=False)
     expected = np.empty((*DOUBLE, 3), np.float32)
-    fine.paint(LayerPair(*FINE_VIEWS).then(GhostSuppression(cells, 16)), rule, expected)
+    fine.blend(LayerPair(*FINE_VIEWS).with_step(GhostSuppression(cells, 16)), rule, expected)
     plain = np.empty_like(out)
-    GeometricFuser(SIZE, threads=1, edges=False).paint(views.then(GhostSuppression(cells, 8)), rule, plain)
+    GeometricFuser(SIZE, threads=1, edges=False).blend(views.with_step(GhostSuppression(cells, 8)), rule, plain)
     there = edge_pixels(plain)
     assert (np.abs(out - halved(expected)).max(axis=-1)[there] < 0.01).mean() > 0.9
 
@@ -148,15 +151,15 @@ def test_where_a_view_does_not_jump_its_samples_lie_on_its_plane() -> None:
     colour = np.random.default_rng(9).random((*SIZE, 4)).astype(np.float32)
     first, second = (Layer.from_arrays(rho.astype(np.float32), colour, Pose.identity()) for rho in (plane, steps))
     sampler, views = EdgeSupersampler(SIZE, 1), LayerPair(first, second)
-    known, sought = sampler._spots(sampler.marked(views, colour[..., :3].copy()), views, 4, SIZE[0] - 3)
-    rows = 4 + np.repeat(np.arange(len(known.begins)), np.diff([0, *known.begins[:, -1]]))
+    known, sought = sampler._edge_pixels(sampler.mark(views, colour[..., :3].copy()), views, 4, SIZE[0] - 3)
+    rows = 4 + np.repeat(np.arange(len(known.tile_begins)), np.diff([0, *known.tile_begins[:, -1]]))
     inner = (known.cols > 0) & (known.cols < SIZE[1] - 1)
     at = np.repeat(known.cols, 2) + np.tile([-0.25, 0.25], len(known.cols))
     for half, down in ((0, -0.25), (1, 0.25)):
         expected = 0.3 + 0.0002 * at + 0.0005 * (np.repeat(rows, 2) + down)
         there = np.repeat(inner, 2)
         np.testing.assert_allclose(known.inverse_depth[half, there], expected[there], atol=2e-6)
-    assert (known.counts == 0).all()
+    assert (known.unknown_counts == 0).all()
     assert (sought.inverse_depth == -1.0).all(), "its jumps are what makes them spots"
-    assert (np.diff(sought.counts, axis=1) >= 0).all()
-    assert sought.counts[:, -1].sum() == (sought.cols >= 0).sum(), "all of them are counted"
+    assert (np.diff(sought.unknown_counts, axis=1) >= 0).all()
+    assert sought.unknown_counts[:, -1].sum() == (sought.cols >= 0).sum(), "all of them are counted"

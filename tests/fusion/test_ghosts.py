@@ -11,7 +11,7 @@ from fusion_samples import asked
 
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.geometric import GeometricFuser
-from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, regions
+from omnisyn_cli.fusion.ghosts import GhostOptions, GhostRemover, label_regions
 from omnisyn_cli.fusion.residual import ResidualFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -220,7 +220,7 @@ def test_regions_are_those_of_opencv_joined_across_the_seam(as_array: Callable[[
         differs = rng.random((40, 70)) < share
         differs[3:30:2], differs[4:30:4, 69], differs[6:30:4, 1], differs[:, 35] = True, False, False, False
         differs[3:30:2, 34:37] = True
-        found = np.asarray(regions(as_array(differs)))
+        found = np.asarray(label_regions(as_array(differs)))
         _, twice = cv2.connectedComponents(np.tile(differs, 2).astype(np.uint8), connectivity=8)
         assert ((found > 0) == differs).all()
         for i, j in rng.integers(0, (40, 70), (60, 2)):

@@ -16,7 +16,7 @@ SIZE = (128, 256)
 TARGET = np.array([0.05, 0.0, 0.1])
 BELOW = (np.array([-0.2, -0.9, -0.3]), np.array([0.2, -0.9, -0.3]))
 SILHOUETTE_PIXELS = (np.array([-0.9, 0.1, -0.6]), np.array([1.0, -0.1, -0.5]))
-ASIDE = (np.array([-0.5, 0.1, 0.0]), np.array([0.6, -0.1, 0.0]))
+MAX_SHIFT_PIXELS = (np.array([-0.5, 0.1, 0.0]), np.array([0.6, -0.1, 0.0]))
 
 
 def rendering(rho: np.ndarray, weight: np.ndarray | float = 1.0) -> Layer:
@@ -57,7 +57,7 @@ def borders(kinds: PixelClasses) -> np.ndarray:
 def test_behind_and_around_a_ball_kinds_are_those_of_geometry() -> None:
     """What either view sees of a ball, of what lies behind it, and through its unseen side, follows from spheres."""
     count = np.zeros(4, int)
-    for places in (BELOW, SILHOUETTE_PIXELS, ASIDE):
+    for places in (BELOW, SILHOUETTE_PIXELS, MAX_SHIFT_PIXELS):
         views = [meshed(place) for place in places]
         exact = [seen_by(place, TARGET, SIZE) for place in places]
         expected = classify_pixels(*map(rendering, exact))

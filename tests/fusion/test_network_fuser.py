@@ -8,15 +8,15 @@ from fusion_samples import asked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.input_builder import InputBuilder
-from omnisyn_cli.fusion.input_channels import PLANES, disagreement_mask
+from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, disagreement_mask
 from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
 from omnisyn_cli.fusion.residual import ResidualFuser, working_size
-from omnisyn_cli.fusion.warp_candidates import FINER, LOOKS
+from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_SCALE
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer
@@ -24,7 +24,7 @@ from omnisyn_cli.types import Layer
 ROWS = 32
 """That the network looks at."""
 
-SIZE = (FINER * ROWS, 2 * FINER * ROWS)
+SIZE = (CANDIDATE_SCALE * ROWS, 2 * CANDIDATE_SCALE * ROWS)
 """Of the least renderings that it can be asked about."""
 
 
@@ -164,7 +164,7 @@ def test_of_large_blocks_every_second_row_and_column_is_enough_for_a_mean():
 
 def enlarged(view):
     """Every pixel as a block, so that means over blocks are what it was."""
-    rho, colour = (x.repeat(FINER, 0).repeat(FINER, 1) for x in (view.inverse_depth, view.colour))
+    rho, colour = (x.repeat(CANDIDATE_SCALE, 0).repeat(CANDIDATE_SCALE, 1) for x in (view.inverse_depth, view.colour))
     return asked(Layer.from_arrays(rho, colour, view.target_from_source))
 
 
@@ -175,7 +175,7 @@ def test_the_planes_are_what_they_are_said_to_be():
     rule, source_samplers = BlendRule.at(t, BlendOptions()), (first.source_sampler, second.source_sampler)
     planes, _ = InputBuilder(size, RowTileRunner(SIZE, 1))(LayerPair(*finer), rule, source_samplers)
     a, b = seen((first, second))
-    assert planes.shape == (PLANES + LOOKS, *size)
+    assert planes.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *size)
     directions = pixel_directions(*size)
     weights = []
     for view, share in ((first, 1 - t), (second, t)):
@@ -183,30 +183,30 @@ def test_the_planes_are_what_they_are_said_to_be():
         weights.append(share * view.colour[..., 3] * ((away**2).sum(-1) + 1e-8) ** -1.5)
     rhos = [np.maximum(view.inverse_depth, 0).astype(float) for view in (first, second)]
     gap = (rhos[0] - rhos[1]) / (np.maximum(*rhos) * 0.06 + 1e-9)
-    trust = np.where(gap > 0, first.colour[..., 3], second.colour[..., 3])
-    rest = 1 - np.minimum(1, 4 * trust) * (1 - np.maximum(np.exp(-(gap**2)), 0.003))
+    surface_confidence = np.where(gap > 0, first.colour[..., 3], second.colour[..., 3])
+    rest = 1 - np.minimum(1, 4 * surface_confidence) * (1 - np.maximum(np.exp(-(gap**2)), 0.003))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.log(weights[0] / weights[1]) + np.where(gap > 0, -np.log(rest), np.log(rest))
-    np.testing.assert_allclose(planes[plane.LOG_RATIO][a & b], np.clip(ratio / 8, -1, 1)[a & b], atol=1e-3)
-    np.testing.assert_allclose(planes[plane.GAP][a & b], np.clip(gap / 4, -1, 1)[a & b], atol=1e-4)
-    assert not planes[[plane.LOG_RATIO, plane.GAP]][:, ~(a & b)].any()
-    np.testing.assert_array_equal(planes[plane.SEEN : plane.SEEN + 2], np.stack([a, b]))
+    np.testing.assert_allclose(planes[channel.LOG_WEIGHT_RATIO][a & b], np.clip(ratio / 8, -1, 1)[a & b], atol=1e-3)
+    np.testing.assert_allclose(planes[channel.DEPTH_GAP][a & b], np.clip(gap / 4, -1, 1)[a & b], atol=1e-4)
+    assert not planes[[channel.LOG_WEIGHT_RATIO, channel.DEPTH_GAP]][:, ~(a & b)].any()
+    np.testing.assert_array_equal(planes[channel.SEEN_MASKS : channel.SEEN_MASKS + 2], np.stack([a, b]))
     baseline = np.linalg.norm(first.target_from_source.position - second.target_from_source.position)
     for k, view in enumerate((first, second)):
-        colour = planes[(plane.FIRST, plane.SECOND)[k] :][:3].transpose(1, 2, 0)
+        colour = planes[(channel.FIRST_RGB, channel.SECOND_RGB)[k] :][:3].transpose(1, 2, 0)
         np.testing.assert_allclose(colour, view.colour[..., :3], atol=1e-6)
-        np.testing.assert_allclose(planes[plane.WEIGHT + k], view.colour[..., 3], atol=1e-6)
-        np.testing.assert_allclose(planes[plane.ROOT + k], np.sqrt(rhos[k] * baseline), atol=1e-5)
+        np.testing.assert_allclose(planes[channel.BLEND_WEIGHTS + k], view.colour[..., 3], atol=1e-6)
+        np.testing.assert_allclose(planes[channel.SQRT_INVERSE_DEPTHS + k], np.sqrt(rhos[k] * baseline), atol=1e-5)
     difference = np.sqrt(((first.colour - second.colour)[..., :3] ** 2).mean(-1))
     sure = a & b & (difference > 0.06)
     doubt = disagreement_mask(np.where(a & b, gap, 0).astype(np.float32))
-    np.testing.assert_allclose(planes[plane.RELEVANCE][sure], doubt[sure], atol=1e-5)
-    assert (planes[plane.RELEVANCE][~a & ~b] == 1).all()
-    assert (planes[plane.RELEVANCE][a ^ b] == 0).all()
-    np.testing.assert_allclose(planes[plane.TIME], 2 * t - 1)
-    np.testing.assert_allclose(planes[plane.LATITUDE], directions[..., 1], atol=1e-6)
+    np.testing.assert_allclose(planes[channel.RELEVANCE][sure], doubt[sure], atol=1e-5)
+    assert (planes[channel.RELEVANCE][~a & ~b] == 1).all()
+    assert (planes[channel.RELEVANCE][a ^ b] == 0).all()
+    np.testing.assert_allclose(planes[channel.PATH_POSITION], 2 * t - 1)
+    np.testing.assert_allclose(planes[channel.LATITUDE], directions[..., 1], atol=1e-6)
     np.testing.assert_allclose(
-        planes[plane.FUSED : plane.FUSED + 3].transpose(1, 2, 0), geometric((first, second), t), atol=1e-5
+        planes[channel.FUSED_RGB : channel.FUSED_RGB + 3].transpose(1, 2, 0), geometric((first, second), t), atol=1e-5
     )
 
 

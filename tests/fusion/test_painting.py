@@ -6,10 +6,10 @@ import torch
 from test_network_fuser import copy, geometric, pair
 
 from omnisyn_cli.baselines import direct_fuser
-from omnisyn_cli.baselines.direct_fuser import MULTIPLE, DirectFuser
+from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.input_builder import downsampled_pair
-from omnisyn_cli.fusion.input_channels import PLANES, fusion_input_channels
+from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, fusion_input_channels
 from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -37,13 +37,13 @@ def paint(views, painter, t=0.5, threads=1):
 @pytest.mark.parametrize(("size", "most"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
 def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     """Against the planes that training takes from a pool, which another module makes."""
-    monkeypatch.setattr(direct_fuser, "MOST_ROWS", most)
+    monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", most)
     views, painter = pair(size), Painter()
     paint(views, painter)
     first, second = downsampled_pair(LayerPair(*views), (64, 128), RowTileRunner(size, 1))
     rule = BlendRule.at(0.5, BlendOptions())
     recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
-    assert len(recorded) == PLANES
+    assert len(recorded) == INPUT_CHANNELS
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
     np.testing.assert_array_equal(painter.shown[0], expected)
     assert {0.0, 1.0} == set(np.unique(painter.shown[0][6:]))
@@ -63,7 +63,7 @@ def test_it_paints_from_the_first_frame_to_the_last():
 
 
 def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
-    monkeypatch.setattr(direct_fuser, "MOST_ROWS", 64)
+    monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", 64)
     picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
     found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)))
     expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))
@@ -80,7 +80,7 @@ def test_from_one_place_views_are_cross_faded_without_the_network():
 
 
 def test_frames_that_cannot_be_halved_often_enough_are_fused_by_rules():
-    views, painter = pair((MULTIPLE // 2, MULTIPLE)), Painter()
+    views, painter = pair((SIZE_MULTIPLE // 2, SIZE_MULTIPLE)), Painter()
     np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
     assert painter.shown == []
 

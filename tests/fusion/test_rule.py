@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blended, view_weights
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays, blend_layers, view_weights
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.geometry.pose import Pose
@@ -49,9 +49,9 @@ def test_the_kernel_is_the_rule(t: float, options: BlendOptions) -> None:
     """What is seen, to a tenth of a level; the exponential of the kernel is right to a ten-thousandth of itself."""
     rule, views = BlendRule.at(t, options), [shown(view) for view in VIEWS]
     weights = view_weights(*views, DIRECTIONS, rule)
-    expected, counts = blended(*views, weights)
+    expected, counts = blend_layers(*views, weights)
     fuser, found = GeometricFuser(SIZE, threads=1), np.empty((*SIZE, 3), np.float32)
-    fuser.paint(LayerPair(*VIEWS), rule, found)
+    fuser.blend(LayerPair(*VIEWS), rule, found)
     np.testing.assert_array_equal(fuser.is_seen > 0, counts > 0)
     seen = counts > 0
     assert 0.05 < 1 - seen.mean() < 0.5
@@ -64,9 +64,9 @@ def test_the_kernel_is_the_rule(t: float, options: BlendOptions) -> None:
 @pytest.mark.parametrize("t", [0.0, 0.3, 1.0])
 def test_tensors_are_blended_as_arrays(t: float) -> None:
     rule, views = BlendRule.at(t, BlendOptions()), [shown(view) for view in VIEWS]
-    expected = blended(*views, view_weights(*views, DIRECTIONS, rule))
+    expected = blend_layers(*views, view_weights(*views, DIRECTIONS, rule))
     tensors = [as_tensors(view) for view in views]
-    found = blended(*tensors, view_weights(*tensors, torch.from_numpy(DIRECTIONS), rule))
+    found = blend_layers(*tensors, view_weights(*tensors, torch.from_numpy(DIRECTIONS), rule))
     for one, other in zip(found, expected, strict=True):
         assert one.dtype == torch.float32
         assert other.dtype == np.float32
@@ -79,7 +79,7 @@ def test_gradients_are_finite_holes_infinity_and_equal_depths_included() -> None
         view.colour.requires_grad_()
         view.inverse_depth.requires_grad_()
     weights = view_weights(*views, torch.from_numpy(DIRECTIONS), BlendRule.at(0.4, BlendOptions()))
-    sum(part.sum() for part in blended(*views, weights)).backward()
+    sum(part.sum() for part in blend_layers(*views, weights)).backward()
     for view in views:
         assert torch.isfinite(view.colour.grad).all()
         assert torch.isfinite(view.inverse_depth.grad).all()

@@ -7,16 +7,16 @@ import pytest
 from fusion_samples import plain_witness
 
 from omnisyn_cli.fusion.blend_rule import LayerArrays
-from omnisyn_cli.fusion.input_channels import PLANES
+from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
 from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher
 from omnisyn_cli.fusion.warp_candidates import (
-    CANDIDATES,
-    CONFRONTED,
-    CONTRADICTED,
-    LOOKS,
-    REACH,
-    SUPPOSED,
-    UNLIKE,
+    CANDIDATE_CHANNELS,
+    CANDIDATE_DIFFERENCE,
+    CANDIDATE_RGB,
+    CROSS_VIEW,
+    HYPOTHESIS_DEPTHS,
+    HYPOTHESIS_OCCLUSION,
+    HYPOTHESIS_RADIUS,
     WarpCandidates,
     depth_hypotheses,
     make_warp_candidates,
@@ -29,7 +29,9 @@ SIZE = (32, 64)
 
 def shown(rho, colour=0.5, size=SIZE):
     rho = np.broadcast_to(np.float32(rho), size).copy()
-    return LayerArrays(np.full((*size, 3), colour, np.float32), (rho >= 0).astype(np.float32), rho, np.zeros(3, np.float32))
+    return LayerArrays(
+        np.full((*size, 3), colour, np.float32), (rho >= 0).astype(np.float32), rho, np.zeros(3, np.float32)
+    )
 
 
 def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_and_over_the_seam():
@@ -37,8 +39,8 @@ def test_the_nearest_and_the_farthest_surface_are_looked_for_around_every_pixel_
     first[10, 63], second[20, 30] = 0.9, 0.1
     farthest, nearest = depth_hypotheses(shown(first), shown(second))
     row, col = np.indices(SIZE)
-    by_near = (np.abs(row - 10) <= REACH) & (np.abs((col - 63 + 32) % 64 - 32) <= REACH)
-    by_far = (np.abs(row - 20) <= REACH) & (np.abs(col - 30) <= REACH)
+    by_near = (np.abs(row - 10) <= HYPOTHESIS_RADIUS) & (np.abs((col - 63 + 32) % 64 - 32) <= HYPOTHESIS_RADIUS)
+    by_far = (np.abs(row - 20) <= HYPOTHESIS_RADIUS) & (np.abs(col - 30) <= HYPOTHESIS_RADIUS)
     np.testing.assert_array_equal(nearest, np.where(by_near, np.float32(0.9), np.float32(0.3)))
     np.testing.assert_array_equal(farthest, np.where(by_far, np.float32(0.1), np.float32(0.3)))
 
@@ -53,16 +55,18 @@ def test_planes_say_what_the_photographs_show():
         lambda points, least, gap=gap: np.where(points >= 0, np.float32(gap), np.float32(0)) for gap in (-0.12, 0.5)
     ]
     source_samplers = [
-        SourceSampler(plain.colour_rows, plain.colour, gap)
+        SourceSampler(plain.sample_rows, plain.sample, gap)
         for plain, gap in zip((plain_witness(0.25), plain_witness(0.75)), gaps, strict=True)
     ]
     half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
-    look = make_warp_candidates(shown(half_seen), shown(0.4, colour=0.1), (source_samplers[0], source_samplers[1]), 4.0, threads=1)
-    planes = look.planes
-    assert planes.shape == (LOOKS, 16, 32)
+    candidates = make_warp_candidates(
+        shown(half_seen), shown(0.4, colour=0.1), (source_samplers[0], source_samplers[1]), 4.0, threads=1
+    )
+    planes = candidates.channels
+    assert planes.shape == (CANDIDATE_CHANNELS, 16, 32)
 
     def plane(index):
-        return planes[index - PLANES]
+        return planes[index - INPUT_CHANNELS]
 
     seen = np.arange(32) < 16
     for k, (expected, counted) in enumerate(
@@ -71,16 +75,16 @@ def test_planes_say_what_the_photographs_show():
             *((0.25, 1), (0.25, 1), (0.25, 1), (0.15, 1), (0.0, 1), (0.5, 1)),  # from the first
         ]
     ):
-        np.testing.assert_allclose(plane(CONFRONTED + k), np.broadcast_to(expected * counted, (16, 32)), atol=1e-6)
+        np.testing.assert_allclose(plane(CROSS_VIEW + k), np.broadcast_to(expected * counted, (16, 32)), atol=1e-6)
     for k, expected in enumerate((0.25, 0.75, 0.25, 0.75)):
         for channel in range(3):
-            np.testing.assert_allclose(plane(CANDIDATES + 3 * k + channel), expected, atol=1e-6)
-        np.testing.assert_allclose(plane(CONTRADICTED + k), (-0.5, 1.0)[k % 2], atol=1e-6)
-    np.testing.assert_allclose(planes[UNLIKE - PLANES :], 0.5, atol=1e-6)
+            np.testing.assert_allclose(plane(CANDIDATE_RGB + 3 * k + channel), expected, atol=1e-6)
+        np.testing.assert_allclose(plane(HYPOTHESIS_OCCLUSION + k), (-0.5, 1.0)[k % 2], atol=1e-6)
+    np.testing.assert_allclose(planes[CANDIDATE_DIFFERENCE - INPUT_CHANNELS :], 0.5, atol=1e-6)
     inside, beyond = np.s_[:, 4:12], np.s_[:, 20:28]
-    np.testing.assert_allclose(plane(SUPPOSED)[inside], np.sqrt(0.2 * 4), atol=1e-6)
-    np.testing.assert_allclose(plane(SUPPOSED)[beyond], np.sqrt(0.4 * 4), atol=1e-6)
-    np.testing.assert_allclose(plane(SUPPOSED + 1), np.sqrt(0.4 * 4), atol=1e-6)
+    np.testing.assert_allclose(plane(HYPOTHESIS_DEPTHS)[inside], np.sqrt(0.2 * 4), atol=1e-6)
+    np.testing.assert_allclose(plane(HYPOTHESIS_DEPTHS)[beyond], np.sqrt(0.4 * 4), atol=1e-6)
+    np.testing.assert_allclose(plane(HYPOTHESIS_DEPTHS + 1), np.sqrt(0.4 * 4), atol=1e-6)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -88,10 +92,11 @@ def test_planes_are_means_over_blocks_of_what_is_seen(threads):
     rng = np.random.default_rng(0)
     colours, gaps = rng.random((2, *SIZE, 4), np.float32), rng.uniform(-0.3, 0.3, (2, *SIZE)).astype(np.float32)
     source_samplers = tuple(
-        SourceSampler(lambda *_: None, lambda points, k=k: colours[k], lambda points, least, k=k: gaps[k]) for k in (0, 1)
+        SourceSampler(lambda *_: None, lambda points, k=k: colours[k], lambda points, least, k=k: gaps[k])
+        for k in (0, 1)
     )
     first, second = shown(np.where(rng.random(SIZE) < 0.5, 0.2, -1.0)), shown(0.4)
-    planes = make_warp_candidates(first, second, source_samplers, 4.0, threads).planes
+    planes = make_warp_candidates(first, second, source_samplers, 4.0, threads).channels
 
     def means(values, counts=True):
         blocks = np.where(counts, values, 0.0).reshape(16, 2, 32, 2).sum(axis=(1, 3))
@@ -124,7 +129,9 @@ def test_points_are_those_of_the_supposed_surfaces_and_masked_photographs_have_n
     def hide(points, top, out):
         out[:] = 0.0
 
-    source_samplers = tuple(SourceSampler(paint, lambda points: points, lambda points, least: points) for paint in (tell, hide))
+    source_samplers = tuple(
+        SourceSampler(paint, lambda points: points, lambda points, least: points) for paint in (tell, hide)
+    )
     shares = np.zeros((4, 32, 64), np.float32)
     shares[0, :16], shares[2, 16:], shares[3] = 0.5, 0.25, 0.5
     image = np.full((*size, 3), 0.5, np.float32)
@@ -157,12 +164,14 @@ def test_photographs_are_asked_in_the_exposure_of_the_frame():
     """Candidates look as the rendering of the same view does, half way between two exposures."""
     colour = np.float32([0.5, 0.5, 0.5, 1.0]) * np.ones((*SIZE, 1), np.float32)
     views = [
-        replace(Layer.from_arrays(np.zeros(SIZE, np.float32), colour, Pose.identity()), source_sampler=plain_witness(0.5))
+        replace(
+            Layer.from_arrays(np.zeros(SIZE, np.float32), colour, Pose.identity()), source_sampler=plain_witness(0.5)
+        )
         for _ in range(2)
     ]
     points, rows = np.zeros(SIZE, np.float32), np.empty((8, SIZE[1], 4), np.float32)
     for view in ExposureMatcher(ExposureCurve(np.ones((3, 6))))(*views, 0.5):
         assert abs(view.colour[0, 0, 0] - 0.5) > 0.05
-        np.testing.assert_allclose(view.source_sampler.colour(points), view.colour, atol=1e-6)
-        view.source_sampler.colour_rows(points[4:12], 4, rows)
+        np.testing.assert_allclose(view.source_sampler.sample(points), view.colour, atol=1e-6)
+        view.source_sampler.sample_rows(points[4:12], 4, rows)
         np.testing.assert_allclose(rows, view.colour[4:12], atol=1e-6)

@@ -5,12 +5,12 @@ import torch
 from plane_samples import FUSION, PAINTING, answers, awake, random_planes
 from torch.nn import functional
 
-from omnisyn_cli.fusion.warp_candidates import LEAST_SHARE
+from omnisyn_cli.fusion.warp_candidates import MIN_CANDIDATE_WEIGHT
 from omnisyn_cli.networks.fusion import (
     FUSION_VARIANTS,
-    RELEVANCE_PLANE,
-    SEEN_PLANES,
-    SUPPOSED_PLANES,
+    HYPOTHESIS_CHANNELS,
+    RELEVANCE_CHANNEL,
+    SEEN_CHANNELS,
     FusionConfig,
     FusionNetwork,
     PaintingNetwork,
@@ -46,15 +46,15 @@ def test_answers_have_the_size_of_the_pictures(variant, channels):
 def test_a_fresh_network_corrects_nothing_that_is_looked_up():
     torch.manual_seed(0)
     (shares,) = answers(FusionNetwork(FUSION), random_planes(52)).values()
-    assert shares.max() < LEAST_SHARE
+    assert shares.max() < MIN_CANDIDATE_WEIGHT
 
 
 def test_candidates_count_where_it_is_open_what_is_shown():
     """By hand: one surface around; two of nearly one depth; two, that matter by half; seen by one view; a hole."""
     given = torch.zeros(1, 52, 1, 5)
-    given[0, SEEN_PLANES] = torch.tensor([[[1.0, 1.0, 1.0, 0.0, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
-    given[0, SUPPOSED_PLANES] = torch.tensor([[[1.0, 0.97, 0.5, 0.5, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
-    given[0, RELEVANCE_PLANE] = torch.tensor([1.0, 1.0, 0.5, 0.0, 1.0])
+    given[0, SEEN_CHANNELS] = torch.tensor([[[1.0, 1.0, 1.0, 0.0, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
+    given[0, HYPOTHESIS_CHANNELS] = torch.tensor([[[1.0, 0.97, 0.5, 0.5, 0.0]], [[1.0, 1.0, 1.0, 1.0, 0.0]]])
+    given[0, RELEVANCE_CHANNEL] = torch.tensor([1.0, 1.0, 0.5, 0.0, 1.0])
     apart = (1 - 0.97**2) / 0.06
     wanted = torch.tensor([0.0, 1 - math.exp(-(apart**2)), 0.5, 1.0, 1.0])
     torch.testing.assert_close(is_open(given).flatten(), wanted, atol=1e-6, rtol=0)

@@ -61,7 +61,7 @@ def test_each_corner_of_a_quad_keeps_the_inverse_depth_of_its_pixel(cut):
 @pytest.mark.parametrize("some", [1, 5, 16, 10_000])
 def test_blocks_are_the_same_however_many_pieces_are_made_at_a_time(monkeypatch, some):
     expected = build_mesh(rough(9, 14), Cut()).blocks
-    monkeypatch.setattr(mesh_module, "SOME", some)
+    monkeypatch.setattr(mesh_module, "CUT_QUADS_AT_A_TIME", some)
     for found, wanted in zip(build_mesh(rough(9, 14), Cut()).blocks, expected, strict=True):
         np.testing.assert_array_equal(found, wanted)
 

@@ -8,7 +8,7 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUAD
-from omnisyn_cli.render.rasterize import NOTHING, Fragments, Rasterizer, rasterize
+from omnisyn_cli.render.rasterize import NO_FACE, Fragments, Rasterizer, rasterize
 from reference_rasterizer import rasterize_reference
 
 
@@ -203,5 +203,5 @@ class TestVisibility:
             assert ((found.inverse_depth >= 0) == found.visibility).all()
 
     def test_fragments_say_where_nothing_is_seen(self):
-        fragments = Fragments(np.array([[-1.0, 0.0]], np.float32), np.array([[NOTHING, 3]], np.int32))
+        fragments = Fragments(np.array([[-1.0, 0.0]], np.float32), np.array([[NO_FACE, 3]], np.int32))
         assert fragments.visibility.tolist() == [[False, True]]

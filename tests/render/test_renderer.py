@@ -5,7 +5,7 @@ from render_samples import WHOLE, make_renderer, moved, random_pose, rough, smoo
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.render.surface_confidence import LEAST
+from omnisyn_cli.render.surface_confidence import MIN_CONFIDENCE
 
 everywhere = pytest.mark.parametrize("name", RENDERERS)
 
@@ -78,11 +78,11 @@ def test_confidence_becomes_trust(name):
         Pose.identity()
     ).colour
     np.testing.assert_allclose(colour[4:-4, 36:60, 3], 0.5, atol=1e-4)
-    assert (colour[4:-4, 4:28, 3] <= LEAST + 1e-4).all()
+    assert (colour[4:-4, 4:28, 3] <= MIN_CONFIDENCE + 1e-4).all()
 
 
 @everywhere
-@pytest.mark.parametrize(("confidence", "worth"), [(0.5, 0.5), (0.0, LEAST)])
+@pytest.mark.parametrize(("confidence", "worth"), [(0.5, 0.5), (0.0, MIN_CONFIDENCE)])
 def test_confidence_becomes_trust_up_to_the_poles_and_never_nothing(name, confidence, worth):
     sure = np.full((16, 32), confidence, np.float32)
     renderer = make_renderer(name, picture(32, 64), None, smooth(16, 32), sure, (64, 128), WHOLE)

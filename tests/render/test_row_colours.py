@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from render_samples import random_pose, rough
+from render_samples import make_renderer, random_pose, rough
 
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.render.renderer import RENDERERS, MeshRenderer, make_renderer
+from omnisyn_cli.pipeline.renderers import RENDERERS
+from omnisyn_cli.render.renderer import MeshRenderer, RendererInputs
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 
@@ -13,8 +14,8 @@ SIZE = (40, 80)
 
 
 def renderer(image: np.ndarray, threads: int = 1) -> MeshRenderer:
-    trust = np.random.default_rng(3).uniform(0.2, 1.0, (16, 32))
-    return MeshRenderer(image, None, rough(16, 32), trust, SIZE, None, threads)
+    surface_confidence = np.random.default_rng(3).uniform(0.2, 1.0, (16, 32))
+    return MeshRenderer(RendererInputs(image, None, rough(16, 32), surface_confidence, SIZE, None, threads))
 
 
 def samples(height: int, width: int) -> np.ndarray:
@@ -23,8 +24,10 @@ def samples(height: int, width: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_rows_and_crossings_are_those_of_the_whole(name: str) -> None:
-    trust = np.random.default_rng(3).uniform(0.2, 1.0, (16, 32))
-    draw = make_renderer(name, np.float32(samples(64, 128) / 255), None, rough(16, 32), trust, SIZE, None, 2)
+    surface_confidence = np.random.default_rng(3).uniform(0.2, 1.0, (16, 32))
+    draw = make_renderer(
+        name, np.float32(samples(64, 128) / 255), None, rough(16, 32), surface_confidence, SIZE, None, 2
+    )
     pose = random_pose(60, 0.4)
     seen = draw(pose)
     assert seen.target_from_source is pose
@@ -39,7 +42,9 @@ def test_rows_and_crossings_are_those_of_the_whole(name: str) -> None:
 def test_colours_on_demand_are_those_of_the_whole_shader() -> None:
     draw, pose = renderer(samples(64, 128)), random_pose(60, 0.4)
     seen, shader = draw(pose), Shader(SIZE, 2)
-    np.testing.assert_allclose(seen.colour, shader(seen.inverse_depth, draw._trust, draw._texture, pose), atol=1e-6)
+    np.testing.assert_allclose(
+        seen.colour, shader(seen.inverse_depth, draw._confidence_map, draw._texture, pose), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("height", [20, 40, 64, 90, 160])

@@ -8,21 +8,21 @@ from omnisyn_cli.render.simd import (
     FIXED_ONE,
     FIXED_TEXEL,
     LANES,
-    double,
-    fetch,
-    four_weights,
+    broadcast,
+    broadcast_weight,
     has_bits,
     load,
+    load_four_weights,
     load_halves,
     load_texel_pairs,
     load_texels,
-    one_weight,
     pair,
-    single,
-    splat,
+    prefetch,
     store,
     store_halves,
-    store_sum,
+    store_texel_sum,
+    to_float32,
+    to_float64,
     where,
 )
 
@@ -34,12 +34,12 @@ def arithmetic(a, b, out):
     store(out, 8, x - y)
     store(out, 16, x * y)
     store(out, 24, x / y)
-    store(out, 32, single(double(x) * double(y)))
+    store(out, 32, to_float32(to_float64(x) * to_float64(y)))
 
 
 @kernel(cache=False)
 def choices(a, b, flags, bits, out):
-    x, y, one, zero = load(a, 0), load(b, 0), splat(np.float32(1.0)), splat(np.float32(0.0))
+    x, y, one, zero = load(a, 0), load(b, 0), broadcast(np.float32(1.0)), broadcast(np.float32(0.0))
     store(out, 0, where(x >= y, one, zero))
     store(out, 8, where(x > y, one, zero))
     store(out, 16, where((x >= y) & (y > zero), one, zero))
@@ -98,11 +98,13 @@ def test_halves_come_from_and_go_to_different_places(two):
 
 @kernel(cache=False)
 def sums(texels, of_rows, of_columns, once, twice, out):
-    fetch(texels, 1 << 20)
-    rows = load_texels(texels, 4) * one_weight(of_rows, 1) + load_texels(texels, 24) * one_weight(of_rows, 2)
-    store_sum(out, 0, rows * four_weights(of_columns, 2), twice, np.float32(0.5), np.float32(3.0))
-    pairs = load_texel_pairs(texels, 4, 28) * four_weights(of_columns, 1)
-    store_sum(out, 4, pairs, once, np.float32(0.0), np.float32(1.0))
+    prefetch(texels, 1 << 20)
+    rows = load_texels(texels, 4) * broadcast_weight(of_rows, 1) + load_texels(texels, 24) * broadcast_weight(
+        of_rows, 2
+    )
+    store_texel_sum(out, 0, rows * load_four_weights(of_columns, 2), twice, np.float32(0.5), np.float32(3.0))
+    pairs = load_texel_pairs(texels, 4, 28) * load_four_weights(of_columns, 1)
+    store_texel_sum(out, 4, pairs, once, np.float32(0.0), np.float32(1.0))
 
 
 def test_texels_are_weighted_and_summed():

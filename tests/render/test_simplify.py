@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from render_samples import WHOLE, moved, random_pose, rough, smooth, turn
+from render_samples import WHOLE, make_renderer, moved, random_pose, rough, smooth, turn
 
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.render.mesh import Cut, build_mesh
 from omnisyn_cli.render.rasterize import Rasterizer, rasterize
-from omnisyn_cli.render.renderer import make_renderer
-from omnisyn_cli.render.simplify import TOLERANCE, simplify
+from omnisyn_cli.render.simplify import MAX_SHIFT_PIXELS, simplify
 
 WAY = np.array([0.4, 0.1, -0.7])
 HIGHEST, LOWEST = np.array([3.0, 1.1, 4.0]), np.array([-2.0, -1.6, -3.0])
@@ -25,14 +24,14 @@ def room_mesh(height: int = 64):
     return build_mesh(room(pixel_directions(height, 2 * height)).astype(np.float32), WHOLE)
 
 
-def seen(mesh, way, pose: Pose, size: tuple[int, int], threads: int = 1, **options) -> np.ndarray:
-    return Rasterizer(size, threads)(simplify(mesh, way, size[0], threads=threads, **options)[0], pose)
+def seen(mesh, path, pose: Pose, size: tuple[int, int], threads: int = 1, **options) -> np.ndarray:
+    return Rasterizer(size, threads)(simplify(mesh, path, size[0], threads=threads, **options)[0], pose)
 
 
-def pose_at(way: np.ndarray, share: float, rotation: np.ndarray | None = None) -> Pose:
+def pose_at(path: np.ndarray, share: float, rotation: np.ndarray | None = None) -> Pose:
     """Target from source, of a target at a share of the way."""
     rotation = np.eye(3) if rotation is None else rotation
-    return Pose(rotation, -rotation @ (share * way))
+    return Pose(rotation, -rotation @ (share * path))
 
 
 def source_directions(rho: np.ndarray, pose: Pose) -> np.ndarray:
@@ -46,7 +45,7 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("surface", ["room", "smooth", "far"])
-@pytest.mark.parametrize("tolerance", [TOLERANCE, 1.0])
+@pytest.mark.parametrize("tolerance", [MAX_SHIFT_PIXELS, 1.0])
 def test_no_vertex_is_seen_further_aside_than_promised_from_anywhere_on_the_way(surface, tolerance):
     """Brute force: their inverse depth at every vertex, both points seen from 21 places on the way."""
     height, rows = 64, 256
@@ -115,12 +114,12 @@ def test_what_cannot_be_merged_is_drawn_as_the_whole_mesh_is():
 def test_surfaces_that_are_cut_apart_stay_apart_and_holes_open_where_they_did():
     rho = np.full((64, 128), 0.05, np.float32)
     rho[20:44, 40:72] = 0.5
-    mesh, way, size = build_mesh(rho), np.array([0.6, 0.0, 0.0]), (128, 256)
-    pose = pose_at(way, 1.0)
-    found, expected = seen(mesh, way, pose, size), rasterize(mesh, pose, size, 1).inverse_depth
+    mesh, path, size = build_mesh(rho), np.array([0.6, 0.0, 0.0]), (128, 256)
+    pose = pose_at(path, 1.0)
+    found, expected = seen(mesh, path, pose, size), rasterize(mesh, pose, size, 1).inverse_depth
     assert (expected < 0).mean() > 0.005
     assert ((found < 0) == (expected < 0)).mean() > 0.999
-    bound = TOLERANCE * np.pi / size[0] / 0.6
+    bound = MAX_SHIFT_PIXELS * np.pi / size[0] / 0.6
     assert np.isclose(found, expected, rtol=0.02, atol=1.2 * bound).mean() > 0.995
 
 
@@ -152,7 +151,7 @@ def test_a_renderer_with_a_way_shows_the_same_picture_and_says_how_many_triangle
     rho = room(pixel_directions(rows, 2 * rows)).astype(np.float32)
     image = (0.5 + 0.4 * np.sin(3 * pixel_directions(*size))).astype(np.float32)
     confidence = np.where(np.arange(2 * rows) < rows, 0.5, 1.0) * np.ones((rows, 1), np.float32)
-    every, few = (make_renderer("mesh", image, None, rho, confidence, size, WHOLE, 1, way) for way in (None, WAY))
+    every, few = (make_renderer("mesh", image, None, rho, confidence, size, WHOLE, 1, path) for path in (None, WAY))
     assert every.triangles[0] == every.triangles[1] == few.triangles[1] > 2 * few.triangles[0]
     pose = pose_at(WAY, 0.6, turn(0.1, 0.4, 0.2))
     expected, found = every(pose).colour, few(pose).colour

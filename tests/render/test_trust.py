@@ -8,15 +8,15 @@ from omnisyn_cli.render.quad_blocks import CUT_EDGES, FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import rasterize
 from omnisyn_cli.render.shade import shade
 from omnisyn_cli.render.surface_confidence import (
-    AT_CUTS,
-    BEHIND,
-    BEHIND_CUTS,
-    BESIDE_CUTS,
-    FAR_BEHIND,
-    FAR_BEHIND_CUTS,
-    IN_RIMS,
-    LEAST,
-    REACH,
+    BEHIND_CUT_CONFIDENCE,
+    BEHIND_RATIO,
+    BEHIND_RIM_CONFIDENCE,
+    CUT_QUAD_CONFIDENCE,
+    FAR_BEHIND_CUT_CONFIDENCE,
+    FAR_BEHIND_RATIO,
+    FAR_BEHIND_RIM_CONFIDENCE,
+    FAR_RIM_VERTICES,
+    MIN_CONFIDENCE,
     quarter_confidence,
 )
 from omnisyn_cli.render.texture import make_texture
@@ -30,10 +30,10 @@ def test_is_the_least_confidence_of_the_corners_and_never_zero():
     confidence = np.ones((4, 6), np.float32)
     confidence[1, 2], confidence[3, 5] = 0.5, 0.0
     expected = np.ones((3, 6, 4))
-    expected[:2, 1:3], expected[2, 4:6] = 0.5, LEAST
+    expected[:2, 1:3], expected[2, 4:6] = 0.5, MIN_CONFIDENCE
     np.testing.assert_allclose(quarter_confidence(np.ones((4, 6)), whole(4, 6), confidence), expected)
     nothing = quarter_confidence(rough(8, 16), ~whole(8, 16), np.zeros((8, 16)))
-    assert nothing.min() >= LEAST
+    assert nothing.min() >= MIN_CONFIDENCE
 
 
 def test_is_little_where_the_mesh_is_cut_and_less_far_behind_the_cut():
@@ -42,24 +42,36 @@ def test_is_little_where_the_mesh_is_cut_and_less_far_behind_the_cut():
     rho[:, 10:14] = 1.0
     mesh = build_mesh(rho)
     assert (mesh.quads[:, [4, 9, 13, 15]] & CUT_EDGES == [5, 5, 5, 0]).all()
-    np.testing.assert_allclose(mesh.trust[:, 4], [np.float32([FAR_BEHIND_CUTS, AT_CUTS])[[1, 0, 1, 0]]] * 7)
-    np.testing.assert_allclose(mesh.trust[:, 9], [np.float32([FAR_BEHIND_CUTS, AT_CUTS])[[0, 1, 0, 1]]] * 7)
-    np.testing.assert_allclose(mesh.trust[:, 13], [np.float32([AT_CUTS, FAR_BEHIND_CUTS])[[0, 1, 0, 1]]] * 7)
-    np.testing.assert_allclose(mesh.trust[:, 11], 1.0)
+    np.testing.assert_allclose(
+        mesh.surface_confidence[:, 4], [np.float32([FAR_BEHIND_CUT_CONFIDENCE, CUT_QUAD_CONFIDENCE])[[1, 0, 1, 0]]] * 7
+    )
+    np.testing.assert_allclose(
+        mesh.surface_confidence[:, 9], [np.float32([FAR_BEHIND_CUT_CONFIDENCE, CUT_QUAD_CONFIDENCE])[[0, 1, 0, 1]]] * 7
+    )
+    np.testing.assert_allclose(
+        mesh.surface_confidence[:, 13], [np.float32([CUT_QUAD_CONFIDENCE, FAR_BEHIND_CUT_CONFIDENCE])[[0, 1, 0, 1]]] * 7
+    )
+    np.testing.assert_allclose(mesh.surface_confidence[:, 11], 1.0)
 
 
 def test_a_little_behind_a_cut_one_quad_counts_for_less():
     """Across the seam as well; closer behind than that, and in front, nothing but the cut itself does."""
-    for times, beside, behind in ((1.02 * BEHIND, BESIDE_CUTS, BEHIND_CUTS), (0.98 * BEHIND, 1.0, AT_CUTS)):
+    for times, beside, behind in (
+        (1.02 * BEHIND_RATIO, BEHIND_RIM_CONFIDENCE, BEHIND_CUT_CONFIDENCE),
+        (0.98 * BEHIND_RATIO, 1.0, CUT_QUAD_CONFIDENCE),
+    ):
         rho = np.full((4, 16), 1.0 / times, np.float32)
         rho[:, 0:8] = 1.0
-        trust = build_mesh(rho).trust[1]
-        np.testing.assert_allclose(trust[[7, 15]], np.float32([[AT_CUTS, behind] * 2, [behind, AT_CUTS] * 2]))
-        np.testing.assert_allclose(trust[[8, 14]], np.float32(beside))
-        np.testing.assert_allclose(trust[np.r_[0:7, 9:14]], 1.0)
+        surface_confidence = build_mesh(rho).surface_confidence[1]
+        np.testing.assert_allclose(
+            surface_confidence[[7, 15]],
+            np.float32([[CUT_QUAD_CONFIDENCE, behind] * 2, [behind, CUT_QUAD_CONFIDENCE] * 2]),
+        )
+        np.testing.assert_allclose(surface_confidence[[8, 14]], np.float32(beside))
+        np.testing.assert_allclose(surface_confidence[np.r_[0:7, 9:14]], 1.0)
 
 
-@pytest.mark.parametrize("times", [0.98 * BEHIND, 0.98 * FAR_BEHIND, 1.02 * FAR_BEHIND, np.inf])
+@pytest.mark.parametrize("times", [0.98 * BEHIND_RATIO, 0.98 * FAR_BEHIND_RATIO, 1.02 * FAR_BEHIND_RATIO, np.inf])
 @pytest.mark.parametrize(("row", "col"), [(20, 30), (20, 1), (20, 59), (0, 30), (39, 30), (2, 58)])
 def test_a_rim_lies_around_what_is_much_nearer_across_the_seam_but_not_beyond_the_poles(row, col, times):
     rho = np.full((40, 60), 1.0 / times, np.float32)
@@ -67,10 +79,13 @@ def test_a_rim_lies_around_what_is_much_nearer_across_the_seam_but_not_beyond_th
     rows, cols = np.mgrid[:40, :60]
     apart = np.maximum(abs(rows - row), np.minimum((cols - col) % 60, (col - cols) % 60))
     expected = np.ones((39, 60), np.float32)
-    for reach, least, trust in ((1, BEHIND, BESIDE_CUTS), (REACH, FAR_BEHIND, IN_RIMS)):
+    for reach, least, surface_confidence in (
+        (1, BEHIND_RATIO, BEHIND_RIM_CONFIDENCE),
+        (FAR_RIM_VERTICES, FAR_BEHIND_RATIO, FAR_BEHIND_RIM_CONFIDENCE),
+    ):
         is_rim = (apart <= reach) & (apart > 0) & (times > least)
         corners = [is_rim[:-1], is_rim[1:], np.roll(is_rim, -1, axis=1)[:-1], np.roll(is_rim, -1, axis=1)[1:]]
-        expected[np.any(corners, axis=0)] = trust
+        expected[np.any(corners, axis=0)] = surface_confidence
     found = quarter_confidence(rho, whole(40, 60))
     np.testing.assert_array_equal(found, np.repeat(expected[..., None], 4, axis=-1))
 
@@ -80,7 +95,7 @@ def test_masked_vertices_are_before_nothing():
     mask = np.ones(rho.shape, bool)
     rho[6, 8], mask[6, 8] = 5.0, False
     mesh = build_mesh(rho, mask=mask)
-    assert (mesh.trust[(mesh.quads & CUT_EDGES) == 0] == 1.0).all()
+    assert (mesh.surface_confidence[(mesh.quads & CUT_EDGES) == 0] == 1.0).all()
 
 
 def test_is_found_by_place_as_by_face():
@@ -88,8 +103,8 @@ def test_is_found_by_place_as_by_face():
     mesh, size = build_mesh(rough(12, 24)), (96, 192)
     texture = make_texture(np.ones((*size, 3), np.float32))
     fragments = rasterize(mesh, Pose.identity(), size)
-    caps = [mesh.trust[0, :, :2].min(axis=-1), mesh.trust[-1, :, 2:].min(axis=-1)]
-    by_face = np.concatenate([mesh.trust.ravel(), *caps]).repeat(FACES_PER_QUARTER)[fragments.face]
+    caps = [mesh.surface_confidence[0, :, :2].min(axis=-1), mesh.surface_confidence[-1, :, 2:].min(axis=-1)]
+    by_face = np.concatenate([mesh.surface_confidence.ravel(), *caps]).repeat(FACES_PER_QUARTER)[fragments.face]
     assert len(np.unique(by_face)) > 2
     shown = shade(fragments.inverse_depth, mesh, texture, Pose.identity())
     np.testing.assert_allclose(shown[..., 3], by_face, rtol=1e-5)

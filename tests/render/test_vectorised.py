@@ -41,7 +41,7 @@ def test_planes_seen_nearly_edge_on_keep_their_inverse_depth():
     expected = -pixel_directions(*size)[..., 1] / near
     where = (found.face >= 8 * 33 * 128) & (found.face < 8 * mesh.quads.size) & (expected > 0)
     assert where.mean() > 0.3
-    assert expected[where].min() < 1 / (quad_kernels.STEEPEST * near)
+    assert expected[where].min() < 1 / (quad_kernels.MAX_FLOAT32_SLOPE * near)
     np.testing.assert_allclose(found.inverse_depth[where], expected[where], rtol=1e-4)
 
 
@@ -54,7 +54,7 @@ def test_bands_see_the_same_at_sizes_that_fill_vectors(threads):
 
 
 def test_edges_overlap_by_less_than_the_tests_allow():
-    assert quad_kernels.OVERLAP * np.sqrt(3) < 1e-6
+    assert quad_kernels.EDGE_OVERLAP_RADIANS * np.sqrt(3) < 1e-6
 
 
 def test_points_of_a_quarter_are_weighted_means_of_its_quad():

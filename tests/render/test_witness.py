@@ -29,7 +29,7 @@ def towards(points, size=SIZE):
 
 def source_sampler(rho=0.2):
     surface = np.full((32, 64), rho)
-    return Reprojector(lambda: make_texture(picture()), surface, Shader(SIZE, 1)).seen_from(POSE)
+    return Reprojector(lambda: make_texture(picture()), surface, Shader(SIZE, 1)).sampler(POSE)
 
 
 @pytest.mark.parametrize("size", [SIZE, (32, 64)])
@@ -55,7 +55,7 @@ def test_a_surface_is_nearer_or_farther_than_points():
     """Of a surface that differs everywhere, written out in NumPy; at the seam and at the poles as well."""
     rng = np.random.default_rng(2)
     surface, points = rng.uniform(0.05, 1.0, (32, 64)), rng.uniform(-0.2, 1.0, SIZE).astype(np.float32)
-    asked = Reprojector(lambda: make_texture(picture()), surface, Shader(SIZE, 1)).seen_from(POSE)
+    asked = Reprojector(lambda: make_texture(picture()), surface, Shader(SIZE, 1)).sampler(POSE)
     found = asked.occlusion(points, 0.1)
     moved = towards(np.maximum(points, 0))
     expected = np.maximum(points, 0) / np.linalg.norm(moved, axis=-1)

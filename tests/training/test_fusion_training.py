@@ -6,19 +6,19 @@ import torch
 from torch.nn import functional
 
 from omnisyn_cli.evaluation.metrics import ws_psnr
-from omnisyn_cli.fusion import input_channels as plane
-from omnisyn_cli.fusion.layer_pair import RowTileRunner, LayerPair
-from omnisyn_cli.fusion.residual import ResidualFuser
-from omnisyn_cli.fusion.input_builder import InputBuilder
-from omnisyn_cli.fusion.input_channels import PLANES
+from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
-from omnisyn_cli.fusion.warp_candidates import CANDIDATES, FINER, LOOKS, SUPPOSED
+from omnisyn_cli.fusion.input_builder import InputBuilder
+from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
+from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
+from omnisyn_cli.fusion.residual import ResidualFuser
+from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_RGB, CANDIDATE_SCALE, HYPOTHESIS_DEPTHS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks import fusion as networks
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
+from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
-from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
 from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores, mixed
@@ -34,7 +34,7 @@ from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.types import Layer
 
-TINY = FusionConfig("tiny", planes=PLANES + LOOKS, widths=(8, 12, 16), fine=6)
+TINY = FusionConfig("tiny", planes=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)
 TINY_PAPER = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
 SIZE = (32, 64)
 
@@ -54,10 +54,10 @@ def rendering(seed, offset):
     colour, rho = rng.random((*SIZE, 4), np.float32), rng.random(SIZE, np.float32) * 0.5
     hole = np.kron(rng.random((8, 16)) < 0.3, np.ones((4, 4), bool))
     colour[hole], rho[hole] = 0.0, -1.0
-    colour, rho = (x.repeat(FINER, 0).repeat(FINER, 1) for x in (colour, rho))
+    colour, rho = (x.repeat(CANDIDATE_SCALE, 0).repeat(CANDIDATE_SCALE, 1) for x in (colour, rho))
     pose, texture = Pose(np.eye(3), np.array(offset, float)), make_texture(rng.random((16, 32, 3), np.float32))
     panorama = Reprojector(lambda: texture, rng.random((16, 32)), Shader(rho.shape, 1))
-    return replace(Layer.from_arrays(rho, colour, pose), source_sampler=panorama.seen_from(pose))
+    return replace(Layer.from_arrays(rho, colour, pose), source_sampler=panorama.sampler(pose))
 
 
 def test_the_network_learns_on_the_picture_that_the_program_makes():
@@ -75,11 +75,11 @@ def test_the_network_learns_on_the_picture_that_the_program_makes():
     fuser = ResidualFuser(views[0].inverse_depth.shape, network, threads=1, rows=SIZE[0])
     for share, most in ((0.0, 0.01), (0.2, 0.03)):
         shares[:] = np.float32(share)
-        picture = fuser(*views, 0.4).reshape(SIZE[0], FINER, SIZE[1], FINER, 3).mean(axis=(1, 3))
+        picture = fuser(*views, 0.4).reshape(SIZE[0], CANDIDATE_SCALE, SIZE[1], CANDIDATE_SCALE, 3).mean(axis=(1, 3))
         batch = torch.from_numpy(shown[-1])[None]
-        chosen = torch.cat([batch[:, plane.FUSED : plane.FUSED + 3], batch[:, CANDIDATES:SUPPOSED]], dim=1)
+        chosen = torch.cat([batch[:, channel.FUSED_RGB : channel.FUSED_RGB + 3], batch[:, CANDIDATE_RGB:HYPOTHESIS_DEPTHS]], dim=1)
         expected = mixed(chosen, torch.from_numpy(shares)[None])[0].permute(1, 2, 0).numpy()
-        hole = shown[-1][plane.SEEN : plane.SEEN + 2].sum(axis=0) == 0
+        hole = shown[-1][channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(axis=0) == 0
         difference = np.abs(picture - np.maximum(expected, 0))
         assert np.median(difference[~hole]) < 0.1 * most, share
         assert np.quantile(difference[~hole], 0.99) < most, share
@@ -90,10 +90,10 @@ def test_the_network_learns_on_the_picture_that_the_program_makes():
 
 def test_the_network_knows_where_the_weights_are():
     """Networks and fusion do not know each other, so the place of the plane is written down twice."""
-    assert slice(plane.SEEN, plane.SEEN + 2) == networks.SEEN_PLANES
-    assert networks.RELEVANCE_PLANE == plane.RELEVANCE
-    assert slice(SUPPOSED, SUPPOSED + 2) == networks.SUPPOSED_PLANES
-    assert networks.FUSION_VARIANTS["residual"].planes == PLANES + LOOKS
+    assert slice(channel.SEEN_MASKS, channel.SEEN_MASKS + 2) == networks.SEEN_CHANNELS
+    assert networks.RELEVANCE_CHANNEL == channel.RELEVANCE
+    assert slice(HYPOTHESIS_DEPTHS, HYPOTHESIS_DEPTHS + 2) == networks.HYPOTHESIS_CHANNELS
+    assert networks.FUSION_VARIANTS["residual"].planes == INPUT_CHANNELS + CANDIDATE_CHANNELS
 
 
 def test_exchanging_the_views_exchanges_the_planes():
@@ -112,17 +112,17 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
         samples = load_samples(path, FusionSample)
         assert len(samples) == 2
         for sample in samples:
-            assert sample.planes.shape == (PLANES + LOOKS, *SIZE)
+            assert sample.planes.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE)
             assert sample.truth.shape == (3, 2 * SIZE[0], 2 * SIZE[1])
             assert sample.shown.shape == (15, 2 * SIZE[0], 2 * SIZE[1])
-            assert 0.1 <= (sample.planes[plane.TIME].mean() + 1) / 2 <= 0.9
+            assert 0.1 <= (sample.planes[channel.PATH_POSITION].mean() + 1) / 2 <= 0.9
             assert np.isfinite(sample.planes).all()
             fused, roll = sample.shown[:3], SIZE[1]
             assert np.abs(fused - sample.truth).mean() < 0.5 * np.abs(np.roll(fused, roll, -1) - sample.truth).mean()
             decibels = ws_psnr(*(x.transpose(1, 2, 0) for x in (fused, sample.truth)))
             assert -10 * np.log10(float(sample.usual)) == pytest.approx(decibels, abs=0.01)
             small = sample.shown.reshape(15, SIZE[0], 2, SIZE[1], 2).mean(axis=(2, 4))
-            held = [*range(plane.FUSED, plane.FUSED + 3), *range(CANDIDATES, SUPPOSED)]
+            held = [*range(channel.FUSED_RGB, channel.FUSED_RGB + 3), *range(CANDIDATE_RGB, HYPOTHESIS_DEPTHS)]
             assert np.median(np.abs(small - sample.planes[held])) < 0.02, "pictures are what the planes show, finer"
         np.testing.assert_array_equal(load_samples(path, FusionSample, 3)[0].truth, samples[1].truth)
 
@@ -150,16 +150,16 @@ def test_a_batch_is_the_same_for_the_same_seed_and_variations_keep_the_geometric
     one, same = (draw_fusion(pool, np.random.default_rng(3), 6) for _ in range(2))
     assert torch.equal(one.planes, same.planes)
     assert torch.equal(one.truth, same.truth)
-    seen = one.planes[:, plane.SEEN : plane.SEEN + 2]
-    share = torch.sigmoid(plane.GREATEST_LOG * one.planes[:, plane.LOG_RATIO : plane.LOG_RATIO + 1])
-    first, second = (one.planes[:, k : k + 3] for k in (plane.FIRST, plane.SECOND))
+    seen = one.planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2]
+    share = torch.sigmoid(channel.MAX_LOG_RATIO * one.planes[:, channel.LOG_WEIGHT_RATIO : channel.LOG_WEIGHT_RATIO + 1])
+    first, second = (one.planes[:, k : k + 3] for k in (channel.FIRST_RGB, channel.SECOND_RGB))
     blend = share * first + (1 - share) * second
     both = (seen.prod(dim=1, keepdim=True) > 0) & ((share - 0.5).abs() < 0.499)
-    difference = (blend - one.planes[:, plane.FUSED : plane.FUSED + 3]).abs()
+    difference = (blend - one.planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]).abs()
     assert difference[both.expand_as(blend)].max() < 0.01
-    fused = one.planes[:, plane.FUSED : plane.FUSED + 3]
+    fused = one.planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]
     assert fused.shape == (6, 3, SIZE[0], SIZE[1] // WINDOWS)
-    chosen = one.planes[:, [*range(plane.FUSED, plane.FUSED + 3), *range(CANDIDATES, SUPPOSED)]]
+    chosen = one.planes[:, [*range(channel.FUSED_RGB, channel.FUSED_RGB + 3), *range(CANDIDATE_RGB, HYPOTHESIS_DEPTHS)]]
     assert (functional.avg_pool2d(one.shown, 2) - chosen).abs().median() < 0.02
     own, others = (one.shown[:, :3] - one.truth).abs().mean(), (one.shown[:, :3] - one.truth.roll(1, 0)).abs().mean()
     assert own < 0.7 * others
@@ -192,8 +192,8 @@ def test_the_loss_is_least_for_the_truth_and_counts_half_by_solid_angle():
 
 
 def test_scores_are_those_of_the_metrics():
-    planes = torch.rand((1, PLANES + LOOKS, *SIZE), generator=torch.Generator().manual_seed(0))
-    planes[:, plane.SEEN : plane.SEEN + 2] = (planes[:, plane.SEEN : plane.SEEN + 2] > 0.5).float()
+    planes = torch.rand((1, INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE), generator=torch.Generator().manual_seed(0))
+    planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2] = (planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2] > 0.5).float()
     truth, geometric = torch.rand((2, 1, 3, *SIZE), generator=torch.Generator().manual_seed(1))
     picture = 0.9 * truth + 0.05
     finer = [image.repeat_interleave(2, -1).repeat_interleave(2, -2) for image in (truth, geometric)]
@@ -201,7 +201,7 @@ def test_scores_are_those_of_the_metrics():
     arrays = [x[0].permute(1, 2, 0).numpy() for x in (picture, truth, geometric)]
     assert scores["ws_psnr"] == pytest.approx(ws_psnr(arrays[0], arrays[1]), abs=1e-3)
     assert scores["gain"] == pytest.approx(scores["ws_psnr"] - ws_psnr(arrays[2], arrays[1]), abs=1e-3)
-    hole = planes[0, plane.SEEN : plane.SEEN + 2].sum(dim=0).numpy() == 0
+    hole = planes[0, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=0).numpy() == 0
     error = [np.abs(image - arrays[1])[hole].mean() for image in (arrays[0], arrays[2])]
     assert scores["hole_error"] == pytest.approx(error[0], rel=1e-4)
     assert scores["hole_gain"] == pytest.approx(error[1] - error[0], rel=1e-4)
@@ -241,4 +241,4 @@ def test_scenes_are_made_with_the_depth_and_the_renderer_of_a_preset(pool, tmp_p
     made = make_fusion_scene(tmp_path, int(pool[0].stem), config)
     for one, other in zip(load_samples(pool[0], FusionSample), load_samples(made, FusionSample), strict=True):
         np.testing.assert_array_equal(one.truth, other.truth)
-        assert np.abs(one.planes - other.planes)[plane.ROOT].mean() > 0.01
+        assert np.abs(one.planes - other.planes)[channel.SQRT_INVERSE_DEPTHS].mean() > 0.01

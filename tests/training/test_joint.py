@@ -10,12 +10,12 @@ from training_samples import TINY, ball_scene, make_pool
 
 from omnisyn_cli.cli import train as command
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion import input_channels as plane
-from omnisyn_cli.fusion.layer_pair import RowTileRunner, LayerPair
+from omnisyn_cli.fusion import input_channels as channel
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_builder import downsampled_pair
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
+from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperPrediction
@@ -83,19 +83,19 @@ def test_planes_are_those_of_the_program(t):
     expected = fusion_input_channels(own, other, rule, 1.0, fill)
     found = fusion_input_channels(as_seen(first), as_seen(second), rule, 1.0, filled).numpy()
     for name in (
-        "FIRST",
-        "SECOND",
-        "FUSED",
-        "WEIGHT",
-        "ROOT",
-        "LOG_RATIO",
-        "GAP",
-        "SEEN",
+        "FIRST_RGB",
+        "SECOND_RGB",
+        "FUSED_RGB",
+        "BLEND_WEIGHTS",
+        "SQRT_INVERSE_DEPTHS",
+        "LOG_WEIGHT_RATIO",
+        "DEPTH_GAP",
+        "SEEN_MASKS",
         "RELEVANCE",
-        "TIME",
+        "PATH_POSITION",
         "LATITUDE",
     ):
-        which = slice(getattr(plane, name), getattr(plane, name) + 2)
+        which = slice(getattr(channel, name), getattr(channel, name) + 2)
         np.testing.assert_allclose(found[which], expected[which], atol=3e-3, err_msg=name)
 
 
@@ -109,7 +109,7 @@ def test_true_depth_shows_the_view_between(tmp_path):
     textures = torch.stack([drawn.first_texture, drawn.second_texture])
     planes = planes_between(rho, torch.ones_like(rho), textures, drawn.share)
     assert drawn.share.unique().numel() > 1
-    for begin in (plane.FIRST, plane.SECOND, plane.FUSED):
+    for begin in (channel.FIRST_RGB, channel.SECOND_RGB, channel.FUSED_RGB):
         shown = planes[:, begin : begin + 3]
         error, moved = ((shown - x).abs().mean(dim=(1, 2, 3)) for x in (drawn.middle, drawn.middle.roll(4, -1)))
         assert (error < 0.02).all()
@@ -160,7 +160,7 @@ def test_the_picture_alone_teaches_depth(tmp_path):
     for _ in range(60):
         planes = planes_between(scale * own, torch.ones_like(own), textures, drawn.share)
         optimizer.zero_grad()
-        (planes[:, plane.FUSED : plane.FUSED + 3] - drawn.middle).square().mean().backward()
+        (planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3] - drawn.middle).square().mean().backward()
         optimizer.step()
     assert scale.item() == pytest.approx(1.0, abs=0.03)
 

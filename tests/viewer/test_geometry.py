@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from viewer.browser import Launch, WalkPage, look, pinhole_rays
 
 from interpolation_samples import tour_job
 from omnisyn_cli.evaluation.scene_files import write_scene
@@ -30,6 +29,7 @@ from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, View
 from synthesis_samples import ws_psnr
+from viewer.browser import Launch, WalkPage, look, pinhole_rays
 
 SIZE = (256, 512)
 FARTHEST = 1e7
@@ -133,7 +133,9 @@ def shown(shot: Shot, view: int, eye: Pose, rays: np.ndarray, rho: np.ndarray) -
     quad = np.clip(np.floor(row).astype(int), 0, rows - 1), np.floor(col).astype(int) % cols
     surface_confidence = surface.mesh.surface_confidence[(*quad, 2 * down + right)]
     colour = sample_bilinear(image, directions)
-    return LayerArrays(colour, np.where(rho >= 0, surface_confidence, 0.0), rho.astype(np.float64), np.asarray(seen.position))
+    return LayerArrays(
+        colour, np.where(rho >= 0, surface_confidence, 0.0), rho.astype(np.float64), np.asarray(seen.position)
+    )
 
 
 def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
@@ -143,7 +145,9 @@ def test_colours_are_those_of_the_blend_rule(shot: Shot) -> None:
         for waves in ([[3, 1, 0], [0, 2, 3], [1, 0, 2]], [[1, 2, 3], [2, 0, 1], [0, 3, 1]])
     ]
     surfaces = [
-        replace(surface, view=replace(surface.view, image=np.rint(255 * image).astype(np.uint8) / 255, image_uint8=None))
+        replace(
+            surface, view=replace(surface.view, image=np.rint(255 * image).astype(np.uint8) / 255, image_uint8=None)
+        )
         for surface, image in zip(shot.pair.surfaces, smooth, strict=True)
     ]
     painted = replace(shot, pair=replace(shot.pair, surfaces=(surfaces[0], surfaces[1])))

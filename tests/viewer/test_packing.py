@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from omnisyn_cli.interpolation.viewer.packing import (
     NO_SURFACE_CODE,
+    confidence_codes,
     inverse_depth_codes,
     packed_map,
     packed_mask,
     packed_photograph,
-    confidence_codes,
 )
 from omnisyn_cli.render.mesh import build_mesh
 from omnisyn_cli.render.shade import make_confidence_map
@@ -60,7 +60,9 @@ def test_trust_is_that_of_the_renderer() -> None:
     mesh = build_mesh(rho)
     codes = confidence_codes(mesh)
     assert codes is not None
-    expected = make_confidence_map(mesh, make_texture(np.zeros((16, 32, 3), np.float32))).values.reshape(32, 65)[1:-1, 1:]
+    expected = make_confidence_map(mesh, make_texture(np.zeros((16, 32, 3), np.float32))).values.reshape(32, 65)[
+        1:-1, 1:
+    ]
     np.testing.assert_allclose((codes[1:-1] / 255.0) ** 2, expected, atol=0.004)
     assert confidence_codes(build_mesh(np.full((16, 32), 0.2, np.float32))) is None
 

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
 from omnisyn_cli.evaluation import metrics
+from omnisyn_cli.evaluation.metrics.image import SSIM_WINDOW
 from omnisyn_cli.evaluation.metrics.temporal import change_psnr, flicker, warping_error
 from omnisyn_cli.evaluation.results import DepthRecord
 from omnisyn_cli.evaluation.views import LoadedPair
@@ -29,14 +30,13 @@ from omnisyn_cli.types import DepthEstimate, View
 CLIP_FRAMES = 9
 
 CLIP_STEP = 1 / 60
+"""Share of the way: two seconds of video at 30 frames a second."""
 
 CLIP_HEIGHT = 256
+"""Rows at most, which keeps the clip cheaper than the true frames."""
 
 END_SHARE = 1e-6
 """Share of the way from a panorama at which a frame is rendered rather than the photograph shown."""
-
-WINDOW = 11
-"""Rows that structural similarity needs."""
 
 Perceptual = Callable[[np.ndarray, np.ndarray], float]
 """A distance of two equirectangular pictures, such as :class:`omnisyn_cli.evaluation.metrics.lpips.Lpips`."""
@@ -149,7 +149,7 @@ def frame_scores(
         psnr_top=metrics.end_psnr(image, truth, is_bottom=False),
         psnr_bottom=metrics.end_psnr(image, truth, is_bottom=True),
     )
-    if len(truth) >= WINDOW:
+    if len(truth) >= SSIM_WINDOW:
         scores.update(ws_ssim=metrics.ws_ssim(image, truth), ssim=metrics.ssim(image, truth))
     if perceptual is not None:
         scores["lpips"] = perceptual(image, truth)

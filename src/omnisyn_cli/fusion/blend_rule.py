@@ -158,5 +158,7 @@ def blend_layers(
     smaller = xp.minimum(a, b) / xp.where(is_seen, total, xp.ones_like(a))
     share_a, share_b = xp.where(a < b, smaller, 1.0 - smaller), xp.where(a < b, 1.0 - smaller, smaller)
     mixed = xp.clip(share_a[..., None] * first.colour + share_b[..., None] * second.colour, min=0.0)
-    far = FAR_WEIGHT_OFFSET / (share_a * first.clipped_inverse_depth + share_b * second.clipped_inverse_depth + FAR_WEIGHT_OFFSET)
+    far = FAR_WEIGHT_OFFSET / (
+        share_a * first.clipped_inverse_depth + share_b * second.clipped_inverse_depth + FAR_WEIGHT_OFFSET
+    )
     return xp.where(is_seen[..., None], mixed, nothing[..., None]), xp.where(is_seen, far**4, nothing)

@@ -1,28 +1,28 @@
-"""The loop before a fusion network, in numba; what it says about weights is in the loop that blends."""
+"""The loop that downsamples a layer for a fusion network, in numba."""
 
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel
 from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 
-LOOKED_AT = 4
-"""Rows and columns of a block that are enough for its mean."""
+SAMPLES_PER_BLOCK_SIDE = 4
+"""Rows and columns of a large block that are read: 16 pixels are enough for its mean. Set by hand."""
 
 
 @fast_kernel()
 def downsample_rows(colour, rho, coarse, coarse_rho, top, height):
-    """Some rows of a rendering at a smaller size: means over blocks of what is seen, by its weight.
+    """Some rows of a layer at a smaller size: means over blocks of what is seen, by its weight.
 
-    Of large blocks every so many-th row and column is looked at, at least :data:`LOOKED_AT` of each.
+    Of large blocks only every so many-th row and column is read, at least :data:`SAMPLES_PER_BLOCK_SIDE` of each.
 
     Args:
         colour: ``(rows, width, 4)`` RGB and weight; the rows are those of whole blocks.
         rho: inverse depth.
-        coarse: ``(coarse height, cols, 4)`` written: RGB in [0, 1]; the mean of the weight, what is not seen having
-            none. All of it 0 where nothing is seen.
+        coarse: ``(coarse height, cols, 4)`` written: RGB in [0, 1] and the mean weight, unseen pixels counting as 0. All
+            of it is 0 where nothing is seen.
         coarse_rho: written; −1 where nothing is seen.
-        top: row of the picture that the first row is.
-        height: rows of the picture, at least as many as coarse ones.
+        top: row of the frame that the first row is.
+        height: rows of the frame, at least as many as coarse ones.
     """
     width = rho.shape[1]
     rows, cols = coarse_rho.shape
@@ -31,18 +31,19 @@ def downsample_rows(colour, rho, coarse, coarse_rho, top, height):
         above, below = i * height // rows - top, (i + 1) * height // rows - top
         for j in range(cols):
             left, right = j * width // cols, (j + 1) * width // cols
-            down, across = max(1, (below - above) // LOOKED_AT), max(1, (right - left) // LOOKED_AT)
-            red = green = blue = near = total = zero
+            row_step = max(1, (below - above) // SAMPLES_PER_BLOCK_SIDE)
+            col_step = max(1, (right - left) // SAMPLES_PER_BLOCK_SIDE)
+            red = green = blue = rho_sum = total = zero
             count = 0
-            for row in range(above, below, down):
-                for col in range(left, right, across):
+            for row in range(above, below, row_step):
+                for col in range(left, right, col_step):
                     count += 1
                     weight = colour[row, col, 3]
                     if weight > MIN_VISIBLE_WEIGHT:
                         red += weight * colour[row, col, 0]
                         green += weight * colour[row, col, 1]
                         blue += weight * colour[row, col, 2]
-                        near += weight * max(rho[row, col], zero)
+                        rho_sum += weight * max(rho[row, col], zero)
                         total += weight
             weight = total / np.float32(count)
             if weight > MIN_VISIBLE_WEIGHT:
@@ -50,7 +51,7 @@ def downsample_rows(colour, rho, coarse, coarse_rho, top, height):
                 coarse[i, j, 1] = min(one, max(zero, green / total))
                 coarse[i, j, 2] = min(one, max(zero, blue / total))
                 coarse[i, j, 3] = weight
-                coarse_rho[i, j] = near / total
+                coarse_rho[i, j] = rho_sum / total
             else:
                 for k in range(4):
                     coarse[i, j, k] = zero

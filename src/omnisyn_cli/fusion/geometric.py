@@ -7,17 +7,16 @@ of the layers alone (:mod:`omnisyn_cli.fusion.ghosts`).
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.fusion.blend_kernels import LayerRows, Tables, blend_rows, kernel_rule, quantization_for, source_offset
+from omnisyn_cli.fusion.blend_kernels import LayerRows, blend_rows, kernel_rule, quantization_for, source_offset
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule
 from omnisyn_cli.fusion.confidence import confidence_step
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.ghosts import GhostRemover, have_same_position
 from omnisyn_cli.fusion.layer_pair import TILE_ROWS, LayerPair, RowTileRunner
 from omnisyn_cli.fusion.supersampling import EdgeSupersampler
-from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.types import ColourStep, Layer
+from omnisyn_cli.types import ColourStep, DirectionTables, Layer
 
-__all__ = ["Confidence", "GeometricFuser", "Picture", "TILE_ROWS"]
+__all__ = ["TILE_ROWS", "Confidence", "GeometricFuser", "Picture"]
 
 Picture = Shaped[np.ndarray, "height width 3"]
 Confidence = Float32[np.ndarray, "height width"]
@@ -44,7 +43,7 @@ class GeometricFuser:
         self.size, self.options, self.threads = size, options or BlendOptions(), threads
         self._supersampler = EdgeSupersampler(size, threads) if edges else None
         self.tiles, self.is_seen = RowTileRunner(size, threads), np.empty(size, np.uint8)
-        self._tables = Tables(*(table.astype(np.float32) for table in direction_tables(*size)))
+        self._tables = DirectionTables.of_size(*size)
         self._ghosts, self._filler = GhostRemover(size, threads=threads), HoleFiller(size, threads)
         self._picture: np.ndarray | None = None
 
@@ -68,7 +67,6 @@ class GeometricFuser:
             out: written: float32 >= 0, or unsigned integers.
         """
         offset_a, offset_b = (source_offset(layer) for layer in (layers.first, layers.second))
-        sin_p, cos_p, sin_a, cos_a = self._tables
         quantization, scalars, (colours, weights) = quantization_for(out), kernel_rule(rule), self._filler.half
 
         def blend_tile(top: int, bottom: int, first: np.ndarray, second: np.ndarray) -> None:
@@ -76,7 +74,7 @@ class GeometricFuser:
             blend_rows(
                 LayerRows(first, layers.first.inverse_depth[rows], offset_a),
                 LayerRows(second, layers.second.inverse_depth[rows], offset_b),
-                scalars, Tables(sin_p[rows], cos_p[rows], sin_a, cos_a), quantization,
+                scalars, self._tables.of_rows(rows), quantization,
                 out[rows], self.is_seen[rows], colours[halved], weights[halved],
             )  # fmt: skip
 

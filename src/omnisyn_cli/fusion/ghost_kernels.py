@@ -1,4 +1,4 @@
-"""The loops over pixels that find and remove ghosts, in numba: twins of those of :mod:`omnisyn_cli.fusion.ghosts`."""
+"""The pixel loops of ghost detection and suppression, in numba; twins of the array code in :mod:`omnisyn_cli.fusion.ghosts`."""
 
 import numpy as np
 
@@ -16,8 +16,9 @@ def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, en
         second: as ``first``.
         second_rho: as ``first_rho``.
         cell: pixels along the side of a cell.
-        sums: ``(rows, cols, 13)``: how many both views see; of these, RGB and weight of the first, of the second;
-            inverse depth of both; how many only the first sees, and only the second.
+        sums: ``(rows, cols, 13)``, written: [0] how many pixels both layers see; of these, [1–4] RGB and weight of the
+            first, [5–8] of the second, [9, 10] inverse depth of both; [11] how many only the first sees, [12] only the
+            second.
         begin: first row of cells.
         end: the row after the last.
     """
@@ -42,77 +43,78 @@ def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, en
 
 
 @fast_kernel()
-def suppress_rows(first, second, suppressed, cell, top):
-    """Take weight away from the suppressed view where both see something, gradually at the border of a region.
+def suppress_rows(first, second, signed_strength, cell, top):
+    """Take weight from the suppressed layer where both see something; the strength is bilinear between cells.
 
     Args:
         first: ``(rows, width, 4)`` RGB and weight; the weight is changed in place.
         second: likewise.
-        suppressed: ``(rows, cols)`` by cell: from −1 (the first loses all of its weight) to 1 (the second does).
+        signed_strength: ``(rows, cols)`` by cell: from −1 (the first loses all of its weight) to 1 (the second does).
         cell: pixels along the side of a cell.
-        top: row of the picture that the first row of both is.
+        top: row of the frame that the first row of both is.
     """
     width = first.shape[1]
     for row in range(len(first)):
-        upper, lower, down = _rows_of_cells(suppressed, cell, top + row)
-        for block in range(-(-width // cell)):
-            if _is_free(suppressed, upper, lower, block):
+        upper, lower, down = _neighbour_rows(signed_strength, cell, top + row)
+        for cell_col in range(-(-width // cell)):
+            # Nearly all cells of nearly all frames: no interpolation where nothing is suppressed.
+            if _is_unsuppressed(signed_strength, upper, lower, cell_col):
                 continue
-            for col in range(block * cell, min((block + 1) * cell, width)):
-                _lessen(first, second, row, col, _between(suppressed, cell, upper, lower, down, col))
+            for col in range(cell_col * cell, min((cell_col + 1) * cell, width)):
+                _reduce_weight(first, second, row, col, _interpolate(signed_strength, cell, upper, lower, down, col))
 
 
 @fast_kernel()
-def suppress_edge_samples(first, second, suppressed, cell, edge_pixels):
-    """The same for the samples of spots, ``(2, samples, 4)`` of either view: each by where its spot is."""
-    for row in range(len(edge_pixels.begins)):
-        upper, lower, down = _rows_of_cells(suppressed, cell, edge_pixels.top + row)
-        for at in range(edge_pixels.begins[row, 0], edge_pixels.begins[row, -1]):
+def suppress_edge_samples(first, second, signed_strength, cell, edge_pixels):
+    """The same for the samples of edge pixels, ``(2, samples, 4)`` of either layer; one strength for each pixel."""
+    for row in range(len(edge_pixels.tile_begins)):
+        upper, lower, down = _neighbour_rows(signed_strength, cell, edge_pixels.top + row)
+        for at in range(edge_pixels.tile_begins[row, 0], edge_pixels.tile_begins[row, -1]):
             col = edge_pixels.cols[at]
-            if col < 0 or _is_free(suppressed, upper, lower, col // cell):
+            if col < 0 or _is_unsuppressed(signed_strength, upper, lower, col // cell):
                 continue
-            value = _between(suppressed, cell, upper, lower, down, col)
+            value = _interpolate(signed_strength, cell, upper, lower, down, col)
             for half in range(2):
-                _lessen(first, second, half, 2 * at, value)
-                _lessen(first, second, half, 2 * at + 1, value)
+                _reduce_weight(first, second, half, 2 * at, value)
+                _reduce_weight(first, second, half, 2 * at + 1, value)
 
 
 @inlined()
-def _rows_of_cells(suppressed, cell, row):
-    """The rows of cells between whose centres a row lies, and how far it is from the first of them."""
+def _neighbour_rows(signed_strength, cell, row):
+    """The two rows of cells between whose centres a row lies, and its fraction of the way between them."""
     y = (np.float32(row) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
     i = int(np.floor(y))
-    last = len(suppressed) - 1
+    last = len(signed_strength) - 1
     return min(max(i, 0), last), min(max(i + 1, 0), last), y - np.float32(i)
 
 
 @inlined()
-def _between(suppressed, cell, upper, lower, down, col):
-    """What is said of a column between four cells."""
+def _interpolate(signed_strength, cell, upper, lower, down, col):
+    """The strength at a column, bilinear between four cells; columns wrap."""
     x = (np.float32(col) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
-    j, cols = int(np.floor(x)), suppressed.shape[1]
-    right = x - np.float32(j)
-    left, beyond = j % cols, (j + 1) % cols
-    above = suppressed[upper, left] + right * (suppressed[upper, beyond] - suppressed[upper, left])
-    below = suppressed[lower, left] + right * (suppressed[lower, beyond] - suppressed[lower, left])
+    j, cols = int(np.floor(x)), signed_strength.shape[1]
+    across = x - np.float32(j)
+    left, right = j % cols, (j + 1) % cols
+    above = signed_strength[upper, left] + across * (signed_strength[upper, right] - signed_strength[upper, left])
+    below = signed_strength[lower, left] + across * (signed_strength[lower, right] - signed_strength[lower, left])
     return above + down * (below - above)
 
 
 @inlined()
-def _lessen(first, second, row, col, value):
-    """Take weight from one view where both see something."""
+def _reduce_weight(first, second, row, col, strength):
+    """Take weight from the suppressed layer, if both see something: where one sees nothing, the other has to stay."""
     if first[row, col, 3] > MIN_VISIBLE_WEIGHT and second[row, col, 3] > MIN_VISIBLE_WEIGHT:
-        if value > np.float32(0.0):
-            second[row, col, 3] *= np.float32(1.0) - value
+        if strength > np.float32(0.0):
+            second[row, col, 3] *= np.float32(1.0) - strength
         else:
-            first[row, col, 3] *= np.float32(1.0) + value
+            first[row, col, 3] *= np.float32(1.0) + strength
 
 
 @inlined()
-def _is_free(suppressed, upper, lower, block):
-    """Whether nothing is to be suppressed between the rows of cells ``upper`` and ``lower`` in and beside a cell."""
-    cols = suppressed.shape[1]
-    for j in range(block - 1, block + 2):
-        if suppressed[upper, j % cols] != np.float32(0.0) or suppressed[lower, j % cols] != np.float32(0.0):
+def _is_unsuppressed(signed_strength, upper, lower, cell_col):
+    """Whether the strength is 0 in a cell column and beside it, in two rows of cells."""
+    cols = signed_strength.shape[1]
+    for j in range(cell_col - 1, cell_col + 2):
+        if signed_strength[upper, j % cols] != np.float32(0.0) or signed_strength[lower, j % cols] != np.float32(0.0):
             return False
     return True

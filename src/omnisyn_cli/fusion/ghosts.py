@@ -180,7 +180,9 @@ class GhostRemover:
         offsets = (xp.asarray(layer.target_from_source.position, dtype=sums.dtype, device=device(sums))
                    for layer in (first, second))  # fmt: skip
         means = [
-            LayerArrays(sums[..., k : k + 3] * share[..., None], sums[..., k + 3] * share, sums[..., rho] * share, offset)
+            LayerArrays(
+                sums[..., k : k + 3] * share[..., None], sums[..., k + 3] * share, sums[..., rho] * share, offset
+            )
             for k, rho, offset in zip((1, 5), (9, 10), offsets, strict=True)
         ]
         only_first, only_second = sums[..., 11], sums[..., 12]

@@ -1,4 +1,4 @@
-"""Planes for fusion networks (:mod:`omnisyn_cli.fusion.input_channels`), made of renderings of any larger size."""
+"""Makes all input channels of a fusion network from layers of any larger size."""
 
 from dataclasses import replace
 
@@ -10,72 +10,72 @@ from omnisyn_cli.fusion.downsample_kernels import downsample_rows
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
 from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
-from omnisyn_cli.fusion.warp_candidates import FINER, WarpCandidates, make_warp_candidates
+from omnisyn_cli.fusion.warp_candidates import CANDIDATE_SCALE, WarpCandidates, make_warp_candidates
 from omnisyn_cli.types import SourceSampler
 
 __all__ = ["InputBuilder", "downsampled_pair"]
 
-COARSE_ROWS = 4
-"""That are reduced together."""
+TILE_COARSE_ROWS = 4
+"""Rows of the smaller size that are averaged together. Set by hand."""
 
 
 class InputBuilder:
-    """Makes planes of one size from renderings of at least :data:`FINER` times that. Not shared between threads.
+    """Makes channels of one size from layers of at least :data:`CANDIDATE_SCALE` times that. Not shared between threads.
 
     Args:
-        size: height and width of the planes.
-        bands: of the renderings.
+        size: height and width of the channels.
+        tiles: runs over the row tiles of the layers.
     """
 
-    def __init__(self, size: tuple[int, int], bands: RowTileRunner) -> None:
-        self.size, self._bands = size, bands
-        self._filler = HoleFiller(size, bands.threads)
+    def __init__(self, size: tuple[int, int], tiles: RowTileRunner) -> None:
+        self.size, self._tiles = size, tiles
+        self._filler = HoleFiller(size, tiles.threads)
 
     def __call__(
-        self, views: LayerPair, rule: BlendRule, source_samplers: tuple[SourceSampler, SourceSampler]
-    ) -> tuple[Float32[np.ndarray, "planes height width"], WarpCandidates]:
-        """Planes of two renderings, those of a second look among them.
+        self, layers: LayerPair, rule: BlendRule, source_samplers: tuple[SourceSampler, SourceSampler]
+    ) -> tuple[Float32[np.ndarray, "channels height width"], WarpCandidates]:
+        """The channels of both parts, and the candidates that the network chooses from.
 
         Args:
-            views: both, and what is done to their colours.
+            layers: both, and what is done to their colours.
             rule: at its place of the way.
-            witnesses: of both.
+            source_samplers: of both views.
         """
-        fine = downsampled_pair(views, (FINER * self.size[0], FINER * self.size[1]), self._bands)
-        first, second = (_halved(view) for view in fine)
+        fine = downsampled_pair(layers, (CANDIDATE_SCALE * self.size[0], CANDIDATE_SCALE * self.size[1]), self._tiles)
+        first, second = (_halve(layer) for layer in fine)
         baseline = float(np.linalg.norm(first.offset - second.offset))
-        planes = fusion_input_channels(first, second, rule, baseline, self._filled)
-        look = make_warp_candidates(*fine, source_samplers, baseline, self._bands.threads)
-        return np.concatenate([planes, look.planes]), look
+        channels = fusion_input_channels(first, second, rule, baseline, self._fill)
+        candidates = make_warp_candidates(*fine, source_samplers, baseline, self._tiles.threads)
+        return np.concatenate([channels, candidates.channels]), candidates
 
-    def _filled(self, image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def _fill(self, image: np.ndarray, weight: np.ndarray) -> np.ndarray:
         self._filler(image, weight)
         return image
 
 
-def downsampled_pair(views: LayerPair, size: tuple[int, int], bands: RowTileRunner) -> tuple[LayerArrays, LayerArrays]:
-    """Two renderings at a smaller size: means over blocks of what is seen, by its weight; colours are within [0, 1]."""
-    (height, _), (rows, _) = bands.size, size
+def downsampled_pair(layers: LayerPair, size: tuple[int, int], tiles: RowTileRunner) -> tuple[LayerArrays, LayerArrays]:
+    """Both layers at a smaller size: weighted block means of what is seen; colours are clipped to [0, 1]."""
+    (height, _), (rows, _) = tiles.size, size
     colours, rhos = np.empty((2, *size, 4), np.float32), np.empty((2, *size), np.float32)
-    renderings = (views.first, views.second)
+    both = (layers.first, layers.second)
 
-    def reduce(top: int, bottom: int, *shown: np.ndarray) -> None:
-        for view, colour, coarse, rho in zip(renderings, shown, colours, rhos, strict=True):
-            downsample_rows(colour, view.inverse_depth[top:bottom], coarse, rho, top, height)
+    def downsample(top: int, bottom: int, *shaded: np.ndarray) -> None:
+        for layer, colour, coarse, rho in zip(both, shaded, colours, rhos, strict=True):
+            downsample_rows(colour, layer.inverse_depth[top:bottom], coarse, rho, top, height)
 
-    bands(views, reduce, [*(i * height // rows for i in range(0, rows, COARSE_ROWS)), height])
+    tiles(layers, downsample, [*(i * height // rows for i in range(0, rows, TILE_COARSE_ROWS)), height])
     first, second = (
-        LayerArrays(colour[..., :3], colour[..., 3], rho, view.target_from_source.position.astype(np.float32))
-        for view, colour, rho in zip(renderings, colours, rhos, strict=True)
+        LayerArrays(colour[..., :3], colour[..., 3], rho, layer.target_from_source.position.astype(np.float32))
+        for layer, colour, rho in zip(both, colours, rhos, strict=True)
     )
     return first, second
 
 
-def _halved(view: LayerArrays) -> LayerArrays:
-    """The same at half the size."""
-    rows, cols = view.weight.shape
-    size = (rows // FINER, cols // FINER)
+def _halve(layer: LayerArrays) -> LayerArrays:
+    """The layer at the size of the channels."""
+    rows, cols = layer.weight.shape
+    size = (rows // CANDIDATE_SCALE, cols // CANDIDATE_SCALE)
     colour, rho = np.empty((*size, 4), np.float32), np.empty(size, np.float32)
-    weighted = np.concatenate([view.colour, view.weight[..., None]], axis=-1)
-    downsample_rows(weighted, view.inverse_depth, colour, rho, 0, rows)
-    return replace(view, colour=colour[..., :3], weight=colour[..., 3], inverse_depth=rho)
+    weighted = np.concatenate([layer.colour, layer.weight[..., None]], axis=-1)
+    downsample_rows(weighted, layer.inverse_depth, colour, rho, 0, rows)
+    return replace(layer, colour=colour[..., :3], weight=colour[..., 3], inverse_depth=rho)

@@ -1,7 +1,7 @@
-"""Two renderings of a frame, some rows at a time: what is done to their colours before they are blended, in order.
+"""The two layers of a frame, shaded a tile of rows at a time, and what happens to their colours before blending.
 
-A rendering gives its colours, exposed by then (:mod:`omnisyn_cli.fusion.photometry`). Confidence is judged by what both
-show; then ghosts are suppressed (:mod:`omnisyn_cli.fusion.ghosts`). What is left is blended, and stored.
+The order of the steps: each layer shades its rows and matches their exposure (:mod:`omnisyn_cli.fusion.photometry`);
+confidence is judged from both; ghosts are suppressed (:mod:`omnisyn_cli.fusion.ghosts`). Then the fuser blends.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.fusion.ghosts import GhostSuppression
 from omnisyn_cli.types import ColourStep, EdgePixels, EdgeSamples, Layer
 
-__all__ = ["ROWS", "LayerPair"]
+__all__ = ["TILE_ROWS", "LayerPair"]
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
-ROWS = 32
-"""Of a band: that are coloured and blended together; an even number."""
+TILE_ROWS = 32
+"""Rows that are shaded and blended together; even, because hole filling halves them. Set by hand."""
 
 
 @dataclass(frozen=True)
 class LayerPair:
-    """Both renderings of a frame.
+    """Both layers of a frame.
 
     Attributes:
         first: of the first view.
@@ -40,12 +40,12 @@ class LayerPair:
     second: Layer
     steps: tuple[ColourStep, ...] = ()
 
-    def then(self, step: ColourStep | None) -> LayerPair:
-        """With one step more, if there is one."""
+    def with_step(self, step: ColourStep | None) -> LayerPair:
+        """The pair with one more step, unless that is None."""
         return self if step is None else replace(self, steps=(*self.steps, step))
 
-    def colour(self, top: int, bottom: int, out: Float32[Array, "views rows width 4"]) -> None:
-        """Write the colours of rows ``top`` to ``bottom`` of both, as they are blended."""
+    def shade_rows(self, top: int, bottom: int, out: Float32[Array, "views rows width 4"]) -> None:
+        """Write the colours of rows ``top`` to ``bottom`` of both layers, ready to be blended."""
         self.first.colour_rows(top, bottom, out[0])
         self.second.colour_rows(top, bottom, out[1])
         for step in self.steps:
@@ -53,72 +53,83 @@ class LayerPair:
 
     @property
     def has_edge_samples(self) -> bool:
-        """Whether pixels of both have samples."""
-        return self.first.samples is not None and self.second.samples is not None
+        """Whether both layers can be supersampled."""
+        return self.first.edge_samples is not None and self.second.edge_samples is not None
 
-    def samples(self, of_first: EdgePixels, of_second: EdgePixels) -> tuple[EdgeSamples, EdgeSamples]:
-        """Of both, as they are blended; ValueError where there are none. The spots are the same ones."""
-        if self.first.samples is None or self.second.samples is None:
-            raise ValueError("expected renderings with samples, got others; ask has_edge_samples first")
-        first, second = self.first.samples(of_first), self.second.samples(of_second)
+    def edge_samples(self, of_first: EdgePixels, of_second: EdgePixels) -> tuple[EdgeSamples, EdgeSamples]:
+        """Samples of the same edge pixels in both layers, ready to be blended.
+
+        Args:
+            of_first: the edge pixels, with the sample depths that are known of the first layer.
+            of_second: the same pixels, with those of the second layer.
+
+        Raises:
+            ValueError: a layer cannot be supersampled, see :attr:`has_edge_samples`.
+        """
+        if self.first.edge_samples is None or self.second.edge_samples is None:
+            raise ValueError("expected layers with edge samples, got others; ask has_edge_samples first")
+        first, second = self.first.edge_samples(of_first), self.second.edge_samples(of_second)
         for step in self.steps:
             if isinstance(step, GhostSuppression):
-                step.of_samples(first[1], second[1], of_first)
+                step.apply_to_edges(first[1], second[1], of_first)
         return first, second
 
 
 class RowTileRunner:
-    """Memory for the colours of bands, one for each thread, and of whole pictures; reused from frame to frame."""
+    """Shades a layer pair tile by tile on several threads. Its buffers are reused from frame to frame."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
-        self._rooms: list[np.ndarray] = []
-        self._held: np.ndarray | None = None
+        self._scratch: list[np.ndarray] = []
+        self._cached_colours: np.ndarray | None = None
 
     def __call__(
-        self, views: LayerPair, use: Callable[[int, int, np.ndarray, np.ndarray], None], edges: Sequence[int] | None = None
+        self,
+        layers: LayerPair,
+        use: Callable[[int, int, np.ndarray, np.ndarray], None],
+        boundaries: Sequence[int] | None = None,
     ) -> None:
-        """Call ``use`` with first row, row after the last and both views' colours ``(rows, width, 4)``, for all bands.
+        """Call ``use`` with first row, row after the last and both layers' colours ``(rows, width, 4)`` of each tile.
 
         Args:
-            views: what is coloured.
+            layers: the pair.
             use: called from several threads.
-            edges: first rows of bands and, last, the height; by default every :data:`ROWS` rows.
+            boundaries: first rows of the tiles and, last, the height; by default every :data:`TILE_ROWS` rows.
         """
-        between = list(pairwise([*range(0, self.size[0], ROWS), self.size[0]] if edges is None else edges))
-        most = max(bottom - top for top, bottom in between)
+        tiles = list(pairwise([*range(0, self.size[0], TILE_ROWS), self.size[0]] if boundaries is None else boundaries))
+        tallest = max(bottom - top for top, bottom in tiles)
 
-        def some(begin: int, end: int) -> None:
-            room = self._room(most)
-            for top, bottom in between[begin:end]:
-                views.colour(top, bottom, room[:, : bottom - top])
-                use(top, bottom, room[0, : bottom - top], room[1, : bottom - top])
-            self._rooms.append(room)
+        def run(begin: int, end: int) -> None:
+            scratch = self._take_scratch(tallest)
+            for top, bottom in tiles[begin:end]:
+                layers.shade_rows(top, bottom, scratch[:, : bottom - top])
+                use(top, bottom, scratch[0, : bottom - top], scratch[1, : bottom - top])
+            self._scratch.append(scratch)
 
-        run_bands(some, len(between), self.threads)
+        run_bands(run, len(tiles), self.threads)
 
-    def held(self, first: Layer, second: Layer) -> tuple[Layer, Layer]:
-        """Both with all of their colours at hand, for whoever looks at them more than once."""
-        if first.held is not None and second.held is not None:
+    def with_cached_colours(self, first: Layer, second: Layer) -> tuple[Layer, Layer]:
+        """Both layers with all of their colours shaded, for callers that read them more than once."""
+        if first.cached_colour is not None and second.cached_colour is not None:
             return first, second
-        if self._held is None:
-            self._held = np.empty((2, *self.size, 4), np.float32)
-        for view, colour in zip((first, second), self._held, strict=True):
-            run_bands(lambda begin, end: view.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
-        one, other = (
+        if self._cached_colours is None:
+            self._cached_colours = np.empty((2, *self.size, 4), np.float32)
+        for layer, colour in zip((first, second), self._cached_colours, strict=True):
+            run_bands(lambda begin, end: layer.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
+        cached_first, cached_second = (
             replace(
-                Layer.from_arrays(view.inverse_depth, colour, view.target_from_source),
-                samples=view.samples,
-                source_sampler=view.source_sampler,
+                Layer.from_arrays(layer.inverse_depth, colour, layer.target_from_source),
+                edge_samples=layer.edge_samples,
+                source_sampler=layer.source_sampler,
             )
-            for view, colour in zip((first, second), self._held, strict=True)
+            for layer, colour in zip((first, second), self._cached_colours, strict=True)
         )
-        return one, other
+        return cached_first, cached_second
 
-    def _room(self, rows: int) -> Float32[np.ndarray, "views rows width 4"]:
-        """Used by one thread at a time."""
-        while self._rooms:
-            room = self._rooms.pop()
-            if room.shape[1] >= rows:
-                return room
+    def _take_scratch(self, rows: int) -> Float32[np.ndarray, "views rows width 4"]:
+        """A buffer for one thread; too small ones are dropped."""
+        while self._scratch:
+            scratch = self._scratch.pop()
+            if scratch.shape[1] >= rows:
+                return scratch
         return np.empty((2, rows, self.size[1], 4), np.float32)

@@ -1,36 +1,47 @@
-"""Edges that are neither jagged nor a pixel off: pixels that show two surfaces are means of four samples.
+"""Antialiased edges: pixels that show two surfaces are supersampled 2x2.
 
-A pixel beside a jump of either surface whose colours differ from those around it is a *spot*: visibility, colours and
-weights are found at the four pixels of a picture of twice the size, blended by the rule one by one, and averaged. That
-is a twentieth of most pictures, and gains what the whole picture at twice the size would: on generated walks full of
-edges 0.65 dB with true depth, 0.2 dB with estimated depth; figures are in ``docs/evaluation.md``.
+An *edge pixel* lies beside a depth discontinuity of either layer, and its colours differ from those around it. Its
+visibility, colours and weights are found at four samples, the pixels of a picture of twice the size. Each sample is
+blended by the rule, and the pixel becomes their mean. Edge pixels are a twentieth of most pictures, and gain what the
+whole picture at twice the size would: on generated walks full of edges 0.65 dB with true depth, 0.2 dB with estimated
+depth; figures are in ``docs/evaluation.md``.
 """
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.compute.threads import run_bands
-from omnisyn_cli.fusion.blend_kernels import LayerRows, Tables, blend_edge_pixels, offset_of, quantization_for, rule_of
+from omnisyn_cli.fusion.blend_kernels import (
+    LayerRows,
+    blend_edge_pixels,
+    kernel_rule,
+    quantization_for,
+    source_offset,
+)
 from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.ghosts import have_same_position
 from omnisyn_cli.fusion.layer_pair import LayerPair
-from omnisyn_cli.fusion.supersampling_kernels import list_edge_pixels, mark_edge_pixels, prefill_visibility
-from omnisyn_cli.geometry.sphere import direction_tables
-from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, EdgePixels, Layer
+from omnisyn_cli.fusion.supersampling_kernels import (
+    FIRST_EDGE,
+    SECOND_EDGE,
+    list_edge_pixels,
+    mark_edge_pixels,
+    prefill_visibility,
+)
+from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, DirectionTables, EdgePixels, Layer
 
-CONTRAST = 40
-"""Levels of 8 bits: where all nine pixels are more alike than that, samples would look like their pixel."""
+MIN_CONTRAST_LEVELS = 40
+"""Levels of 8 bits by which a pixel's 3x3 window has to vary: below, samples would look like their pixel. Set by hand."""
 
-ROWS = 64
-"""Of a band whose samples are found together."""
+TILE_ROWS = 64
+"""Rows whose edge pixels are sampled together. Set by hand."""
 
-
-LEAST_SHARE = 1.0 / 512.0
-"""Of samples, below which no level of 8 bits changes by them."""
+MIN_MEAN_SHARE = 1.0 / 512.0
+"""Share of the mean below which no level of 8 bits changes."""
 
 
 class EdgeSupersampler:
-    """Gives the pixels at edges of frames of one size the mean of their samples; reused from frame to frame.
+    """Replaces the edge pixels of frames of one size by the mean of their samples; reused from frame to frame.
 
     Args:
         size: height and width of the frames.
@@ -39,60 +50,66 @@ class EdgeSupersampler:
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
-        double = direction_tables(2 * size[0], 2 * size[1])
-        self._tables = Tables(*(table.astype(np.float32) for table in double))
+        self._tables = DirectionTables.of_size(2 * size[0], 2 * size[1])
         self._marks = np.empty(size, np.uint8)
 
-    def __call__(self, views: LayerPair, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
-        """Change a picture where it has edges: not at the ends of the way, where photographs are shown as they are.
+    def __call__(self, layers: LayerPair, rule: BlendRule, out: Shaped[np.ndarray, "height width 3"]) -> None:
+        """Supersample the edges of a picture. At the ends of the way nothing changes: these are the photographs.
 
         Args:
-            views: what it was blended of, with samples.
-            rule: how they were; samples set in as strictly as it does.
-            out: the picture, numbers or samples of it.
+            layers: what it was blended of; they can be supersampled.
+            rule: how they were blended; supersampling sets in with its strictness.
+            out: the picture, float32 or unsigned integers.
         """
         height, _ = self.size
-        share, numbers, storing = np.float32(rule.strictness), rule_of(rule), quantization_for(out)
-        if share < LEAST_SHARE or have_same_position(views.first, views.second):
+        share, scalars, quantization = np.float32(rule.strictness), kernel_rule(rule), quantization_for(out)
+        if share < MIN_MEAN_SHARE or have_same_position(layers.first, layers.second):
             return
-        marks = self.marked(views, out)
+        marks = self.mark(layers, out)
 
         def sample(begin: int, end: int) -> None:
-            for top in range(begin * ROWS, min(end * ROWS, height), ROWS):
-                edge_pixels = self._spots(marks, views, top, min(top + ROWS, height))
+            for top in range(begin * TILE_ROWS, min(end * TILE_ROWS, height), TILE_ROWS):
+                edge_pixels = self._edge_pixels(marks, layers, top, min(top + TILE_ROWS, height))
                 if len(edge_pixels[0].cols) == 0:
                     continue
-                (rho_a, colour_a), (rho_b, colour_b) = views.samples(*edge_pixels)
-                first = LayerRows(colour_a, rho_a, offset_of(views.first))
-                second = LayerRows(colour_b, rho_b, offset_of(views.second))
-                blend_edge_pixels(first, second, numbers, self._tables, edge_pixels[0], share, storing, out)
+                (rho_a, colour_a), (rho_b, colour_b) = layers.edge_samples(*edge_pixels)
+                first = LayerRows(colour_a, rho_a, source_offset(layers.first))
+                second = LayerRows(colour_b, rho_b, source_offset(layers.second))
+                blend_edge_pixels(first, second, scalars, self._tables, edge_pixels[0], share, quantization, out)
 
-        run_bands(sample, -(-height // ROWS), self.threads)
+        run_bands(sample, -(-height // TILE_ROWS), self.threads)
 
-    def marked(self, views: LayerPair, picture: Shaped[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "height width"]:
-        """Not 0 at spots, see :func:`omnisyn_cli.fusion.supersampling_kernels.mark_edge_pixels`; the next call overwrites it."""
-        first, second = views.first.inverse_depth, views.second.inverse_depth
+    def mark(
+        self, layers: LayerPair, picture: Shaped[np.ndarray, "height width 3"]
+    ) -> UInt8[np.ndarray, "height width"]:
+        """Marks of edge pixels, see :func:`mark_edge_pixels`; the next call overwrites them."""
+        first, second = layers.first.inverse_depth, layers.second.inverse_depth
         scale = np.float32(255.0 if picture.dtype.kind == "f" else 255.0 / np.iinfo(picture.dtype).max)
         run_bands(
-            lambda begin, end: mark_edge_pixels(first, second, picture, scale, CONTRAST, self._marks, begin, end),
+            lambda begin, end: mark_edge_pixels(
+                first, second, picture, scale, MIN_CONTRAST_LEVELS, self._marks, begin, end
+            ),
             self.size[0],
             self.threads,
         )
         return self._marks
 
-    def _spots(
-        self, marks: UInt8[np.ndarray, "height width"], views: LayerPair, top: int, bottom: int
+    def _edge_pixels(
+        self, marks: UInt8[np.ndarray, "height width"], layers: LayerPair, top: int, bottom: int
     ) -> tuple[EdgePixels, EdgePixels]:
-        """Those of some rows: the same ones for both views, of each of which other samples are known."""
-        most = int(np.count_nonzero(marks[top:bottom])) + (EDGE_PIXEL_MULTIPLE - 1) * (bottom - top)
-        begins = np.empty((bottom - top, -(-self.size[1] // EDGE_TILE_COLUMNS) + 1), np.int32)
-        cols, sin_a, cos_a = np.empty(most, np.int32), np.empty(2 * most, np.float32), np.empty(2 * most, np.float32)
-        count = list_edge_pixels(marks, top, begins, cols, self._tables.sin_a, self._tables.cos_a, sin_a, cos_a)
+        """Those of some rows. Both layers get the same pixels, but know the depth of different samples."""
+        padding = (EDGE_PIXEL_MULTIPLE - 1) * (bottom - top)
+        capacity = int(np.count_nonzero(marks[top:bottom])) + padding
+        tile_begins = np.empty((bottom - top, -(-self.size[1] // EDGE_TILE_COLUMNS) + 1), np.int32)
+        cols = np.empty(capacity, np.int32)
+        sin_a, cos_a = np.empty(2 * capacity, np.float32), np.empty(2 * capacity, np.float32)
+        count = list_edge_pixels(marks, top, tile_begins, cols, self._tables, sin_a, cos_a)
         cols, sin_a, cos_a = cols[:count], sin_a[: 2 * count], cos_a[: 2 * count]
 
-        def of_view(view: Layer, mark: int) -> EdgePixels:
-            counts, known = np.empty_like(begins), np.empty((2, 2 * count), np.float32)
-            prefill_visibility(marks, np.uint8(mark), view.inverse_depth, top, begins, cols, counts, known)
-            return EdgePixels(top, cols, begins, counts, known, sin_a, cos_a)
+        def of_layer(layer: Layer, mark: int) -> EdgePixels:
+            unknown_counts, known = np.empty_like(tile_begins), np.empty((2, 2 * count), np.float32)
+            edge_pixels = EdgePixels(top, cols, tile_begins, unknown_counts, known, sin_a, cos_a)
+            prefill_visibility(marks, np.uint8(mark), layer.inverse_depth, edge_pixels)
+            return edge_pixels
 
-        return of_view(views.first, 1), of_view(views.second, 2)
+        return of_layer(layers.first, FIRST_EDGE), of_layer(layers.second, SECOND_EDGE)

@@ -2,163 +2,182 @@
 """The loops of :mod:`omnisyn_cli.fusion.warp_candidates` over the rows of a frame, in numba."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.fusion.blend_kernels import neighbours, stored
+from omnisyn_cli.fusion.blend_kernels import fine_to_coarse, quantize
+
+
+class CandidateArrays(NamedTuple):
+    """All that was sampled of both photographs, at the size of the candidates.
+
+    The six samples of a pixel are: [0] the second view at the first layer's surface, [1] the first view at the second
+    layer's; [2, 3] both views at the farthest hypothesis, [4, 5] at the nearest.
+
+    Attributes:
+        colours: ``(6, rows, cols, 4)`` RGB and alpha.
+        occlusion: ``(6, rows, cols)`` see :class:`omnisyn_cli.types.SourceSampler`.
+        sqrt_depths: ``(2, rows, cols)`` √(inverse depth × baseline) of the farthest and of the nearest hypothesis.
+        max_occlusion: at which the channels saturate.
+    """
+
+    colours: np.ndarray
+    occlusion: np.ndarray
+    sqrt_depths: np.ndarray
+    max_occlusion: np.float32
 
 
 @inlined(fastmath=True)
-def _columns_after(j, width, cols):
+def _columns_between(j, width, cols):
     """The pixels whose centres lie between those of coarse columns ``j`` and ``j + 1``: first, and after the last."""
     begin = math.ceil((j + 0.5) * width / cols - 0.5)
     return max(0, begin), min(width, math.ceil((j + 1.5) * width / cols - 0.5))
 
 
 @inlined(fastmath=True)
-def _corners(values, row, j, height):
-    """Values of a coarse map at the left and the right of pixels of a row after coarse column ``j``, over the seam."""
+def _interpolate_row(values, row, j, height):
+    """Values of a coarse map in a row of the frame, at coarse columns ``j`` and ``j + 1``; columns wrap."""
     rows, cols = values.shape
-    i, down = neighbours(row, height, rows)
-    upper, lower, before, beyond = max(i, 0), min(i + 1, rows - 1), j % cols, (j + 1) % cols
-    left = values[upper, before] + down * (values[lower, before] - values[upper, before])
-    return left, values[upper, beyond] + down * (values[lower, beyond] - values[upper, beyond])
+    i, down = fine_to_coarse(row, height, rows)
+    upper, lower, left_col, right_col = max(i, 0), min(i + 1, rows - 1), j % cols, (j + 1) % cols
+    left = values[upper, left_col] + down * (values[lower, left_col] - values[upper, left_col])
+    return left, values[upper, right_col] + down * (values[lower, right_col] - values[upper, right_col])
 
 
 @fast_kernel()
-def hypothesis_rows(supposed, share, top, height, points):
-    """The points that are looked up in some rows; whether there are any.
+def hypothesis_rows(hypothesis, weight, top, height, points):
+    """The points to sample in some rows; returns whether there are any.
 
     Args:
-        supposed: ``(rows, cols)`` inverse depth.
-        share: ``(rows, cols)``, at a size of its own.
-        top: row of the picture that the first row is.
-        height: rows of the picture.
-        points: ``(rows, width)``, written: the inverse depth that lies nearest, −1 where none is looked up.
+        hypothesis: ``(rows, cols)`` inverse depth.
+        weight: ``(rows, cols)`` of the candidate, at a size of its own.
+        top: row of the frame that the first row is.
+        height: rows of the frame.
+        points: ``(rows, width)``, written: the nearest neighbour's inverse depth, −1 where the candidate has no weight.
     """
-    (rows, cols), width, zero = supposed.shape, points.shape[1], np.float32(0.0)
+    (rows, cols), width, zero = hypothesis.shape, points.shape[1], np.float32(0.0)
     is_any = False
     for k in range(len(points)):
         i = (top + k) * rows // height
-        for j in range(-1, share.shape[1]):
-            begin, end = _columns_after(j, width, share.shape[1])
-            left, right = _corners(share, top + k, j, height)
+        for j in range(-1, weight.shape[1]):
+            begin, end = _columns_between(j, width, weight.shape[1])
+            left, right = _interpolate_row(weight, top + k, j, height)
             if max(left, right) > zero:
                 is_any = True
                 for col in range(begin, end):
-                    points[k, col] = supposed[i, col * cols // width]
+                    points[k, col] = hypothesis[i, col * cols // width]
             else:
                 points[k, begin:end] = np.float32(-1.0)
     return is_any
 
 
 @fast_kernel()
-def add_rows(share, colour, top, height, total):
-    """Add a candidate's share of the colours, and the share, to some rows of ``total``.
+def accumulate_candidate(weight, colour, top, height, total):
+    """Add a candidate to some rows of a weighted sum.
 
     Args:
-        share: ``(rows, cols)``, interpolated over the seam.
-        colour: ``(rows, width, 4)`` RGB and alpha.
-        top: row of the picture that the first row is.
-        height: rows of the picture.
-        total: ``(rows, width, 4)``, changed.
+        weight: ``(rows, cols)`` of the candidate, bilinear, across the seam.
+        colour: ``(rows, width, 4)`` RGB and alpha; alpha is a factor of the weight.
+        top: row of the frame that the first row is.
+        height: rows of the frame.
+        total: ``(rows, width, 4)`` weighted RGB and weight, changed.
     """
-    width, cols, half = total.shape[1], share.shape[1], np.float32(0.5)
+    width, cols, half = total.shape[1], weight.shape[1], np.float32(0.5)
     step = np.float32(cols / width)
     for k in range(len(total)):
         for j in range(-1, cols):
-            left, right = _corners(share, top + k, j, height)
+            left, right = _interpolate_row(weight, top + k, j, height)
             if max(left, right) <= np.float32(0.0):
                 continue
-            begin, end = _columns_after(j, width, cols)
+            begin, end = _columns_between(j, width, cols)
             for col in range(begin, end):
-                along = (np.float32(col) + half) * step - half - np.float32(j)
-                counts = colour[k, col, 3] * (left + along * (right - left))
+                across = (np.float32(col) + half) * step - half - np.float32(j)
+                own = colour[k, col, 3] * (left + across * (right - left))
                 for channel in range(3):
-                    total[k, col, channel] += counts * colour[k, col, channel]
-                total[k, col, 3] += counts
+                    total[k, col, channel] += own * colour[k, col, channel]
+                total[k, col, 3] += own
 
 
 @fast_kernel()
-def join_rows(total, storing, picture):
-    """Some rows of a picture, of which ``total`` takes its share; ``storing`` is of samples in the picture."""
+def mix_rows(total, quantization, picture):
+    """Replace a share of some rows of a picture by the weighted sum ``total`` of candidates."""
     one, zero = np.float32(1.0), np.float32(0.0)
     for k in range(len(total)):
         for col in range(total.shape[1]):
             taken = min(total[k, col, 3], one)
             if taken > zero:
                 for channel in range(3):
-                    own = np.float32(picture[k, col, channel]) / storing.scale
-                    picture[k, col, channel] = stored((one - taken) * own + total[k, col, channel], storing)
+                    own = np.float32(picture[k, col, channel]) / quantization.scale
+                    picture[k, col, channel] = quantize((one - taken) * own + total[k, col, channel], quantization)
 
 
 @inlined(fastmath=True)
-def _difference(one, other):
-    """Mean difference of two colours."""
+def _mean_difference(one, other):
+    """Mean absolute difference of two colours."""
     return (abs(one[0] - other[0]) + abs(one[1] - other[1]) + abs(one[2] - other[2])) * np.float32(1.0 / 3.0)
 
 
 @inlined(fastmath=True)
-def _told(nearer, most):
-    """How much nearer (positive) or farther a surface is, in [−1, 1]."""
-    return min(max(nearer / most, -np.float32(1.0)), np.float32(1.0))
+def _saturated(occlusion, max_occlusion):
+    """Occlusion as a channel, in [−1, 1]."""
+    return min(max(occlusion / max_occlusion, -np.float32(1.0)), np.float32(1.0))
 
 
 @inlined(fastmath=True)
-def _confront(shown, seen, colours, nearer, most, row, col, values):
-    """Add what the other view says of what one shows in a pixel to ``values``; how many pixels that is, 1 or 0."""
+def _add_cross_view(k, colour, points, arrays, row, col, values):
+    """Add layer ``k``'s cross-view channels of one pixel to ``values``; returns 1, or 0 where it shows nothing."""
     zero = np.float32(0.0)
-    if seen[row, col] < zero:
+    if points[k, row, col] < zero:
         return 0
-    gap = _told(nearer[row, col], most)
-    for k in range(3):
-        values[k] += colours[row, col, k]
-    values[3] += _difference(colours[row, col], shown[row, col])
-    values[4] += max(gap, zero)
-    values[5] += max(-gap, zero)
+    occlusion = _saturated(arrays.occlusion[k, row, col], arrays.max_occlusion)
+    other = arrays.colours[k, row, col]
+    for channel in range(3):
+        values[channel] += other[channel]
+    values[3] += _mean_difference(other, colour[row, col])
+    values[4] += max(occlusion, zero)
+    values[5] += max(-occlusion, zero)
     return 1
 
 
 @inlined(fastmath=True)
-def _suppose(colours, nearer, roots, most, row, col, share, values):
-    """Add a share of what both photographs say of both supposed surfaces in a pixel to ``values``."""
+def _add_candidates(arrays, row, col, share, values):
+    """Add a share of the candidate channels of one pixel to ``values``."""
     for candidate in range(4):
         for k in range(3):
-            values[3 * candidate + k] += share * colours[candidate, row, col, k]
-        values[14 + candidate] += share * _told(nearer[candidate, row, col], most)
+            values[3 * candidate + k] += share * arrays.colours[2 + candidate, row, col, k]
+        values[14 + candidate] += share * _saturated(arrays.occlusion[2 + candidate, row, col], arrays.max_occlusion)
     for k in range(2):
-        values[12 + k] += share * roots[k, row, col]
-        values[18 + k] += share * _difference(colours[2 * k, row, col], colours[2 * k + 1, row, col])
+        first, second = arrays.colours[2 + 2 * k, row, col], arrays.colours[3 + 2 * k, row, col]
+        values[12 + k] += share * arrays.sqrt_depths[k, row, col]
+        values[18 + k] += share * _mean_difference(first, second)
 
 
 @fast_kernel()
-def average_candidates(shown, seen, colours, nearer, roots, most, planes, begin, end):
-    """All planes of a second look, see :mod:`omnisyn_cli.fusion.warp_candidates`: means over blocks of pixels.
+def average_candidates(layer_colours, layer_points, arrays, channels, begin, end):
+    """All channels of :mod:`omnisyn_cli.fusion.warp_candidates` for some of their rows: means over blocks of pixels.
 
     Args:
-        shown: ``(rows, cols, 3)`` of either view.
-        seen: ``(2, rows, cols)`` inverse depth of that; below 0 there is none, and nothing counts there.
-        colours: ``(6, rows, cols, 4)`` of the other view there; then of both photographs at the farthest surface, then
-            at the nearest.
-        nearer: ``(6, rows, cols)``, by how much the surfaces of those who answer are nearer.
-        roots: ``(2, rows, cols)`` of both supposed surfaces.
-        most: of ``nearer``, that is told.
-        planes: ``(LOOKS, height, width)``, written.
+        layer_colours: ``(rows, cols, 3)`` of both layers.
+        layer_points: ``(2, rows, cols)`` inverse depth of both layers; negative where a layer shows nothing, and
+            there nothing counts.
+        arrays: :class:`CandidateArrays`.
+        channels: ``(CANDIDATE_CHANNELS, height, width)``, written.
         begin: first of its rows.
         end: the row after the last.
     """
-    finer = seen.shape[1] // planes.shape[1]
-    share, values = np.float32(1.0 / (finer * finer)), np.empty(len(planes), np.float32)
+    scale = layer_points.shape[1] // channels.shape[1]
+    share, values = np.float32(1.0 / (scale * scale)), np.empty(len(channels), np.float32)
     for i in range(begin, end):
-        for j in range(planes.shape[2]):
+        for j in range(channels.shape[2]):
             values[:] = np.float32(0.0)
-            first, second = 0, 0
-            for row in range(finer * i, finer * (i + 1)):
-                for col in range(finer * j, finer * (j + 1)):
-                    first += _confront(shown[0], seen[0], colours[0], nearer[0], most, row, col, values[:6])
-                    second += _confront(shown[1], seen[1], colours[1], nearer[1], most, row, col, values[6:12])
-                    _suppose(colours[2:], nearer[2:], roots, most, row, col, share, values[12:])
-            values[:6] /= np.float32(max(first, 1))
-            values[6:12] /= np.float32(max(second, 1))
-            planes[:, i, j] = values
+            first_count, second_count = 0, 0
+            for row in range(scale * i, scale * (i + 1)):
+                for col in range(scale * j, scale * (j + 1)):
+                    first_count += _add_cross_view(0, layer_colours[0], layer_points, arrays, row, col, values[:6])
+                    second_count += _add_cross_view(1, layer_colours[1], layer_points, arrays, row, col, values[6:12])
+                    _add_candidates(arrays, row, col, share, values[12:])
+            values[:6] /= np.float32(max(first_count, 1))
+            values[6:12] /= np.float32(max(second_count, 1))
+            channels[:, i, j] = values

@@ -24,7 +24,7 @@ from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
 
 __all__ = ["FUSION_VARIANTS", "FusionConfig", "FusionNetwork", "PaintingNetwork", "build_fusion"]
 
-SEEN_PLANES, RELEVANCE_PLANE, SUPPOSED_PLANES = slice(15, 17), 17, slice(44, 46)
+SEEN_CHANNELS, RELEVANCE_CHANNEL, HYPOTHESIS_CHANNELS = slice(15, 17), 17, slice(44, 46)
 """Of the input: 1 where the first, and where the second, shows anything; whether it matters which one is shown; the
 roots of the supposed surfaces."""
 
@@ -96,10 +96,10 @@ def is_open(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor,
     All of it in holes; where one view alone sees anything, or it matters which of both is shown, as far as different
     surfaces are around.
     """
-    farthest, nearest = at_least_single(planes[:, SUPPOSED_PLANES]).square().chunk(2, dim=1)
+    farthest, nearest = at_least_single(planes[:, HYPOTHESIS_CHANNELS]).square().chunk(2, dim=1)
     apart = (nearest - farthest) / (APART * nearest.clamp(min=LEAST_NEAR))
-    first, second = at_least_single(planes[:, SEEN_PLANES]).chunk(2, dim=1)
-    matters = torch.maximum(planes[:, RELEVANCE_PLANE : RELEVANCE_PLANE + 1], 1.0 - first * second)
+    first, second = at_least_single(planes[:, SEEN_CHANNELS]).chunk(2, dim=1)
+    matters = torch.maximum(planes[:, RELEVANCE_CHANNEL : RELEVANCE_CHANNEL + 1], 1.0 - first * second)
     return torch.maximum((1.0 - torch.exp(-apart.square())) * matters, (1.0 - first) * (1.0 - second))
 
 

@@ -1,54 +1,60 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-"""A block of quads moved into the target's frame, and where it falls in an equirectangular image, in numba."""
+"""Bounding boxes, in numba: a block of quads in the target's frame, and the pixels that each quad can touch."""
 
 import math
 
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined, kernel
-from omnisyn_cli.render.quad_blocks import BLOCK
-from omnisyn_cli.render.simd import LANES, load, splat, store
+from omnisyn_cli.render.quad_blocks import BLOCK, PlacedQuads
+from omnisyn_cli.render.simd import LANES, broadcast, load, store
 from omnisyn_cli.render.trigonometry import atan2_fast
 
-__all__ = ["WIDE"]
+__all__ = ["WIDE_QUAD_RADIANS"]
 
-WIDE = 0.5
-"""Quads that span more than this azimuth (radians) are near a pole or the camera: all columns are searched."""
+WIDE_QUAD_RADIANS = 0.5
+"""Quads that span more azimuth than this are near a pole or the camera: their boxes have all columns. Set by hand."""
 
-BOX_MARGIN = 0.05
-"""Pixels added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns."""
+BOX_MARGIN_PIXELS = 0.05
+"""Added around boxes: more than the error of the fast arctangent and of float32 at 16384 columns."""
 
-CLOSE = 0.5
-"""An edge that reaches outwards is taken to be at least this share as near as the nearer of its ends."""
+MIN_EDGE_DISTANCE_RATIO = 0.5
+"""Points of an edge are assumed to be at least this share as far as the nearer of its ends. Set by hand."""
 
-STEEP = 1.4
-"""Wide quads within an angle of this (radians) have boxes all the same; for larger ones all columns are searched."""
+MAX_CAP_RADIANS = 1.4
+"""Wide quads inside a spherical cap of at most this radius get a tight box after all. Set by hand, below π/2."""
 
 X, Y, Z, INVERSE_DEPTH, ROW, COL = range(6)
-"""Rows of a block, the numbers that kernels keep of it: its points in the frame of the target, and what pixels they
-fall on."""
+"""Rows of a block, the scratch array of 64 quads: points in the frame of the target, and the pixels they project to."""
 
 FIRST_ROW, LAST_ROW, FIRST_COL, LAST_COL = range(6, 10)
-"""Rows with the boxes of its quads: the pixels that each can touch. Columns may lie outside the image."""
+"""Rows with the boxes of the quads. Columns may lie outside the image: then they wrap."""
 
-FREE = 10
-"""The first row that is none of those."""
+FIRST_FREE_ROW = 10
+"""The first row for others."""
 
-MOST_POINTS = 4 * BLOCK + 2 * LANES
+MAX_BLOCK_POINTS = 4 * BLOCK + 2 * LANES
 
 
 @kernel()
-def place_block(quads, k, pose, scale, block):
-    """Write the points of block ``k`` in the frame of the target, and the pixels they fall on.
+def place_quads(quads, k, pose, scale, block):
+    """Transform the points of block ``k`` into the frame of the target, and project them to pixels.
 
-    All points go through the same instructions, so that those that quads share remain the same.
+    All points go through the same instructions, so that points which quads share stay identical.
+
+    Args:
+        quads: :class:`omnisyn_cli.render.quad_blocks.QuadBlocks`.
+        k: index of the block.
+        pose: three rows of a rotation with the shift behind them, target from panorama.
+        scale: see :func:`omnisyn_cli.geometry.sphere.pixel_scale`.
+        block: scratch array, written.
 
     Returns:
-        Where in ``block`` the first, second, third and fourth corners begin.
+        The quads of the block as :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
     """
-    r00, r01, r02, t0 = splat(pose[0][0]), splat(pose[0][1]), splat(pose[0][2]), splat(pose[0][3])
-    r10, r11, r12, t1 = splat(pose[1][0]), splat(pose[1][1]), splat(pose[1][2]), splat(pose[1][3])
-    r20, r21, r22, t2 = splat(pose[2][0]), splat(pose[2][1]), splat(pose[2][2]), splat(pose[2][3])
+    r00, r01, r02, t0 = broadcast(pose[0][0]), broadcast(pose[0][1]), broadcast(pose[0][2]), broadcast(pose[0][3])
+    r10, r11, r12, t1 = broadcast(pose[1][0]), broadcast(pose[1][1]), broadcast(pose[1][2]), broadcast(pose[1][3])
+    r20, r21, r22, t2 = broadcast(pose[2][0]), broadcast(pose[2][1]), broadcast(pose[2][2]), broadcast(pose[2][3])
     points, corners = quads.points, quads.corners
     is_shared = corners[k, 1] == corners[k, 0] + 1
     at, count = 0, BLOCK + LANES if is_shared else BLOCK
@@ -63,12 +69,13 @@ def place_block(quads, k, pose, scale, block):
             store(block[INVERSE_DEPTH], at + i, w)
         at += count
     _project_points(block, at, scale)
-    return (0, 1, count, count + 1) if is_shared else (0, count, 2 * count, 3 * count)
+    begins = (0, 1, count, count + 1) if is_shared else (0, count, 2 * count, 3 * count)
+    return PlacedQuads(begins, quads.codes[k], quads.gaps[BLOCK * k : BLOCK * (k + 1)])
 
 
 @fast_kernel()
 def _project_points(block, count, scale):
-    """The (row, col) that the first points fall on."""
+    """Project the first ``count`` points to (row, col)."""
     row_scale, row_zero, col_scale, col_zero = scale
     xs, ys, zs, rows, cols = block[X], block[Y], block[Z], block[ROW], block[COL]
     for k in range(count):
@@ -79,7 +86,7 @@ def _project_points(block, count, scale):
 
 @inlined()
 def _wrapped(difference, width):
-    """A difference of columns brought into [−width/2, width/2]."""
+    """A difference of columns, wrapped into [−width/2, width/2]."""
     half = np.float32(0.5) * width
     back = difference - width if difference > half else difference
     return back + width if difference < -half else back
@@ -89,14 +96,15 @@ def _wrapped(difference, width):
 def _row_range(low, high, span, height, width):
     """Rows in which a quad with corners between rows ``low`` and ``high``, ``span`` columns wide, can be seen.
 
-    A great circle between two points bulges towards the nearer pole: ``tan(latitude_max) = tan(latitude)/cos(span/2)``
-    is at most span²/16 radians for narrow spans. Wide arcs between two northern points stay north of the southernmost.
+    A great circle between two points bulges towards the nearer pole: ``tan(latitude_max) = tan(latitude)/cos(span/2)``.
+    That is at most span²/16 radians for narrow spans; 1.1 is the margin for the higher orders. Wide arcs between two
+    northern points stay north of the southernmost.
     """
     radians = span * (np.float32(2.0 * math.pi) / width)
-    margin = np.float32(BOX_MARGIN)
+    margin = np.float32(BOX_MARGIN_PIXELS)
     bulge = radians * radians * (height * np.float32(1.1 / (16.0 * math.pi))) + margin
     middle = np.float32(0.5) * height - np.float32(0.5)
-    is_wide = radians >= np.float32(WIDE)
+    is_wide = radians >= np.float32(WIDE_QUAD_RADIANS)
     north = low - margin if low > middle else np.float32(-1.0)
     south = high + margin if high < middle else height
     first, last = north if is_wide else low - bulge, south if is_wide else high + bulge
@@ -104,9 +112,9 @@ def _row_range(low, high, span, height, width):
 
 
 @inlined()
-def _quad_box(row0, row1, row2, row3, col0, col1, col2, col3, height, width):
-    """First and last row, leftmost and rightmost place between columns, and whether the quad is wide."""
-    zero = np.float32(0.0)
+def _quad_box(rows, cols, height, width):
+    """First and last row, leftmost and rightmost column (not rounded), and whether the quad is wide."""
+    zero, (row0, row1, row2, row3), (col0, col1, col2, col3) = np.float32(0.0), rows, cols
     turn1, turn2, turn3 = _wrapped(col1 - col0, width), _wrapped(col2 - col0, width), _wrapped(col3 - col0, width)
     left, right = min(min(turn1, zero), min(turn2, turn3)), max(max(turn1, zero), max(turn2, turn3))
     low, high = min(min(row0, row1), min(row2, row3)), max(max(row0, row1), max(row2, row3))
@@ -115,16 +123,21 @@ def _quad_box(row0, row1, row2, row3, col0, col1, col2, col3, height, width):
 
 
 @fast_kernel()
-def _find_plain_boxes(block, corners, height, width):
-    """Boxes of the quads of a block but for gaps; all columns where one is wide."""
-    height32, width32, margin, zero = np.float32(height), np.float32(width), np.float32(BOX_MARGIN), np.float32(0.0)
+def _find_boxes_without_gaps(block, corners, height, width):
+    """Boxes of the quads of a block, without room for gaps; all columns where a quad is wide."""
+    height32, width32, margin, zero = (
+        np.float32(height),
+        np.float32(width),
+        np.float32(BOX_MARGIN_PIXELS),
+        np.float32(0.0),
+    )
     rows, cols, (at0, at1, at2, at3) = block[ROW], block[COL], corners
     row0, row1, row2, row3 = rows[at0:], rows[at1:], rows[at2:], rows[at3:]
     col0, col1, col2, col3 = cols[at0:], cols[at1:], cols[at2:], cols[at3:]
     first_row, last_row, first_col, last_col = block[FIRST_ROW], block[LAST_ROW], block[FIRST_COL], block[LAST_COL]
     for k in range(BLOCK):
         first, last, left, right, is_wide = _quad_box(
-            row0[k], row1[k], row2[k], row3[k], col0[k], col1[k], col2[k], col3[k], height32, width32
+            (row0[k], row1[k], row2[k], row3[k]), (col0[k], col1[k], col2[k], col3[k]), height32, width32
         )
         first_row[k], last_row[k] = first, last
         first_col[k] = zero if is_wide else np.ceil(left - margin)
@@ -133,14 +146,17 @@ def _find_plain_boxes(block, corners, height, width):
 
 @inlined()
 def _corner(block, at):
-    """A point, and how far away it is."""
+    """A point, and its distance."""
     x, y, z = block[X, at], block[Y, at], block[Z, at]
     return x, y, z, math.sqrt(x * x + y * y + z * z) + np.float32(1e-20)
 
 
 @kernel()
-def surround(block, corners, k, gap, height, width):
-    """The box of the smallest cap around the middle of a quad: tight where it is near a pole of the target."""
+def tighten_wide_box(block, corners, k, gap, height, width):
+    """Shrink the box of a wide quad to that of a spherical cap around its middle; tight near a pole of the target.
+
+    A cap that does not hold a pole spans the azimuths ``± asin(sin radius / sin polar)``.
+    """
     ax = ay = az = np.float32(0.0)
     nearest = np.float32(1e30)
     for corner in corners:
@@ -151,8 +167,8 @@ def surround(block, corners, k, gap, height, width):
     for corner in corners:
         x, y, z, distance = _corner(block, corner + k)
         closeness = min(closeness, (ax * x + ay * y + az * z) / (length * distance))
-    radius = math.acos(max(closeness - 1e-6, -1.0)) + gap / (CLOSE * nearest)
-    if radius > STEEP:
+    radius = math.acos(max(closeness - 1e-6, -1.0)) + gap / (MIN_EDGE_DISTANCE_RATIO * nearest)
+    if radius > MAX_CAP_RADIANS:
         return
     polar, azimuth = math.acos(max(-1.0, min(1.0, float(ay / length)))), math.atan2(ax, -az)
     rows, cols = height / math.pi, width / (2.0 * math.pi)
@@ -167,11 +183,11 @@ def surround(block, corners, k, gap, height, width):
 
 @kernel()
 def _widen(block, corners, k, gap, sin_p, height, width):
-    """Make room for what the edges of a quad reach outwards."""
+    """Widen a box by the gap of its quad: an angle is more columns near a pole."""
     nearest = np.float32(1e30)
     for corner in corners:
         nearest = min(nearest, _corner(block, corner + k)[3])
-    angle = gap / (np.float32(CLOSE) * nearest)
+    angle = gap / (np.float32(MIN_EDGE_DISTANCE_RATIO) * nearest)
     rows = np.ceil(min(angle * np.float32(height / math.pi), np.float32(height)))
     first, last = (
         max(block[FIRST_ROW, k] - rows, np.float32(0.0)),
@@ -186,9 +202,17 @@ def _widen(block, corners, k, gap, sin_p, height, width):
 
 
 @kernel()
-def find_boxes(block, corners, gaps, sin_p, height, width):
-    """Boxes of the quads of a placed block, with room for their ``gaps`` if there are any."""
-    _find_plain_boxes(block, corners, height, width)
-    for k in range(len(gaps)):
-        if gaps[k] > 0.0 and block[FIRST_ROW, k] <= block[LAST_ROW, k]:
-            _widen(block, corners, k, gaps[k], sin_p, height, width)
+def find_quad_boxes(block, quads, sin_p, height, width):
+    """Boxes of the quads of a transformed block, with room for their gaps if there are any.
+
+    Args:
+        block: scratch array, changed.
+        quads: :class:`omnisyn_cli.render.quad_blocks.PlacedQuads`.
+        sin_p: sines of the polar angles of the target.
+        height: rows of the target.
+        width: columns.
+    """
+    _find_boxes_without_gaps(block, quads.corners, height, width)
+    for k in range(len(quads.gaps)):
+        if quads.gaps[k] > 0.0 and block[FIRST_ROW, k] <= block[LAST_ROW, k]:
+            _widen(block, quads.corners, k, quads.gaps[k], sin_p, height, width)

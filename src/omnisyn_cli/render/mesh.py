@@ -50,12 +50,13 @@ __all__ = ["Cut", "Mesh", "Triangles", "build_mesh", "mask_of_vertices"]
 Array = Any  # numpy.ndarray or torch.Tensor
 
 MASKED_INVERSE_DEPTH = -1e-9
-"""Inverse depth of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
+"""Of masked vertices: any negative number would do, a small one keeps float32 exact beside them."""
 
 MIN_INVERSE_DEPTH = 1e-12
+"""1/metre that steps are relative to at least, so that nothing is cut at infinity."""
 
 CUT_QUADS_AT_A_TIME = 1 << 12
-"""Cut quads of which pieces are made at a time."""
+"""Cut quads of which pieces are made at a time, to bound memory. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +74,13 @@ class Cut:
 
 @dataclass(frozen=True)
 class Mesh:
-    """A panorama's surface as seen from its own centre.
+    """The surface of a panorama, in its own frame.
 
     Attributes:
         inverse_depth: ``(height, width)`` float32, 1/metre, of the vertices; negative where there is no surface.
         quads: ``(height - 1, width)`` one byte of flags per quad.
-        trust: ``(height - 1, width, 4)`` float32 in (0, 1]: how much the colour seen on each quarter of each quad is
-            worth in a blend; in a whole quad all four are equal.
+        surface_confidence: ``(height - 1, width, 4)`` float32 in (0, 1] of each quarter of each quad, see
+            :mod:`omnisyn_cli.render.surface_confidence`; in a whole quad all four are equal.
     """
 
     inverse_depth: Float[np.ndarray, "height width"]
@@ -94,7 +95,7 @@ class Mesh:
 
     @property
     def is_whole(self) -> Bool[np.ndarray, "height-1 width"]:
-        """Quads that are drawn as they are."""
+        """Quads that are drawn without cuts."""
         return np.asarray((self.quads & (CUT_EDGES | REMOVED)) == 0)
 
     @cached_property
@@ -125,9 +126,9 @@ class Mesh:
         return direction_tables(*self.size)
 
     def piece_inverse_depths(self, vertices: Float[Array, "height width"]) -> Float[Array, "pieces 4"]:
-        """Of the points of pieces, from those of the vertices: of numpy, or of torch with gradients.
+        """Inverse depths of the points of pieces, from those of the vertices; numpy, or torch with gradients.
 
-        Pieces have points of their own: quarters of cut quads, then both caps, whose triangles are quads with two
+        Pieces are what has points of its own: quarters of cut quads, then both caps, whose triangles are quads with two
         points at the pole. A piece with a negative inverse depth is not drawn.
         """
         return array_namespace(vertices).concat([self._quarters(vertices, self.cut_quads), *self._caps(vertices)])
@@ -140,7 +141,7 @@ class Mesh:
         return xp.reshape(xp.matmul(weights, corners[:, None, :, None]), (-1, 4))
 
     def _caps(self, vertices: Float[Array, "height width"]) -> list[Array]:
-        """Smooth fans where the ring around the pole is whole, else flat wedges, each as far as its farther vertex."""
+        """Inverse depths of the caps: a smooth fan if no edge of the ring around the pole is cut, else one depth per wedge."""
         xp, caps = array_namespace(vertices), []
         for row, edge in ((0, TOP), (-1, BOTTOM)):
             ring, following = vertices[row], xp.roll(vertices[row], -1)
@@ -152,7 +153,7 @@ class Mesh:
         return _around_poles(*zip(*caps, strict=True))
 
     def pieces(self) -> Iterator[Float[np.ndarray, "pieces 4 4"]]:
-        """Directions and inverse depths of their points, some pieces at a time; the last are the caps.
+        """Directions and inverse depths of the points of pieces, some pieces at a time; the last are the caps.
 
         Every piece is split from its first point to its fourth.
         """
@@ -166,7 +167,7 @@ class Mesh:
 
     @cached_property
     def blocks(self) -> QuadBlocks:
-        """What is drawn, for :mod:`omnisyn_cli.render.rasterize`: rows of whole quads, then pieces."""
+        """The quads to draw, for :mod:`omnisyn_cli.render.rasterize`: rows of whole quads, then pieces."""
         (height, width), across = self.size, -(-self.size[1] // BLOCK)
         count, shared = 4 * len(self.cut_quads) + 2 * width, height * (width + 1)
         blocks = empty_blocks(count, shared, (height - 1) * across)
@@ -187,12 +188,12 @@ class Mesh:
         return blocks
 
     def piece_numbers(self) -> Integer[np.ndarray, " pieces"]:
-        """Half of the number of the first face of each."""
+        """Half of the number of the first face of each piece."""
         quarters = 4 * self.cut_quads[:, None] + np.arange(4)
         return np.concatenate([quarters.ravel(), 4 * self.quads.size + np.arange(2 * self.size[1])])
 
     def face_numbers(self, drawn: Integer[np.ndarray, "*pixels"]) -> Integer[np.ndarray, "*pixels"]:
-        """The faces that twice the places in :attr:`blocks`, plus one for second triangles, stand for."""
+        """Face numbers from what the rasteriser writes: twice the index in :attr:`blocks`, plus one for second triangles."""
         rows, width = self.quads.shape
         place, across = drawn >> 1, -(-width // BLOCK) * BLOCK
         whole = 4 * (place // across * width + place % across)
@@ -201,11 +202,13 @@ class Mesh:
 
     @cached_property
     def surface(self) -> Surface:
-        """What is drawn, point by point."""
+        """The drawn quads and their points as index lists."""
         whole = np.flatnonzero(self.is_whole)
         corner = self.vertices_of(whole)
         rising = (self.quads.ravel()[whole] & DIAGONAL) != 0
-        corner[rising] = corner[rising][:, [1, 3, 0, 2]]  # a quarter turn: split from first to fourth as well
+        corner[rising] = corner[rising][
+            :, [1, 3, 0, 2]
+        ]  # turned by 90°, so that it is split from first to fourth as well
         points = np.concatenate(list(self.pieces()))
         drawn = np.flatnonzero((points[..., 3] >= 0).all(axis=-1))
         corner = np.concatenate([corner, self.inverse_depth.size + 4 * drawn[:, None] + np.arange(4)])
@@ -218,7 +221,7 @@ class Mesh:
         )  # fmt: skip
 
     def triangles(self) -> Triangles:
-        """Every face as an explicit triangle in the frame of the panorama, for the reference and for export."""
+        """Every face as an explicit triangle in the frame of the panorama, for the reference rasteriser and for export."""
         surface = self.surface
         face = (2 * surface.number[:, None] + [0, 1]).ravel()
         corner = surface.corner[:, TRIANGLES].reshape(-1, 3)

@@ -1,8 +1,8 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 """The loops of :mod:`omnisyn_cli.render.rasterize`, in numba.
 
-A block of quads goes through all steps in buffers that fit into the nearest cache: its points are moved into the
-target's frame and projected, boxes are found, edges and planes are planned, rays are tested.
+A block of quads goes through all steps in a scratch array that fits into the L1 cache: its points are transformed into
+the target's frame and projected, boxes are found, edges and planes are set up, rays are tested.
 """
 
 import numpy as np
@@ -13,39 +13,39 @@ from omnisyn_cli.render.box_kernels import (
     FIRST_ROW,
     LAST_COL,
     LAST_ROW,
-    MOST_POINTS,
-    find_boxes,
-    place_block,
+    MAX_BLOCK_POINTS,
+    find_quad_boxes,
+    place_quads,
 )
 from omnisyn_cli.render.draw_kernels import draw_quads
 from omnisyn_cli.render.quad_blocks import BLOCK
-from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, plan_quads
+from omnisyn_cli.render.quad_kernels import BLOCK_ROWS, set_up_quads
 
 __all__ = ["rasterize_blocks"]
 
-NOTHING = -1
+NO_FACE = -1
 """Face number of pixels that see no surface."""
 
 
 @kernel()
 def find_block_bounds(quads, pose, target, boxes, begin, end):
-    """First and last target row, first and last column that blocks ``begin`` to ``end`` can touch."""
-    block = np.empty((BLOCK_ROWS, MOST_POINTS), np.float32)
+    """Write first and last target row, first and last column that blocks ``begin`` to ``end`` can touch."""
+    block = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     for k in range(begin, end):
-        corners = place_block(quads, k, pose, target.scale, block)
-        find_boxes(block, corners, quads.gaps[BLOCK * k : BLOCK * (k + 1)], target.rows[0], target.height, target.width)
-        _keep_box(block, boxes, k)
+        placed = place_quads(quads, k, pose, target.scale, block)
+        find_quad_boxes(block, placed, target.rows[0], target.height, target.width)
+        _write_bounds(block, boxes, k)
 
 
 @inlined()
-def _keep_box(block, boxes, k):
+def _write_bounds(block, boxes, k):
     boxes[k, 0], boxes[k, 1] = _range(block[FIRST_ROW], block[LAST_ROW])
     boxes[k, 2], boxes[k, 3] = _range(block[FIRST_COL], block[LAST_COL])
 
 
 @fast_kernel()
 def _range(first, last):
-    """The smallest and the largest of the rows of a block's quads: a loop of vectors, which numpy's is not."""
+    """Minimum and maximum over the quads of a block; LLVM vectorises this loop, but not numpy's reductions."""
     smallest, largest = first[0], last[0]
     for k in range(1, BLOCK):
         smallest, largest = min(smallest, first[k]), max(largest, last[k])
@@ -54,22 +54,28 @@ def _range(first, last):
 
 @kernel()
 def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
-    """All quads in target rows ``begin`` to ``end``.
+    """Draw all quads in target rows ``begin`` to ``end``.
 
-    ``boxes`` are those of :func:`find_block_bounds`; they are written where all rows are drawn. Unless ``face`` is None
-    it gets twice the place of the quad that is seen, plus one for its second triangle.
+    Args:
+        quads: :class:`omnisyn_cli.render.quad_blocks.QuadBlocks`.
+        boxes: of :func:`find_block_bounds`; written if all rows are drawn at once.
+        pose: three rows of a rotation with the shift behind them, target from panorama.
+        target: :class:`omnisyn_cli.render.draw_kernels.Target`, written.
+        face: written, twice the index of the quad that is seen, plus one for its second triangle; None if nobody wants
+            it.
+        begin: first row.
+        end: the row after the last.
     """
     target.inverse_depth[begin * target.width : end * target.width] = -1.0
     if face is not None:
-        face[begin * target.width : end * target.width] = NOTHING
-    block = np.empty((BLOCK_ROWS, MOST_POINTS), np.float32)
+        face[begin * target.width : end * target.width] = NO_FACE
+    block = np.empty((BLOCK_ROWS, MAX_BLOCK_POINTS), np.float32)
     is_whole = begin == 0 and end == target.height
     for k in range(len(boxes)):
         if is_whole or (boxes[k, 0] < end and boxes[k, 1] >= begin):
-            codes, gaps = quads.codes[k], quads.gaps[BLOCK * k : BLOCK * (k + 1)]
-            corners = place_block(quads, k, pose, target.scale, block)
-            find_boxes(block, corners, gaps, target.rows[0], target.height, target.width)
+            placed = place_quads(quads, k, pose, target.scale, block)
+            find_quad_boxes(block, placed, target.rows[0], target.height, target.width)
             if is_whole:
-                _keep_box(block, boxes, k)
-            plan_quads(block, corners, codes, gaps, 0, BLOCK)
-            draw_quads(block, corners, codes, gaps, 2 * BLOCK * k, target, face, begin, end)
+                _write_bounds(block, boxes, k)
+            set_up_quads(block, placed, 0, BLOCK)
+            draw_quads(block, placed, 2 * BLOCK * k, target, face, begin, end)

@@ -1,10 +1,10 @@
-"""The exact equirectangular rasteriser: every pixel centre of the target against triangles on the sphere, in numba.
+"""The exact equirectangular rasteriser: the rays of all pixel centres against triangles on the sphere, in numba.
 
 A vertex with direction d and inverse depth ρ is the homogeneous vector ``v = R·d + ρ·t`` in the target's frame. The ray
 r of a pixel hits the triangle (v0, v1, v2) iff ``e0 = r·(v1×v2)``, ``e1 = r·(v2×v0)``, ``e2 = r·(v0×v1)`` are all >= 0
 (and ``det(v0, v1, v2) > 0``: the surface is seen from its front). Then the inverse depth seen is
 ``(e0·ρ0 + e1·ρ1 + e2·ρ2) / det``; the largest one wins. Straight lines are exact for triangles of any size, infinity is
-ρ = 0, and seam and poles only concern the box of pixels in which a triangle is looked for.
+ρ = 0, and seam and poles only concern the bounding boxes of triangles.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ from omnisyn_cli.render.draw_kernels import Target
 from omnisyn_cli.render.edge_pixel_kernels import rasterize_edge_pixels
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import QuadBlocks
-from omnisyn_cli.render.raster_kernels import NOTHING, find_block_bounds, rasterize_blocks
+from omnisyn_cli.render.raster_kernels import NO_FACE, find_block_bounds, rasterize_blocks
 from omnisyn_cli.types import EdgePixels
 
-__all__ = ["NOTHING", "Fragments", "rasterize"]
+__all__ = ["NO_FACE", "Fragments", "rasterize"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Fragments:
 
     Attributes:
         inverse_depth: ``(height, width)`` 1/metre from the target's centre; negative where nothing is seen.
-        face: ``(height, width)`` face number, :data:`NOTHING` where nothing is seen.
+        face: ``(height, width)`` face number, :data:`NO_FACE` where nothing is seen.
     """
 
     inverse_depth: Float32[np.ndarray, "height width"]
@@ -41,11 +41,11 @@ class Fragments:
     @property
     def visibility(self) -> Bool[np.ndarray, "height width"]:
         """Whether a surface is seen."""
-        return np.asarray(self.face != NOTHING)
+        return np.asarray(self.face != NO_FACE)
 
 
 class Rasterizer:
-    """Tables for one target size, and the image it writes; reused from frame to frame. Not shared between threads."""
+    """Rasterises into one target size. Its tables and its image are reused from frame to frame, by one thread at a time."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
@@ -54,8 +54,8 @@ class Rasterizer:
         self._boxes = np.empty((0, 4), np.int32)
 
     @cached_property
-    def _of_samples(self) -> Target:
-        """What the samples of spots are pixels of."""
+    def _double_target(self) -> Target:
+        """The target of twice the size, whose pixels are the samples of edge pixels."""
         return _target((2 * self.size[0], 2 * self.size[1]), np.empty(0, np.float32))
 
     def __call__(
@@ -66,11 +66,11 @@ class Rasterizer:
         Args:
             quads: a surface in the frame of its panorama.
             target_from_source: rigid transform from the panorama's camera frame to the target's.
-            face: written if it is given, row after row: twice the place in ``quads`` of what is seen, plus one for the
-                second triangle of a quad; faces cost time.
+            face: if given, written row after row: twice the index in ``quads`` of what is seen, plus one for the second
+                triangle of a quad. It takes more time.
         """
         pose, boxes = _rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
-        if self.threads != 1:  # else one band takes everything: nothing has to be sorted into bands
+        if self.threads != 1:  # one thread draws all rows at once, and needs no culling by rows
             run_bands(
                 lambda begin, end: find_block_bounds(quads, pose, self._target, boxes, begin, end),
                 len(boxes),
@@ -84,16 +84,18 @@ class Rasterizer:
         self._boxes = boxes
         return self._inverse_depth
 
-    def samples(self, quads: QuadBlocks, target_from_source: Pose, edge_pixels: EdgePixels) -> Float32[np.ndarray, "2 samples"]:
-        """Inverse depth of the samples of spots, negative where nothing is seen, in the caller's thread.
+    def edge_samples(
+        self, quads: QuadBlocks, target_from_source: Pose, edge_pixels: EdgePixels
+    ) -> Float32[np.ndarray, "2 samples"]:
+        """Inverse depth of the samples of edge pixels, negative where nothing is seen, in the caller's thread.
 
         Args:
-            quads: as in the last call.
+            quads: as in the last call, whose block bounds are used.
             target_from_source: likewise.
-            spots: of rows of the target.
+            edge_pixels: of rows of the target.
         """
-        out = edge_pixels.inverse_depth.copy()
-        rasterize_edge_pixels(quads, self._boxes, _rows_of(target_from_source), self._of_samples, edge_pixels, out.reshape(-1))
+        out, pose = edge_pixels.inverse_depth.copy(), _rows_of(target_from_source)
+        rasterize_edge_pixels(quads, self._boxes, pose, self._double_target, edge_pixels, out.reshape(-1))
         return out
 
 

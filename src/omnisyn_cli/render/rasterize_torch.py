@@ -29,16 +29,16 @@ from omnisyn_cli.render.rasterize import Fragments, rasterize
 
 __all__ = ["render_fragments"]
 
-POLE_ROWS = 0.5
-"""This close to a source pole, in rows, the azimuth has no gradient, and the polar angle that of a straight line."""
+POLE_CAP_ROWS = 0.5
+"""Rows from a source pole within which the azimuth has no gradient, and the polar angle that of a straight line."""
 
-LEAST_SLOPE = 1e-4
+MIN_RELATIVE_DETERMINANT = 1e-4
 """Faces whose determinant is less than this share of ``Σ e_i`` are seen edge-on: their inverse depth is a constant."""
 
 
 @dataclass(frozen=True)
 class TorchLayer:
-    """What a target sees, on the device of the source and in its precision.
+    """What a target sees, as torch tensors on the device of the source and in its precision.
 
     Attributes:
         colour: 0 where nothing is seen.
@@ -138,7 +138,7 @@ def _inverse_depth_seen(
     s = tensor(along) + rho * tensor(along_t)[:, None]
     edges = (torch.linalg.cross(u.roll(-1, dims=1), u.roll(-2, dims=1)) * tensor(rays)[:, None]).sum(-1)
     determinant = (edges * s).sum(-1)
-    is_edge_on = determinant <= LEAST_SLOPE * edges.abs().sum(-1)
+    is_edge_on = determinant <= MIN_RELATIVE_DETERMINANT * edges.abs().sum(-1)
     found = tensor(fragments.inverse_depth[fragments.visibility])
     ratio = (edges * rho).sum(-1) / torch.where(is_edge_on, torch.ones_like(determinant), determinant)
     return torch.where(is_edge_on, found, ratio)
@@ -158,7 +158,7 @@ def _source_directions(seen: Tensor, rays: np.ndarray, pose: Pose) -> Float[Tens
 
 def _source_pixels(directions: Tensor, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Rows and columns that directions point at, with a gradient that stays bounded at the poles."""
-    cap = POLE_ROWS * math.pi / size[0]
+    cap = POLE_CAP_ROWS * math.pi / size[0]
     squared = directions.square().sum(-1, keepdim=True)
     ring = (directions[..., 0].square() + directions[..., 2].square()).detach()
     near = ring < math.sin(cap) ** 2 * squared[..., 0].detach()

@@ -88,24 +88,29 @@ class MeshRenderer:
     def __init__(self, inputs: RendererInputs) -> None:
         mesh, size, threads = inputs.mesh(), inputs.size, inputs.threads
         self._texture, self._shader = make_texture(inputs.image, inputs.mask), Shader(size, threads)
-        self._trust = make_confidence_map(mesh, self._texture)
+        self._confidence_map = make_confidence_map(mesh, self._texture)
         every = mesh.face_count()
         self._quads, drawn = mesh.blocks, every
         if inputs.way is not None:
             self._quads, drawn = simplify(mesh, inputs.way, size[0], threads=threads)
         self.triangles, self._rasterizer = (drawn, every), Rasterizer(size, threads)
-        self._asked = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
+        self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
 
     def __call__(self, target_from_source: Pose) -> Layer:
-        """See :class:`Renderer`; colours are made as they are asked for."""
+        """See :class:`Renderer`; colours are shaded on demand."""
         seen = self._rasterizer(self._quads, target_from_source)
-        what = (seen, self._trust, self._texture, target_from_source)
+        surface = (seen, self._confidence_map, self._texture, target_from_source)
         return Layer(
-            seen, partial(self._shader.shade_rows_into, *what), partial(self._shader.shade_grid, *what), target_from_source,
-            samples=partial(self._samples, target_from_source), source_sampler=self._asked.seen_from(target_from_source),
-        )  # fmt: skip
+            seen,
+            partial(self._shader.shade_rows_into, *surface),
+            partial(self._shader.shade_grid, *surface),
+            target_from_source,
+            edge_samples=partial(self._edge_samples, target_from_source),
+            source_sampler=self._reprojector.sampler(target_from_source),
+        )
 
-    def _samples(self, target_from_source: Pose, edge_pixels: EdgePixels) -> EdgeSamples:
-        """Of spots of what was seen last."""
-        seen = self._rasterizer.samples(self._quads, target_from_source, edge_pixels)
-        return seen, self._shader.samples(seen, edge_pixels, self._trust, self._texture, target_from_source)
+    def _edge_samples(self, target_from_source: Pose, edge_pixels: EdgePixels) -> EdgeSamples:
+        """Samples of the surface that the last call rasterised."""
+        seen = self._rasterizer.edge_samples(self._quads, target_from_source, edge_pixels)
+        colour = self._shader.shade_edges(seen, edge_pixels, self._confidence_map, self._texture, target_from_source)
+        return seen, colour

@@ -1,7 +1,12 @@
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-"""The loops of :mod:`omnisyn_cli.render.shade`, in numba."""
+"""The loops of :mod:`omnisyn_cli.render.shade`, in numba: texture lookup, one run of a row at a time.
+
+A run goes through its steps in scratch arrays that stay in the L1 cache: texture coordinates and mip levels of all
+pixels first, then the reads, in stretches of pixels that are read in the same way.
+"""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,128 +14,214 @@ from omnisyn_cli.compute.jit import fast_kernel, inlined
 from omnisyn_cli.render.simd import (
     FIXED_ONE,
     FIXED_TEXEL,
-    fetch,
-    four_weights,
+    broadcast_weight,
+    load_four_weights,
     load_texel_pairs,
     load_texels,
-    one_weight,
-    store_sum,
+    prefetch,
+    store_texel_sum,
 )
 from omnisyn_cli.render.trigonometry import atan2_fast, log2_fast
 
-__all__ = ["FINER", "SPECIAL"]
+__all__ = ["MAX_FULL_RESOLUTION_LEVEL", "MIP_BIAS"]
 
-MAGNIFIED = 1.1
-"""Texels per target pixel up to which the full resolution is read as it is."""
+MAX_FULL_RESOLUTION_RATIO = 1.1
+"""Texels per target pixel up to which the full resolution is read by itself, bicubically. Set by hand."""
 
-AHEAD = 32
-"""Pixels after the one that is read for which the processor is to bring texels near."""
+PREFETCH_PIXELS = 32
+"""How many pixels ahead texels are prefetched into the cache. Set by hand."""
 
-RUN = 256
-"""Pixels of a row whose places are found together: they stay in the nearest cache."""
+RUN_PIXELS = 256
+"""Pixels of a row that go through the steps together: their scratch arrays stay in the L1 cache. Set by hand."""
 
-FINER = np.float32(0.5)
-"""Mip levels: reading between the texels of a level blurs by itself, so one that is so much finer is read.
+MIP_BIAS = np.float32(0.5)
+"""Mip levels by which a finer level is read, because bilinear reads blur by themselves.
 
-Below the first level it is that share of the level, so that this sets in where the photograph is no longer magnified.
-Ray-traced scenes with true depth at the size of the photographs gain 0.2 dB (SSIM 0.002), at half of it 1.7 dB (0.018).
+Below the first level the bias is that share of the level, so that it sets in where the photograph is no longer
+magnified. Ray-traced scenes with true depth at the size of the photographs gain 0.2 dB (SSIM 0.002), at half of it
+1.7 dB (0.018).
 """
 
-SPECIAL = (np.float32(1.0) - FINER) * np.float32(math.log2(MAGNIFIED))
-"""Mip level above which a pixel is not simply read at full resolution."""
+MAX_FULL_RESOLUTION_LEVEL = (np.float32(1.0) - MIP_BIAS) * np.float32(math.log2(MAX_FULL_RESOLUTION_RATIO))
+"""The biased mip level that belongs to :data:`MAX_FULL_RESOLUTION_RATIO`."""
 
-HOLE, FULL = np.int32(-2), np.int32(-1)
-"""A pixel that sees nothing, and one that is read at full resolution; others are known by the finer of two levels."""
+HOLE, FULL_RESOLUTION = np.int32(-2), np.int32(-1)
+"""How a pixel is read: not at all, or at full resolution; other pixels have the finer one of their two mip levels."""
 
-ALMOST = np.float32(1e-3)
-"""The last mip level is always read together with the one before it, even where only so little of that is left."""
+LEVEL_MARGIN = np.float32(1e-3)
+"""Keeps levels below the last one, so that there always is a coarser level to read as well; it gets no visible weight."""
 
 LEVEL, Y, X, Z = 0, 1, 2, 3
-"""Numbers per pixel of a row: mip level, texel row and column at full resolution, and room for one more on the way."""
+"""Rows of the scratch array of coordinates: mip level, texel row and column at full resolution, and one for directions."""
+
+
+class TextureArrays(NamedTuple):
+    """A photograph and the confidence in its surface, as kernels take them.
+
+    Attributes:
+        confidence: of the quarters of quads, row after row; empty where all of it is 1.
+        confidence_layout: see :class:`omnisyn_cli.render.shade.ConfidenceMap`.
+        texels: see :class:`omnisyn_cli.render.texture.Texture`.
+        layout: likewise.
+        weights: of :func:`omnisyn_cli.render.texture.cubic_weights` for these texels, of rows and of columns.
+    """
+
+    confidence: np.ndarray
+    confidence_layout: np.ndarray
+    texels: np.ndarray
+    layout: np.ndarray
+    weights: tuple[np.ndarray, np.ndarray]
+
+
+class SourceView(NamedTuple):
+    """Where a source is seen from.
+
+    Attributes:
+        rotation: of the target's frame from the source's.
+        position: of the source in the target's frame.
+        texels_per_pixel: of the texture at full resolution, per pixel of the target.
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    texels_per_pixel: np.float32
+
+
+class _Scratch(NamedTuple):
+    """Scratch arrays for the runs of one thread, and what does not depend on the run.
+
+    Attributes:
+        coordinates: ``(4, run)``, see :data:`LEVEL`.
+        modes: how each pixel is read.
+        confidences: of each pixel.
+        fractions: ``(3, run)`` for bicubic reads: texel index, and which weights rows and columns have.
+        indices: ``(levels, run)`` for reads of mip levels: first texel.
+        shares: four bilinear weights of each pixel, level after level.
+        has_level: which levels of the two above are filled in for this run.
+        starts: offset of each level in the texels.
+        strides: numbers per row of each level.
+        factors: ``(levels, 4)`` from texel rows and columns at full resolution to those of each level.
+    """
+
+    coordinates: np.ndarray
+    modes: np.ndarray
+    confidences: np.ndarray
+    fractions: np.ndarray
+    indices: np.ndarray
+    shares: np.ndarray
+    has_level: np.ndarray
+    starts: np.ndarray
+    strides: np.ndarray
+    factors: np.ndarray
 
 
 @fast_kernel()
-def shade_rows(
-    rho, trust, trust_layout, texels, layout, weights, sin_p, cos_p, sin_a, cos_a, rotation, t, ratio, image,
-    begin, end,
-):  # fmt: skip
-    """Texture lookup for target rows ``begin`` to ``end``; a texel's four channels are a quarter of a vector.
+def shade_rows(rho, texture, tables, view, image, begin, end):
+    """Texture lookup for rows ``begin`` to ``end``; a texel's four channels are a quarter of a vector.
 
-    Trust is that of the quarter of a quad that a texture coordinate lies in: ``trust_layout`` takes texel rows and
-    columns to those of ``trust``. Without any ``trust`` it is 1. ``weights`` are the tables of
-    :func:`omnisyn_cli.render.texture.cubic_weights` for these texels.
+    Args:
+        rho: ``(height, width)`` inverse depth from the target; negative where nothing is seen.
+        texture: :class:`TextureArrays`.
+        tables: :class:`omnisyn_cli.types.DirectionTables` of these rows.
+        view: :class:`SourceView`.
+        image: ``(height, width, 4)``, written: RGB, and alpha times confidence.
+        begin: first row.
+        end: the row after the last.
     """
-    width, flat, source = rho.shape[1], image.reshape(-1), (trust, trust_layout, texels, layout, weights)
-    view, room = (rotation, t, ratio), _room_for_runs(layout, weights[1])
+    width, flat = rho.shape[1], image.reshape(-1)
+    scratch = _new_scratch(texture.layout, texture.weights[1])
     for row in range(begin, end):
-        for left in range(0, width, RUN):
-            right = min(left + RUN, width)
+        sp, cp = tables.sin_p[row], tables.cos_p[row]
+        for left in range(0, width, RUN_PIXELS):
+            right = min(left + RUN_PIXELS, width)
             _shade_run(
-                rho[row, left:right], source, sin_p[row], cos_p[row], sin_a[left:right], cos_a[left:right], view,
-                room, flat, 4 * (row * width + left),
+                rho[row, left:right], texture, sp, cp, tables.sin_a[left:right], tables.cos_a[left:right], view,
+                scratch, flat, 4 * (row * width + left),
             )  # fmt: skip
 
 
 @fast_kernel()
-def shade_edge_pixels(
-    rho, edge_pixels, trust, trust_layout, texels, layout, weights, sin_p, cos_p, rotation, t, ratio, colour
-):  # fmt: skip
-    """The same for the samples of spots; ``sin_p`` and ``cos_p`` are of all rows of a target of twice the size."""
-    source, view = (trust, trust_layout, texels, layout, weights), (rotation, t, ratio)
-    room = _room_for_runs(layout, weights[1])
-    for row in range(len(edge_pixels.begins)):
-        begin, end = 2 * edge_pixels.begins[row, 0], 2 * edge_pixels.begins[row, -1]
+def shade_edge_pixels(rho, edge_pixels, texture, sin_p, cos_p, view, colour):
+    """The same for the samples of edge pixels.
+
+    Args:
+        rho: ``(2, samples)``.
+        edge_pixels: :class:`omnisyn_cli.types.EdgePixels`.
+        texture: :class:`TextureArrays`.
+        sin_p: of all rows of a target of twice the size.
+        cos_p: likewise.
+        view: :class:`SourceView` of a target of twice the size.
+        colour: ``(2, samples, 4)``, written.
+    """
+    scratch = _new_scratch(texture.layout, texture.weights[1])
+    for row in range(len(edge_pixels.tile_begins)):
+        begin, end = 2 * edge_pixels.tile_begins[row, 0], 2 * edge_pixels.tile_begins[row, -1]
         for half in range(2):
             flat, double_row = colour[half].reshape(-1), 2 * (edge_pixels.top + row) + half
-            for left in range(begin, end, RUN):
-                right = min(left + RUN, end)
+            for left in range(begin, end, RUN_PIXELS):
+                right = min(left + RUN_PIXELS, end)
                 _shade_run(
-                    rho[half, left:right], source, sin_p[double_row], cos_p[double_row], edge_pixels.sin_a[left:right],
-                    edge_pixels.cos_a[left:right], view, room, flat, 4 * left,
+                    rho[half, left:right], texture, sin_p[double_row], cos_p[double_row],
+                    edge_pixels.sin_a[left:right], edge_pixels.cos_a[left:right], view, scratch, flat, 4 * left,
                 )  # fmt: skip
 
 
 @inlined(fastmath=True)
-def _room_for_runs(layout, cubic):
-    """Memory for what is found out about a run, and what does not depend on it."""
+def _new_scratch(layout, cubic):
     levels = layout.shape[0]
-    return (
-        np.zeros((4, RUN), np.float32), np.empty(RUN, np.int32), np.ones(RUN, np.float32),
-        np.empty((3, RUN), np.int32), np.empty((levels, RUN), np.int32), np.empty(levels * 4 * RUN, cubic.dtype),
-        np.empty(levels, np.bool_), layout[:, 0].astype(np.int64), layout[:, 1].astype(np.int64),
-        _levels_from_full(layout),
+    return _Scratch(
+        np.zeros((4, RUN_PIXELS), np.float32), np.empty(RUN_PIXELS, np.int32), np.ones(RUN_PIXELS, np.float32),
+        np.empty((3, RUN_PIXELS), np.int32), np.empty((levels, RUN_PIXELS), np.int32),
+        np.empty(levels * 4 * RUN_PIXELS, cubic.dtype), np.empty(levels, np.bool_), layout[:, 0].astype(np.int64),
+        layout[:, 1].astype(np.int64), _levels_from_full(layout),
     )  # fmt: skip
 
 
 @inlined(fastmath=True)
-def _shade_run(rho, source, sp, cp, sin_a, cos_a, view, room, flat, first):
-    """Up to :data:`RUN` pixels of a row, written to ``flat`` from ``first`` on."""
+def _shade_run(rho, texture, sp, cp, sin_a, cos_a, view, scratch, flat, first):
+    """Shade up to :data:`RUN_PIXELS` pixels of a row.
+
+    Args:
+        rho: their inverse depth.
+        texture: :class:`TextureArrays`.
+        sp: sine of the polar angle of the row.
+        cp: its cosine.
+        sin_a: sines of the azimuths of the pixels.
+        cos_a: their cosines.
+        view: :class:`SourceView`.
+        scratch: :class:`_Scratch`.
+        flat: the image, written.
+        first: index in ``flat`` of the first pixel.
+    """
     if not _is_any(rho):
         flat[first : first + 4 * len(rho)] = np.float32(0.0)
         return
-    trust, trust_layout, texels, layout, weights = source
-    places, kinds, trusted, fractions, index, shares, has_level, starts, strides, factors = room
-    scales = _scales(weights[1], np.float32(layout[0, 6]))
-    _find_places(rho, sp, cp, sin_a, cos_a, view, layout, places, kinds)
-    if len(trust) > 0:
-        _find_trust(places, trust, trust_layout, trusted, len(rho))
+    texels, weights, coordinates, modes = texture.texels, texture.weights, scratch.coordinates, scratch.modes
+    confidences, fractions, indices, shares = scratch.confidences, scratch.fractions, scratch.indices, scratch.shares
+    has_level, strides = scratch.has_level, scratch.strides
+    scales = _scales(weights[1], np.float32(texture.layout[0, 6]))
+    _find_coordinates(rho, sp, cp, sin_a, cos_a, view, texture.layout, coordinates, modes)
+    if len(texture.confidence) > 0:
+        _find_confidences(coordinates, texture.confidence, texture.confidence_layout, confidences, len(rho))
     has_cubic, has_level[:], left = False, False, 0
     while left < len(rho):
-        kind, right = kinds[left], left + _count_same(kinds[left : len(rho)])
-        some = flat[first + 4 * left : first + 4 * right]
-        if kind == HOLE:
-            some[:] = np.float32(0.0)
-        elif kind == FULL:
+        mode, right = modes[left], left + _count_same(modes[left : len(rho)])
+        pixels = flat[first + 4 * left : first + 4 * right]
+        if mode == HOLE:
+            pixels[:] = np.float32(0.0)
+        elif mode == FULL_RESOLUTION:
             if not has_cubic:
-                _find_fractions(places, strides[0], len(weights[1]) // 4 - 1, fractions)
+                _find_fractions(coordinates, strides[0], len(weights[1]) // 4 - 1, fractions)
                 has_cubic = True
-            _read_full(texels, strides[0], weights, fractions[:, left:right], scales, trusted[left:right], some)
+            _read_full(texels, strides[0], weights, fractions[:, left:right], scales, confidences[left:right], pixels)
         else:
-            _prepare_levels(places, kind, strides, factors, np.float32(weights[1][1]), has_level, index, shares)
-            finer, own = np.int64(kind), shares[4 * (RUN * np.int64(kind) + left) :]
+            _prepare_levels(
+                coordinates, mode, strides, scratch.factors, np.float32(weights[1][1]), has_level, indices, shares
+            )
+            finer, own = np.int64(mode), shares[4 * (RUN_PIXELS * np.int64(mode) + left) :]
             _read_levels(
-                texels, starts, strides, finer, index[finer : finer + 2, left:right], own, scales,
-                trusted[left:right], some,
+                texels, scratch.starts, strides, finer, indices[finer : finer + 2, left:right], own, scales,
+                confidences[left:right], pixels,
             )  # fmt: skip
         left = right
 
@@ -142,41 +233,55 @@ def _is_any(rho):
 
 
 @inlined()
-def _count_same(kinds):
+def _count_same(modes):
     """How many at the beginning are the same."""
-    for k in range(len(kinds)):
-        if kinds[k] != kinds[0]:
+    for k in range(len(modes)):
+        if modes[k] != modes[0]:
             return k
-    return len(kinds)
+    return len(modes)
 
 
 @inlined(fastmath=True)
 def _scales(cubic, unit):
-    """What sums of texels are multiplied by, and what is added, after one product each and after two.
+    """Scale and offset of sums of texels: after one fixed-point product per texel, and after two.
 
-    Products of integers are cut off, by half a part on average.
+    A fixed-point product keeps the high 16 bits, so each one loses half a unit on average; the offset adds that back.
     """
     one, zero = np.float32(cubic[1]), np.float32(0.0)
     if one == np.float32(1.0):
         return unit, zero, unit, zero
+    # Mip levels: 8 texels lose half a unit each. Bicubic: 4 rows lose half a unit each, which the second product halves
+    # (FIXED_ONE is half of 65536), and 4 columns lose half a unit each.
     once = unit * np.float32(65536.0 / FIXED_ONE / FIXED_TEXEL)
     twice = once * np.float32(65536.0 / FIXED_ONE)
     return once, np.float32(8 * 0.5) * once, twice, np.float32(4 * (0.5 + 0.25)) * twice
 
 
 @inlined(fastmath=True)
-def _find_places(rho, sp, cp, sin_a, cos_a, view, layout, places, kinds):
-    """Where the source sees what the pixels of a row show, and how it is read."""
-    rotation, t, ratio = view
-    find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places)
-    _find_texels(places, layout, len(rho))
-    squared, highest = ratio * ratio, np.float32(layout.shape[0] - 1) - ALMOST
-    _find_kinds(rho, places, squared, highest, kinds)
+def _find_coordinates(rho, sp, cp, sin_a, cos_a, view, layout, coordinates, modes):
+    """Texture coordinates and mip levels of the pixels of a run, and how they are read; ``modes`` is written.
+
+    Args:
+        rho: inverse depth.
+        sp: sine of the polar angle of the row.
+        cp: its cosine.
+        sin_a: sines of the azimuths of the pixels.
+        cos_a: their cosines.
+        view: :class:`SourceView`.
+        layout: of the texture.
+        coordinates: written, see :data:`LEVEL`.
+        modes: written.
+    """
+    find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates)
+    _find_texels(coordinates, layout, len(rho))
+    squared = view.texels_per_pixel * view.texels_per_pixel
+    _find_modes(rho, coordinates, squared, np.float32(layout.shape[0] - 1) - LEVEL_MARGIN, modes)
 
 
 @fast_kernel()
-def find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places):
-    """``Rᵀ(r − ρ·t)`` of the pixels of a row, and its square."""
+def find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates):
+    """The direction ``Rᵀ(r − ρ·t)`` in which the source sees each pixel of a row, and its squared length as ``LEVEL``."""
+    rotation, t = view.rotation, view.position
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -185,49 +290,57 @@ def find_directions(rho, sp, cp, sin_a, cos_a, rotation, t, places):
         w = max(rho[col], np.float32(0.0))
         x, y, z = sp * sin_a[col] - w * t0, cp - w * t1, -sp * cos_a[col] - w * t2
         dx, dy, dz = r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
-        places[X, col], places[Y, col], places[Z, col] = dx, dy, dz
-        places[LEVEL, col] = dx * dx + dy * dy + dz * dz
+        coordinates[X, col], coordinates[Y, col], coordinates[Z, col] = dx, dy, dz
+        coordinates[LEVEL, col] = dx * dx + dy * dy + dz * dz
 
 
 @fast_kernel()
-def _find_texels(places, layout, count):
-    """Rows and columns at full resolution that directions lie at, one after the other: constants stay in registers."""
+def _find_texels(coordinates, layout, count):
+    """Texel rows and columns at full resolution of directions; two loops, so that the constants of each stay in registers."""
     scale, zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
     for col in range(count):
-        dx, dz = places[X, col], places[Z, col]
-        places[Y, col] = atan2_fast(math.sqrt(dx * dx + dz * dz), places[Y, col]) * scale + zero
+        dx, dz = coordinates[X, col], coordinates[Z, col]
+        coordinates[Y, col] = atan2_fast(math.sqrt(dx * dx + dz * dz), coordinates[Y, col]) * scale + zero
     scale, zero = np.float32(layout[0, 4]), np.float32(layout[0, 5])
     for col in range(count):
-        places[X, col] = atan2_fast(places[X, col], -places[Z, col]) * scale + zero
+        coordinates[X, col] = atan2_fast(coordinates[X, col], -coordinates[Z, col]) * scale + zero
 
 
 @fast_kernel()
-def _find_kinds(rho, places, squared, highest, kinds):
-    """Mip levels from squares of distances, and how pixels are read by them."""
+def _find_modes(rho, coordinates, squared, highest, modes):
+    """Mip levels, and how pixels are read by them.
+
+    The direction's length is (distance from the source / distance from the target): how much smaller than in the
+    target the source shows the place. Texels per pixel over that length is the footprint; its log2 is the level.
+    """
     for col in range(len(rho)):
-        level = np.float32(0.5) * log2_fast(squared / (places[LEVEL, col] + np.float32(1e-20)))
-        level = min(max((np.float32(1.0) - FINER) * level, level - FINER), highest)
-        places[LEVEL, col] = level
-        kind = np.int32(level) if level > SPECIAL else FULL
-        kinds[col] = kind if rho[col] >= 0.0 else HOLE
+        level = np.float32(0.5) * log2_fast(squared / (coordinates[LEVEL, col] + np.float32(1e-20)))
+        level = min(max((np.float32(1.0) - MIP_BIAS) * level, level - MIP_BIAS), highest)
+        coordinates[LEVEL, col] = level
+        mode = np.int32(level) if level > MAX_FULL_RESOLUTION_LEVEL else FULL_RESOLUTION
+        modes[col] = mode if rho[col] >= 0.0 else HOLE
 
 
 @fast_kernel()
-def _find_trust(places, trust, trust_layout, trusted, count):
-    """Trust in the quarter at each texture coordinate, from an image of quarters with a border."""
-    row_scale, row_zero, col_scale, col_zero = trust_layout[0], trust_layout[1], trust_layout[2], trust_layout[3]
-    stride = np.int32(trust_layout[4])
+def _find_confidences(coordinates, confidence, confidence_layout, confidences, count):
+    """Confidence of the quarter of a quad at each texture coordinate, from an image of quarters with a border."""
+    row_scale, row_zero = confidence_layout[0], confidence_layout[1]
+    col_scale, col_zero = confidence_layout[2], confidence_layout[3]
+    stride = np.int32(confidence_layout[4])
     for k in range(count):
-        row, col = np.int32(places[Y, k] * row_scale + row_zero), np.int32(places[X, k] * col_scale + col_zero)
-        trusted[k] = trust[np.int32(row * stride) + col]
+        row, col = (
+            np.int32(coordinates[Y, k] * row_scale + row_zero),
+            np.int32(coordinates[X, k] * col_scale + col_zero),
+        )
+        confidences[k] = confidence[np.int32(row * stride) + col]
 
 
 @fast_kernel()
-def _find_fractions(places, stride, parts, fractions):
-    """For a whole run, the second texel of the second row that is read, and which weights rows and columns have."""
+def _find_fractions(coordinates, stride, parts, fractions):
+    """For a whole run: the second texel of the second row of its 4x4, and the indices of row and column weights."""
     texels_a_row, parts = np.int32(stride // 4), np.float32(parts)
-    ys, xs, index, down, across = places[Y], places[X], fractions[0], fractions[1], fractions[2]
-    for col in range(RUN):
+    ys, xs, index, down, across = coordinates[Y], coordinates[X], fractions[0], fractions[1], fractions[2]
+    for col in range(RUN_PIXELS):
         i, j = np.int32(ys[col]), np.int32(xs[col])
         index[col] = np.int32(i * texels_a_row) + j
         down[col] = np.int32((ys[col] - np.float32(i)) * parts + np.float32(0.5))
@@ -235,24 +348,24 @@ def _find_fractions(places, stride, parts, fractions):
 
 
 @inlined(fastmath=True)
-def _read_full(texels, stride, weights, fractions, scales, trusted, flat):
-    """Four texels of each of four rows, weighted, for some pixels of a run."""
+def _read_full(texels, stride, weights, fractions, scales, confidences, flat):
+    """Bicubic reads of 4x4 texels for some pixels of a run."""
     (of_rows, of_columns), (_, _, scale, shift) = weights, scales
     index, down, across = fractions[0], fractions[1], fractions[2]
-    for k in range(len(trusted)):
+    for k in range(len(confidences)):
         at, row = 4 * np.int64(index[k]) - stride - 4, 4 * np.int64(down[k])
-        fetch(texels, 4 * np.int64(index[min(k + AHEAD, len(trusted) - 1)]) + 2 * stride)
-        mixed = load_texels(texels, at) * one_weight(of_rows, row)
-        mixed = mixed + load_texels(texels, at + stride) * one_weight(of_rows, row + 1)
-        mixed = mixed + load_texels(texels, at + 2 * stride) * one_weight(of_rows, row + 2)
-        mixed = mixed + load_texels(texels, at + 3 * stride) * one_weight(of_rows, row + 3)
-        mixed = mixed * four_weights(of_columns, 4 * np.int64(across[k]))
-        store_sum(flat, 4 * k, mixed, scale, shift, trusted[k])
+        prefetch(texels, 4 * np.int64(index[min(k + PREFETCH_PIXELS, len(confidences) - 1)]) + 2 * stride)
+        mixed = load_texels(texels, at) * broadcast_weight(of_rows, row)
+        mixed = mixed + load_texels(texels, at + stride) * broadcast_weight(of_rows, row + 1)
+        mixed = mixed + load_texels(texels, at + 2 * stride) * broadcast_weight(of_rows, row + 2)
+        mixed = mixed + load_texels(texels, at + 3 * stride) * broadcast_weight(of_rows, row + 3)
+        mixed = mixed * load_four_weights(of_columns, 4 * np.int64(across[k]))
+        store_texel_sum(flat, 4 * k, mixed, scale, shift, confidences[k])
 
 
 @inlined(fastmath=True)
 def _levels_from_full(layout):
-    """Per level, scale and offset from texel rows and columns at full resolution to those of the level."""
+    """Scale and offset from texel rows and columns at full resolution to those of each level."""
     factors = np.empty((layout.shape[0], 4), np.float32)
     for level in range(layout.shape[0]):
         for axis in range(0, 4, 2):
@@ -263,28 +376,31 @@ def _levels_from_full(layout):
 
 
 @fast_kernel()
-def _prepare_levels(places, finer, strides, factors, whole, has_level, index, shares):
-    """What reading two levels takes, unless the run has it already."""
+def _prepare_levels(coordinates, finer, strides, factors, full_weight, has_level, index, shares):
+    """Indices and weights of two mip levels, unless this run has them already."""
     for level in range(finer, finer + 2):
         if not has_level[level]:
-            some = shares[4 * RUN * level : 4 * RUN * (level + 1)]
-            _find_bilinear(places, level, strides[level], factors[level], whole, index[level], some)
+            some = shares[4 * RUN_PIXELS * level : 4 * RUN_PIXELS * (level + 1)]
+            _find_bilinear(coordinates, level, strides[level], factors[level], full_weight, index[level], some)
             has_level[level] = True
 
 
 @fast_kernel()
-def _find_bilinear(places, level, stride, factors, whole, index, shares):
-    """For a whole run, the first texel in a mip level, and the weights of two by two: above first.
+def _find_bilinear(coordinates, level, stride, factors, full_weight, index, shares):
+    """For a whole run: the first of 2x2 texels in a mip level, and their bilinear weights, the upper two first.
 
-    These are multiplied by the weight of the level: ``whole`` where it is what is wanted, 0 at the next ones.
+    These include the weight of the level: ``full_weight`` where a pixel's level is this one, 0 one level away.
     """
     texels_a_row, one, zero = np.int32(stride // 4), np.float32(1.0), np.float32(0.0)
     y_scale, y_zero, x_scale, x_zero = factors[0], factors[1], factors[2], factors[3]
-    for col in range(RUN):
-        y, x = places[Y, col] * y_scale + y_zero, places[X, col] * x_scale + x_zero
+    for col in range(RUN_PIXELS):
+        y, x = coordinates[Y, col] * y_scale + y_zero, coordinates[X, col] * x_scale + x_zero
         i, j = np.int32(y), np.int32(x)
         index[col] = np.int32(i * texels_a_row) + j
-        share, across = whole * max(one - abs(places[LEVEL, col] - np.float32(level)), zero), x - np.float32(j)
+        share, across = (
+            full_weight * max(one - abs(coordinates[LEVEL, col] - np.float32(level)), zero),
+            x - np.float32(j),
+        )
         below = share * (y - np.float32(i))
         above, below_right = share - below, below * across
         above_right = above * across
@@ -293,13 +409,15 @@ def _find_bilinear(places, level, stride, factors, whole, index, shares):
 
 
 @inlined(fastmath=True)
-def _read_levels(texels, starts, strides, finer, index, shares, scales, trusted, flat):
-    """Two by two texels of each of two mip levels, weighted, for some pixels of a run."""
+def _read_levels(texels, starts, strides, finer, index, shares, scales, confidences, flat):
+    """Trilinear reads, 2x2 texels of each of two mip levels, for some pixels of a run."""
     scale, shift, _, _ = scales
     start, next_start, stride, next_stride = starts[finer], starts[finer + 1], strides[finer], strides[finer + 1]
-    for k in range(len(trusted)):
+    for k in range(len(confidences)):
         at, below = start + 4 * np.int64(index[0, k]), next_start + 4 * np.int64(index[1, k])
-        fetch(texels, start + 4 * np.int64(index[0, min(k + AHEAD, len(trusted) - 1)]) + stride)
-        mixed = load_texel_pairs(texels, at, at + stride) * four_weights(shares, 4 * k)
-        mixed = mixed + load_texel_pairs(texels, below, below + next_stride) * four_weights(shares, 4 * (RUN + k))
-        store_sum(flat, 4 * k, mixed, scale, shift, trusted[k])
+        prefetch(texels, start + 4 * np.int64(index[0, min(k + PREFETCH_PIXELS, len(confidences) - 1)]) + stride)
+        mixed = load_texel_pairs(texels, at, at + stride) * load_four_weights(shares, 4 * k)
+        mixed = mixed + load_texel_pairs(texels, below, below + next_stride) * load_four_weights(
+            shares, 4 * (RUN_PIXELS + k)
+        )
+        store_texel_sum(flat, 4 * k, mixed, scale, shift, confidences[k])

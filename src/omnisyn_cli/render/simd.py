@@ -1,7 +1,7 @@
 """Eight numbers as one value in a kernel, for loops that the compiler cannot vectorise by itself.
 
-A rasteriser's inner loop is short, conditional and writes where it reads; compilers leave such loops scalar. Here one
-value holds eight neighbouring pixels or quads, and LLVM makes of it whatever the processor has. Vectors are of float32,
+A rasteriser's inner loop is short, conditional and writes where it reads, and compilers leave such loops scalar. Here
+one value holds eight neighbouring pixels or quads, which LLVM maps to the vectors of the processor. Vectors are of float32,
 float64 or int32; ``+``, ``-``, ``*``, ``/`` take two of one kind of floats. A product and a sum become one instruction
 where there is one. Comparisons give masks for :func:`where`. No access checks bounds. After a change here the compiled
 kernels of other modules are stale: delete ``__pycache__``.
@@ -31,7 +31,7 @@ LANES = 8
 _HALF = LANES // 2
 
 FIXED_ONE, FIXED_TEXEL = 32767, 1 << 7
-"""The weight 1 where texels are integers, and what these are multiplied by."""
+"""Fixed point: the weight 1, and the factor of texels of 8 bits."""
 
 
 class _Vector(types.Type):  # type: ignore[misc]
@@ -129,11 +129,11 @@ def store(typing_context: Any, array: Any, index: Any, vector: Any) -> Any:
 
 
 @intrinsic
-def splat(typing_context: Any, number: Any) -> Any:
-    """One number eight times."""
+def broadcast(typing_context: Any, number: Any) -> Any:
+    """One number in all eight lanes."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        return _repeated(builder, arguments[0], LANES)
+        return _broadcast(builder, arguments[0], LANES)
 
     return _VECTOR_OF[number](number), generate
 
@@ -143,8 +143,8 @@ def pair(typing_context: Any, first: Any, second: Any) -> Any:
     """One float32 in the lower four places, another in the upper four."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
-        lower, upper = (_repeated(builder, argument, _HALF) for argument in arguments)
-        return builder.shuffle_vector(lower, upper, _mask_of(range(LANES)))
+        lower, upper = (_broadcast(builder, argument, _HALF) for argument in arguments)
+        return builder.shuffle_vector(lower, upper, _shuffle_mask(range(LANES)))
 
     return _float32x8(types.float32, types.float32), generate
 
@@ -160,7 +160,7 @@ def where(typing_context: Any, mask: Any, first: Any, second: Any) -> Any:
 
 
 @intrinsic
-def double(typing_context: Any, vector: Any) -> Any:
+def to_float64(typing_context: Any, vector: Any) -> Any:
     """A float32 vector in float64."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
@@ -170,7 +170,7 @@ def double(typing_context: Any, vector: Any) -> Any:
 
 
 @intrinsic
-def single(typing_context: Any, vector: Any) -> Any:
+def to_float32(typing_context: Any, vector: Any) -> Any:
     """A float64 vector rounded to float32."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
@@ -185,7 +185,7 @@ def has_bits(typing_context: Any, array: Any, index: Any, bits: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         flags = _load(context, builder, array, arguments[0], arguments[1])
-        common = builder.and_(flags, _repeated(builder, arguments[2], LANES))
+        common = builder.and_(flags, _broadcast(builder, arguments[2], LANES))
         return builder.icmp_unsigned("!=", common, ir.Constant(common.type, None))
 
     return _mask8(array, types.intp, types.uint8), generate
@@ -197,7 +197,7 @@ def load_halves(typing_context: Any, array: Any, lower: Any, upper: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         halves = [_load(context, builder, array, arguments[0], index, _HALF) for index in arguments[1:]]
-        return builder.shuffle_vector(*halves, _mask_of(range(LANES)))
+        return builder.shuffle_vector(*halves, _shuffle_mask(range(LANES)))
 
     return _VECTOR_OF[array.dtype](array, types.intp, types.intp), generate
 
@@ -209,7 +209,7 @@ def store_halves(typing_context: Any, array: Any, lower: Any, upper: Any, vector
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         for half, index in enumerate(arguments[1:3]):
             numbers = builder.shuffle_vector(
-                arguments[3], arguments[3], _mask_of(range(_HALF * half, _HALF * (half + 1)))
+                arguments[3], arguments[3], _shuffle_mask(range(_HALF * half, _HALF * (half + 1)))
             )
             _store_whole(builder, numbers, _address(context, builder, array, arguments[0], index, _HALF))
         return context.get_dummy_value()
@@ -218,8 +218,8 @@ def store_halves(typing_context: Any, array: Any, lower: Any, upper: Any, vector
 
 
 @intrinsic
-def fetch(typing_context: Any, array: Any, index: Any) -> Any:
-    """Let the processor bring an element near that will be read soon; bounds do not matter."""
+def prefetch(typing_context: Any, array: Any, index: Any) -> Any:
+    """Prefetch the cache line of an element that will be read soon; bounds do not matter."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         place = builder.gep(context.make_array(array)(context, builder, arguments[0]).data, [arguments[1]])
@@ -248,37 +248,37 @@ def load_texel_pairs(typing_context: Any, array: Any, first: Any, second: Any) -
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         pairs = [_load(context, builder, array, arguments[0], index) for index in arguments[1:]]
-        return _as_texels(builder, builder.shuffle_vector(*pairs, _mask_of(range(2 * LANES))))
+        return _as_texels(builder, builder.shuffle_vector(*pairs, _shuffle_mask(range(2 * LANES))))
 
     return _texels_of(array)(array, types.intp, types.intp), generate
 
 
 @intrinsic
-def one_weight(typing_context: Any, weights: Any, index: Any) -> Any:
-    """A weight for four texels; those of integers lie twice in one of 32 bits, which processors repeat for nothing."""
+def broadcast_weight(typing_context: Any, weights: Any, index: Any) -> Any:
+    """One weight for four texels. Fixed-point weights come twice in 32 bits, because broadcasting 32 bits is free."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         address = builder.gep(context.make_array(weights)(context, builder, arguments[0]).data, [arguments[1]])
         number, vector = builder.load(address), _SIXTEEN_OF[weights.dtype]
         count = LANES if weights.dtype == types.int32 else 2 * LANES
-        return builder.bitcast(_repeated(builder, number, count), _TYPES[vector])
+        return builder.bitcast(_broadcast(builder, number, count), _TYPES[vector])
 
     return _SIXTEEN_OF[weights.dtype](weights, types.intp), generate
 
 
 @intrinsic
-def four_weights(typing_context: Any, weights: Any, index: Any) -> Any:
+def load_four_weights(typing_context: Any, weights: Any, index: Any) -> Any:
     """Four weights from ``index`` on, each for one of four texels."""
 
     def generate(context: Any, builder: Any, signature_: Any, arguments: Any) -> Any:
         four = _load(context, builder, weights, arguments[0], arguments[1], 4)
-        return builder.shuffle_vector(four, four, _mask_of([k // 4 for k in range(2 * LANES)]))
+        return builder.shuffle_vector(four, four, _shuffle_mask([k // 4 for k in range(2 * LANES)]))
 
     return _SIXTEEN_OF[weights.dtype](weights, types.intp), generate
 
 
 @intrinsic
-def store_sum(typing_context: Any, array: Any, index: Any, texels: Any, scale: Any, shift: Any, last: Any) -> Any:
+def store_texel_sum(typing_context: Any, array: Any, index: Any, texels: Any, scale: Any, shift: Any, last: Any) -> Any:
     """Write the sum of four weighted texels, times ``scale``; three channels plus ``shift``, the fourth times ``last``.
 
     The array is of float32.
@@ -288,11 +288,11 @@ def store_sum(typing_context: Any, array: Any, index: Any, texels: Any, scale: A
         out, place, total, scale, shift, last = arguments
         add = builder.add if texels == _int16x16 else builder.fadd
         for count in (LANES, _HALF):
-            lower, upper = (_mask_of(range(begin, begin + count)) for begin in (0, count))
+            lower, upper = (_shuffle_mask(range(begin, begin + count)) for begin in (0, count))
             total = add(builder.shuffle_vector(total, total, lower), builder.shuffle_vector(total, total, upper))
         if texels == _int16x16:
             total = builder.sitofp(total, ir.VectorType(ir.FloatType(), _HALF))
-        scales, shifts = _repeated(builder, scale, _HALF), _repeated(builder, shift, _HALF)
+        scales, shifts = _broadcast(builder, scale, _HALF), _broadcast(builder, shift, _HALF)
         alpha = cgutils.int32_t(3)
         scales = builder.insert_element(scales, builder.fmul(scale, last), alpha)
         shifts = builder.insert_element(shifts, ir.Constant(ir.FloatType(), 0.0), alpha)
@@ -324,16 +324,16 @@ def _address(context: Any, builder: Any, array: Any, argument: Any, index: Any, 
 
 
 def _load(context: Any, builder: Any, array: Any, argument: Any, index: Any, count: int = LANES) -> Any:
-    """These numbers."""
+    """A vector of ``count`` numbers."""
     return builder.load(_address(context, builder, array, argument, index, count), align=array.dtype.bitwidth // 8)
 
 
-def _repeated(builder: Any, number: Any, count: int) -> Any:
+def _broadcast(builder: Any, number: Any, count: int) -> Any:
     undefined = ir.Constant(ir.VectorType(number.type, count), ir.Undefined)
     one = builder.insert_element(undefined, number, cgutils.int32_t(0))
-    return builder.shuffle_vector(one, undefined, _mask_of([0] * count))
+    return builder.shuffle_vector(one, undefined, _shuffle_mask([0] * count))
 
 
-def _mask_of(places: Any) -> ir.Constant:
+def _shuffle_mask(places: Any) -> ir.Constant:
     places = list(places)
     return ir.Constant(ir.VectorType(ir.IntType(32), len(places)), places)

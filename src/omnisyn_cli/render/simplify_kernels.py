@@ -6,6 +6,7 @@ vertex inside. A plane is linear in the ray: its inverse depth in direction d is
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,23 +14,33 @@ from omnisyn_cli.compute.jit import inlined, kernel
 from omnisyn_cli.render.quad_blocks import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
 
 COVERED = 255
-"""Marks quads inside of a rectangle that begins elsewhere, and those that are not drawn."""
+"""Mark of quads in a rectangle that begins elsewhere, and of those that are not drawn."""
 
-APART = 254
-"""Marks cut quads whose pieces are drawn."""
+CUT_APART = 254
+"""Mark of cut quads that are drawn as pieces."""
 
-TALL = 16
-"""A rectangle of ``2^i × 2^j`` quads is marked ``TALL·i + j`` at its first quad."""
+HEIGHT_CODE = 16
+"""A rectangle of ``2^i × 2^j`` quads is marked ``HEIGHT_CODE·i + j`` at its first quad."""
 
 
 @kernel()
-def bound_errors(rho, sin_p, cos_p, sin_a, cos_a, way, tolerance, bounds, begin, end):
-    """By how much the inverse depth of each vertex of some rows may err; -1 where there is no surface.
+def bound_errors(rho, tables, path, tolerance, bounds, begin, end):
+    """Write by how much the inverse depth of each vertex of some rows may err; −1 where there is no surface.
 
-    A point d/ρ seen from ``τ·way`` lies along ``d − ρτ·way``. Its direction turns by at most ``τ|way| / |d − ρτ·way|²``
-    for each unit of ρ, which is greatest at ``τ = 1/(ρ|way|)`` or at the end of the way.
+    A point d/ρ seen from ``τ·path`` lies along ``d − ρτ·path``. Its direction turns by at most ``τ|path| / |d − ρτ·path|²``
+    for each unit of ρ, which is greatest at ``τ = 1/(ρ|path|)`` or at the end of the path.
+
+    Args:
+        rho: ``(height, width)`` inverse depth of the vertices.
+        tables: see :func:`omnisyn_cli.geometry.sphere.direction_tables`.
+        path: its end, in metres, in the panorama's frame.
+        tolerance: radians by which a vertex may be shifted.
+        bounds: ``(height, width)``, written.
+        begin: first row.
+        end: the row after the last.
     """
-    length = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    sin_p, cos_p, sin_a, cos_a = tables
+    length = math.sqrt(path[0] * path[0] + path[1] * path[1] + path[2] * path[2])
     for row in range(begin, end):
         for col in range(rho.shape[1]):
             w = rho[row, col]
@@ -38,20 +49,20 @@ def bound_errors(rho, sin_p, cos_p, sin_a, cos_a, way, tolerance, bounds, begin,
                 continue
             x, y, z = sin_p[row] * sin_a[col], cos_p[row], -sin_p[row] * cos_a[col]
             share = 1.0 / (w * length) if w * length > 1.0 else 1.0
-            x, y, z = x - w * share * way[0], y - w * share * way[1], z - w * share * way[2]
+            x, y, z = x - w * share * path[0], y - w * share * path[1], z - w * share * path[2]
             bounds[row, col] = tolerance * (x * x + y * y + z * z) / (share * length) if length > 0.0 else np.inf
 
 
 @inlined()
-def _is_apart(rho, bounds, row, col, other_row, other_col):
-    """Whether the middle of an edge errs too much if its two halves are taken for a slope."""
+def _is_discontinuity(rho, bounds, row, col, other_row, other_col):
+    """Whether the middle of an edge would err too much if its cut became a slope."""
     step = abs(rho[row, col] - rho[other_row, other_col])
     return not step <= 2.0 * min(bounds[row, col], bounds[other_row, other_col])
 
 
 @kernel()
 def mark_cuts(marks, quads, rho, bounds, begin, end):
-    """Mark the cut quads of some rows whose cuts can be told from slopes."""
+    """Mark the cut quads of some rows whose cuts cannot become slopes."""
     columns = rho.shape[1]
     for row in range(begin, end):
         for col in range(columns):
@@ -59,12 +70,12 @@ def mark_cuts(marks, quads, rho, bounds, begin, end):
             if marks[row, col] == COVERED or code & CUT_EDGES == 0:
                 continue
             if (
-                (code & TOP and _is_apart(rho, bounds, row, col, row, right))
-                or (code & BOTTOM and _is_apart(rho, bounds, row + 1, col, row + 1, right))
-                or (code & LEFT and _is_apart(rho, bounds, row, col, row + 1, col))
-                or (code & RIGHT and _is_apart(rho, bounds, row, right, row + 1, right))
+                (code & TOP and _is_discontinuity(rho, bounds, row, col, row, right))
+                or (code & BOTTOM and _is_discontinuity(rho, bounds, row + 1, col, row + 1, right))
+                or (code & LEFT and _is_discontinuity(rho, bounds, row, col, row + 1, col))
+                or (code & RIGHT and _is_discontinuity(rho, bounds, row, right, row + 1, right))
             ):
-                marks[row, col] = APART
+                marks[row, col] = CUT_APART
 
 
 @inlined()
@@ -110,9 +121,26 @@ def _bulge(first, last, middle):
     return abs(_dot(normal, middle)) / math.sqrt(_dot(normal, normal))
 
 
+class FlatnessTest(NamedTuple):
+    """What decides whether quads may become one.
+
+    Attributes:
+        rho: ``(height, width)`` inverse depth of the vertices.
+        bounds: of its errors, see :func:`bound_errors`.
+        tables: see :func:`omnisyn_cli.geometry.sphere.direction_tables`.
+        tolerance: radians by which the upper and lower edges may leave their row.
+    """
+
+    rho: np.ndarray
+    bounds: np.ndarray
+    tables: tuple[np.ndarray, ...]
+    tolerance: float
+
+
 @kernel()
-def _is_flat(rho, bounds, tables, row, col, height, width, tolerance):
+def _is_flat(test, row, col, height, width):
     """Whether ``height × width`` quads may become one: see the module."""
+    rho, bounds, tables, tolerance = test
     columns = rho.shape[1]
     below, right, middle = row + height, (col + width) % columns, (col + width // 2) % columns
     d0, d1, d2, d3 = _corners(tables, row, col, below, right)
@@ -139,23 +167,23 @@ def _is_flat(rho, bounds, tables, row, col, height, width, tolerance):
 
 
 @kernel()
-def _merge_pairs(marks, rho, bounds, tables, tall, wide, down, tolerance, begin, end):
+def _merge_pairs(marks, test, tall, wide, down, begin, end):
     """Join rectangles of ``2^tall × 2^wide`` quads in pairs, those below each other if ``down``, else side by side."""
-    single = np.uint8(TALL * tall + wide)
-    joined = np.uint8(single + (TALL if down else 1))
+    single = np.uint8(HEIGHT_CODE * tall + wide)
+    joined = np.uint8(single + (HEIGHT_CODE if down else 1))
     down_by, across_by = (1 << tall if down else 0), (0 if down else 1 << wide)
     height, width = (1 << tall) + down_by, (1 << wide) + across_by
     for row in range(begin, min(end, len(marks)) - height + 1, height):
         for col in range(0, marks.shape[1] - width + 1, width):
             if marks[row, col] != single or marks[row + down_by, col + across_by] != single:
                 continue
-            if _is_flat(rho, bounds, tables, row, col, height, width, tolerance):
+            if _is_flat(test, row, col, height, width):
                 marks[row, col], marks[row + down_by, col + across_by] = joined, COVERED
 
 
 @kernel()
-def merge_strips(marks, rho, bounds, tables, most, tolerance, begin, end):
-    """Join quads to rectangles as large as they may be, in strips ``begin`` to ``end`` of ``2^most`` rows of quads.
+def merge_strips(marks, test, most, begin, end):
+    """Merge quads to rectangles as large as they may be, in strips ``begin`` to ``end`` of ``2^most`` rows of quads.
 
     First to squares, by way of rectangles twice as wide as high; then what is left to longer ones.
     """
@@ -163,17 +191,17 @@ def merge_strips(marks, rho, bounds, tables, most, tolerance, begin, end):
     for strip in range(begin, end):
         first, last = strip * rows, (strip + 1) * rows
         for k in range(most):
-            _merge_pairs(marks, rho, bounds, tables, k, k, False, tolerance, first, last)
-            _merge_pairs(marks, rho, bounds, tables, k, k + 1, True, tolerance, first, last)
+            _merge_pairs(marks, test, k, k, False, first, last)
+            _merge_pairs(marks, test, k, k + 1, True, first, last)
         for short in range(most):
             for long in range(short, most):
-                _merge_pairs(marks, rho, bounds, tables, long, short, True, tolerance, first, last)
-                _merge_pairs(marks, rho, bounds, tables, short, long, False, tolerance, first, last)
+                _merge_pairs(marks, test, long, short, True, first, last)
+                _merge_pairs(marks, test, short, long, False, first, last)
 
 
 @inlined()
 def _gap(rho, tables, first, last, row_step, col_step, count, reach):
-    """How far vertices between two corners may be seen outside of the edge between them, from anywhere on the way."""
+    """How far vertices between two corners may be seen outside of the edge between them, from anywhere on the path."""
     columns = rho.shape[1]
     a, b = _direction(tables, first[0], first[1]), _direction(tables, last[0], last[1])
     normal = _cross(a, b)
@@ -212,7 +240,7 @@ def _widest_step(rho, quads, row, col, height, width):
 def measure_gaps(rho, quads, tables, rectangles, reach, gaps, begin, end):
     """Widest crack, in radians times distance, that rectangles could leave along their edges.
 
-    ``reach`` is the length of the way. Beside a cut, pieces of the neighbours end half a step above or below the edge.
+    ``reach`` is the length of the path. Beside a cut, pieces of the neighbours end half a step above or below the edge.
     """
     columns = rho.shape[1]
     for k in range(begin, end):

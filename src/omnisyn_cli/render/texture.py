@@ -1,4 +1,4 @@
-"""A photograph made ready to be looked up: bordered, and averaged to smaller sizes."""
+"""Textures: a photograph with a border and mip levels, ready for lookups."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -12,17 +12,19 @@ from omnisyn_cli.render.simd import FIXED_ONE
 __all__ = ["Texture", "make_texture"]
 
 BORDER = 2
-"""Pixels repeated around every level, across the seam and over the poles, so that kernels never wrap an index."""
+"""Pixels repeated around every level, across the seam and over the poles, so that kernels need not wrap indices."""
 
 CHANNELS = 4
+"""RGB and alpha."""
 
 SMALLEST_LEVEL = 8
-"""Rows of the smallest mip level."""
+"""Rows of the smallest mip level. Set by hand."""
 
 ROWS_AT_A_TIME = 64
+"""Rows that are averaged together, to bound memory. Set by hand."""
 
-CUBIC_PARTS = {"uint8": 1024, "float32": 8192}
-"""Places between two texels at which they are read where the photograph is magnified: 8 bits tell fewer apart."""
+CUBIC_STEPS = {"uint8": 1024, "float32": 8192}
+"""Positions between two texels that bicubic weights are tabulated for: 8 bits need fewer. Set by hand."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def cubic_weights(dtype: str) -> tuple[Shaped[np.ndarray, " numbers"], Shaped[np
     Returns:
         Those of rows and those of columns.
     """
-    x = np.linspace(0.0, 1.0, CUBIC_PARTS[dtype] + 1)
+    x = np.linspace(0.0, 1.0, CUBIC_STEPS[dtype] + 1)
     weights = 0.5 * np.stack(
         [2 * x**2 - x**3 - x, 3 * x**3 - 5 * x**2 + 2, 4 * x**2 - 3 * x**3 + x, x**3 - x**2], axis=-1
     )
@@ -93,7 +95,7 @@ def cubic_weights(dtype: str) -> tuple[Shaped[np.ndarray, " numbers"], Shaped[np
 
 
 def _level_sizes(height: int, width: int) -> list[tuple[int, int]]:
-    """Each half of the one before, widths even, so that the other side of a pole is a whole number of columns away."""
+    """Halved from level to level. Widths are even, so that half a turn across a pole is a whole number of columns."""
     sizes = [(height, width)]
     while sizes[-1][0] > SMALLEST_LEVEL and sizes[-1][1] >= 8:
         rows, cols = sizes[-1]
@@ -102,7 +104,7 @@ def _level_sizes(height: int, width: int) -> list[tuple[int, int]]:
 
 
 def _reduced(image: np.ndarray, rows: int, cols: int) -> Float32[np.ndarray, "rows cols channels"]:
-    """Means over equal parts, some rows at a time."""
+    """Area averages, some rows at a time."""
     if image.shape[:2] != (2 * rows, 2 * cols):
         return np.asarray(_shrunk(_shrunk(image.astype(np.float32), rows, axis=0), cols, axis=1), np.float32)
     out = np.empty((rows, cols, image.shape[2]), np.float32)
@@ -113,7 +115,7 @@ def _reduced(image: np.ndarray, rows: int, cols: int) -> Float32[np.ndarray, "ro
 
 
 def _shrunk(image: np.ndarray, count: int, axis: int) -> np.ndarray:
-    """Mean over equal parts of one axis; the parts need not be whole numbers of pixels."""
+    """Area averages along one axis; the parts need not be whole numbers of pixels."""
     pixels = np.moveaxis(image, axis, 0)
     if len(pixels) == 2 * count:
         return np.moveaxis(np.float32(0.5) * (pixels[0::2] + pixels[1::2]), 0, axis)
@@ -131,7 +133,7 @@ def _angle_to_texel(size: tuple[int, int]) -> tuple[float, float, float, float]:
 
 
 def _repeat_border(bordered: np.ndarray) -> None:
-    """Fill two pixels on every side: beyond a pole the image goes on half a turn away."""
+    """Fill the border: beyond a pole the image goes on half a turn away."""
     inside = bordered[BORDER:-BORDER, BORDER:-BORDER]
     half_turn = inside.shape[1] // 2
     bordered[:BORDER, BORDER:-BORDER] = np.roll(inside[:BORDER], half_turn, axis=1)[::-1]

@@ -85,11 +85,11 @@ def cross_check(
         cut: where their surfaces are separated.
         threads: at most this many; None is one per core.
     """
-    crossed, small, renderers = _render_crosswise(views, depths, cut, threads)
+    crossed, small_views, renderers = _render_crosswise(views, depths, cut, threads)
     curve = _exposure_curve(crossed)
     match_exposure = ExposureMatcher(curve)
     at_first, at_second = match_exposure(*crossed[0], 0.0), match_exposure(*crossed[1][::-1], 1.0)
-    half_way = match_exposure(*_render_half_way(small, renderers), 0.5)
+    half_way = match_exposure(*_render_half_way(small_views, renderers), 0.5)
     return CrossCheck(curve, assess_pair([at_first, at_second[::-1]], half_way))
 
 
@@ -179,12 +179,13 @@ def _render_copy(renderer: Renderer, target_from_source: Pose) -> Layer:
     return Layer.from_arrays(layer.inverse_depth.copy(), layer.colour, target_from_source)
 
 
-def _render_half_way(small: tuple[View, View], renderers: list[Renderer]) -> tuple[Layer, Layer]:
+def _render_half_way(small_views: tuple[View, View], renderers: list[Renderer]) -> tuple[Layer, Layer]:
     """Both views' surfaces rendered half way between their poses."""
-    first, second = (view.pose for view in small)
+    first, second = (view.pose for view in small_views)
     pose = Pose(slerp(first.rotation, second.rotation, 0.5), 0.5 * (first.position + second.position))
     layers = [
-        _render_copy(renderer, pose.inverse() @ view.pose) for view, renderer in zip(small, renderers, strict=True)
+        _render_copy(renderer, pose.inverse() @ view.pose)
+        for view, renderer in zip(small_views, renderers, strict=True)
     ]
     return layers[0], layers[1]
 

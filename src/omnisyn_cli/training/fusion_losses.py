@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork, PaintingNetwork
 from omnisyn_cli.training.losses import polar_weights
 
@@ -24,7 +24,7 @@ def inputs_of(
     """What a network takes of the planes: all, or as in the paper both renderings and both visibility masks."""
     if not config.paints:
         return planes
-    return torch.cat([planes[:, plane.FIRST : plane.SECOND + 3], planes[:, plane.SEEN : plane.SEEN + 2]], dim=1)
+    return torch.cat([planes[:, channel.FIRST_RGB : channel.SECOND_RGB + 3], planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2]], dim=1)
 
 
 def fused_by(
@@ -87,7 +87,7 @@ def fusion_scores(
         holes, NaN where there are none; ``hole_gain``, by how much it is less than that of the geometric fusion.
     """
     truth, geometric = (at_size_of(picture, image) for image in (truth, geometric))
-    is_hole = (planes[:, plane.SEEN : plane.SEEN + 2].sum(dim=1, keepdim=True) == 0).to(picture.dtype)
+    is_hole = (planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=1, keepdim=True) == 0).to(picture.dtype)
     hole = functional.interpolate(is_hole, size=tuple(picture.shape[-2:])).expand_as(picture) > 0
     ours, theirs = (_decibels(x, truth) for x in (picture, geometric))
     errors = [float((x - truth).abs()[hole].mean()) for x in (picture, geometric)]

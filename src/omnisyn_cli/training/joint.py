@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
 from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
@@ -146,7 +146,7 @@ def joint_loss(answer: JointAnswer, triples: Triples) -> Tensor:
 def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:
     """Figures of both panoramas' depth and of the picture."""
     depths = depth_scores(answer.prediction.stacked, triples.roots.flatten(0, 1), triples.baseline.repeat(2))
-    geometric = answer.planes[:, plane.FUSED : plane.FUSED + 3]
+    geometric = answer.planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]
     return depths | fusion_scores(answer.picture, answer.planes, triples.middle, geometric)
 
 
@@ -204,6 +204,6 @@ def view_between(
 
 def _weight(fragments: Fragments, mesh: Mesh) -> Float[Tensor, "height width"]:
     """Trust in the quarters of quads that are seen; all of it in the caps."""
-    trust = np.append(mesh.trust.ravel(), np.float32(1.0))
-    quarter = np.minimum(fragments.face // FACES_PER_QUARTER, mesh.trust.size)
-    return torch.from_numpy(np.where(fragments.visibility, trust[quarter], np.float32(0.0)))
+    surface_confidence = np.append(mesh.surface_confidence.ravel(), np.float32(1.0))
+    quarter = np.minimum(fragments.face // FACES_PER_QUARTER, mesh.surface_confidence.size)
+    return torch.from_numpy(np.where(fragments.visibility, surface_confidence[quarter], np.float32(0.0)))

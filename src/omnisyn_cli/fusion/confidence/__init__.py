@@ -1,4 +1,4 @@
-"""How far a frame, and a clip, can be relied on, without knowing the truth."""
+"""Confidence of frames and of pairs, without ground truth."""
 
 from omnisyn_cli.fusion.confidence.frame_confidence import confidence_step, low_confidence_regions
 from omnisyn_cli.fusion.confidence.pair_confidence import MIN_PAIR_SCORE, PairConfidence, assess_pair

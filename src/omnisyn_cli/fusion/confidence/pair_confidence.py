@@ -1,9 +1,9 @@
-"""One number for a pair: how well each photograph is predicted by the other, with nothing else to compare with.
+"""Confidence of a pair: how well each photograph predicts the other, without ground truth.
 
-Depth and poses that are right carry a photograph to where the other one was taken, and there it must look like it. So
-the pair is its own test: what is compared was not used to colour the prediction. That, and how much both renderings
-differ half way, rank clips as the true WS-PSNR of their frames does (Spearman 0.98 over 39 pairs, see
-``docs/confidence.md``).
+Correct depth and poses carry a photograph to where the other one was taken, and there it must look like it. The pair is
+thus its own test, because the prediction uses none of the colours that it is compared with. That error, and the
+difference of both layers half way, rank clips as the true WS-PSNR of their frames does (Spearman 0.98 over 39 pairs,
+see ``docs/confidence.md``).
 """
 
 import math
@@ -20,23 +20,23 @@ from omnisyn_cli.types import MIN_VISIBLE_WEIGHT, Layer
 __all__ = ["PairConfidence", "assess_pair"]
 
 MIN_PAIR_SCORE = 0.3
-"""Below it a clip is not to be trusted: a plain cross-fade is about as close to the truth."""
+"""Score below which a clip is unreliable: a plain cross-fade is about as close to the truth."""
 
-WORST, BEST = 12.0, 36.0
-"""Decibels that score 0 and 1."""
+MIN_SCORE_DB, MAX_SCORE_DB = 12.0, 36.0
+"""Decibels that score 0 and 1. Set by hand."""
 
-INCONSISTENCY = 0.1
-"""Root mean square of the difference over the channels above which two colours are different ones."""
+MAX_COLOUR_RMS = 0.1
+"""Root mean square difference over the channels above which two colours are different ones. Set by hand."""
 
 
 @dataclass(frozen=True)
 class PairConfidence:
-    """What may be expected of the frames between two panoramas.
+    """How reliable the frames between two panoramas are.
 
     Attributes:
         score: in [0, 1]; 0 is 12 dB or less, 1 is 36 dB or more.
-        expected: dB that two predictions of one thing differ by: the photographs by each other, and both half way.
-        unseen: share of the sphere that half way neither view shows.
+        expected: dB, from the mean error of the photographs against each other and of both layers half way.
+        unseen: share of the sphere that neither layer shows half way.
         disagreement: share where both show something, at different distances.
         inconsistency: share where both show something at one distance, in different colours.
     """
@@ -59,22 +59,23 @@ class PairConfidence:
 
 
 def assess_pair(across: Sequence[tuple[Layer, Layer]], middle: tuple[Layer, Layer]) -> PairConfidence:
-    """Judge a pair; all renderings exposed alike, those of a tuple of one size.
+    """The confidence of a pair, from layers of equal exposure; those of a tuple have one size.
 
     Args:
-        across: at both panoramas: the photograph itself, and what the other view's surface looks like from there.
-        middle: both views from half way.
+        across: at both panoramas: the photograph itself, and the other view's layer there.
+        middle: both layers half way.
     """
     errors = [_mean_error(own, other) for own, other in (*across, middle)]
+    # The photographs against each other count as much as the layers half way.
     error = 0.5 * (0.5 * (errors[0] + errors[1]) + errors[2])
     expected = -10.0 * math.log10(max(error, 1e-10))
     unseen, disagreement, inconsistency = _shares(*middle)
-    score = min(1.0, max(0.0, (expected - WORST) / (BEST - WORST)))
+    score = min(1.0, max(0.0, (expected - MIN_SCORE_DB) / (MAX_SCORE_DB - MIN_SCORE_DB)))
     return PairConfidence(score, expected, unseen, disagreement, inconsistency)
 
 
 def _mean_error(one: Layer, other: Layer) -> float:
-    """Mean square of what differs where both show something, over the sphere; 1 where there is nothing to compare."""
+    """Mean squared error over the sphere where both show something; 1 where there is nothing to compare."""
     weight = solid_angles(*one.inverse_depth.shape) * _seen(one) * _seen(other)
     total = float(weight.sum())
     return float((weight * _squared_difference(one, other)).sum()) / total if total > 0.0 else 1.0
@@ -84,17 +85,17 @@ def _shares(one: Layer, other: Layer) -> tuple[float, float, float]:
     """Unseen, disagreeing and inconsistent shares of the sphere."""
     weight = solid_angles(*one.inverse_depth.shape)
     weight /= weight.sum()
-    kinds = classify_pixels(one, other)
-    differs = _squared_difference(one, other) > INCONSISTENCY**2
-    cases = (kinds.hole, kinds.disagree, kinds.agree & differs)
+    classes = classify_pixels(one, other)
+    differs = _squared_difference(one, other) > MAX_COLOUR_RMS**2
+    cases = (classes.hole, classes.disagree, classes.agree & differs)
     unseen, disagreement, inconsistency = (float(weight[case].sum()) for case in cases)
     return unseen, disagreement, inconsistency
 
 
-def _seen(view: Layer) -> np.ndarray:
-    return np.asarray(view.colour[..., 3] > MIN_VISIBLE_WEIGHT)
+def _seen(layer: Layer) -> np.ndarray:
+    return np.asarray(layer.colour[..., 3] > MIN_VISIBLE_WEIGHT)
 
 
 def _squared_difference(one: Layer, other: Layer) -> Float[np.ndarray, "height width"]:
-    a, b = (np.clip(view.colour[..., :3], 0.0, 1.0) for view in (one, other))
+    a, b = (np.clip(layer.colour[..., :3], 0.0, 1.0) for layer in (one, other))
     return np.asarray(((a - b) ** 2).mean(axis=-1))

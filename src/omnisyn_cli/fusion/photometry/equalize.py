@@ -1,4 +1,4 @@
-"""Two panoramas brought to one exposure before their depth is known, so that matching can compare them."""
+"""Two panoramas brought to one exposure before their depth is known, so that stereo matching can compare them."""
 
 from dataclasses import replace
 
@@ -12,54 +12,54 @@ from omnisyn_cli.fusion.photometry.exposure_kernels import look_up_rows
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.types import View
 
-SAMPLES = (64, 128)
-"""Size at which the values of a panorama are counted."""
+SAMPLE_SIZE = (64, 128)
+"""Height and width at which the values of a panorama are counted. Set by hand."""
 
-LEAST_USABLE = 0.99
-"""A sample counts where so much of it is not masked."""
+MIN_UNMASKED_SHARE = 0.99
+"""Share of a sample that has to be unmasked. Set by hand."""
 
-WHITE = 0.99
-"""A channel of a sample from here on was cut off by its camera."""
+CLIPPED_SRGB = 0.99
+"""sRGB value from which on a channel of a sample was clipped by its camera. Set by hand."""
 
-MUCH_WHITE = 0.02
-"""Share of the sphere: with more of it white a picture counts as cut off."""
+MAX_CLIPPED_SHARE = 0.02
+"""Share of the sphere above which a picture counts as clipped. Set by hand."""
 
 
 def rough_curve(first: View, second: View) -> ExposureCurve:
-    """How much brighter the second view may be than the first, before it is known which pixels show the same places.
+    """A rough exposure curve without correspondences, see :func:`estimate_gain`.
 
-    Rooms a few metres apart differ by half a stop without being exposed differently: what is found has to be confirmed.
+    Rooms a few metres apart differ by half a stop without being exposed differently, so it has to be confirmed.
     """
-    return estimate_gain(_samples(first), _samples(second))
+    return estimate_gain(_even_samples(first), _even_samples(second))
 
 
 def equalized(first: View, second: View, curve: ExposureCurve, threads: int | None = None) -> tuple[View, View]:
     """Both views exposed like the darker one; the very same views where they are exposed alike.
 
-    The brighter picture is darkened, not the darker one brightened, which would cut off what only the darker one shows:
-    depth by matching of a bright hall, one picture a stop brighter, lost 2.4 dB that way and 0.7 dB this way. What was
-    white in the brighter one is grey then, and textureless where the darker one has texture; the view says so.
+    The brighter picture is darkened. Brightening the darker one would clip what only that one shows: with matched depth
+    of a bright hall, one picture a stop brighter, it lost 2.4 dB, and darkening 0.7 dB. Clipped white becomes grey
+    without texture; ``is_clipped`` of the view says so.
     """
     if curve.is_identity:
         return first, second
     if curve.gain.mean() > 0.0:
-        return first, _exposed(second, curve.table(0.0, of_second=True), threads)
-    return _exposed(first, curve.table(1.0, of_second=False), threads), second
+        return first, _expose(second, curve.table(0.0, of_second=True), threads)
+    return _expose(first, curve.table(1.0, of_second=False), threads), second
 
 
-def _samples(view: View) -> Float[np.ndarray, "samples 3"]:
-    """Colours of the panorama, each standing for the same share of the sphere."""
-    image = cv2.resize(np.asarray(view.image, np.float32), SAMPLES[::-1], interpolation=cv2.INTER_AREA)
-    repeats = np.rint(10.0 * solid_angles(*SAMPLES) / solid_angles(*SAMPLES).max()).astype(np.intp)
+def _even_samples(view: View) -> Float[np.ndarray, "samples 3"]:
+    """Colours of the panorama, each standing for the same share of the sphere: rows repeat in proportion to their area."""
+    image = cv2.resize(np.asarray(view.image, np.float32), SAMPLE_SIZE[::-1], interpolation=cv2.INTER_AREA)
+    repeats = np.rint(10.0 * solid_angles(*SAMPLE_SIZE) / solid_angles(*SAMPLE_SIZE).max()).astype(np.intp)
     if view.mask is not None:
-        usable = cv2.resize(view.mask.astype(np.float32), SAMPLES[::-1], interpolation=cv2.INTER_AREA)
-        repeats[usable < LEAST_USABLE] = 0
-    chosen = np.repeat(image.reshape(-1, 3), repeats.ravel(), axis=0)
-    return np.asarray(chosen if len(chosen) else np.zeros((1, 3)), np.float64)
+        unmasked = cv2.resize(view.mask.astype(np.float32), SAMPLE_SIZE[::-1], interpolation=cv2.INTER_AREA)
+        repeats[unmasked < MIN_UNMASKED_SHARE] = 0
+    samples = np.repeat(image.reshape(-1, 3), repeats.ravel(), axis=0)
+    return np.asarray(samples if len(samples) else np.zeros((1, 3)), np.float64)
 
 
-def _exposed(view: View, table: np.ndarray, threads: int | None) -> View:
+def _expose(view: View, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
     run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
-    is_clipped = bool((_samples(view).max(axis=-1) >= WHITE).mean() > MUCH_WHITE)
-    return replace(view, image=image, samples=None, is_clipped=is_clipped)
+    is_clipped = bool((_even_samples(view).max(axis=-1) >= CLIPPED_SRGB).mean() > MAX_CLIPPED_SHARE)
+    return replace(view, image=image, image_uint8=None, is_clipped=is_clipped)

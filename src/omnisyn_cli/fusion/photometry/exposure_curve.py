@@ -1,18 +1,18 @@
-"""How much brighter one picture is than the other, for every channel and level.
+"""The exposure curve of a pair: how much brighter one picture is than the other, for every channel and level.
 
 Light is counted in stops, ``log2`` of linear light (1 is white at 0 stops). A place that the first picture shows at
 ``y1`` and the second at ``y2`` stops has the *level* ``m = (y1 + y2) / 2`` and the *gain* ``g(m) = y2 − y1``. At a
 share ``t`` of the way it is shown at
 
-    ``y(t) = m + (t − ½)·g(m)``,
+    ``y(t) = m + (t − ½)·g(m)``.
 
-so that its brightness in stops changes steadily, both pictures agree on it, and at the ends each is what it was. A
-change of exposure is one constant ``g`` for all channels, of white balance a constant for each; other tone curves make
-it a function of the level, which is why it is kept at a few knots.
+So its brightness in stops changes steadily, both pictures agree on it, and at the ends each is what it was. A change of
+exposure is one constant ``g`` for all channels, a change of white balance one constant for each. Other tone curves make
+``g`` a function of the level, so it is kept at a few knots.
 
 ``g`` is the weighted median of ``y2 − y1`` among places of one level that both pictures show. Sorting by the mean of
 both, not by one of them, keeps noise and slightly wrong places from bending it (Altman and Bland, Measurement in
-medicine, 1983), and the roles of the pictures can be exchanged.
+medicine, 1983), and makes the fit symmetric in the two pictures.
 """
 
 from __future__ import annotations
@@ -22,48 +22,52 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-LINEAR_PART = 0.04045
-SLOPE = 12.92
-OFFSET = 0.055
-GAMMA = 2.4
-"""Of the transfer function of sRGB, what is stored against how much light it stands for (IEC 61966-2-1:1999, 5.2)."""
+SRGB_LINEAR_LIMIT = 0.04045
+SRGB_LINEAR_SLOPE = 12.92
+SRGB_OFFSET = 0.055
+SRGB_GAMMA = 2.4
+"""Of the sRGB transfer function from encoded value to linear light (IEC 61966-2-1:1999, 5.2)."""
 
 KNOTS = np.array([-7.0, -5.5, -4.0, -2.5, -1.5, -0.5])
-"""Levels in stops at which the gain is kept; it is linear between them and constant beyond."""
+"""Levels in stops at which the gain is kept; it is linear between them and constant beyond. Set by hand."""
 
-USABLE = (0.04, 0.97)
-"""Stored values that say something: darker ones are noise, brighter ones may have been cut off."""
+USABLE_SRGB = (0.04, 0.97)
+"""Usable sRGB values: darker ones are noise, brighter ones may be clipped. Set by hand."""
 
-HIGHEST = -0.25
-"""Level in stops of the brighter picture from which on some of its places may be missing, because they were cut off."""
+MAX_LEVEL_STOPS = -0.25
+"""Level of the brighter picture up to which a level counts: above, clipped places are missing from its samples, which
+would bias the median. Set by hand."""
 
-LEAST_GAIN = 0.04
-"""Stops: pictures that differ by less in all channels are taken for equally exposed."""
+MIN_GAIN_STOPS = 0.04
+"""Pictures that differ by less in all channels count as equally exposed: about 1 % of an sRGB value. Set by hand."""
 
-LEAST_SAMPLES = 0.01
-"""Share of all samples that has to be usable."""
+MIN_USABLE_SHARE = 0.01
+"""Share of all samples that has to be usable. Set by hand."""
 
-STIFFNESS = 0.02
-"""Share of all samples that a step between knots counts as: knots without samples follow their neighbours."""
+SMOOTHNESS_WEIGHT = 0.02
+"""Weight of a step between knots, as a share of all samples: knots without samples follow their neighbours. Set by hand."""
 
-MOST_LEFT = 0.9
-"""Share of the typical difference that a curve may leave unexplained; otherwise the pictures differ in other ways."""
+MAX_UNEXPLAINED_SHARE = 0.9
+"""Share of the typical difference that a curve may leave; above it the pictures differ in other ways. Set by hand."""
 
-ABSURD = 2.0
-"""Stops: differences count as this at most when it is judged how much a curve explains."""
+OUTLIER_STOPS = 2.0
+"""Differences count as this at most when a curve is judged: moving things may differ by any amount. Set by hand."""
 
-LEAST_ROUGH_GAIN = 0.25
-"""Stops: what moving a few metres may change in the distribution of a picture's values."""
+MIN_ROUGH_GAIN_STOPS = 0.25
+"""What moving a few metres may change in the distribution of a picture's values. Set by hand."""
 
 QUANTILES = np.linspace(0.05, 0.95, 46)
+"""Quantiles of both pictures that the rough gain compares; the ends are left out. Set by hand."""
 
-BINS_PER_STOP = 50
+GAIN_BINS_PER_STOP = 50
 LEVEL_BINS_PER_STOP = 4
-MOST_GAIN = 5.0
-"""Stops: the widest difference that is looked for."""
+"""Resolution of the histogram that medians are read from. Set by hand."""
 
-TABLE = 1024
-"""Entries of a table from stored value to stored value, evenly from 0 to 1."""
+MAX_GAIN_STOPS = 5.0
+"""The largest gain that is looked for. Set by hand."""
+
+TABLE_ENTRIES = 1024
+"""Entries of a table from sRGB value to sRGB value, evenly from 0 to 1; read linearly."""
 
 
 @dataclass(frozen=True)
@@ -86,28 +90,29 @@ class ExposureCurve:
         return ExposureCurve(-self.gain)
 
     def table(self, t: float, *, of_second: bool) -> Float[np.ndarray, "3 entries"]:
-        """Stored values at a share ``t`` of the way for stored values ``linspace(0, 1, entries)`` of one picture.
+        """The sRGB values at a share ``t`` of the way, for the values ``linspace(0, 1, entries)`` of one picture.
 
         Rising from 0 to at most 1: what would be brighter than white is white. At the picture's own end of the way it
         is the identity.
         """
-        stored, share = np.linspace(0.0, 1.0, TABLE), t - float(of_second)
+        srgb, share = np.linspace(0.0, 1.0, TABLE_ENTRIES), t - float(of_second)
         if share == 0.0 or self.is_identity:
-            return np.tile(stored, (3, 1)).astype(np.float32)
-        moved = _stops(stored) + share * self.gains_of(stored, of_second=of_second)
-        table = np.where(stored > 0.0, linear_to_srgb(np.exp2(moved)), 0.0)
+            return np.tile(srgb, (3, 1)).astype(np.float32)
+        moved = _to_stops(srgb) + share * self.gains_at(srgb, of_second=of_second)
+        table = np.where(srgb > 0.0, linear_to_srgb(np.exp2(moved)), 0.0)
         return np.asarray(np.minimum(table, 1.0), np.float32)
 
-    def gains_of(self, stored: Float[np.ndarray, " values"], *, of_second: bool) -> Float[np.ndarray, "3 values"]:
-        """Stops between what the first and what the second picture show where one of them shows these values."""
+    def gains_at(self, srgb: Float[np.ndarray, " values"], *, of_second: bool) -> Float[np.ndarray, "3 values"]:
+        """The gain in stops at places where one picture shows these values."""
+        # Constant beyond the outer knots. A value is its level ± half of the gain, so that is what is interpolated over.
         level = np.concatenate([[KNOTS[0] - 60.0], KNOTS, [KNOTS[-1] + 60.0]])
         changes = np.concatenate([self.gain[:, :1], self.gain, self.gain[:, -1:]], axis=1)
         own = 0.5 if of_second else -0.5
-        return np.stack([np.interp(_stops(stored), level + own * change, change) for change in changes])
+        return np.stack([np.interp(_to_stops(srgb), level + own * change, change) for change in changes])
 
 
-def _stops(stored: np.ndarray) -> np.ndarray:
-    return np.asarray(np.log2(np.maximum(srgb_to_linear(stored), 1e-9)))
+def _to_stops(srgb: np.ndarray) -> np.ndarray:
+    return np.asarray(np.log2(np.maximum(srgb_to_linear(srgb), 1e-9)))
 
 
 def estimate_curve(
@@ -120,86 +125,91 @@ def estimate_curve(
     Up to half of the samples of each level may show different things.
 
     Args:
-        first: stored values in [0, 1].
+        first: sRGB values in [0, 1].
         second: likewise, of the same places.
         weight: >= 0; how much each place counts.
     """
-    fits = [_fit(first[:, k], second[:, k], weight) for k in range(3)]
-    is_alike = max(fit.typical for fit in fits) < LEAST_GAIN
-    if is_alike or sum(fit.left for fit in fits) > MOST_LEFT * sum(fit.before for fit in fits):
+    fits = [_fit_channel(first[:, k], second[:, k], weight) for k in range(3)]
+    is_alike = max(fit.rms_gain for fit in fits) < MIN_GAIN_STOPS
+    if is_alike or sum(fit.left for fit in fits) > MAX_UNEXPLAINED_SHARE * sum(fit.before for fit in fits):
         return ExposureCurve(np.zeros((3, len(KNOTS))))
     return ExposureCurve(_monotone(np.stack([fit.gain for fit in fits])))
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _ChannelFit:
     """One channel's gain at the knots, and how good it is.
 
     Attributes:
         gain: stops at the knots.
-        typical: stops, root mean square of the gain over what is seen.
-        before, left: stops, typical difference of samples without and with the gain.
+        rms_gain: stops, root mean square of the gain over what is seen.
+        before, left: stops, mean difference of samples without and with the gain.
     """
 
     gain: Float[np.ndarray, " knots"]
-    typical: float
+    rms_gain: float
     before: float
     left: float
 
 
 def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray, "more_pixels 3"]) -> ExposureCurve:
-    """The gain between two pictures of one scene before it is known which pixels show the same places.
+    """A rough gain between two pictures of one scene, without correspondences.
 
-    One constant per channel, the median difference in stops between equal quantiles; zero where it is small in all
+    One constant per channel, the median difference in stops between equal quantiles; zero if it is small in all
     channels. It is good enough to find matches by.
 
     Args:
-        first: stored values in [0, 1], each standing for the same share of the sphere.
+        first: sRGB values in [0, 1], each standing for the same share of the sphere.
         second: likewise.
     """
-    low, high = USABLE
+    low, high = USABLE_SRGB
     gain = np.zeros((3, len(KNOTS)))
     for k in range(3):
         before, after = np.quantile(first[:, k], QUANTILES), np.quantile(second[:, k], QUANTILES)
         usable = (np.minimum(before, after) > low) & (np.maximum(before, after) < high)
         if usable.any():
             stops = [np.log2(srgb_to_linear(x[usable])) for x in (before, after)]
-            gain[k] = np.median(stops[1] - stops[0])  # the other way round exactly the opposite, as a quotient is not
-    return ExposureCurve(gain if np.abs(gain).max() >= LEAST_ROUGH_GAIN else np.zeros_like(gain))
+            gain[k] = np.median(stops[1] - stops[0])  # a difference, not a quotient: exactly antisymmetric
+    return ExposureCurve(gain if np.abs(gain).max() >= MIN_ROUGH_GAIN_STOPS else np.zeros_like(gain))
 
 
-def _fit(first: np.ndarray, second: np.ndarray, weight: np.ndarray) -> _Fit:
-    low, high = USABLE
-    nothing = _Fit(np.zeros(len(KNOTS)), 0.0, 0.0, 0.0)
+def _fit_channel(first: np.ndarray, second: np.ndarray, weight: np.ndarray) -> _ChannelFit:
+    low, high = USABLE_SRGB
+    nothing = _ChannelFit(np.zeros(len(KNOTS)), 0.0, 0.0, 0.0)
     usable = (np.minimum(first, second) > low) & (np.maximum(first, second) < high) & (weight > 0.0)
-    if float(weight[usable].sum()) <= LEAST_SAMPLES * float(weight.sum()):
+    if float(weight[usable].sum()) <= MIN_USABLE_SHARE * float(weight.sum()):
         return nothing
-    stored = [x[usable].astype(np.float64) for x in (first, second)]
-    before, after = (np.log2(srgb_to_linear(x)) for x in stored)
-    visible = weight[usable] * (stored[0] + stored[1]) ** 2  # a stop changes a stored value in proportion to it
+    srgb = [x[usable].astype(np.float64) for x in (first, second)]
+    before, after = (np.log2(srgb_to_linear(x)) for x in srgb)
+    visible = weight[usable] * (srgb[0] + srgb[1]) ** 2  # a stop changes an sRGB value in proportion to it
     levels, changes = 0.5 * (before + after), after - before
-    level, median, share = _medians(levels, changes, visible / visible.sum())
-    whole = level + 0.5 * np.abs(median) < HIGHEST
+    level, median, share = _median_gains(levels, changes, visible / visible.sum())
+    whole = level + 0.5 * np.abs(median) < MAX_LEVEL_STOPS  # the level of the brighter of both pictures
     if not whole.any():
         return nothing
     gain = _smooth_fit(level[whole], median[whole], share[whole])
     found = np.interp(level[whole], KNOTS, gain)
-    typical = float(np.sqrt(np.average(found**2, weights=share[whole])))
+    rms_gain = float(np.sqrt(np.average(found**2, weights=share[whole])))
     left = changes - np.interp(levels, KNOTS, gain)
-    return _Fit(gain, typical, _mean_size(changes, visible), _mean_size(left, visible))
+    return _ChannelFit(gain, rms_gain, _mean_magnitude(changes, visible), _mean_magnitude(left, visible))
 
 
-def _mean_size(stops: np.ndarray, weight: np.ndarray) -> float:
-    """A mean, because a median is content with half of two kinds of samples; a few of them may still be absurd."""
-    return float(np.average(np.minimum(np.abs(stops), ABSURD), weights=weight))
+def _mean_magnitude(stops: np.ndarray, weight: np.ndarray) -> float:
+    """A clipped mean: a median would ignore half of the samples if there are two kinds, a plain mean trusts outliers."""
+    return float(np.average(np.minimum(np.abs(stops), OUTLIER_STOPS), weights=weight))
 
 
-def _medians(level: np.ndarray, change: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Level, weighted median of the change and weight of every bin of levels that has samples."""
-    lowest, columns = KNOTS[0] - 2.0, int(2 * MOST_GAIN * BINS_PER_STOP)
+def _median_gains(
+    level: np.ndarray, change: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Level, weighted median of the change, and weight of every bin of levels that has samples.
+
+    The median is read from a histogram, linearly inside its bin, instead of sorting millions of samples.
+    """
+    lowest, columns = KNOTS[0] - 2.0, int(2 * MAX_GAIN_STOPS * GAIN_BINS_PER_STOP)
     rows = int((2.0 - lowest) * LEVEL_BINS_PER_STOP)
     row = np.clip(((level - lowest) * LEVEL_BINS_PER_STOP).astype(np.intp), 0, rows - 1)
-    col = np.clip(((change + MOST_GAIN) * BINS_PER_STOP).astype(np.intp), 0, columns - 1)
+    col = np.clip(((change + MAX_GAIN_STOPS) * GAIN_BINS_PER_STOP).astype(np.intp), 0, columns - 1)
     histogram = np.bincount(row * columns + col, weight, rows * columns).reshape(rows, columns)
     count = histogram.sum(axis=1)
     seen = np.flatnonzero(count > 0.0)
@@ -208,33 +218,36 @@ def _medians(level: np.ndarray, change: np.ndarray, weight: np.ndarray) -> tuple
     bin_of_median = np.minimum((sums < half[:, None]).sum(axis=1), columns - 1)
     at = np.arange(len(seen)), bin_of_median
     inside = (half - (sums[at] - histogram[seen][at])) / np.maximum(histogram[seen][at], 1e-12)
-    median = (bin_of_median + inside) / BINS_PER_STOP - MOST_GAIN
+    median = (bin_of_median + inside) / GAIN_BINS_PER_STOP - MAX_GAIN_STOPS
     return (seen + 0.5) / LEVEL_BINS_PER_STOP + lowest, median, count[seen]
 
 
 def _smooth_fit(level: np.ndarray, median: np.ndarray, share: np.ndarray) -> Float[np.ndarray, " knots"]:
-    """Least squares for values at the knots, with a price on steps between neighbours."""
+    """Least squares for the gain at the knots, with a penalty on steps between neighbours (a smoothing spline of degree 1)."""
     hats = np.stack([np.interp(level, KNOTS, unit) for unit in np.eye(len(KNOTS))], axis=1)
     steps = np.diff(np.eye(len(KNOTS)), axis=0)
-    left = hats.T @ (share[:, None] * hats) + STIFFNESS * steps.T @ steps
+    left = hats.T @ (share[:, None] * hats) + SMOOTHNESS_WEIGHT * steps.T @ steps
     return np.asarray(np.linalg.solve(left, hats.T @ (share * median)))
 
 
 def _monotone(gain: np.ndarray) -> Float[np.ndarray, "3 knots"]:
-    """Less steep where a brighter place would otherwise be shown darker than a darker one in one of the pictures."""
+    """Flatten the gain where a brighter place would otherwise become darker than a darker one in one of the pictures.
+
+    A level ``m`` is shown at ``m ± g(m)/2``, which rises as long as ``|g'| < 2``; 1.5 leaves a margin.
+    """
     steepest = float((np.abs(np.diff(gain, axis=1)) / np.diff(KNOTS)).max())
     middle = gain.mean(axis=1, keepdims=True)
     return np.asarray(middle + (gain - middle) * min(1.0, 1.5 / max(steepest, 1e-12)))
 
 
 def srgb_to_linear(value: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Light of stored values >= 0: 1 is white, brighter values go on along the same curve."""
-    power = ((np.maximum(value, LINEAR_PART) + OFFSET) / (1.0 + OFFSET)) ** GAMMA
-    return np.asarray(np.where(value <= LINEAR_PART, value / SLOPE, power))
+    """Linear light of sRGB values >= 0: 1 is white, brighter values go on along the same curve."""
+    power = ((np.maximum(value, SRGB_LINEAR_LIMIT) + SRGB_OFFSET) / (1.0 + SRGB_OFFSET)) ** SRGB_GAMMA
+    return np.asarray(np.where(value <= SRGB_LINEAR_LIMIT, value / SRGB_LINEAR_SLOPE, power))
 
 
 def linear_to_srgb(light: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """The inverse of :func:`srgb_to_linear`, for light >= 0."""
-    bright = LINEAR_PART / SLOPE
-    power = (1.0 + OFFSET) * np.maximum(light, bright) ** (1.0 / GAMMA) - OFFSET
-    return np.asarray(np.where(light <= bright, light * SLOPE, power))
+    bright = SRGB_LINEAR_LIMIT / SRGB_LINEAR_SLOPE
+    power = (1.0 + SRGB_OFFSET) * np.maximum(light, bright) ** (1.0 / SRGB_GAMMA) - SRGB_OFFSET
+    return np.asarray(np.where(light <= bright, light * SRGB_LINEAR_SLOPE, power))

@@ -1,4 +1,4 @@
-"""The loops that give pictures another exposure, in numba."""
+"""The loops that change the exposure of pictures, in numba."""
 
 import numpy as np
 
@@ -6,17 +6,17 @@ from omnisyn_cli.compute.jit import fast_kernel, inlined
 
 
 @inlined(fastmath=True)
-def _looked_up(value, table, k):
-    """``table[k]`` at a value from 0 to 1, linearly; values beyond go on in proportion to its ends."""
+def _interpolate_table(value, table, k):
+    """``table[k]`` at a value from 0 to 1, linearly; beyond, in proportion to its ends: blends may overshoot."""
     last = table.shape[1] - 1
     if value <= np.float32(0.0):
         return value * table[k, 1] * np.float32(last)
     if value >= np.float32(1.0):
         return value * table[k, last]
-    place = value * np.float32(last)
-    index = min(int(place), last - 1)
-    part = place - np.float32(index)
-    return table[k, index] + part * (table[k, index + 1] - table[k, index])
+    position = value * np.float32(last)
+    index = min(int(position), last - 1)
+    fraction = position - np.float32(index)
+    return table[k, index] + fraction * (table[k, index + 1] - table[k, index])
 
 
 @fast_kernel()
@@ -25,18 +25,18 @@ def look_up_rows(image, table, begin, end):
     for row in range(begin, end):
         for col in range(image.shape[1]):
             for k in range(3):
-                image[row, col, k] = _looked_up(image[row, col, k], table, k)
+                image[row, col, k] = _interpolate_table(image[row, col, k], table, k)
 
 
 @fast_kernel()
 def expose_rows(colour, table, loss, clipping):
-    """Colours through ``table``, in place; what was cut off loses a share of its weight.
+    """Apply ``table`` to colours in place; clipped pixels lose a share of their weight.
 
     Args:
         colour: ``(rows, width, 4)`` RGB and weight.
         table: ``(3, entries)`` for values from 0 to 1; others go on in proportion to its ends.
         loss: share of the weight that a white pixel loses.
-        clipping: value from which on a channel counts as cut off, gradually up to 1.
+        clipping: sRGB value from which on a channel counts as clipped, gradually up to 1.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     for row in range(colour.shape[0]):
@@ -44,7 +44,7 @@ def expose_rows(colour, table, loss, clipping):
             weight = colour[row, col, 3]
             if weight > zero:
                 brightest = max(colour[row, col, 0], max(colour[row, col, 1], colour[row, col, 2]))
-                cut_off = min(max((brightest - clipping) / (one - clipping), zero), one)
-                colour[row, col, 3] = weight * (one - loss * cut_off)
+                clipped = min(max((brightest - clipping) / (one - clipping), zero), one)
+                colour[row, col, 3] = weight * (one - loss * clipped)
                 for k in range(3):
-                    colour[row, col, k] = _looked_up(colour[row, col, k], table, k)
+                    colour[row, col, k] = _interpolate_table(colour[row, col, k], table, k)
