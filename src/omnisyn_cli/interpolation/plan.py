@@ -25,7 +25,7 @@ from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apa
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
 
-__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "frame_count", "plan_interpolation", "with_preset"]
+__all__ = ["InterpolationPlan", "SECONDS_PER_PAIR", "TourPlan", "frame_count", "plan_interpolation", "with_preset"]
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
