@@ -36,12 +36,12 @@ def ranges(random):
     lowest = random.integers(0, LEVELS - 9, (HEIGHT, WIDTH)).astype(np.int32)
     lowest[:, 10:30] = 7 + random.integers(0, 3, (HEIGHT, 20))
     highest = lowest + random.integers(0, 9, (HEIGHT, WIDTH))
-    return DisparityRange.between(lowest, highest.astype(np.int32))
+    return DisparityRange.from_bounds(lowest, highest.astype(np.int32))
 
 
 def everything(size, levels):
     """The same disparities for all pixels: a whole volume."""
-    return DisparityRange.between(np.zeros(size, np.int32), levels - 1)
+    return DisparityRange.from_bounds(np.zeros(size, np.int32), levels - 1)
 
 
 def inside(ranges):
@@ -85,7 +85,7 @@ def paths(height, width):
 def test_sums_are_those_of_plain_loops_over_eight_directions(random):
     size, levels, penalties = (6, 9), 7, (0.1, 0.5, 0.05)
     lowest = random.integers(0, 4, size).astype(np.int32)
-    ranges = DisparityRange.between(lowest, (lowest + random.integers(0, 3, size)).astype(np.int32))
+    ranges = DisparityRange.from_bounds(lowest, (lowest + random.integers(0, 3, size)).astype(np.int32))
     grey = random.random(size, np.float32)
     count = np.diff(ranges.offsets).reshape(size)
     is_tried = (np.arange(levels) >= lowest[..., None]) & (np.arange(levels) < (lowest + count)[..., None])
@@ -154,7 +154,7 @@ def test_the_choice_finds_the_tip_of_a_symmetric_valley_to_a_fraction() -> None:
 
 def test_a_minimum_between_disparities_is_found_where_it_is(random):
     where = random.uniform(6.0, 12.0, (HEIGHT, WIDTH)).astype(np.float32)
-    ranges = DisparityRange.between(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
+    ranges = DisparityRange.from_bounds(np.full((HEIGHT, WIDTH), 3, np.int32), 15)
     total = to_fixed_point(np.abs(np.arange(3, 16) - where[..., None]) / 4.0)
     disparity, margin = winner_takes_all(total.ravel(), ranges, is_complete_range=False)
     np.testing.assert_allclose(disparity, where, atol=4.0 / FIXED_POINT_SCALE)
@@ -165,7 +165,7 @@ def test_a_minimum_between_disparities_is_found_where_it_is(random):
 @pytest.mark.parametrize("falling", [True, False])
 @pytest.mark.parametrize("is_complete_range", [True, False])
 def test_only_where_nothing_lies_beyond_is_the_end_of_a_range_certain(falling, is_complete_range):
-    ranges = DisparityRange.between(np.full((2, 4), 5, np.int32), 8)
+    ranges = DisparityRange.from_bounds(np.full((2, 4), 5, np.int32), 8)
     total = np.tile(FIXED_POINT_SCALE * np.arange(4, dtype=np.uint16)[:: -1 if falling else 1], 8)
     disparity, margin = winner_takes_all(total, ranges, is_complete_range=is_complete_range)
     assert (disparity == (8 if falling else 5)).all()
@@ -173,7 +173,7 @@ def test_only_where_nothing_lies_beyond_is_the_end_of_a_range_certain(falling, i
 
 
 def test_the_uniqueness_margin_is_that_of_the_own_cost_over_what_lies_apart(random):
-    ranges = DisparityRange.between(np.full((2, 8), 4, np.int32), 23)
+    ranges = DisparityRange.from_bounds(np.full((2, 8), 4, np.int32), 23)
     cost = 0.5 + 0.3 * random.random((2, 8, 20))
     chosen = random.integers(4, 24, (2, 8))
     away = np.abs(np.arange(4, 24) - chosen[..., None])

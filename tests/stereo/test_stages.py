@@ -68,7 +68,7 @@ def test_census_knows_order_only_and_no_seam() -> None:
 def test_a_surface_costs_what_the_sweep_says_at_its_disparity() -> None:
     first, second = RNG.random((2, *SMALL, 3)).astype(np.float32)
     usable, zero = np.ones(SMALL, bool), np.zeros(SMALL, np.float32)
-    ranges = DisparityRange.between(np.zeros(SMALL, np.int32), 5)
+    ranges = DisparityRange.from_bounds(np.zeros(SMALL, np.int32), 5)
     sweep = cost_volume(first, second, usable, ranges, 0.5, 0.3).reshape(*SMALL, 6)
     surface = surface_cost(first, census_transform(first.sum(-1) / np.float32(3)), second, usable, zero + 4, 0.5, 0.3)
     inside = slice(4, SMALL[0] - 10)

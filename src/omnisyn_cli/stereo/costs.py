@@ -42,19 +42,19 @@ class ColourCost(NamedTuple):
     scale: np.float32
 
     @staticmethod
-    def of(weight: float, truncation: float) -> "ColourCost":
+    def from_truncation(weight: float, truncation: float) -> "ColourCost":
         """From the weight and the mean difference of a channel at which the cost is truncated."""
         return ColourCost(np.float32(weight), np.float32(1.0 / (3.0 * truncation)))
 
 
-class FirstImage(NamedTuple):
+class ReferenceImage(NamedTuple):
     """What the cost volume reads of the first image, row after row."""
 
     colours: Float[np.ndarray, "height width 3"]
     census: UInt64[np.ndarray, "height width"]
 
 
-class SecondImage(NamedTuple):
+class CandidateImage(NamedTuple):
     """What the cost volume reads of the second image: column after column, as all candidates lie in one column."""
 
     colours: Float[np.ndarray, "3 width height"]
@@ -64,14 +64,14 @@ class SecondImage(NamedTuple):
 
 def census_transform(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.ndarray, "height width"]:
     """Which of the 48 neighbours in 7×7 are brighter than each pixel, as bits; columns wrap, end rows repeat."""
-    wide = np.pad(luminance, ((0, 0), (CENSUS_RADIUS, CENSUS_RADIUS)), mode="wrap").astype(np.float32, copy=False)
+    padded = np.pad(luminance, ((0, 0), (CENSUS_RADIUS, CENSUS_RADIUS)), mode="wrap").astype(np.float32, copy=False)
     signature = np.zeros(luminance.shape, np.uint64)
-    run_bands(partial(_census_rows, wide, signature), len(signature))
+    run_bands(partial(_census_rows, padded, signature), len(signature))
     return signature
 
 
 @kernel()
-def _census_rows(wide, signature, begin, end):  # type: ignore[no-untyped-def]
+def _census_rows(padded, signature, begin, end):  # type: ignore[no-untyped-def]
     height, width = signature.shape
     for row in range(begin, end):
         for i in range(-CENSUS_RADIUS, CENSUS_RADIUS + 1):
@@ -79,7 +79,7 @@ def _census_rows(wide, signature, begin, end):  # type: ignore[no-untyped-def]
             for j in range(2 * CENSUS_RADIUS + 1):
                 if i != 0 or j != CENSUS_RADIUS:
                     for col in range(width):
-                        brighter = np.uint64(wide[r, col + j] > wide[row, col + CENSUS_RADIUS] + CENSUS_NOISE)
+                        brighter = np.uint64(padded[r, col + j] > padded[row, col + CENSUS_RADIUS] + CENSUS_NOISE)
                         signature[row, col] = (signature[row, col] << np.uint64(1)) | brighter
 
 
@@ -101,13 +101,16 @@ def cost_volume(
         colour_weight: weight of the absolute colour difference against the census, in [0, 1].
         colour_truncation: the colour difference that costs 1.
     """
-    own = FirstImage(first, census_transform(luminance_of(first)))
-    other = SecondImage(
+    own = ReferenceImage(first, census_transform(luminance_of(first)))
+    other = CandidateImage(
         np.ascontiguousarray(second.transpose(2, 1, 0)),
         np.ascontiguousarray(census_transform(luminance_of(second)).T),
         np.ascontiguousarray(second_usable.T),
     )
-    cost, colour = np.empty(disparities.offsets[-1], np.uint16), ColourCost.of(colour_weight, colour_truncation)
+    cost, colour = (
+        np.empty(disparities.offsets[-1], np.uint16),
+        ColourCost.from_truncation(colour_weight, colour_truncation),
+    )
     run_bands(
         partial(_fill_cost_volume, own, other, disparities.lowest, disparities.offsets, colour, cost),
         len(disparities.lowest),
@@ -161,7 +164,7 @@ def surface_cost(
     warped, seen = np.zeros_like(first), np.zeros(disparity.shape, np.bool_)
     run_bands(partial(_warp_rows, second, second_usable, disparity, warped, seen), len(warped))
     differing_bits = first_census ^ census_transform(luminance_of(warped))
-    cost, colour = np.empty(disparity.shape, np.float32), ColourCost.of(colour_weight, colour_truncation)
+    cost, colour = np.empty(disparity.shape, np.float32), ColourCost.from_truncation(colour_weight, colour_truncation)
     run_bands(partial(_surface_cost_rows, first, warped, differing_bits, disparity, seen, colour, cost), len(cost))
     return cost
 

@@ -22,7 +22,7 @@ ROWS_BEYOND_EPIPOLE = 4
 """Impossible disparities that are tried all the same: what has no match takes these, not the least wrong possible one.
 (Without them the shadow of a lamp on an untextured road fell to pieces.)"""
 
-LOWER_BOUND_SLACK_ROWS = 1.5
+DISPARITY_BOUND_SLACK_ROWS = 1.5
 """A winner this close to the least possible disparity may have wanted to go below it, so it is not valid."""
 
 GROUND_BOUND_MIN_SINE = 0.17
@@ -143,7 +143,7 @@ def match_all_disparities(pair: RectifiedPair, options: MatchingOptions) -> Disp
     lowest = least_ground_disparity(pair.grid, options)
     disparities = _possible_disparities(lowest, options)
     matches, cost = match_disparities(pair, disparities, options, is_complete_range=True)
-    is_at_bound = (lowest > 0) & (matches.disparity <= lowest + LOWER_BOUND_SLACK_ROWS)
+    is_at_bound = (lowest > 0) & (matches.disparity <= lowest + DISPARITY_BOUND_SLACK_ROWS)
     unique = uniqueness_margin(cost, disparities, matches.disparity) > options.min_uniqueness
     return replace(matches, valid=matches.valid & ~is_at_bound, unique=unique)
 
@@ -161,7 +161,7 @@ def _possible_disparities(lowest: np.ndarray, options: MatchingOptions) -> Dispa
     to_epipole = np.arange(height - 1 + ROWS_BEYOND_EPIPOLE, ROWS_BEYOND_EPIPOLE - 1, -1)
     highest = np.minimum(largest, to_epipole)[:, None]
     begin = np.clip(np.ceil(lowest), 0, highest).astype(np.int32)
-    return DisparityRange.between(begin, np.broadcast_to(highest, lowest.shape).astype(np.int32))
+    return DisparityRange.from_bounds(begin, np.broadcast_to(highest, lowest.shape).astype(np.int32))
 
 
 def left_right_check(
@@ -192,12 +192,12 @@ def _is_left_right_consistent(
     """
     out = np.empty(disparity.shape, np.bool_)
     exchanged = swap_cameras_in_epipole_frame(other)
-    run_bands(partial(_check_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
+    run_bands(partial(_check_left_right_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
     return out
 
 
 @fast_kernel()
-def _check_rows(disparity, other, tolerance, max_step, out, begin, end):  # type: ignore[no-untyped-def]
+def _check_left_right_rows(disparity, other, tolerance, max_step, out, begin, end):  # type: ignore[no-untyped-def]
     height, width = disparity.shape
     for row in range(begin, end):
         for col in range(width):

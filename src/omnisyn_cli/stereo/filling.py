@@ -22,7 +22,7 @@ from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
 
 __all__ = ["fill_with_planes"]
 
-FIT_RADII = (0.8, 0.2, 0.05)
+PLANE_FIT_RADII = (0.8, 0.2, 0.05)
 """Radians over which planes are fitted, widest first; each result is the fallback of the next. Chosen by eye."""
 
 FIRST_GUESS_RADIUS = 0.1
@@ -34,7 +34,7 @@ BACKGROUND_QUANTILE = 0.2
 FILTER_ITERATIONS = 3
 """Horizontal and vertical passes of the filter per radius, as in the source."""
 
-EDGE_STRENGTH = 6.0
+COLOUR_EDGE_STRENGTH = 6.0
 """Distance that a colour difference of 1 adds, in fit radii; chosen by eye."""
 
 FALLBACK_WEIGHT = 1e-3
@@ -49,7 +49,7 @@ ROBUST_SCALE_OF_ESTIMATE, ROBUST_SCALE_OF_MAXIMUM = 0.1, 0.02
 BILATERAL_WINDOW, BILATERAL_COLOUR_SIGMA, BILATERAL_SPACE_SIGMA = 7, 0.15, 3.0
 """Of the bilateral filter that removes mere texture before edges are taken: pixels, colour, pixels. Chosen by eye."""
 
-ROWS_PER_GROUP = 16
+FILTER_ROWS_PER_GROUP = 16
 """Rows that are filtered together, side by side in memory. (Measured: two thirds of the time.)"""
 
 
@@ -70,27 +70,27 @@ def fill_with_planes(
     Returns:
         Values between the least and the greatest with weight 1. Without any such pixel: zeros.
     """
-    known = weight >= 1.0
-    if not known.any():
+    valid = weight >= 1.0
+    if not valid.any():
         return np.zeros_like(inverse_depth, dtype=np.float32)
-    low, high = float(inverse_depth[known].min()), float(inverse_depth[known].max())
+    low, high = float(inverse_depth[valid].min()), float(inverse_depth[valid].max())
     values = np.clip(inverse_depth, low, high)
     directions, edges = pixel_directions(*values.shape), _colour_edges(guide, usable)
-    estimate = _first_guess(values, known, directions)
-    for radius in FIT_RADII:
+    estimate = _first_guess(values, valid, directions)
+    for radius in PLANE_FIT_RADII:
         residual = (values - estimate) / (ROBUST_SCALE_OF_ESTIMATE * estimate + ROBUST_SCALE_OF_MAXIMUM * high)
-        robust_weight = np.where(known, 1.0, 1.0 / (1.0 + residual**2))  # hints far from the estimate hardly count
+        robust_weight = np.where(valid, 1.0, 1.0 / (1.0 + residual**2))  # hints far from the estimate hardly count
         fitted = _fit_around_pixels(values, weight * robust_weight, estimate, directions, edges, radius)
         estimate = np.clip(fitted, low, high)
-    return np.where(known, values, estimate).astype(np.float32)
+    return np.where(valid, values, estimate).astype(np.float32)
 
 
-def _first_guess(values: np.ndarray, known: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _first_guess(values: np.ndarray, valid: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Planes fitted across edges, so that a region without any valid depth inside is not left to chance."""
     no_edges = (np.zeros(values.shape), np.zeros(values.shape))
-    background = np.full(values.shape, np.quantile(values[known], BACKGROUND_QUANTILE))
-    guess = _fit_around_pixels(values, known.astype(np.float64), background, directions, no_edges, FIRST_GUESS_RADIUS)
-    return np.asarray(np.clip(guess, values[known].min(), values[known].max()))
+    background = np.full(values.shape, np.quantile(values[valid], BACKGROUND_QUANTILE))
+    guess = _fit_around_pixels(values, valid.astype(np.float64), background, directions, no_edges, FIRST_GUESS_RADIUS)
+    return np.asarray(np.clip(guess, values[valid].min(), values[valid].max()))
 
 
 def _colour_edges(guide: np.ndarray, usable: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -128,14 +128,14 @@ def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray],
     """
     height, width = channels.shape[:2]
     sine = direction_tables(height, width)[0]
-    distance_across = sine[:, None] * (2.0 * math.pi / width) / radius + EDGE_STRENGTH * edges[0]
-    distance_down = math.pi / height / radius + EDGE_STRENGTH * edges[1]
+    distance_across = sine[:, None] * (2.0 * math.pi / width) / radius + COLOUR_EDGE_STRENGTH * edges[0]
+    distance_down = math.pi / height / radius + COLOUR_EDGE_STRENGTH * edges[1]
     for k in range(FILTER_ITERATIONS):
         # Equation 14 of the source: standard deviations halve from pass to pass, and their squares sum to 1.
         sigma = math.sqrt(3.0) * 2.0 ** (FILTER_ITERATIONS - k - 1) / math.sqrt(4.0**FILTER_ITERATIONS - 1.0)
         decay = -math.sqrt(2.0) / sigma
         across, down = (np.exp(decay * distance).astype(np.float32) for distance in (distance_across, distance_down))
-        run_bands(partial(_filter_rows, channels, across), -(-height // ROWS_PER_GROUP))
+        run_bands(partial(_filter_rows, channels, across), -(-height // FILTER_ROWS_PER_GROUP))
         run_bands(partial(_filter_columns, channels, down), width)
     return channels
 
@@ -144,10 +144,10 @@ def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray],
 def _filter_rows(channels, coupling, begin, end):  # type: ignore[no-untyped-def]
     """Recursive mean along some groups of rows, both ways; ``coupling[r, c]`` couples columns c − 1 and c."""
     height, width, count = channels.shape
-    lines = np.zeros((width, count, ROWS_PER_GROUP), np.float32)
-    line_coupling = np.zeros((width, ROWS_PER_GROUP), np.float32)
+    lines = np.zeros((width, count, FILTER_ROWS_PER_GROUP), np.float32)
+    line_coupling = np.zeros((width, FILTER_ROWS_PER_GROUP), np.float32)
     for group in range(begin, end):
-        top, rows = group * ROWS_PER_GROUP, min(ROWS_PER_GROUP, height - group * ROWS_PER_GROUP)
+        top, rows = group * FILTER_ROWS_PER_GROUP, min(FILTER_ROWS_PER_GROUP, height - group * FILTER_ROWS_PER_GROUP)
         for lane in range(rows):
             for col in range(width):
                 line_coupling[col, lane] = coupling[top + lane, col]

@@ -13,10 +13,10 @@ from omnisyn_cli.compute.threads import run_bands
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
-SPECKLE_LEVELS_PER_STEP, SPECKLE_ZERO_LEVEL, SPECKLE_MAX_LEVEL, SPECKLE_UNKNOWN = 16, 16000, 32000, -1000
+SPECKLE_LEVELS_PER_STEP, SPECKLE_LEVEL_OF_ONE, SPECKLE_MAX_LEVEL, SPECKLE_INVALID_LEVEL = 16, 16000, 32000, -1000
 """Inverse depths as the whole numbers of 16 bits that OpenCV's speckle filter takes: sixteen per relative step."""
 
-SPECKLE_REACH = 64
+SPECKLE_SEAM_COLUMNS = 64
 """Columns from over the seam that the speckle filter sees: an island of so few pixels is hardly wider."""
 
 MEDIAN_WINDOW = 5
@@ -31,7 +31,7 @@ UPSAMPLE_SPATIAL_DECAY = np.float32(1.0 / 4.5)
 UPSAMPLE_COLOUR_DECAY = np.float32(12.0)
 """Decay of the weights per colour difference, summed over the channels; chosen by eye."""
 
-SMOOTH_RATIO = np.float32(1.0 + SAME_SURFACE_TOLERANCE)
+SMOOTH_WINDOW_RATIO = np.float32(1.0 + SAME_SURFACE_TOLERANCE)
 """Ratio of the greatest to the least inverse depth in a window up to which it shows one smooth surface."""
 
 BISECTION_STEPS = 12
@@ -53,14 +53,14 @@ def remove_speckles(
         max_step: relative difference between neighbours of one surface.
     """
     logarithm = np.log2(np.maximum(inverse_depth, 1e-4)) / math.log2(1.0 + max_step)
-    steps = logarithm * float(SPECKLE_LEVELS_PER_STEP) + float(SPECKLE_ZERO_LEVEL)
-    levels = np.where(valid, np.clip(steps, 0, SPECKLE_MAX_LEVEL), SPECKLE_UNKNOWN).astype(np.int16)
+    steps = logarithm * float(SPECKLE_LEVELS_PER_STEP) + float(SPECKLE_LEVEL_OF_ONE)
+    levels = np.where(valid, np.clip(steps, 0, SPECKLE_MAX_LEVEL), SPECKLE_INVALID_LEVEL).astype(np.int16)
 
-    def without_speckles(wide: np.ndarray) -> np.ndarray:
-        return np.asarray(cv2.filterSpeckles(wide, SPECKLE_UNKNOWN, min_pixels, SPECKLE_LEVELS_PER_STEP)[0])
+    def without_speckles(padded: np.ndarray) -> np.ndarray:
+        return np.asarray(cv2.filterSpeckles(padded, SPECKLE_INVALID_LEVEL, min_pixels, SPECKLE_LEVELS_PER_STEP)[0])
 
-    kept = filter_across_seam(without_speckles, levels, min(SPECKLE_REACH, levels.shape[1]))
-    return np.asarray(valid & (kept != SPECKLE_UNKNOWN))
+    kept = filter_across_seam(without_speckles, levels, min(SPECKLE_SEAM_COLUMNS, levels.shape[1]))
+    return np.asarray(valid & (kept != SPECKLE_INVALID_LEVEL))
 
 
 def median_filter(values: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
@@ -80,7 +80,7 @@ class UpsampleWindows(NamedTuple):
     weight: Float32[np.ndarray, "count window"]
 
     @staticmethod
-    def of(count: int, low_count: int) -> "UpsampleWindows":
+    def along_axis(count: int, low_count: int) -> "UpsampleWindows":
         """For ``count`` pixels that cover the same as ``low_count`` low ones."""
         center = ((np.arange(count) + 0.5) * (low_count / count) - 0.5 + UPSAMPLE_RADIUS).astype(np.float32)
         first = np.floor(center + np.float32(0.5)).astype(np.int64) - UPSAMPLE_RADIUS + 1
@@ -103,7 +103,7 @@ def joint_upsample(
     (height, width), (low_height, low_width) = guide.shape[:2], inverse_depth.shape
     out = np.empty((height, width), np.float32)
     low, low_colours = (add_border(each, UPSAMPLE_RADIUS).astype(np.float32) for each in (inverse_depth, low_guide))
-    rows, cols = UpsampleWindows.of(height, low_height), UpsampleWindows.of(width, low_width)
+    rows, cols = UpsampleWindows.along_axis(height, low_height), UpsampleWindows.along_axis(width, low_width)
     run_bands(partial(_upsample_rows, low, low_colours, guide.astype(np.float32), rows, cols, out), height)
     return out
 
@@ -122,7 +122,7 @@ def _upsample_rows(low, low_guide, guide, rows, cols, out, begin, end):  # type:
                     found = low[r0 + i, c0 + j]
                     weight[side * i + j], value[side * i + j] = row_weight[i] * col_weight[j], found
                     least, greatest = min(least, found), max(greatest, found)
-            if greatest > SMOOTH_RATIO * least:  # colours matter only where there is an edge
+            if greatest > SMOOTH_WINDOW_RATIO * least:  # colours matter only where there is an edge
                 for k in range(side * side):
                     difference = np.float32(0.0)
                     for i in range(3):
@@ -135,7 +135,7 @@ def _upsample_rows(low, low_guide, guide, rows, cols, out, begin, end):  # type:
 def _weighted_median(value, weight, least, greatest):  # type: ignore[no-untyped-def]
     """By bisection between the least and the greatest value; on a smooth surface any value will do."""
     low, high = least, greatest
-    if high <= SMOOTH_RATIO * low:
+    if high <= SMOOTH_WINDOW_RATIO * low:
         return high
     half = np.float32(0.0)
     for k in range(value.shape[0]):

@@ -119,7 +119,7 @@ def _features_in_camera_frame(
     """From disparity in the frame of the pair to inverse depth in the frame of the camera, with sky and filling."""
     size, pose, grid = pair.size, view.pose, pair.grid
     image, usable = resize_area(view.image, size), usable_pixels(view, size)
-    in_pair = pair.from_camera(pose, size)
+    in_pair = pair.remap_to_camera(pose, size)
     inverse_depth = in_pair.nearest(grid.inverse_depth(disparities.disparity))
     consistent = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
     consistent = remove_speckles(inverse_depth, consistent & usable, MIN_ISLAND_PIXELS, SAME_SURFACE_TOLERANCE)

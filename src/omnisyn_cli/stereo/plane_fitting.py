@@ -31,7 +31,7 @@ MIN_PAIR_DETERMINANT = 0.05
 MAX_SCORED_POINTS = 6000
 """Points that proposals are scored on, drawn at random; all of them would take long for nearly the same ranking."""
 
-MIN_POINTS = 100
+MIN_PLANE_POINTS = 100
 """With fewer points there is no plane."""
 
 EXPLAINED_TOLERANCE_FACTOR = 1.5
@@ -65,7 +65,7 @@ class PlanePoints(NamedTuple):
 def find_planes(
     points: PlanePoints,
     solid_angle: Float[np.ndarray, " points"],
-    pixel: tuple[Int[np.ndarray, " points"], ...],
+    pixel_index: tuple[Int[np.ndarray, " points"], ...],
     up: Float[np.ndarray, " 3"],
     *,
     max_planes: int,
@@ -76,7 +76,7 @@ def find_planes(
     Args:
         points: what the planes explain.
         solid_angle: of each point: its weight.
-        pixel: row and column of each point, for windows of neighbours.
+        pixel_index: row and column of each point, for windows of neighbours.
         up: unit vector; level planes are proposed by one point, upright ones by two.
         max_planes: most planes to look for.
         min_support: a plane has to explain this share of the total solid angle.
@@ -84,12 +84,12 @@ def find_planes(
     Source: greedy multi-model RANSAC; fixed seed, so equal inputs give equal planes.
     """
     count = len(points.directions)
-    if count < MIN_POINTS:
+    if count < MIN_PLANE_POINTS:
         return np.zeros((0, 3))
     rng = np.random.default_rng(0)
     proposals = np.concatenate(
         [
-            *(_propose_by_windows(points, pixel, side) for side in PROPOSAL_WINDOW_SIDES),
+            *(_propose_by_windows(points, pixel_index, side) for side in PROPOSAL_WINDOW_SIDES),
             _propose_level(points, up, rng),
             _propose_upright(points, up, rng),
         ]
@@ -130,9 +130,9 @@ def _mark_inliers(proposals, points, out, begin, end):  # type: ignore[no-untype
             out[i, k] = np.float32(1.0) if abs(predicted - known) < allowed else np.float32(0.0)
 
 
-def _propose_by_windows(points: PlanePoints, pixel: tuple[np.ndarray, ...], side: int) -> np.ndarray:
+def _propose_by_windows(points: PlanePoints, pixel_index: tuple[np.ndarray, ...], side: int) -> np.ndarray:
     """One robust fit per square window of pixels."""
-    row, col = pixel[0] // side, pixel[1] // side
+    row, col = pixel_index[0] // side, pixel_index[1] // side
     _, window = np.unique(row * (col.max() + 1) + col, return_inverse=True)
     count = int(window.max()) + 1
     base = 1.0 / points.tolerance**2

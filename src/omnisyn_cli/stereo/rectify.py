@@ -77,7 +77,7 @@ class RectifiedPair:
             baseline=self.baseline,
         )
 
-    def from_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
+    def remap_to_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
         """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""
         return RemapTable.for_directions(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)
 

@@ -91,12 +91,12 @@ class RefinedDepthEstimator:
         free-space check (8) and confidence (9) follow.
         """
         features = self.matching.features(*views)
-        completed = self._complete(features)
-        refined = self._refine(views, completed)
+        completed = self._complete_with_network(features)
+        refined = self._refine_at_larger_sizes(views, completed)
         checked = _check_free_space(views, refined, features)
         return _lower_confidence_amid_disagreement(views, checked)
 
-    def _complete(self, features: tuple[StereoFeatures, StereoFeatures]) -> InvDepthPair:
+    def _complete_with_network(self, features: tuple[StereoFeatures, StereoFeatures]) -> InvDepthPair:
         """The network's depth, or the filled map without one.
 
         Where stereo is not valid the network chooses between two depths for each pixel alone. The median of its answers
@@ -107,9 +107,9 @@ class RefinedDepthEstimator:
             return _filled_map(first), _filled_map(second)
         channels = both(lambda: completion_channels(first, second), lambda: completion_channels(second, first))
         answers = [self.completion(each) for each in channels]
-        return _smoothed(first, *answers[0]), _smoothed(second, *answers[1])
+        return _smooth_invalid_pixels(first, *answers[0]), _smooth_invalid_pixels(second, *answers[1])
 
-    def _refine(self, views: ViewPair, maps: InvDepthPair) -> InvDepthPair:
+    def _refine_at_larger_sizes(self, views: ViewPair, maps: InvDepthPair) -> InvDepthPair:
         """Measured again at twice the size, and again, up to the rows wanted and those of the pictures."""
         image_rows = max(view.image.shape[0] for view in views)
         for size in doubled_sizes(maps[0][0].shape[0], self.rows // 2, image_rows)[1:]:
@@ -121,7 +121,9 @@ def _filled_map(features: StereoFeatures) -> InvDepthWithConfidence:
     return features.filled.astype(np.float32), features.valid.astype(np.float32)
 
 
-def _smoothed(features: StereoFeatures, inverse_depth: np.ndarray, confidence: np.ndarray) -> InvDepthWithConfidence:
+def _smooth_invalid_pixels(
+    features: StereoFeatures, inverse_depth: np.ndarray, confidence: np.ndarray
+) -> InvDepthWithConfidence:
     return np.where(features.valid, inverse_depth, median_filter(inverse_depth)), confidence
 
 
@@ -136,7 +138,7 @@ def refine_depth_at_size(
         size: height and width of the result.
         options: of the matching.
     """
-    coarse = both(*(partial(_enlarge, view, each, size) for view, each in zip(views, maps, strict=True)))
+    coarse = both(*(partial(_upsample_map, view, each, size) for view, each in zip(views, maps, strict=True)))
     pair = rectify(*views, size)
     pairs = (pair, pair.reversed())
     first, second = (  # one after the other: costs take much memory
@@ -147,7 +149,7 @@ def refine_depth_at_size(
     return both(*(partial(_replace_remeasured, *each) for each in zip(views, coarse, pairs, disparities, strict=True)))
 
 
-def _enlarge(view: View, coarse: InvDepthWithConfidence, size: tuple[int, int]) -> InvDepthWithConfidence:
+def _upsample_map(view: View, coarse: InvDepthWithConfidence, size: tuple[int, int]) -> InvDepthWithConfidence:
     """The map at a larger size, its edges at those of the picture."""
     inverse_depth, confidence = coarse
     low_guide, guide = (resize_area(view.image, each) for each in (inverse_depth.shape, size))
@@ -172,7 +174,7 @@ def _ranges_around(disparity: Float32[np.ndarray, "height width"]) -> DisparityR
     nearby = np.maximum(np.floor(least) - RANGE_SLACK_ROWS, np.rint(disparity) - MAX_RANGE_ROWS // 2)
     lowest = np.maximum(nearby, 0)
     highest = np.minimum(np.ceil(greatest) + RANGE_SLACK_ROWS, lowest + MAX_RANGE_ROWS - 1)
-    return DisparityRange.between(lowest.astype(np.int32), highest.astype(np.int32))
+    return DisparityRange.from_bounds(lowest.astype(np.int32), highest.astype(np.int32))
 
 
 def _replace_remeasured(
@@ -183,7 +185,7 @@ def _replace_remeasured(
     Single pixels are noise more often than things, so a median filter follows.
     """
     size, grid, (coarse_depth, coarse_confidence) = pair.size, pair.grid, coarse
-    in_pair = pair.from_camera(view.pose, size)
+    in_pair = pair.remap_to_camera(view.pose, size)
     exact = in_pair.nearest(grid.inverse_depth(disparities.disparity).astype(np.float32))
     valid = in_pair.nearest(disparities.valid & is_measurable(grid, disparities.disparity))
     valid = remove_speckles(exact, valid & usable_pixels(view, size), MIN_ISLAND_PIXELS, SAME_SURFACE_TOLERANCE)
@@ -208,7 +210,7 @@ def _check_free_space(
         in_metres = (inverse_depth / baseline).astype(np.float32)
         return DepthEstimate(in_metres, confidence.astype(np.float32), features[own].valid)
 
-    return _both_ways(estimate)
+    return _for_both_views(estimate)
 
 
 def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair) -> EstimatePair:
@@ -221,13 +223,13 @@ def _lower_confidence_amid_disagreement(views: ViewPair, estimates: EstimatePair
         agreement = neighbourhood_agreement(own_map, other_map, motion)
         return replace(estimates[own], confidence=estimates[own].confidence * agreement)
 
-    return _both_ways(confidence_lowered)
+    return _for_both_views(confidence_lowered)
 
 
 def _baseline(views: ViewPair) -> float:
     return float(np.linalg.norm(views[1].pose.position - views[0].pose.position))
 
 
-def _both_ways(estimate: Callable[[int, int], DepthEstimate]) -> EstimatePair:
+def _for_both_views(estimate: Callable[[int, int], DepthEstimate]) -> EstimatePair:
     """For the first panorama beside the second, and for the second beside the first."""
     return both(partial(estimate, 0, 1), partial(estimate, 1, 0))

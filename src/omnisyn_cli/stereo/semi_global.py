@@ -65,7 +65,7 @@ class DisparityRange:
     offsets: Int64[np.ndarray, " pixels+1"]
 
     @staticmethod
-    def between(
+    def from_bounds(
         lowest: Int32[np.ndarray, "height width"], highest: Int32[np.ndarray, "height width"] | int
     ) -> DisparityRange:
         """All whole rows from ``lowest`` to ``highest`` (included), which is never the smaller one."""

@@ -27,7 +27,7 @@ BEHIND_CAMERA = np.float32(-1.0)
 PLANE_SUPPORT_SIGMAS_PER_HEIGHT = 24.0
 """The support of a plane is spread by a Gaussian of 1/24 of the height (7.5°); chosen by eye."""
 
-FULL_SUPPORT_DENSITY = 0.05
+FULL_PLANE_SUPPORT_DENSITY = 0.05
 """Share of supporting points around a pixel from which support counts fully; chosen by eye."""
 
 MIN_SKY_EPIPOLE_SINE = 0.35
@@ -72,7 +72,7 @@ def _select_labels(
     cost: np.ndarray, luminance: np.ndarray, is_impossible: np.ndarray, options: MatchingOptions
 ) -> np.ndarray:
     """The index of the best candidate of each pixel: semi-global matching over labels, which have no order."""
-    labels = DisparityRange.between(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
+    labels = DisparityRange.from_bounds(np.zeros(cost.shape[:2], np.int32), cost.shape[2] - 1)
     penalty = options.label_penalty
     total = aggregate_costs(
         to_fixed_point(cost).ravel(), labels, luminance, penalty, penalty, options.label_contrast
@@ -133,7 +133,7 @@ def _plane_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
     height, width = mask.shape
     blur = partial(cv2.GaussianBlur, ksize=(0, 0), sigmaX=height / PLANE_SUPPORT_SIGMAS_PER_HEIGHT)
     density = filter_across_seam(blur, mask.astype(np.float32), max(1, width // 8))
-    return np.asarray(np.minimum(density / FULL_SUPPORT_DENSITY, 1.0))
+    return np.asarray(np.minimum(density / FULL_PLANE_SUPPORT_DENSITY, 1.0))
 
 
 def _can_show_infinity(grid: EpipolarGrid) -> Bool[np.ndarray, "height width"]:
