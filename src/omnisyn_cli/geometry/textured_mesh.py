@@ -16,7 +16,7 @@ class Material:
         name: as the file has it.
         colour: ``(3,)`` sRGB in [0, 1], where there is no texture.
         texture: ``(height, width, 3)`` sRGB, or None.
-        opacity: ``(height, width)`` 0 to 255 of a texture that cuts holes, or None.
+        opacity: ``(rows, cols)`` 0 to 255 of a texture that cuts holes, or None.
         is_emissive: whether it shines by itself.
         is_lightmapped: whether its light is in the mesh's light map.
         is_lit: whether light is part of its colours already, as in photographs of a scan.
@@ -27,7 +27,7 @@ class Material:
     name: str
     colour: Float[np.ndarray, " 3"]
     texture: UInt8[np.ndarray, "height width 3"] | None = None
-    opacity: UInt8[np.ndarray, "height width"] | None = None
+    opacity: UInt8[np.ndarray, "rows cols"] | None = None
     is_emissive: bool = False
     is_lightmapped: bool = False
     is_lit: bool = False

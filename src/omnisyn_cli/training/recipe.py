@@ -270,8 +270,8 @@ class RecipeTrainer(Trainer):
         with self.precision.autocast():
             scores = self.task.validate(network, self.config)
         self.scores = {name: round(value, 5) for name, value in scores.items() if math.isfinite(value)}
-        index, _ = self.recipe.stage_at(self.step)
-        about = {"step": self.step, "stage": index + 1, "seconds": round(seconds, 1), "rate": self.rate()}
+        stage = min(self.recipe.stage_at(self.step)[0] + 1, len(self.recipe.stages))
+        about = {"step": self.step, "stage": stage, "seconds": round(seconds, 1), "rate": self.rate()}
         walks = {"walks": self.pool.seeds_at(self.step).stop, "loss": round(loss, 5)}
         row: dict[str, float] = about | walks | self.scores
         self.curve.append(row)

@@ -1,0 +1,178 @@
+import numpy as np
+import pytest
+import torch
+from torch.nn import functional
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sphere import direction_to_angles, pixel_directions
+from omnisyn_cli.geometry.sweep import sweep_directions
+from omnisyn_cli.networks.efficientnet import CHANNELS, EfficientNetLite0, from_classifier
+from omnisyn_cli.networks.export import PARITY, export_network, largest_difference
+from omnisyn_cli.networks.guided_depth import (
+    FEATURE_SHIFT,
+    GUIDANCE_CHANNELS,
+    GUIDED_DEPTH_VARIANTS,
+    GuidedDepthConfig,
+    GuidedDepthNetwork,
+    GuidedDepthPrediction,
+    convex_upsample,
+    feature_directions,
+    sweep_grid,
+)
+from omnisyn_cli.networks.layers import wrap_columns
+
+SMALL = GuidedDepthConfig("small", size=(64, 128), spheres=8, features=8, groups=2, widths=(8, 16, 16, 24, 24))
+
+
+@pytest.fixture(autouse=True)
+def _seeded():
+    torch.manual_seed(0)
+
+
+def inputs(batch=1, height=64, towards=(0.0, 0.1, -0.995)):
+    direction = torch.tensor(towards).view(1, 3, 1, 1).expand(batch, 3, 1, 1)
+    pictures = torch.rand(2, batch, 3, height, 2 * height)
+    return pictures[0], pictures[1], direction, torch.zeros(batch, GUIDANCE_CHANNELS, height // 4, height // 2)
+
+
+def awake(network):
+    """With last layers that say something: they begin at zero."""
+    for layer in (network.answer2, network.upsampling, network.guide):
+        torch.nn.init.normal_(layer.weight, std=0.1)
+    return network.eval()
+
+
+def test_the_encoder_does_not_know_where_the_seam_is():
+    encoder, image = EfficientNetLite0().eval(), torch.rand(1, 3, 64, 128)
+    with torch.no_grad():
+        plain, rolled = encoder(image), encoder(image.roll(32, -1))
+    assert [x.shape[1] for x in plain] == list(CHANNELS)
+    for stride, one, other in zip((2, 4, 8, 16, 32), plain, rolled, strict=True):
+        assert one.shape[-2:] == (64 // stride, 128 // stride)
+        torch.testing.assert_close(one.roll(32 // stride, -1), other)
+
+
+def test_the_features_at_a_quarter_lie_where_the_sweep_takes_them_to_be():
+    """The centre of what a spot leaves behind, averaged over the places of the spot within a block."""
+    encoder, offsets = EfficientNetLite0(), []
+    for place in range(64, 68):
+        x = torch.zeros(1, 1, 64, 128)
+        x[..., 32, place] = 1.0
+        for conv in (encoder.stem, encoder.blocks[1].depthwise):
+            wide = functional.pad(wrap_columns(x, conv.before, conv.after), (0, 0, conv.before, conv.after))
+            x = functional.conv2d(wide, torch.ones(1, 1, 3, 3), stride=2)
+        columns = x.sum(dim=(0, 1, 2))
+        offsets.append(float((columns * torch.arange(32)).sum() / columns.sum()) - ((place + 0.5) / 4 - 0.5))
+    assert np.mean(offsets) == pytest.approx(-FEATURE_SHIFT, abs=0.02)
+
+
+def test_the_sweep_is_that_of_the_geometry():
+    towards = torch.tensor([[0.1, 0.2, -0.97]])
+    towards = towards / towards.norm()
+    roots = torch.tensor([0.0, 0.5, 1.7])
+    directions = feature_directions((16, 32), 0.0, roots)
+    np.testing.assert_allclose(directions.numpy(), pixel_directions(16, 32), atol=1e-6)
+    azimuth, polar = sweep_grid(directions, towards, roots)
+    motion = Pose(np.eye(3), -towards[0].double().numpy())
+    for k, root in enumerate(roots.tolist()):
+        moved = sweep_directions(pixel_directions(16, 32), np.full((16, 32), root**2), motion)
+        expected_azimuth, expected_polar = direction_to_angles(moved)
+        turn = (azimuth[0, k].numpy() * np.pi - expected_azimuth + np.pi) % (2 * np.pi) - np.pi
+        assert np.abs(turn * np.sin(expected_polar)).max() < 1e-4
+        np.testing.assert_allclose((polar[0, k].numpy() + 1) * np.pi / 2, expected_polar, atol=1e-4)
+
+
+def test_costs_are_highest_at_the_true_sphere():
+    """Random features on a sphere around the first camera: every pixel finds its root."""
+    network = GuidedDepthNetwork(GuidedDepthConfig("wide", spheres=21, features=16, groups=4))
+    towards, root = torch.tensor([[0.0, 0.0, -1.0]]), 0.8
+    height, width = 32, 64
+    waves = torch.randn(16, 3) * 6.0
+    points = feature_directions((height, width), -0.125, waves)  # the sphere has radius 1/root² baselines
+    first = torch.sin(points @ waves.T).permute(2, 0, 1)[None]
+    # what the other camera sees along d: the point at distance s with |s d + root² t| = 1, in units of the radius
+    other = feature_directions((height, width), -0.125, waves)
+    along = (other @ towards[0]) * root**2
+    distance = -along + torch.sqrt(along**2 - root**4 + 1.0)
+    second = torch.sin((other * distance[..., None] + root**2 * towards[0]) @ waves.T).permute(2, 0, 1)[None]
+    costs, _ = network._costs(first, second, towards)
+    best = costs.view(4, 21, height, width).mean(dim=0).argmax(dim=0)
+    inner = best[4:-4]
+    assert (inner == 8).float().mean() > 0.85  # 2.0 / 20 · 8; around the epipoles all spheres look alike
+
+
+def test_the_answer_has_the_size_of_the_picture_and_confidence_is_a_probability():
+    network = awake(GuidedDepthNetwork(SMALL))
+    with torch.no_grad():
+        answer = network(*inputs(2))
+    assert answer.estimate.shape == answer.log_scale.shape == (2, 1, 64, 128)
+    assert [x.shape[-1] for x in answer.coarse] == [32, 64]
+    inverse_depth, confidence = answer.outputs()
+    assert inverse_depth.min() >= 0.0
+    assert inverse_depth.max() <= SMALL.greatest_root**2
+    assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
+
+
+def test_confidence_is_the_share_of_a_laplace_distribution_within_ten_percent():
+    root, scale = 0.8, 0.03
+    answer = GuidedDepthPrediction(torch.full((1, 1, 1, 1), root), torch.full((1, 1, 1, 1), np.log(scale)), ())
+    errors = np.random.default_rng(0).laplace(0.0, scale, 200_000)
+    within = (root + errors) ** 2 / root**2
+    share = np.mean((within < 1.1) & (within > 2 - 1.1))  # nearly symmetric
+    assert float(answer.confidence()) == pytest.approx(share, abs=0.01)
+
+
+def test_guidance_counts_only_once_it_has_learned_to():
+    """It begins at zero, so that a network without it is not disturbed when guidance comes."""
+    network, given = GuidedDepthNetwork(SMALL).eval(), list(inputs())
+    with torch.no_grad():
+        without = network(*given).estimate
+        given[3] = torch.rand_like(given[3])
+        torch.testing.assert_close(network(*given).estimate, without)
+        assert (awake(network)(*given).estimate - without).abs().max() > 1e-3
+
+
+def test_onnx_runtime_says_what_torch_says(tmp_path):
+    network = awake(GuidedDepthNetwork(SMALL))
+    export_network(network, tmp_path / "small.onnx")
+    examples = [tuple(x.numpy() for x in inputs(towards=t)) for t in ((0.0, 0.1, -0.995), (0.6, 0.0, 0.8))]
+    assert largest_difference(network, tmp_path / "small.onnx", examples) < PARITY
+
+
+def test_the_shipped_size_has_few_parameters():
+    network = GuidedDepthNetwork(GUIDED_DEPTH_VARIANTS["guided"])
+    assert sum(parameter.numel() for parameter in network.parameters()) < 6_000_000
+
+
+def test_weights_of_the_classifier_are_taken_over_by_name():
+    encoder = EfficientNetLite0()
+    names = {"expand": "_expand_conv", "depthwise": "_depthwise_conv", "project": "_project_conv"}
+    norms = {"expand_norm": "_bn0", "depthwise_norm": "_bn1", "project_norm": "_bn2"}
+    published = {"_fc.weight": torch.zeros(1), "_bn0.num_batches_tracked": torch.zeros(())}
+    for name, value in encoder.state_dict().items():
+        path = name.split(".")
+        leaf = {"mean": "running_mean", "variance": "running_var"}.get(path[-1], path[-1])
+        if path[0] == "blocks":
+            published[f"_blocks.{path[1]}.{(names | norms)[path[2]]}.{leaf}"] = torch.rand_like(value)
+        else:
+            published[f"{ {'stem': '_conv_stem', 'stem_norm': '_bn0'}[path[0]] }.{leaf}"] = torch.rand_like(value)
+    found = from_classifier(published)
+    encoder.load_state_dict(found)
+    torch.testing.assert_close(encoder.blocks[3].expand_norm.mean, published["_blocks.3._bn0.running_mean"])
+    with pytest.raises(ValueError, match="another network"):
+        from_classifier({"_conv_stem.weight": torch.zeros(3)})
+
+
+def test_convex_upsampling_stays_within_the_neighbourhood_and_keeps_constants():
+    x = torch.rand(2, 2, 4, 8)
+    fine = convex_upsample(x, torch.randn(2, 36, 4, 8))
+    repeated = torch.cat([x[:, :, :1], x, x[:, :, -1:]], dim=2)
+    highest = functional.max_pool2d(wrap_columns(repeated, 1, 1), 3, 1)
+    lowest = -functional.max_pool2d(-wrap_columns(repeated, 1, 1), 3, 1)
+    for i in range(2):
+        for j in range(2):
+            assert torch.all(fine[:, :, i::2, j::2] <= highest + 1e-6)
+            assert torch.all(fine[:, :, i::2, j::2] >= lowest - 1e-6)
+    torch.testing.assert_close(
+        convex_upsample(torch.full((1, 1, 4, 8), 0.3), torch.randn(1, 36, 4, 8)), torch.full((1, 1, 8, 16), 0.3)
+    )
