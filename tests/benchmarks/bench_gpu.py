@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.io import read_panorama
@@ -67,7 +67,7 @@ def frames(
 def rounded(image: np.ndarray) -> np.ndarray:
     """Small frames of the processor are numbers."""
     samples = np.empty(image.shape, np.uint8)
-    run_bands(lambda begin, end: quantize_rows(image, np.float32(255), samples, begin, end), len(samples))
+    run_ranges(lambda begin, end: quantize_rows(image, np.float32(255), samples, begin, end), len(samples))
     return samples
 
 

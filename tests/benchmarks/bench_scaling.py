@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from omnisyn_cli.compute.jit import kernel
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -131,7 +131,7 @@ def sum_of_roots(begin: int, end: int) -> float:
 
 def speed_up(rounds: int = 7) -> tuple[float, float]:
     """Wall time on one thread divided by that on two: of a frame, and of arithmetic; in turn, the best of each."""
-    works = [frames(1), frames(2), *(partial(run_bands, sum_of_roots, 1000, threads) for threads in (1, 2))]
+    works = [frames(1), frames(2), *(partial(run_ranges, sum_of_roots, 1000, threads) for threads in (1, 2))]
     best = [float("inf")] * len(works)
     for number in range(rounds + 1):
         for index, work in enumerate(works):

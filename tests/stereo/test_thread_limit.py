@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from stereo_samples import OPENINGS, room
 
-from omnisyn_cli.compute.threads import allowed_threads, both, limited_threads, run_bands
+from omnisyn_cli.compute.threads import allowed_threads, both, limited_threads, run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.stereo import matching_estimator
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
@@ -46,7 +46,7 @@ def test_limits_lie_within_each_other_and_loops_keep_to_them() -> None:
     calls: list[tuple[int, int]] = []
     with limited_threads(1), limited_threads(2):
         assert counts() == (1, 1)
-        run_bands(lambda begin, end: calls.append((begin, end)), 100)
+        run_ranges(lambda begin, end: calls.append((begin, end)), 100)
     assert calls == [(0, 100)]
 
 

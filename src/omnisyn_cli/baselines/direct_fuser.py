@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import have_same_position
@@ -78,5 +78,5 @@ class DirectFuser(GeometricFuser):
         """The picture within [0, 1], as float32 or quantised."""
         if out.dtype == np.float32:
             return np.clip(picture, 0.0, 1.0, out=out)
-        run_bands(partial(quantize_rows, picture, np.float32(np.iinfo(out.dtype).max), out), len(out), self.threads)
+        run_ranges(partial(quantize_rows, picture, np.float32(np.iinfo(out.dtype).max), out), len(out), self.threads)
         return out

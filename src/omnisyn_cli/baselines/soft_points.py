@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from omnisyn_cli.baselines.soft_point_kernels import NO_POINT, composite, list_points, project_points
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 
@@ -109,7 +109,7 @@ def list_visible(
     found = np.empty((*size, most), np.int32)
     sin_p, cos_p, _, _ = direction_tables(*size)
     angle = disc_angle(radius, size[0])
-    run_bands(lambda begin, end: list_points(points, order, angle, sin_p, cos_p, found, begin, end), size[0], threads)
+    run_ranges(lambda begin, end: list_points(points, order, angle, sin_p, cos_p, found, begin, end), size[0], threads)
     return PointLists(points, found)
 
 
@@ -125,7 +125,7 @@ def projected_points(
     def band(begin: int, end: int) -> None:
         project_points(inverse_depth, mask, *tables, rotation, translation, scale, points, begin, end)
 
-    run_bands(band, len(points), threads)
+    run_ranges(band, len(points), threads)
     return points
 
 
@@ -170,5 +170,5 @@ def splat(
     def band(begin: int, end: int) -> None:
         composite(lists.points, lists.found, features, angle, MIN_OPACITY, sin_p, cos_p, out, begin, end)
 
-    run_bands(band, size[0], threads)
+    run_ranges(band, size[0], threads)
     return out

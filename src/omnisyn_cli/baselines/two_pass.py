@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from omnisyn_cli.baselines.two_pass_kernels import draw_flat_triangles, flatten_triangles
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_scale
 from omnisyn_cli.render.mesh import Mesh, Triangles
@@ -56,8 +56,8 @@ def rasterize_two_pass(
         for turn in (0, size[1] // 2):
             draw_flat_triangles(triangles.face, corners, turn, fragments.inverse_depth, fragments.face, begin, end)
 
-    run_bands(flatten, len(corners), threads)
-    run_bands(draw, size[0], threads)
+    run_ranges(flatten, len(corners), threads)
+    run_ranges(draw, size[0], threads)
     return fragments
 
 

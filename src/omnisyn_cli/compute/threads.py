@@ -1,4 +1,4 @@
-"""Kernels on bands of rows, each band in a thread of its own.
+"""Kernels on ranges of rows, each range in a thread of its own.
 
 The kernels release the GIL and write only their own rows, so the result does not depend on the number of threads.
 """
@@ -12,14 +12,14 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TypeVar
 
-__all__ = ["allowed_threads", "at_most", "available_threads", "both", "limited_threads", "run_bands"]
+__all__ = ["allowed_threads", "at_most", "available_threads", "both", "limited_threads", "run_ranges"]
 
 T = TypeVar("T")
 
 _limit: ContextVar[int | None] = ContextVar("most threads", default=None)
 
-BANDS_PER_THREAD = 4
-"""More bands than threads, because some rows are more work than others."""
+RANGES_PER_THREAD = 4
+"""More ranges than threads, because some rows are more work than others."""
 
 
 def available_threads() -> int:
@@ -28,7 +28,7 @@ def available_threads() -> int:
 
 
 def allowed_threads() -> int:
-    """How many :func:`run_bands` uses if its caller does not say: a core each, or what :func:`at_most` allows."""
+    """How many :func:`run_ranges` uses if its caller does not say: a core each, or what :func:`at_most` allows."""
     return min(available_threads(), _limit.get() or available_threads())
 
 
@@ -81,19 +81,19 @@ def both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
         return first(), later.result()
 
 
-def bands(rows: int, count: int) -> list[tuple[int, int]]:
+def split_range(rows: int, count: int) -> list[tuple[int, int]]:
     """``count`` (or fewer) contiguous ranges that cover ``range(rows)``."""
     edges = [rows * k // count for k in range(count + 1)]
     return [(begin, end) for begin, end in pairwise(edges) if end > begin]
 
 
-def run_bands(kernel: Callable[[int, int], None], rows: int, threads: int | None = None) -> None:
-    """Call ``kernel(row_begin, row_end)`` for bands that cover ``rows``; on one thread that is a single plain call."""
+def run_ranges(kernel: Callable[[int, int], None], rows: int, threads: int | None = None) -> None:
+    """Call ``kernel(row_begin, row_end)`` for ranges that cover ``rows``; on one thread that is a single plain call."""
     threads = threads or allowed_threads()
     if threads == 1:
         kernel(0, rows)
         return
-    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in bands(rows, threads * BANDS_PER_THREAD)]
+    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in split_range(rows, threads * RANGES_PER_THREAD)]
     for future in pending:
         future.result()
 

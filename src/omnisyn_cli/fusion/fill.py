@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float32, Shaped
 
 from omnisyn_cli.compute.jit import fast_kernel
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantization_for, quantize
 
 __all__ = ["HoleFiller"]
@@ -79,7 +79,7 @@ class HoleFiller:
     def _run(self, kernel: Callable[..., None], rows: np.ndarray, written: np.ndarray, *arguments: Any) -> None:
         """A kernel over some rows of the level it writes."""
         threads = self.threads if written.size > MIN_THREADED_PIXELS else 1
-        run_bands(lambda begin, end: kernel(*arguments, rows[begin:end]), len(rows), threads)
+        run_ranges(lambda begin, end: kernel(*arguments, rows[begin:end]), len(rows), threads)
 
 
 @fast_kernel()
@@ -116,7 +116,7 @@ def _push_rows(coarse_colour, coarse_weight, colour, weight, keeps_weight, quant
         coarse_weight: of these.
         colour: ``(height, width, 3)``, changed where there are holes.
         weight: ``(height, width)``; 0 in holes.
-        keeps_weight: otherwise a filled pixel gets the mean weight of what it was filled from, for the next finer level.
+        keeps_weight: otherwise filled pixels get the mean weight of what they were filled from, for the next level.
         quantization: :class:`omnisyn_cli.fusion.blend_kernels.Quantization` of ``colour``.
         rows: indices of the rows that have holes.
     """

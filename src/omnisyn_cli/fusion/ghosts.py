@@ -25,7 +25,7 @@ import numpy as np
 from array_api_compat import array_namespace, device, is_numpy_array
 from jaxtyping import Bool, Float32, Integer
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_rule import BlendRule, LayerArrays, view_weights
 from omnisyn_cli.fusion.ghost_grid import ghost_cell_size, ghost_sample_step
 from omnisyn_cli.fusion.ghost_kernels import accumulate_cells, suppress_edge_samples, suppress_rows
@@ -172,7 +172,7 @@ class GhostRemover:
         if is_numpy_array(a):
             sums = np.empty((*self._grid, 13), np.float32)
             accumulate = partial(accumulate_cells, a, a_rho, b, b_rho, self.samples_per_side, sums)
-            run_bands(accumulate, self._grid[0], self.threads)
+            run_ranges(accumulate, self._grid[0], self.threads)
         else:
             sums = self._accumulate_arrays(a, a_rho, b, b_rho)
         xp, count = array_namespace(sums), sums[..., 0]

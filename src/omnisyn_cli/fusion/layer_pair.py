@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.ghosts import GhostSuppression
 from omnisyn_cli.types import ColourStep, EdgePixels, EdgeSamples, Layer
 
@@ -106,7 +106,7 @@ class RowTileRunner:
                 use(top, bottom, scratch[0, : bottom - top], scratch[1, : bottom - top])
             self._scratch.append(scratch)
 
-        run_bands(run, len(tiles), self.threads)
+        run_ranges(run, len(tiles), self.threads)
 
     def with_cached_colours(self, first: Layer, second: Layer) -> tuple[Layer, Layer]:
         """Both layers with all of their colours shaded, for callers that read them more than once."""
@@ -115,7 +115,7 @@ class RowTileRunner:
         if self._cached_colours is None:
             self._cached_colours = np.empty((2, *self.size, 4), np.float32)
         for layer, colour in zip((first, second), self._cached_colours, strict=True):
-            run_bands(lambda begin, end: layer.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
+            run_ranges(lambda begin, end: layer.colour_rows(begin, end, colour[begin:end]), len(colour), self.threads)  # noqa: B023
         cached_first, cached_second = (
             replace(
                 Layer.from_arrays(layer.inverse_depth, colour, layer.target_from_source),

@@ -10,7 +10,7 @@ depth; figures are in ``docs/evaluation.md``.
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import (
     LayerRows,
     blend_edge_pixels,
@@ -31,7 +31,7 @@ from omnisyn_cli.fusion.supersampling_kernels import (
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS, DirectionTables, EdgePixels, Layer
 
 MIN_CONTRAST_LEVELS = 40
-"""Levels of 8 bits by which a pixel's 3x3 window has to vary: below, samples would look like their pixel. Set by hand."""
+"""Levels of 8 bits by which 3x3 pixels have to vary: below, samples would look like their pixel. Set by hand."""
 
 TILE_ROWS = 64
 """Rows whose edge pixels are sampled together. Set by hand."""
@@ -77,7 +77,7 @@ class EdgeSupersampler:
                 second = LayerRows(colour_b, rho_b, source_offset(layers.second))
                 blend_edge_pixels(first, second, scalars, self._tables, edge_pixels[0], share, quantization, out)
 
-        run_bands(sample, -(-height // TILE_ROWS), self.threads)
+        run_ranges(sample, -(-height // TILE_ROWS), self.threads)
 
     def mark(
         self, layers: LayerPair, picture: Shaped[np.ndarray, "height width 3"]
@@ -85,7 +85,7 @@ class EdgeSupersampler:
         """Marks of edge pixels, see :func:`mark_edge_pixels`; the next call overwrites them."""
         first, second = layers.first.inverse_depth, layers.second.inverse_depth
         scale = np.float32(255.0 if picture.dtype.kind == "f" else 255.0 / np.iinfo(picture.dtype).max)
-        run_bands(
+        run_ranges(
             lambda begin, end: mark_edge_pixels(
                 first, second, picture, scale, MIN_CONTRAST_LEVELS, self._marks, begin, end
             ),

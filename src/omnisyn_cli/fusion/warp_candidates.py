@@ -25,7 +25,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import Quantization, quantization_for
 from omnisyn_cli.fusion.blend_rule import BlendOptions, LayerArrays
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, MAX_GAP, sqrt_inverse_depth
@@ -104,7 +104,7 @@ class WarpCandidates:
                 if max_of_row[max(above - 1, 0) : below + 2].any():
                     self._mix_tile(weights, picture[top:bottom], top, height, quantization)
 
-        run_bands(mix, -(-height // TILE_ROWS), threads)
+        run_ranges(mix, -(-height // TILE_ROWS), threads)
 
     def candidates(self, size: tuple[int, int]) -> Float32[np.ndarray, "4 height width 4"]:
         """RGB and alpha of all candidates, in the order of their weights, for a frame of ``size``."""
@@ -154,7 +154,7 @@ def make_warp_candidates(
     )
     channels = np.empty((CANDIDATE_CHANNELS, *(count // CANDIDATE_SCALE for count in hypotheses.shape[1:])), np.float32)
     average = partial(average_candidates, colours, np.stack(points[:2]), arrays, channels)
-    run_bands(average, channels.shape[1], threads)
+    run_ranges(average, channels.shape[1], threads)
     return WarpCandidates(channels, hypotheses, source_samplers)
 
 

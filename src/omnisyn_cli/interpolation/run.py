@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from omnisyn_cli.compute.stopwatch import Stopwatch
-from omnisyn_cli.compute.threads import limited_threads, run_bands
+from omnisyn_cli.compute.threads import limited_threads, run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.confidence import PairConfidence
 from omnisyn_cli.geometry.sphere import solid_angles
@@ -68,7 +68,7 @@ def samples_of(frame: Frame, kind: str, loader: Loader, threads: int | None) -> 
         if original is not None and str(original.dtype) == kind:
             return np.ascontiguousarray(original)
     samples, peak = np.empty(frame.image.shape, kind), np.float32(INTEGER_PEAKS[kind])
-    run_bands(lambda begin, end: quantize_rows(frame.image, peak, samples, begin, end), len(samples), threads)
+    run_ranges(lambda begin, end: quantize_rows(frame.image, peak, samples, begin, end), len(samples), threads)
     return samples
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_scale
 from omnisyn_cli.render.draw_kernels import Target
@@ -45,7 +45,7 @@ class Fragments:
 
 
 class Rasterizer:
-    """Rasterises into one target size. Its tables and its image are reused from frame to frame, by one thread at a time."""
+    """Rasterises into one target size. Tables and image are reused from frame to frame, by one caller at a time."""
 
     def __init__(self, size: tuple[int, int], threads: int | None = None) -> None:
         self.size, self.threads = size, threads
@@ -71,12 +71,12 @@ class Rasterizer:
         """
         pose, boxes = _rows_of(target_from_source), np.empty((len(quads.codes), 4), np.int32)
         if self.threads != 1:  # one thread draws all rows at once, and needs no culling by rows
-            run_bands(
+            run_ranges(
                 lambda begin, end: find_block_bounds(quads, pose, self._target, boxes, begin, end),
                 len(boxes),
                 self.threads,
             )
-        run_bands(
+        run_ranges(
             lambda begin, end: rasterize_blocks(quads, boxes, pose, self._target, face, begin, end),
             self.size[0],
             self.threads,

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Float32
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.render.reprojection_kernels import measure_occlusion
 from omnisyn_cli.render.shade import FULL_CONFIDENCE, Shader, source_view
@@ -50,7 +50,7 @@ class Reprojector:
             out = np.empty(inverse_depth.shape, np.float32)
             tables, view = DirectionTables.of_size(*inverse_depth.shape), source_view(target_from_source, 1.0)
             least = np.float32(min_inverse_depth)
-            run_bands(
+            run_ranges(
                 lambda begin, end: measure_occlusion(
                     inverse_depth, tables, view, self._inverse_depth, least, out, begin, end
                 ),

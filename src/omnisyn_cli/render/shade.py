@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Integer
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sampling import grid_subsample
 from omnisyn_cli.geometry.sphere import pixel_scale
@@ -80,7 +80,7 @@ class Shader:
             target_from_source: the transform.
         """
         shade_tile = self._tile_shader(confidence, texture, target_from_source)
-        run_bands(
+        run_ranges(
             lambda begin, end: shade_tile(inverse_depth, self._tables, self._image, begin, end),
             self.size[0],
             self.threads,
@@ -131,7 +131,7 @@ class Shader:
         sampled, tables = grid_subsample(inverse_depth, rows, cols), self._tables.of_rows(rows).of_cols(cols)
         out = np.empty((len(rows), len(cols), CHANNELS), np.float32)
         shade_tile = self._tile_shader(confidence, texture, target_from_source)
-        run_bands(lambda begin, end: shade_tile(sampled, tables, out, begin, end), len(rows), self.threads)
+        run_ranges(lambda begin, end: shade_tile(sampled, tables, out, begin, end), len(rows), self.threads)
         return out
 
     def shade_edges(

@@ -12,7 +12,7 @@ merged quad reach outwards by as much as the vertices along them lie outside (it
 import numpy as np
 from jaxtyping import Float, Integer
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.render.mesh import Mesh
 from omnisyn_cli.render.quad_blocks import CUT_EDGES, DIAGONAL, REMOVED, QuadBlocks, pack_quads
@@ -67,7 +67,7 @@ def simplify(
     """
     angle, tables = tolerance * np.pi / height, direction_tables(*mesh.size)
     rho, bounds, end_of_path = mesh.inverse_depth, np.empty(mesh.size, np.float32), np.asarray(path, np.float64)
-    run_bands(lambda begin, end: bound_errors(rho, tables, end_of_path, angle, bounds, begin, end), len(rho), threads)
+    run_ranges(lambda begin, end: bound_errors(rho, tables, end_of_path, angle, bounds, begin, end), len(rho), threads)
     marks = _merge(mesh, bounds, angle, tables, threads)
     parts = [_rectangles(mesh, marks, tables, float(np.linalg.norm(path)), threads), *_pieces(mesh, marks)]
     points, codes, gaps, orders = (np.concatenate(group) for group in zip(*parts, strict=True))
@@ -113,9 +113,9 @@ def _merge(
     """Marks of rectangles (:data:`HEIGHT_CODE`) whose inverse depths err by no more than ``bounds``."""
     rho = mesh.inverse_depth
     marks = np.where(mesh.quads & REMOVED, np.uint8(COVERED), np.uint8(0))
-    run_bands(lambda begin, end: mark_cuts(marks, mesh.quads, rho, bounds, begin, end), len(marks), threads)
+    run_ranges(lambda begin, end: mark_cuts(marks, mesh.quads, rho, bounds, begin, end), len(marks), threads)
     most = min(MAX_SIDE_LOG2, max(0, (mesh.size[1] // 8).bit_length() - 1))
-    run_bands(
+    run_ranges(
         lambda begin, end: merge_strips(marks, FlatnessTest(rho, bounds, tables, angle), most, begin, end),
         -(-len(marks) // (1 << most)),
         threads,
@@ -150,7 +150,7 @@ def _rectangles(
     gaps = np.zeros(len(row))
     merged = np.flatnonzero((height * width > 1) | ((mesh.quads[row, col] & CUT_EDGES) != 0))
     rectangles, found = np.stack([row, col, height, width], -1)[merged], np.empty(len(merged))
-    run_bands(
+    run_ranges(
         lambda begin, end: measure_gaps(mesh.inverse_depth, mesh.quads, tables, rectangles, reach, found, begin, end),
         len(merged),
         threads,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
 from omnisyn_cli.scenes.culling import cull_tile, tile_planes
@@ -151,7 +151,7 @@ def render_views(
     for position, image, depth in zip(np.asarray(positions, dtype=np.float64), images, depths, strict=True):
         world, bounds = seen_from(static, scene, position)
         kernel = partial(render_tiles, world, scene.photo_textures, bounds, rays, TILE_SIDES, (image, depth))
-        run_bands(kernel, -(-height // TILE_SIDES[0]), threads)
+        run_ranges(kernel, -(-height // TILE_SIDES[0]), threads)
     return images, depths
 
 

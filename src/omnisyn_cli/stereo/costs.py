@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt16, UInt64
 
 from omnisyn_cli.compute.jit import inlined, kernel
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.stereo.semi_global import FIXED_POINT_SCALE, MAX_COST, DisparityRange
 
 CENSUS_RADIUS = 3
@@ -66,7 +66,7 @@ def census_transform(luminance: Float[np.ndarray, "height width"]) -> UInt64[np.
     """Which of the 48 neighbours in 7×7 are brighter than each pixel, as bits; columns wrap, end rows repeat."""
     padded = np.pad(luminance, ((0, 0), (CENSUS_RADIUS, CENSUS_RADIUS)), mode="wrap").astype(np.float32, copy=False)
     signature = np.zeros(luminance.shape, np.uint64)
-    run_bands(partial(_census_rows, padded, signature), len(signature))
+    run_ranges(partial(_census_rows, padded, signature), len(signature))
     return signature
 
 
@@ -111,7 +111,7 @@ def cost_volume(
         np.empty(disparities.offsets[-1], np.uint16),
         ColourCost.from_truncation(colour_weight, colour_truncation),
     )
-    run_bands(
+    run_ranges(
         partial(_fill_cost_volume, own, other, disparities.lowest, disparities.offsets, colour, cost),
         len(disparities.lowest),
     )
@@ -162,10 +162,10 @@ def surface_cost(
     Where ``disparity`` (rows) is negative the surface is behind the camera: :data:`INVALID_COST`.
     """
     warped, seen = np.zeros_like(first), np.zeros(disparity.shape, np.bool_)
-    run_bands(partial(_warp_rows, second, second_usable, disparity, warped, seen), len(warped))
+    run_ranges(partial(_warp_rows, second, second_usable, disparity, warped, seen), len(warped))
     differing_bits = first_census ^ census_transform(luminance_of(warped))
     cost, colour = np.empty(disparity.shape, np.float32), ColourCost.from_truncation(colour_weight, colour_truncation)
-    run_bands(partial(_surface_cost_rows, first, warped, differing_bits, disparity, seen, colour, cost), len(cost))
+    run_ranges(partial(_surface_cost_rows, first, warped, differing_bits, disparity, seen, colour, cost), len(cost))
     return cost
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt16
 
 from omnisyn_cli.compute.jit import fast_kernel
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sweep import swap_cameras_in_epipole_frame
 from omnisyn_cli.geometry.tolerances import LEFT_RIGHT_TOLERANCE
 from omnisyn_cli.stereo.costs import cost_volume, luminance_of
@@ -192,7 +192,7 @@ def _is_left_right_consistent(
     """
     out = np.empty(disparity.shape, np.bool_)
     exchanged = swap_cameras_in_epipole_frame(other)
-    run_bands(partial(_check_left_right_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
+    run_ranges(partial(_check_left_right_rows, disparity, exchanged, tolerance, MAX_INTERPOLATED_STEP, out), len(out))
     return out
 
 

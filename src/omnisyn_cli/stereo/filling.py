@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from omnisyn_cli.compute.jit import inlined, kernel
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import filter_across_seam
 from omnisyn_cli.geometry.sphere import direction_tables, pixel_directions
 from omnisyn_cli.stereo.filling_kernels import fitted_values, normal_equations
@@ -135,8 +135,8 @@ def _edge_aware_mean(channels: np.ndarray, edges: tuple[np.ndarray, np.ndarray],
         sigma = math.sqrt(3.0) * 2.0 ** (FILTER_ITERATIONS - k - 1) / math.sqrt(4.0**FILTER_ITERATIONS - 1.0)
         decay = -math.sqrt(2.0) / sigma
         across, down = (np.exp(decay * distance).astype(np.float32) for distance in (distance_across, distance_down))
-        run_bands(partial(_filter_rows, channels, across), -(-height // FILTER_ROWS_PER_GROUP))
-        run_bands(partial(_filter_columns, channels, down), width)
+        run_ranges(partial(_filter_rows, channels, across), -(-height // FILTER_ROWS_PER_GROUP))
+        run_ranges(partial(_filter_columns, channels, down), width)
     return channels
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int64
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.sampling import add_border, filter_across_seam
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 
@@ -104,7 +104,7 @@ def joint_upsample(
     out = np.empty((height, width), np.float32)
     low, low_colours = (add_border(each, UPSAMPLE_RADIUS).astype(np.float32) for each in (inverse_depth, low_guide))
     rows, cols = UpsampleWindows.along_axis(height, low_height), UpsampleWindows.along_axis(width, low_width)
-    run_bands(partial(_upsample_rows, low, low_colours, guide.astype(np.float32), rows, cols, out), height)
+    run_ranges(partial(_upsample_rows, low, low_colours, guide.astype(np.float32), rows, cols, out), height)
     return out
 
 

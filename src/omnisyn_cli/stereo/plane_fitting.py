@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from omnisyn_cli.compute.jit import fast_kernel, kernel
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 
 PROPOSAL_WINDOW_SIDES = (12, 32, 64)
 """Side lengths in pixels of the square windows that propose one plane each; chosen by eye."""
@@ -115,7 +115,7 @@ def _inlier_matrix(
 ) -> Float32[np.ndarray, "points proposals"]:
     """1 where the proposal explains the point; float32, so that support is a fast matrix product."""
     out = np.empty((len(points.directions), len(proposals)), np.float32)
-    run_bands(partial(_mark_inliers, proposals, points, out), len(out))
+    run_ranges(partial(_mark_inliers, proposals, points, out), len(out))
     return out
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, Int64, UInt16
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 
 SEAM_WARM_UP_COLUMNS = 64
 """Columns that a horizontal path walks before it counts, so that the seam is no border; chosen by eye."""
@@ -130,8 +130,8 @@ def aggregate_costs(
     total = np.zeros(len(cost), np.uint16)
     for slope in (-1, 0, 1):
         for is_down in (True, False):
-            run_bands(partial(_aggregate_meridians, inputs, total, slope, is_down), -(-width // PATHS_PER_GROUP))
-    run_bands(partial(_aggregate_rows, inputs, total), height)
+            run_ranges(partial(_aggregate_meridians, inputs, total, slope, is_down), -(-width // PATHS_PER_GROUP))
+    run_ranges(partial(_aggregate_rows, inputs, total), height)
     return total
 
 
@@ -149,7 +149,7 @@ def winner_takes_all(
     shape = disparities.lowest.shape
     disparity, margin = np.empty(shape, np.float32), np.zeros(shape, np.float32)
     inputs = (total, disparities.lowest, disparities.offsets, is_complete_range)
-    run_bands(partial(_select_winners, *inputs, disparity, margin), len(disparity))
+    run_ranges(partial(_select_winners, *inputs, disparity, margin), len(disparity))
     return disparity, margin
 
 
@@ -167,7 +167,7 @@ def uniqueness_margin(
         disparity: one of each pixel's.
     """
     out = np.empty(disparity.shape, np.float32)
-    run_bands(partial(_measure_uniqueness, cost, disparities.lowest, disparities.offsets, disparity, out), len(out))
+    run_ranges(partial(_measure_uniqueness, cost, disparities.lowest, disparities.offsets, disparity, out), len(out))
     return out
 
 

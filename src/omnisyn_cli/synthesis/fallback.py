@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantization_for
 from omnisyn_cli.fusion.confidence import low_confidence_regions
 from omnisyn_cli.fusion.layer_pair import TILE_ROWS
@@ -62,4 +62,4 @@ class CrossFade:
                         np.minimum(mixed, quantization.max_colour) * quantization.scale + quantization.rounding
                     )
 
-        run_bands(band, len(image), self._threads)
+        run_ranges(band, len(image), self._threads)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float32
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.geometric import TILE_ROWS
 from omnisyn_cli.geometry.pose import Pose
@@ -92,7 +92,7 @@ def _turn_rows(image: np.ndarray, target_from_source: Pose, out: np.ndarray, thr
             colour = shader.rows_at_infinity(texture, target_from_source, top, bottom)
             quantize_rows(colour, np.float32(255.0), out[top:bottom], 0, bottom - top)
 
-    run_bands(band, len(out), threads)
+    run_ranges(band, len(out), threads)
 
 
 def turned_panorama(

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from omnisyn_cli.compute.threads import run_bands
+from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.fusion.photometry.exposure_curve import ExposureCurve, estimate_gain
 from omnisyn_cli.fusion.photometry.exposure_kernels import look_up_rows
 from omnisyn_cli.geometry.sphere import solid_angles
@@ -48,7 +48,7 @@ def equalized(first: View, second: View, curve: ExposureCurve, threads: int | No
 
 
 def _even_samples(view: View) -> Float[np.ndarray, "samples 3"]:
-    """Colours of the panorama, each standing for the same share of the sphere: rows repeat in proportion to their area."""
+    """Colours of the panorama, each of the same share of the sphere: rows repeat in proportion to their area."""
     image = cv2.resize(np.asarray(view.image, np.float32), SAMPLE_SIZE[::-1], interpolation=cv2.INTER_AREA)
     repeats = np.rint(10.0 * solid_angles(*SAMPLE_SIZE) / solid_angles(*SAMPLE_SIZE).max()).astype(np.intp)
     if view.mask is not None:
@@ -60,6 +60,6 @@ def _even_samples(view: View) -> Float[np.ndarray, "samples 3"]:
 
 def _expose(view: View, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
-    run_bands(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
+    run_ranges(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
     is_clipped = bool((_even_samples(view).max(axis=-1) >= CLIPPED_SRGB).mean() > MAX_CLIPPED_SHARE)
     return replace(view, image=image, image_uint8=None, is_clipped=is_clipped)

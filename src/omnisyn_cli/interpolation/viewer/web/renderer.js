@@ -193,7 +193,7 @@ class Renderer {
   }
 }
 
-// omnisyn_cli.fusion.rule.BlendRule.at
+// omnisyn_cli.fusion.blend_rule.BlendRule.at
 function ruleAt(t) {
   const x = Math.min(1, Math.min(t, 1 - t) / ENDS);
   return { t, hidden: HIDDEN ** (x * x * (3 - 2 * x)) };

@@ -139,7 +139,7 @@ vec3 bicubic(sampler2D image, vec2 place) {
 }
 
 vec3 colourOf(sampler2D image, vec2 place, float level) {
-  return level > SPECIAL ? textureLod(image, place, level).rgb : bicubic(image, place);
+  return level > MAX_FULL_RESOLUTION_LEVEL ? textureLod(image, place, level).rgb : bicubic(image, place);
 }
 
 float trustAt(sampler2D image, vec2 place) {
@@ -151,12 +151,12 @@ float trustAt(sampler2D image, vec2 place) {
 
 vec4 exposedBy(sampler2D gains, vec2 how, vec4 colour) {
   float brightest = max(colour.r, max(colour.g, colour.b));
-  float cutOff = clamp((brightest - CLIPPING) / (1.0 - CLIPPING), 0.0, 1.0);
+  float clipped = clamp((brightest - CLIPPING_SRGB) / (1.0 - CLIPPING_SRGB), 0.0, 1.0);
   for (int k = 0; k < 3; k++) {
     float stops = how.x * texture(gains, vec2((clamp(colour[k], 0.0, 1.0) * 255.0 + 0.5) / 256.0, 0.5))[k];
     colour[k] = min(stored(light(max(colour[k], 0.0)) * exp2(stops)), 1.0);
   }
-  return vec4(colour.rgb, colour.a * (1.0 - how.y * cutOff));
+  return vec4(colour.rgb, colour.a * (1.0 - how.y * clipped));
 }
 
 // Colour and weight of what a surface shows on a ray, at an inverse depth.
@@ -166,26 +166,26 @@ vec4 shaded(sampler2D photo, sampler2D usable, sampler2D trust, sampler2D gains,
   vec3 away = ray - rho * offset;
   vec2 place = placeOf(turn * away);
   float level = log2(angle / PI * float(textureSize(photo, 0).y) / max(length(away), 1e-10));
-  level = max((1.0 - FINER) * level, level - FINER);
+  level = max((1.0 - MIP_BIAS) * level, level - MIP_BIAS);
   vec4 colour = vec4(colourOf(photo, place, level), 1.0);
   if (has.y == 1) colour.a = textureLod(usable, place, max(level, 0.0)).r;
   if (has.z == 1) colour.a *= trustAt(trust, place);
   return has.w == 1 ? exposedBy(gains, how, colour) : colour;
 }
 
-float nearness(float rho, vec3 ray, vec3 offset) {
+float proximity(float rho, vec3 ray, vec3 offset) {
   vec3 away = ray - rho * offset;
   float squared = dot(away, away) + 1e-8;
   return 1.0 / (squared * sqrt(squared));
 }
 
-// The twin of omnisyn_cli.fusion.rule.view_weights.
+// The twin of omnisyn_cli.fusion.blend_rule.view_weights.
 vec2 viewWeights(vec2 weight, vec2 near, vec3 ray) {
-  float a = weight.x > MIN_VISIBLE_WEIGHT ? weight.x * nearness(near.x, ray, offset[0]) : 0.0;
-  float b = weight.y > MIN_VISIBLE_WEIGHT ? weight.y * nearness(near.y, ray, offset[1]) : 0.0;
+  float a = weight.x > MIN_VISIBLE_WEIGHT ? weight.x * proximity(near.x, ray, offset[0]) : 0.0;
+  float b = weight.y > MIN_VISIBLE_WEIGHT ? weight.y * proximity(near.y, ray, offset[1]) : 0.0;
   float gap = (near.x - near.y) / (max(near.x, near.y) * rule.y + 1e-9);
-  float believed = min(1.0, DEPTH_CONFIDENCE_GAIN * (gap > 0.0 ? weight.x : weight.y));
-  float rest = 1.0 - believed * (1.0 - max(exp(-min(gap * gap, 80.0)), rule.z));
+  float depthConfidence = min(1.0, DEPTH_CONFIDENCE_GAIN * (gap > 0.0 ? weight.x : weight.y));
+  float rest = 1.0 - depthConfidence * (1.0 - max(exp(-min(gap * gap, 80.0)), rule.z));
   if (min(a, b) <= 0.0) return vec2(a, b);
   return vec2(a * (1.0 - rule.x) * (gap < 0.0 ? rest : 1.0), b * rule.x * (gap < 0.0 ? 1.0 : rest));
 }
@@ -208,7 +208,7 @@ void main() {
   float total = weights.x + weights.y;
   if (!(total > 0.0)) { fused = vec4(0.0); return; }
   vec2 shares = weights / total;
-  float far = FAR_PREFERENCE / (dot(shares, near) + FAR_PREFERENCE);
+  float far = FAR_WEIGHT_OFFSET / (dot(shares, near) + FAR_WEIGHT_OFFSET);
   fused = vec4(max(shares.x * first.rgb + shares.y * second.rgb, 0.0), far);
 }
 `;
