@@ -231,7 +231,7 @@ class Layer:
 
 
 ColourStep = Callable[[Array, Array, int], None]
-"""Changes some rows of the colours of two layers in place. Arguments: colours of the first and second layer, first row."""
+"""Changes some rows of two layers' colours in place. Arguments: colours of the first and second layer, first row."""
 
 
 class KnownDepth:
@@ -269,6 +269,6 @@ class Fuser(Protocol):
                 next call may overwrite.
             confidence: if given, written: how reliable every pixel is, in [0, 1].
 
-        Callers pass ``out`` and ``confidence`` only if they need them, so a fuser without them may take three arguments.
+        Callers pass ``out`` and ``confidence`` only if they need them: a fuser without them may take three arguments.
         """
         ...

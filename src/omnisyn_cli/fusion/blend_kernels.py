@@ -47,7 +47,7 @@ class KernelRule(NamedTuple):
 
 
 class Quantization(NamedTuple):
-    """How colours >= 0 are written: ``min(colour, max_colour)·scale + rounding``, then truncated to the array's type."""
+    """How colours >= 0 are written: ``min(colour, max_colour)·scale + rounding``, truncated to the array's type."""
 
     max_colour: np.float32
     scale: np.float32
@@ -186,7 +186,7 @@ def blend_edge_pixels(first, second, rule, tables, edge_pixels, share, quantizat
         first: :class:`LayerRows` of the first view: ``(2, samples, 4)`` and ``(2, samples)``.
         second: of the second view.
         rule: :class:`KernelRule`.
-        tables: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size; only the polar angles are used.
+        tables: :class:`omnisyn_cli.types.DirectionTables` of a picture of twice the size; only rows are used.
         edge_pixels: :class:`omnisyn_cli.types.EdgePixels`.
         share: of the mean; the rest is what the pixel was.
         quantization: :class:`Quantization`.

@@ -18,8 +18,8 @@ def downsample_rows(colour, rho, coarse, coarse_rho, top, height):
     Args:
         colour: ``(rows, width, 4)`` RGB and weight; the rows are those of whole blocks.
         rho: inverse depth.
-        coarse: ``(coarse height, cols, 4)`` written: RGB in [0, 1] and the mean weight, unseen pixels counting as 0. All
-            of it is 0 where nothing is seen.
+        coarse: ``(coarse height, cols, 4)`` written: RGB in [0, 1] and the mean weight, unseen pixels counting as 0.
+            All of it is 0 where nothing is seen.
         coarse_rho: written; −1 where nothing is seen.
         top: row of the frame that the first row is.
         height: rows of the frame, at least as many as coarse ones.

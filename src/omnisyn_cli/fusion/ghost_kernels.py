@@ -1,4 +1,4 @@
-"""The pixel loops of ghost detection and suppression, in numba; twins of the array code in :mod:`omnisyn_cli.fusion.ghosts`."""
+"""The pixel loops of ghost removal, in numba; twins of the array code in :mod:`omnisyn_cli.fusion.ghosts`."""
 
 import numpy as np
 

@@ -20,7 +20,7 @@ TILE_COARSE_ROWS = 4
 
 
 class InputBuilder:
-    """Makes channels of one size from layers of at least :data:`CANDIDATE_SCALE` times that. Not shared between threads.
+    """Makes channels from layers of at least :data:`CANDIDATE_SCALE` times their size. Not shared between threads.
 
     Args:
         size: height and width of the channels.

@@ -10,7 +10,7 @@ Channels, in this order (``INPUT_CHANNELS`` of them, float32). Part 2 is in :mod
   more,
 * ``DEPTH_GAP``: normalised difference of inverse depth, over ``MAX_GAP``, in [−1, 1],
 * ``SEEN_MASKS``: 1 where the first, and where the second, shows anything (2),
-* ``RELEVANCE``: whether the choice between both layers matters, in [0, 1]: their colours differ, and their depths differ
+* ``RELEVANCE``: whether the choice between both layers matters, in [0, 1]: their colours differ, and their depths do
   nearby; 1 in holes,
 * ``PATH_POSITION``: 2t − 1,
 * ``LATITUDE``: 1 at the top of the frame, −1 at its bottom.

@@ -64,7 +64,7 @@ def working_size(
 
 
 class ResidualFuser(GeometricFuser):
-    """Blends two layers and corrects the frame; implements :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
+    """Blends two layers and corrects the frame; a :class:`omnisyn_cli.types.Fuser`. Not shared between threads.
 
     Args:
         size: height and width of the frames; below twice :data:`SIZE_MULTIPLE` rows the fusion is geometric.

@@ -1,4 +1,4 @@
-"""Dilation and box filter over square windows, for numpy arrays and torch tensors. Columns wrap, rows end at the poles."""
+"""Dilation and box filter over square windows, for numpy and torch. Columns wrap, rows end at the poles."""
 
 from collections.abc import Callable
 from functools import partial

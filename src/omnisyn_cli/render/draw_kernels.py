@@ -42,7 +42,7 @@ from omnisyn_cli.render.simd import LANES, broadcast, load, load_halves, pair, s
 from omnisyn_cli.render.trigonometry import atan2_fast
 
 MIN_SPAN_COLUMNS = 24
-"""Width of a box from which on spans are found: below, testing three vectors is cheaper than finding spans. Set by hand."""
+"""Width of a box from which on spans are found: below, testing three vectors is cheaper. Set by hand."""
 
 SPAN_ROWS = 64
 """Rows whose spans are found together, in vectorised loops. Set by hand."""

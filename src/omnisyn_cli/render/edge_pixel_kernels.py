@@ -139,7 +139,7 @@ def _draw_found(block, quads, found, target, edge_pixels, out):
 
 @inlined()
 def _range_of(edge_pixels, row, box):
-    """First edge pixel, and the one after the last, of a row of the target in the columns of a box, rounded to tiles."""
+    """First edge pixel, and the one after the last, of a target row in the columns of a box, rounded to tiles."""
     begins, at = edge_pixels.tile_begins, row - edge_pixels.top
     return begins[at, box.first_col // EDGE_TILE_COLUMNS], begins[at, box.last_col // EDGE_TILE_COLUMNS + 1]
 

@@ -141,7 +141,7 @@ class Mesh:
         return xp.reshape(xp.matmul(weights, corners[:, None, :, None]), (-1, 4))
 
     def _caps(self, vertices: Float[Array, "height width"]) -> list[Array]:
-        """Inverse depths of the caps: a smooth fan if no edge of the ring around the pole is cut, else one depth per wedge."""
+        """Inverse depths of the caps: a smooth fan if no edge around the pole is cut, else one depth per wedge."""
         xp, caps = array_namespace(vertices), []
         for row, edge in ((0, TOP), (-1, BOTTOM)):
             ring, following = vertices[row], xp.roll(vertices[row], -1)
@@ -193,7 +193,7 @@ class Mesh:
         return np.concatenate([quarters.ravel(), 4 * self.quads.size + np.arange(2 * self.size[1])])
 
     def face_numbers(self, drawn: Integer[np.ndarray, "*pixels"]) -> Integer[np.ndarray, "*pixels"]:
-        """Face numbers from what the rasteriser writes: twice the index in :attr:`blocks`, plus one for second triangles."""
+        """Face numbers from rasterised ones: twice the index in :attr:`blocks`, plus one for second triangles."""
         rows, width = self.quads.shape
         place, across = drawn >> 1, -(-width // BLOCK) * BLOCK
         whole = 4 * (place // across * width + place % across)
@@ -221,7 +221,7 @@ class Mesh:
         )  # fmt: skip
 
     def triangles(self) -> Triangles:
-        """Every face as an explicit triangle in the frame of the panorama, for the reference rasteriser and for export."""
+        """Every face as an explicit triangle in the panorama's frame, for the reference rasteriser and for export."""
         surface = self.surface
         face = (2 * surface.number[:, None] + [0, 1]).ravel()
         corner = surface.corner[:, TRIANGLES].reshape(-1, 3)

@@ -70,8 +70,8 @@ def _quarter_weights() -> tuple[np.ndarray, np.ndarray]:
 QUARTER_DIRECTIONS, QUARTER_INVERSE_DEPTHS = _quarter_weights()
 """Weights of the corners of a cut quad in the points of its quarters.
 
-``(quarter, point, corner)`` for directions, ``(flags of cut edges, quarter, point, corner)`` for inverse depths. A quarter
-is itself a quad, split from its first to its fourth point: its own corner, the middles of the edges after and before it
+``(quarter, point, corner)`` for directions, ``(cut edges, quarter, point, corner)`` for inverse depths. A quarter is
+itself a quad, split from its first to its fourth point: its own corner, the middles of the edges after and before it
 (clockwise), and the middle of the quad.
 """
 
@@ -112,7 +112,7 @@ NO_GAPS = np.empty(0, np.float32)
 
 
 def empty_blocks(count: int, shared_points: int = 0, shared_blocks: int = 0) -> QuadBlocks:
-    """Blocks for quads with points of their own, after points and blocks that the caller fills; all quads are removed."""
+    """Blocks for quads with own points, after points and blocks that the caller fills; all quads are removed."""
     blocks = -(-count // BLOCK)
     corners = np.empty((shared_blocks + blocks, 4), np.int64)
     corners[shared_blocks:] = shared_points + BLOCK * np.arange(4 * blocks).reshape(blocks, 4)

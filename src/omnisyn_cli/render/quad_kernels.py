@@ -7,9 +7,9 @@ The four points of a quad and its triangles::
     │     │
     2 ─── 3     one that is split from 2 to 1 is turned by 90° first: then 1, 3, 0, 2 are its corners
 
-A ray with ``r·cut >= 0`` can only hit triangle A, which has the left and the bottom edge; one with ``r·cut < 0`` only
-B, which has the right and the top edge. On either, the inverse depth is ``r·g``, because a plane is linear in the ray; g
-sums the edges, each weighted by the inverse depth of the opposite corner.
+A ray with ``r·cut >= 0`` can only hit triangle A, with the left and the bottom edge; one with ``r·cut < 0`` only B, with
+the right and the top edge. On either, the inverse depth is ``r·g``, because a plane is linear in the ray; g sums the
+edges, each weighted by the inverse depth of the opposite corner.
 
 Eight quads are set up at a time, in float64, and rounded to float32 once. Rays are tested in float32, eight neighbours
 at a time, against edges moved outwards by more than their rounding. So neighbouring quads overlap by half a microradian
@@ -53,8 +53,8 @@ UNREACHABLE_OFFSET = np.float32(-1e30)
 CUT, A_LEFT, A_OTHER, B_RIGHT, B_OTHER, A_PLANE, B_PLANE, PRECISION = (
     FIRST_FREE_ROW + k for k in (0, 4, 8, 12, 16, 20, 23, 26)
 )
-"""Rows of a block with the setups of its quads: edges (x, y, z, offset), planes (x, y, z), and in which precision a quad
-is drawn. ``OTHER`` is the bottom edge of A and the top edge of B."""
+"""Rows of a block with the setups of its quads: edges (x, y, z, offset), planes (x, y, z), precision of drawing.
+``OTHER`` is the bottom edge of A and the top edge of B."""
 
 BLOCK_ROWS = PRECISION + 1
 """All rows of a block."""
@@ -148,7 +148,7 @@ def _store(block, row, k, vector):
 
 @inlined()
 def _store_edge(block, row, k, edge, is_seen, gap, a, b):
-    """Write an edge between two points, moved outwards by rounding and a gap; edges of invisible triangles let no ray in."""
+    """Write an edge, moved outwards by rounding and a gap; edges of invisible triangles let no ray in."""
     length = _size((to_float32(b[0] - a[0]), to_float32(b[1] - a[1]), to_float32(b[2] - a[2])))
     outwards = broadcast(EDGE_OVERLAP_RADIANS) * _size(_store(block, row, k, edge)) + gap * length
     store(block[row + 3], k, where(is_seen, outwards, broadcast(UNREACHABLE_OFFSET)))

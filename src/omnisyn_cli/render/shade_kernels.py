@@ -49,10 +49,10 @@ HOLE, FULL_RESOLUTION = np.int32(-2), np.int32(-1)
 """How a pixel is read: not at all, or at full resolution; other pixels have the finer one of their two mip levels."""
 
 LEVEL_MARGIN = np.float32(1e-3)
-"""Keeps levels below the last one, so that there always is a coarser level to read as well; it gets no visible weight."""
+"""Keeps levels below the last one, so that a coarser one can always be read; it gets no visible weight."""
 
 LEVEL, Y, X, Z = 0, 1, 2, 3
-"""Rows of the scratch array of coordinates: mip level, texel row and column at full resolution, and one for directions."""
+"""Rows of the coordinates: mip level, texel row and column at full resolution, and one for directions."""
 
 
 class TextureArrays(NamedTuple):
@@ -280,7 +280,7 @@ def _find_coordinates(rho, sp, cp, sin_a, cos_a, view, layout, coordinates, mode
 
 @fast_kernel()
 def find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates):
-    """The direction ``Rᵀ(r − ρ·t)`` in which the source sees each pixel of a row, and its squared length as ``LEVEL``."""
+    """The direction ``Rᵀ(r − ρ·t)`` in which the source sees each pixel; its squared length as ``LEVEL``."""
     rotation, t = view.rotation, view.position
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -296,7 +296,7 @@ def find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates):
 
 @fast_kernel()
 def _find_texels(coordinates, layout, count):
-    """Texel rows and columns at full resolution of directions; two loops, so that the constants of each stay in registers."""
+    """Texel rows and columns at full resolution; two loops, so that the constants of each stay in registers."""
     scale, zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
     for col in range(count):
         dx, dz = coordinates[X, col], coordinates[Z, col]
@@ -410,7 +410,19 @@ def _find_bilinear(coordinates, level, stride, factors, full_weight, index, shar
 
 @inlined(fastmath=True)
 def _read_levels(texels, starts, strides, finer, index, shares, scales, confidences, flat):
-    """Trilinear reads, 2x2 texels of each of two mip levels, for some pixels of a run."""
+    """Trilinear reads, 2x2 texels of each of two mip levels, for some pixels of a run.
+
+    Args:
+        texels: of all levels.
+        starts: offset of each level.
+        strides: numbers per row of each level.
+        finer: the finer level; the other one is the next.
+        index: ``(2, pixels)`` first texel in both levels.
+        shares: bilinear weights in the finer level, and a run later in the other one.
+        scales: of :func:`_scales`.
+        confidences: of the pixels.
+        flat: the pixels, written.
+    """
     scale, shift, _, _ = scales
     start, next_start, stride, next_stride = starts[finer], starts[finer + 1], strides[finer], strides[finer + 1]
     for k in range(len(confidences)):

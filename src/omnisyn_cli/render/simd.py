@@ -1,7 +1,7 @@
 """Eight numbers as one value in a kernel, for loops that the compiler cannot vectorise by itself.
 
-A rasteriser's inner loop is short, conditional and writes where it reads, and compilers leave such loops scalar. Here
-one value holds eight neighbouring pixels or quads, which LLVM maps to the vectors of the processor. Vectors are of float32,
+A rasteriser's inner loop is short, conditional and writes where it reads; compilers leave such loops scalar. Here one
+value holds eight neighbouring pixels or quads, which LLVM maps to the vectors of the processor. Vectors are of float32,
 float64 or int32; ``+``, ``-``, ``*``, ``/`` take two of one kind of floats. A product and a sum become one instruction
 where there is one. Comparisons give masks for :func:`where`. No access checks bounds. After a change here the compiled
 kernels of other modules are stale: delete ``__pycache__``.

@@ -27,8 +27,8 @@ HEIGHT_CODE = 16
 def bound_errors(rho, tables, path, tolerance, bounds, begin, end):
     """Write by how much the inverse depth of each vertex of some rows may err; −1 where there is no surface.
 
-    A point d/ρ seen from ``τ·path`` lies along ``d − ρτ·path``. Its direction turns by at most ``τ|path| / |d − ρτ·path|²``
-    for each unit of ρ, which is greatest at ``τ = 1/(ρ|path|)`` or at the end of the path.
+    A point d/ρ seen from ``τ·path`` lies along ``d − ρτ·path``. For each unit of ρ its direction turns by at most
+    ``τ|path| / |d − ρτ·path|²``, which is greatest at ``τ = 1/(ρ|path|)`` or at the end of the path.
 
     Args:
         rho: ``(height, width)`` inverse depth of the vertices.

@@ -45,7 +45,7 @@ MIN_USABLE_SHARE = 0.01
 """Share of all samples that has to be usable. Set by hand."""
 
 SMOOTHNESS_WEIGHT = 0.02
-"""Weight of a step between knots, as a share of all samples: knots without samples follow their neighbours. Set by hand."""
+"""Weight of a step between knots, as a share of all samples: empty knots follow their neighbours. Set by hand."""
 
 MAX_UNEXPLAINED_SHARE = 0.9
 """Share of the typical difference that a curve may leave; above it the pictures differ in other ways. Set by hand."""
@@ -104,7 +104,7 @@ class ExposureCurve:
 
     def gains_at(self, srgb: Float[np.ndarray, " values"], *, of_second: bool) -> Float[np.ndarray, "3 values"]:
         """The gain in stops at places where one picture shows these values."""
-        # Constant beyond the outer knots. A value is its level ± half of the gain, so that is what is interpolated over.
+        # Constant beyond the outer knots. A value is its level ± half of the gain: interpolate over that.
         level = np.concatenate([[KNOTS[0] - 60.0], KNOTS, [KNOTS[-1] + 60.0]])
         changes = np.concatenate([self.gain[:, :1], self.gain, self.gain[:, -1:]], axis=1)
         own = 0.5 if of_second else -0.5
@@ -195,7 +195,7 @@ def _fit_channel(first: np.ndarray, second: np.ndarray, weight: np.ndarray) -> _
 
 
 def _mean_magnitude(stops: np.ndarray, weight: np.ndarray) -> float:
-    """A clipped mean: a median would ignore half of the samples if there are two kinds, a plain mean trusts outliers."""
+    """A clipped mean: a median would ignore the smaller of two kinds of samples, a plain mean trusts outliers."""
     return float(np.average(np.minimum(np.abs(stops), OUTLIER_STOPS), weights=weight))
 
 
@@ -223,7 +223,7 @@ def _median_gains(
 
 
 def _smooth_fit(level: np.ndarray, median: np.ndarray, share: np.ndarray) -> Float[np.ndarray, " knots"]:
-    """Least squares for the gain at the knots, with a penalty on steps between neighbours (a smoothing spline of degree 1)."""
+    """Least squares for the gain at the knots, with a penalty on steps (a smoothing spline of degree 1)."""
     hats = np.stack([np.interp(level, KNOTS, unit) for unit in np.eye(len(KNOTS))], axis=1)
     steps = np.diff(np.eye(len(KNOTS)), axis=0)
     left = hats.T @ (share[:, None] * hats) + SMOOTHNESS_WEIGHT * steps.T @ steps

@@ -17,10 +17,10 @@ __all__ = ["CLIPPING_SRGB", "MAX_CLIPPED_WEIGHT_LOSS"]
 Array = Any  # numpy.ndarray or torch.Tensor
 
 CLIPPING_SRGB = np.float32(0.94)
-"""sRGB value from which on a channel may be clipped: interpolation mixes the white with its surroundings. Set by hand."""
+"""sRGB value from which on a channel may be clipped: interpolation mixes white with what is near. Set by hand."""
 
 MAX_CLIPPED_WEIGHT_LOSS = 0.95
-"""Share of its weight that a clipped colour may lose; the rest is for where the other layer sees nothing. Set by hand."""
+"""Share of its weight that a clipped colour may lose; the rest fills where only it is seen. Set by hand."""
 
 
 def _exposure_change(table: np.ndarray, loss: np.float32) -> Callable[[np.ndarray], None]:

@@ -41,10 +41,10 @@ RULES: Mapping[str, float] = {
     "HIDDEN": BlendOptions.hidden,
     "ENDS": BlendOptions.ends,
     "FAR_WEIGHT_OFFSET": FAR_WEIGHT_OFFSET,
-    "FINER": float(MIP_BIAS),
-    "SPECIAL": float(MAX_FULL_RESOLUTION_LEVEL),
-    "CLIPPING": float(CLIPPING_SRGB),
-    "MOST_LOSS": MAX_CLIPPED_WEIGHT_LOSS,
+    "MIP_BIAS": float(MIP_BIAS),
+    "MAX_FULL_RESOLUTION_LEVEL": float(MAX_FULL_RESOLUTION_LEVEL),
+    "CLIPPING_SRGB": float(CLIPPING_SRGB),
+    "MAX_CLIPPED_WEIGHT_LOSS": MAX_CLIPPED_WEIGHT_LOSS,
     "NEAR": 0.02,
 }
 """Numbers of the program's own rules that shaders and scripts take from here. ``NEAR``: metres before the eye."""
