@@ -28,6 +28,7 @@ MAX_CACHED_PANORAMAS = 3
 """Two for the pair at work, one that it shares with the next pair."""
 
 MAX_CACHED_DEPTHS = 4
+"""Pairs whose depth a worker keeps."""
 
 T = TypeVar("T")
 

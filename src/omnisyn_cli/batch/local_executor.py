@@ -17,6 +17,7 @@ from omnisyn_cli.batch.executor import Job, Report, Work, Worker
 __all__ = ["end_with_parent"]
 
 SHUTDOWN_TIMEOUT_SECONDS = 10
+"""That a worker has to finish after its connection is closed; then it is killed."""
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

@@ -32,10 +32,8 @@ PLOT_TITLES = {
     "reliability": "Reliability of depth: the share within 10 % (full) and 5 % (dotted) by confidence",
 }
 
-FIGURE_WIDTH = 6.4
-FIGURE_HEIGHT = 3.8
-LEGEND_LINE_HEIGHT = 0.22
-"""Inches; the writing is large enough for a telephone."""
+FIGURE_WIDTH, FIGURE_HEIGHT, LEGEND_LINE_HEIGHT = 6.4, 3.8, 0.22
+"""Inches; text stays readable on a telephone."""
 
 LEGEND_COLUMNS = 3
 
@@ -47,7 +45,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#0
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 MAX_POINTS = 2000
-"""Single frames are drawn only up to this many; beyond, the means say it better."""
+"""Frames up to which single points are drawn; more would hide the means."""
 
 
 def report_plots(records: Sequence[UnitRecord]) -> dict[str, bytes]:

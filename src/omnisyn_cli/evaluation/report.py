@@ -42,9 +42,8 @@ FRAMES_PER_METHOD = 4
 MAX_PANORAMAS = 8
 """The panoramas whose depth is shown."""
 
-THUMBNAIL_WIDTH = 512
-THUMBNAIL_JPEG_QUALITY = 78
-"""Of the JPEG files inside the page; the full pictures stay in the folder."""
+THUMBNAIL_WIDTH, THUMBNAIL_JPEG_QUALITY = 512, 78
+"""Columns and JPEG quality of the pictures inside the page; the full ones stay in the folder."""
 
 FRAME_CAPTIONS = {"truth": "true frame", "frame": "synthesised", "error": "error", "kinds": "error by kind"}
 

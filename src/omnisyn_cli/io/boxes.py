@@ -145,7 +145,7 @@ def shift_offsets(path: Path, movie: Box, new_offset: Callable[[int], int], *, w
 
 def _moved_table(path: Path, box: Box, new_offset: Callable[[int], int], *, wide: bool) -> Box:
     letter, width = ("I", 4) if box.kind == b"stco" else ("Q", 8)
-    count = int.from_bytes(box.head[4:8], "big")
+    count = int.from_bytes(box.head[4:8], "big")  # after version and flags
     if len(box.head) < 8 + count * width:
         raise broken_file_error(path, "a truncated table of chunk offsets")
     offsets = [new_offset(offset) for offset in struct.unpack_from(f">{count}{letter}", box.head, 8)]
@@ -155,7 +155,7 @@ def _moved_table(path: Path, box: Box, new_offset: Callable[[int], int], *, wide
 
 def _header(data: bytes) -> tuple[bytes, int, int]:
     """Kind, bytes before the content, and size of the box that begins with up to 16 bytes of ``data``."""
-    size, kind = struct.unpack_from(">I4s", data)
+    size, kind = struct.unpack_from(">I4s", data)  # size 1: 64 bits of size follow; 0: up to the end of the file
     return (kind, 8, size) if size != 1 or len(data) < 16 else (kind, 16, *struct.unpack_from(">Q", data, 8))
 
 
@@ -185,7 +185,7 @@ def _opened(path: Path, box: Box, *, is_video: bool = False) -> Box:
     opened = children_of(path, box.head)
     if box.kind == b"mdia":
         handler = child(opened, b"hdlr")
-        is_video = handler is not None and handler.head[8:12] == b"vide"
+        is_video = handler is not None and handler.head[8:12] == b"vide"  # after version, flags and a reserved field
     inner = OPENED_CHILD[box.kind]
     children = tuple(
         _opened(path, each, is_video=is_video) if each.kind == inner else each for each in opened.children or ()

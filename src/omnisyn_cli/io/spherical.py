@@ -51,6 +51,7 @@ STEREO_MODES = {0: "mono", 1: "top-bottom", 2: "left-right"}
 PROJECTIONS = {b"equi": "equirectangular", b"cbmp": "cubemap", b"mshp": "mesh"}
 
 COPY_BLOCK_BYTES = 4 << 20
+"""Media data are copied in blocks of this size."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +132,12 @@ def _tagged(box: Box) -> Box:
 
 def _tagged_entry(entry: Box) -> Box:
     others = (box for box in entry.children or () if box.kind not in (b"st3d", b"sv3d"))
+    # full boxes begin with version and flags, four zeros
     header = Box(b"svhd", bytes(4) + SOFTWARE.encode() + b"\0")
-    orientation = Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))
-    whole_sphere = Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))
+    orientation = Box(b"prhd", bytes(4) + struct.pack(">iii", 0, 0, 0))  # yaw, pitch, roll, 16.16 fixed point
+    whole_sphere = Box(b"equi", bytes(4) + struct.pack(">IIII", 0, 0, 0, 0))  # top, bottom, left, right: uncropped
     projection = Box(b"sv3d", b"", (header, Box(b"proj", b"", (orientation, whole_sphere))))
-    return replace(entry, children=(*others, Box(b"st3d", bytes(4) + b"\0"), projection))
+    return replace(entry, children=(*others, Box(b"st3d", bytes(4) + b"\0"), projection))  # stereo mode 0: mono
 
 
 def _is_wide(boxes: tuple[FileBox, ...], movie: Box) -> bool:

@@ -69,7 +69,7 @@ def fractal_noise(lattice, x, y, seed, footprint, octaves):  # type: ignore[no-u
             break
         total += amplitude * visible * (smooth_noise(lattice, x * frequency, y * frequency, seed + octave) - 0.5)
         amplitude *= 0.62
-        frequency *= 2.13
+        frequency *= 2.13  # no power of two, so that the octaves do not repeat together
     return total
 
 

@@ -188,7 +188,7 @@ def shade(world, photos, hit, t, direction, pixel, sample):  # type: ignore[no-u
     facing = -(nx * x + ny * y + nz * z)
     if facing < 0.0:
         nx, ny, nz, facing = -nx, -ny, -nz, -facing
-    footprint = t * pixel / math.sqrt(max(facing, 0.01))
+    footprint = t * pixel / math.sqrt(max(facing, 0.01))  # mean of both sides of the slanted sample
     point = FacePoint(u, v, hu, hv, qx, qy, qz, variation)
     second, third, lightness, gloss, glow = pattern_at(material, world.noise, point, footprint)
     cr, cg, cb = material[FIRST], material[FIRST + 1], material[FIRST + 2]
@@ -210,7 +210,7 @@ def shade(world, photos, hit, t, direction, pixel, sample):  # type: ignore[no-u
     gloss *= material[GLOSS]
     if gloss > 0.0:
         rx, ry, rz = x + 2.0 * facing * nx, y + 2.0 * facing * ny, z + 2.0 * facing * nz
-        weight = gloss * (0.08 + 0.7 * (1.0 - facing) ** 3)
+        weight = gloss * (0.08 + 0.7 * (1.0 - facing) ** 3)  # as Fresnel: hardly any from above, most at grazing angles
         above = min(1.0, max(0.0, 0.5 + 2.0 * ry))
         shine = max(0.0, rx * s[sun] + ry * s[sun + 1] + rz * s[sun + 2]) ** 64 * 0.6 * gloss * sunlit
         r += weight * (s[BELOW] + (s[ABOVE] * 1.3 - s[BELOW]) * above - r) + shine * s[SUN]

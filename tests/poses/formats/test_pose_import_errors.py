@@ -69,7 +69,7 @@ DOCUMENTS: dict[str, tuple[Any, str]] = {
     ),
     "applied mirror": (
         {"frames": [{"file_path": "a", "transform_matrix": EYE}], "applied_transform": np.diag([1, 1, -1, 1]).tolist()},
-        r"applied_transform: expected a rotation with a scale, got determinant -1",
+        r"applied_transform: expected a scaled rotation, got determinant -1",
     ),
     "shots camera": ([{"cameras": {}, "shots": {"a": SHOT}}], r"shots\.'a'\.camera: .*got 'c'"),
     "shots vector": ([{"cameras": SPHERICAL, "shots": {"a": {**SHOT, "rotation": [0]}}}], r"shots\.a\.rotation"),

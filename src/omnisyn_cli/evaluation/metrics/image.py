@@ -17,8 +17,9 @@ Picture = Float[np.ndarray, "height width 3"]
 
 PEAK = 1.0
 
-WINDOW = 11
-SIGMA = 1.5
+SSIM_WINDOW = 11
+"""Pixels along the side of the Gaussian window (Wang et al., 2004)."""
+SSIM_SIGMA = 1.5
 """Pixels: the Gaussian window of Wang et al., 2004."""
 
 LUMINANCE_FLOOR = (0.01 * PEAK) ** 2
@@ -67,7 +68,7 @@ def ws_ssim(image: Picture, truth: Picture) -> float:
     panoramic video, 2018; continued over the borders instead of cropped.
     """
     _check_window(image, truth)
-    return mean_over_sphere(_similarity(add_border(image, WINDOW // 2), add_border(truth, WINDOW // 2)))
+    return mean_over_sphere(_similarity(add_border(image, SSIM_WINDOW // 2), add_border(truth, SSIM_WINDOW // 2)))
 
 
 def lrce(image: Picture, truth: Picture) -> float:
@@ -92,9 +93,11 @@ def check_same_size(image: np.ndarray, truth: np.ndarray) -> None:
 
 def _check_window(image: np.ndarray, truth: np.ndarray) -> None:
     check_same_size(image, truth)
-    if min(image.shape[:2]) < WINDOW:
+    if min(image.shape[:2]) < SSIM_WINDOW:
         height, width = image.shape[:2]
-        raise ValueError(f"expected pictures of at least {WINDOW}×{WINDOW} pixels, got {width}×{height}; use PSNR")
+        raise ValueError(
+            f"expected pictures of at least {SSIM_WINDOW}×{SSIM_WINDOW} pixels, got {width}×{height}; use PSNR"
+        )
 
 
 def squared_error(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "height width 3"]:
@@ -120,5 +123,5 @@ def _similarity(image: np.ndarray, truth: np.ndarray) -> Float[np.ndarray, "inne
 
 def _blurred(values: np.ndarray) -> np.ndarray:
     """Means under the Gaussian window wherever it fits."""
-    reach = WINDOW // 2
-    return np.asarray(cv2.GaussianBlur(values, (WINDOW, WINDOW), SIGMA))[reach:-reach, reach:-reach]
+    reach = SSIM_WINDOW // 2
+    return np.asarray(cv2.GaussianBlur(values, (SSIM_WINDOW, SSIM_WINDOW), SSIM_SIGMA))[reach:-reach, reach:-reach]

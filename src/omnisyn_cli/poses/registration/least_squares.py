@@ -72,6 +72,7 @@ def direction_error(pose: Pose, truth: Pose) -> float:
 
 
 MAX_ITERATIONS = 20
+"""Of Levenberg and Marquardt; the search usually ends earlier by :data:`MIN_STEP`."""
 
 MIN_STEP = 1e-8
 """Radians: smaller steps end the search."""

@@ -219,6 +219,7 @@ def _essential_hypotheses(matches: Matches, scale: float) -> Float[np.ndarray, "
         order = np.argsort(costs, kind="stable")[:REFINED_HYPOTHESES]
         best, costs = best[order], costs[order]
         share = 1.0 - costs[0] / len(matches) if len(costs) else 0.0
+        # samples until one of five right matches was drawn with that probability (Fischler and Bolles)
         needed = np.log(1.0 - CONFIDENCE) / np.log1p(-min(max(share, 1e-3) ** 5, 1.0 - 1e-9))
     return best
 

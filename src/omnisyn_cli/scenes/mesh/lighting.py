@@ -67,7 +67,7 @@ class Lighting:
         light = SMALLEST + total / weight[:, None]
         for lamp, colour in zip(self.lamps, self.lamp_light, strict=True):
             light += self._lamp(caster, starts, normals, lamp)[:, None] * colour
-        return light
+        return np.asarray(light)
 
     @staticmethod
     def _lamp(caster: MeshCaster, starts: np.ndarray, normals: np.ndarray, lamp: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ class Lighting:
         if len(facing):
             is_free = caster.distances(starts[facing], to_lamp[facing]) > distance[facing] - 0.03
             light[facing] = cosine[facing] * is_free / (0.3 + distance[facing] ** 2)
-        return light
+        return np.asarray(light)
 
     def background(self, directions: Float[np.ndarray, "rays 3"]) -> Float[np.ndarray, "rays 3"]:
         """Colours (sRGB in [0, 1]) where nothing is."""

@@ -98,7 +98,7 @@ def find_line(
     """
     for _ in range(ATTEMPTS if places else 0):
         place = places[rng.integers(len(places))]
-        length = min(place.median * math.exp(rng.uniform(*map(math.log, BASELINES))), LONGEST_WALK)
+        length = min(place.median * float(np.exp(rng.uniform(*np.log(BASELINES)))), LONGEST_WALK)
         heading, rise = rng.uniform(0.0, 2.0 * math.pi), rng.normal(0.0, 0.05)
         step = np.array([math.cos(heading), rise, math.sin(heading)])
         step /= np.linalg.norm(step)
