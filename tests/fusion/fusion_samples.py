@@ -7,7 +7,7 @@ import numpy as np
 from omnisyn_cli.types import Layer, SourceSampler
 
 
-def plain_witness(colour: float = 0.5) -> SourceSampler:
+def plain_sampler(colour: float = 0.5) -> SourceSampler:
     """A photograph of one colour, whose surface is wherever somebody supposes it."""
 
     def paint(points: np.ndarray, top: int, out: np.ndarray) -> None:
@@ -22,5 +22,5 @@ def plain_witness(colour: float = 0.5) -> SourceSampler:
 
 
 def asked(view: Layer, colour: float = 0.5) -> Layer:
-    """With such a witness."""
-    return replace(view, source_sampler=plain_witness(colour))
+    """With such a sampler."""
+    return replace(view, source_sampler=plain_sampler(colour))

@@ -71,7 +71,7 @@ def test_a_mask_at_the_photograph_s_resolution_takes_trust_away(name):
 
 
 @everywhere
-def test_confidence_becomes_trust(name):
+def test_confidence_becomes_weight(name):
     confidence = np.full((16, 32), 0.5, np.float32)
     confidence[:, :16] = 0.0
     colour = make_renderer(name, picture(32, 64), None, smooth(16, 32), confidence, (32, 64), WHOLE)(
@@ -83,7 +83,7 @@ def test_confidence_becomes_trust(name):
 
 @everywhere
 @pytest.mark.parametrize(("confidence", "worth"), [(0.5, 0.5), (0.0, MIN_CONFIDENCE)])
-def test_confidence_becomes_trust_up_to_the_poles_and_never_nothing(name, confidence, worth):
+def test_confidence_becomes_weight_up_to_the_poles_and_never_nothing(name, confidence, worth):
     sure = np.full((16, 32), confidence, np.float32)
     renderer = make_renderer(name, picture(32, 64), None, smooth(16, 32), sure, (64, 128), WHOLE)
     inverse_depth, colour = seen(renderer, Pose.identity())

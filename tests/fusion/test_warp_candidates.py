@@ -1,10 +1,10 @@
-"""A second look at the photographs: which surfaces are supposed, what is told of them, how candidates are mixed in."""
+"""Warp candidates: their depth hypotheses, their channels, and how they are mixed in."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from fusion_samples import plain_witness
+from fusion_samples import plain_sampler
 
 from omnisyn_cli.fusion.blend_rule import LayerArrays
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS
@@ -56,7 +56,7 @@ def test_planes_say_what_the_photographs_show():
     ]
     source_samplers = [
         SourceSampler(plain.sample_rows, plain.sample, gap)
-        for plain, gap in zip((plain_witness(0.25), plain_witness(0.75)), gaps, strict=True)
+        for plain, gap in zip((plain_sampler(0.25), plain_sampler(0.75)), gaps, strict=True)
     ]
     half_seen = np.where(np.arange(64) < 32, 0.2, -1.0)
     candidates = make_warp_candidates(
@@ -117,10 +117,10 @@ def test_planes_are_means_over_blocks_of_what_is_seen(threads):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.uint8])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_points_are_those_of_the_supposed_surfaces_and_masked_photographs_have_no_share(dtype, threads):
+def test_points_are_those_of_the_hypotheses_and_masked_photographs_have_no_share(dtype, threads):
     """The first photograph answers with the inverse depth it is asked about, the second one has nothing to show."""
     rng, size = np.random.default_rng(0), (128, 256)
-    supposed = rng.random((2, 64, 128), np.float32)
+    hypotheses = rng.random((2, 64, 128), np.float32)
 
     def tell(points, top, out):
         out[..., :3] = np.maximum(points, 0)[..., None]
@@ -136,9 +136,9 @@ def test_points_are_those_of_the_supposed_surfaces_and_masked_photographs_have_n
     shares[0, :16], shares[2, 16:], shares[3] = 0.5, 0.25, 0.5
     image = np.full((*size, 3), 0.5, np.float32)
     image = image if dtype == np.float32 else np.rint(255 * image).astype(np.uint8)
-    WarpCandidates(np.empty(0), supposed, source_samplers).mix_in(shares, image, threads)
+    WarpCandidates(np.empty(0), hypotheses, source_samplers).mix_in(shares, image, threads)
     found = image if dtype == np.float32 else image / 255
-    wide = supposed.repeat(2, 1).repeat(2, 2)[..., None]
+    wide = hypotheses.repeat(2, 1).repeat(2, 2)[..., None]
     for rows, share, which in ((np.s_[:60], 0.5, 0), (np.s_[68:], 0.25, 1)):
         expected = np.broadcast_to((1 - share) * 0.5 + share * wide[which], (*size, 3))
         np.testing.assert_allclose(found[rows], expected[rows], atol=1e-5 if dtype == np.float32 else 1.01 / 255)
@@ -153,9 +153,9 @@ def test_candidates_are_both_photographs_at_both_surfaces():
 
         return SourceSampler(paint, lambda points: points, lambda points, least: points)
 
-    supposed = np.random.default_rng(0).random((2, 32, 64), np.float32)
-    found = WarpCandidates(np.empty(0), supposed, (tell(1.0), tell(2.0))).candidates((64, 128))
-    wide = supposed.repeat(2, 1).repeat(2, 2)
+    hypotheses = np.random.default_rng(0).random((2, 32, 64), np.float32)
+    found = WarpCandidates(np.empty(0), hypotheses, (tell(1.0), tell(2.0))).candidates((64, 128))
+    wide = hypotheses.repeat(2, 1).repeat(2, 2)
     for candidate, (surface, factor) in zip(found, ((0, 1), (0, 2), (1, 1), (1, 2)), strict=True):
         np.testing.assert_allclose(candidate[..., 0], factor * wide[surface], rtol=1e-6)
 
@@ -165,7 +165,7 @@ def test_photographs_are_asked_in_the_exposure_of_the_frame():
     colour = np.float32([0.5, 0.5, 0.5, 1.0]) * np.ones((*SIZE, 1), np.float32)
     views = [
         replace(
-            Layer.from_arrays(np.zeros(SIZE, np.float32), colour, Pose.identity()), source_sampler=plain_witness(0.5)
+            Layer.from_arrays(np.zeros(SIZE, np.float32), colour, Pose.identity()), source_sampler=plain_sampler(0.5)
         )
         for _ in range(2)
     ]

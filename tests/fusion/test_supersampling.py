@@ -74,7 +74,7 @@ def test_edges_come_closer_to_the_truth() -> None:
     assert errors[0] < 0.6 * errors[1]
 
 
-def test_spots_are_where_surfaces_jump_and_colours_differ() -> None:
+def test_edge_pixels_are_where_surfaces_jump_and_colours_differ() -> None:
     picture = fused(VIEWS, SIZE, edges=False)
     jumps = np.zeros(SIZE, bool)
     for view in VIEWS:
@@ -143,7 +143,7 @@ def test_what_is_suppressed_is_suppressed_in_samples() -> None:
 
 
 def test_where_a_view_does_not_jump_its_samples_lie_on_its_plane() -> None:
-    """The other one jumps, so pixels are spots; a hole of this one stays a hole."""
+    """The other one jumps, so there are edge pixels; a hole of this one stays a hole."""
     row, col = (np.arange(n, dtype=np.float32) for n in SIZE)
     plane = 0.3 + 0.0002 * col[None, :] + 0.0005 * row[:, None]
     steps = np.where((np.arange(SIZE[1]) // 8 % 2 == 0)[None, :], 0.2, 0.5) * np.ones((SIZE[0], 1))
@@ -160,6 +160,6 @@ def test_where_a_view_does_not_jump_its_samples_lie_on_its_plane() -> None:
         there = np.repeat(inner, 2)
         np.testing.assert_allclose(known.inverse_depth[half, there], expected[there], atol=2e-6)
     assert (known.unknown_counts == 0).all()
-    assert (sought.inverse_depth == -1.0).all(), "its jumps are what makes them spots"
+    assert (sought.inverse_depth == -1.0).all(), "its jumps make them edge pixels"
     assert (np.diff(sought.unknown_counts, axis=1) >= 0).all()
     assert sought.unknown_counts[:, -1].sum() == (sought.cols >= 0).sum(), "all of them are counted"

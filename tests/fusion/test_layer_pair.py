@@ -18,7 +18,7 @@ RED = (0.9, 0.1, 0.1)
 
 
 def rendering(seed: int, size: tuple[int, int], offset: float) -> Layer:
-    """Smooth colours and distances, a trust that varies, a hole, and a red thing that is there for one view only."""
+    """Smooth colours and distances, confidence that varies, a hole, and a red thing that is there for one view only."""
     rng, (height, width) = np.random.default_rng(seed), size
     row, col = np.mgrid[0:height, 0:width].astype(np.float32)
     waves = [np.sin(k * col * (2 * np.pi / width) + 11 * row / height) for k in (3, 5, 8)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from test_network_fuser import copy, geometric, pair
+from test_residual_fuser import copy, geometric, pair
 
 from omnisyn_cli.baselines import direct_fuser
 from omnisyn_cli.baselines.direct_fuser import SIZE_MULTIPLE, DirectFuser
@@ -18,7 +18,7 @@ from omnisyn_cli.training.fusion_losses import inputs_of
 from omnisyn_cli.types import Layer
 
 
-class Painter:
+class RecordingNetwork:
     """Stands in for the network: answers with a picture, or with the first view; remembers what it was shown."""
 
     def __init__(self, picture=None):
@@ -29,29 +29,29 @@ class Painter:
         return planes[:3].copy() if self.picture is None else self.picture
 
 
-def paint(views, painter, t=0.5, threads=1):
+def predict(views, network, t=0.5, threads=1):
     size = views[0].inverse_depth.shape
-    return DirectFuser(size, painter, threads)(*map(copy, views), t).copy()
+    return DirectFuser(size, network, threads)(*map(copy, views), t).copy()
 
 
 @pytest.mark.parametrize(("size", "most"), [((64, 128), 1024), ((128, 256), 64), ((100, 200), 1024)])
 def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     """Against the planes that training takes from a pool, which another module makes."""
     monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", most)
-    views, painter = pair(size), Painter()
-    paint(views, painter)
+    views, network = pair(size), RecordingNetwork()
+    predict(views, network)
     first, second = downsampled_pair(LayerPair(*views), (64, 128), RowTileRunner(size, 1))
     rule = BlendRule.at(0.5, BlendOptions())
     recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
     assert len(recorded) == INPUT_CHANNELS
     expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
-    np.testing.assert_array_equal(painter.shown[0], expected)
-    assert {0.0, 1.0} == set(np.unique(painter.shown[0][6:]))
+    np.testing.assert_array_equal(network.shown[0], expected)
+    assert {0.0, 1.0} == set(np.unique(network.shown[0][6:]))
 
 
 def test_at_its_own_size_the_picture_is_the_frame_within_the_range_of_colours():
     picture = np.random.default_rng(0).uniform(-0.5, 1.5, (3, 64, 128)).astype(np.float32)
-    found = paint(pair((64, 128)), Painter(picture))
+    found = predict(pair((64, 128)), RecordingNetwork(picture))
     np.testing.assert_array_equal(found, picture.transpose(1, 2, 0).clip(0, 1))
 
 
@@ -59,13 +59,13 @@ def test_it_paints_from_the_first_frame_to_the_last():
     """Nothing fades towards the ends: the authors' network is not told how far the way is."""
     views, picture = pair((64, 128)), np.full((3, 64, 128), 0.25, np.float32)
     for t in (0.002, 0.5, 0.998):
-        assert (paint(views, Painter(picture), t) == 0.25).all()
+        assert (predict(views, RecordingNetwork(picture), t) == 0.25).all()
 
 
 def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
     monkeypatch.setattr(direct_fuser, "MAX_NETWORK_ROWS", 64)
     picture = np.random.default_rng(1).random((64, 128, 3), np.float32)
-    found = paint(pair((200, 400)), Painter(picture.transpose(2, 0, 1)))
+    found = predict(pair((200, 400)), RecordingNetwork(picture.transpose(2, 0, 1)))
     expected = sample_bilinear(picture.astype(float), pixel_directions(200, 400))
     np.testing.assert_allclose(found, expected, atol=0.02)  # OpenCV knows 32 places between two pixels
     assert np.abs(found - expected).mean() < 0.005
@@ -74,17 +74,17 @@ def test_larger_frames_are_enlarged_across_the_seam_and_the_poles(monkeypatch):
 def test_from_one_place_views_are_cross_faded_without_the_network():
     first, second = pair((64, 128))
     views = first, Layer.from_arrays(second.inverse_depth, second.colour, first.target_from_source)
-    painter = Painter()
-    np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
-    assert painter.shown == []
+    network = RecordingNetwork()
+    np.testing.assert_array_equal(predict(views, network), geometric(views, 0.5))
+    assert network.shown == []
 
 
 def test_frames_that_cannot_be_halved_often_enough_are_fused_by_rules():
-    views, painter = pair((SIZE_MULTIPLE // 2, SIZE_MULTIPLE)), Painter()
-    np.testing.assert_array_equal(paint(views, painter), geometric(views, 0.5))
-    assert painter.shown == []
+    views, network = pair((SIZE_MULTIPLE // 2, SIZE_MULTIPLE)), RecordingNetwork()
+    np.testing.assert_array_equal(predict(views, network), geometric(views, 0.5))
+    assert network.shown == []
 
 
 def test_threads_change_nothing():
     views = pair((96, 192))
-    np.testing.assert_array_equal(paint(views, Painter()), paint(views, Painter(), threads=3))
+    np.testing.assert_array_equal(predict(views, RecordingNetwork()), predict(views, RecordingNetwork(), threads=3))

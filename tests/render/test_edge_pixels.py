@@ -1,4 +1,4 @@
-"""Samples of spots are the pixels of a target of twice the size: inverse depth and colours, whatever is drawn."""
+"""Samples of edge pixels are the pixels of a target of twice the size: inverse depth and colours, whatever is drawn."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SIZE = (30, 61)
 """An odd number of columns: tiles and vectors end inside of rows."""
 
 
-def spots_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None = None) -> EdgePixels:
+def edge_pixels_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None = None) -> EdgePixels:
     """Of the marked pixels of some rows; samples that are ``known`` (one for each pixel) are not to be found."""
     sin_table, cos_table = (table.astype(np.float32) for table in direction_tables(*(2 * n for n in marks.shape))[2:])
     cols, edges = [], range(0, marks.shape[1] + EDGE_TILE_COLUMNS, EDGE_TILE_COLUMNS)
@@ -35,7 +35,7 @@ def spots_of(marks: np.ndarray, top: int, bottom: int, known: np.ndarray | None 
     return EdgePixels(top, cols, tile_begins, unknown_counts, start, sin_table[double], cos_table[double])
 
 
-def at_spots(image: np.ndarray, edge_pixels: EdgePixels) -> np.ndarray:
+def at_edge_pixels(image: np.ndarray, edge_pixels: EdgePixels) -> np.ndarray:
     """What a picture of twice the size shows at the samples that are not padding: ``(2, samples, ...)``."""
     rows = edge_pixels.top + np.repeat(
         np.arange(len(edge_pixels.tile_begins)), np.diff([0, *edge_pixels.tile_begins[:, -1]])
@@ -64,23 +64,23 @@ def test_samples_are_the_pixels_of_twice_the_size(cut: str, pose: Pose) -> None:
     seen, fine = one(pose), two(pose)
     assert seen.edge_samples is not None
     for share, (top, bottom) in ((1.0, (0, SIZE[0])), (0.2, (0, 11)), (0.1, (11, SIZE[0]))):
-        edge_pixels = spots_of(np.random.default_rng(6).random(SIZE) < share, top, bottom)
+        edge_pixels = edge_pixels_of(np.random.default_rng(6).random(SIZE) < share, top, bottom)
         rho, colour = seen.edge_samples(edge_pixels)
         real = np.repeat(edge_pixels.cols >= 0, 2)
-        np.testing.assert_allclose(rho[:, real], at_spots(fine.inverse_depth, edge_pixels), rtol=2e-3, atol=2e-5)
-        expected = at_spots(fine.colour, edge_pixels)
+        np.testing.assert_allclose(rho[:, real], at_edge_pixels(fine.inverse_depth, edge_pixels), rtol=2e-3, atol=2e-5)
+        expected = at_edge_pixels(fine.colour, edge_pixels)
         near = np.abs(colour[:, real] - expected).max(axis=-1) < 5e-3
-        assert near.mean() > 0.995, "a sample on the border of two quarters may have the trust of either"
+        assert near.mean() > 0.995, "a sample on the border of two quarters may have the confidence of either"
 
 
 def test_a_simplified_surface_has_the_samples_of_that_surface() -> None:
     one, two = renderers("whole", np.array([0.0, 0.0, -0.5]))
     pose, two._quads = Pose(np.eye(3), np.array([0.0, 0.0, 0.2])), one._quads
     seen, fine = one(pose), two(pose)
-    edge_pixels = spots_of(np.ones(SIZE, bool), 3, 20)
+    edge_pixels = edge_pixels_of(np.ones(SIZE, bool), 3, 20)
     rho, _ = seen.edge_samples(edge_pixels)
     real = np.repeat(edge_pixels.cols >= 0, 2)
-    np.testing.assert_allclose(rho[:, real], at_spots(fine.inverse_depth, edge_pixels), rtol=2e-3)
+    np.testing.assert_allclose(rho[:, real], at_edge_pixels(fine.inverse_depth, edge_pixels), rtol=2e-3)
 
 
 def test_known_samples_stay_and_the_others_are_found() -> None:
@@ -89,13 +89,13 @@ def test_known_samples_stay_and_the_others_are_found() -> None:
     seen, fine = one(pose), two(pose)
     rng = np.random.default_rng(7)
     known = np.where(np.arange(SIZE[1]) < 32, 9.0, -1.0) * np.ones(SIZE)  # nearer than anything
-    edge_pixels = spots_of(rng.random(SIZE) < 0.5, 0, SIZE[0], known)
+    edge_pixels = edge_pixels_of(rng.random(SIZE) < 0.5, 0, SIZE[0], known)
     is_known = np.repeat((edge_pixels.cols >= 0) & (edge_pixels.cols < 32), 2)
     edge_pixels.inverse_depth[:, is_known] = 9.0
     rho, _ = seen.edge_samples(edge_pixels)
     assert (rho[:, is_known] == 9.0).all()
     real = np.repeat(edge_pixels.cols >= 32, 2)
     expected = np.full((2, len(real)), -1.0, np.float32)
-    expected[:, np.repeat(edge_pixels.cols >= 0, 2)] = at_spots(fine.inverse_depth, edge_pixels)
+    expected[:, np.repeat(edge_pixels.cols >= 0, 2)] = at_edge_pixels(fine.inverse_depth, edge_pixels)
     np.testing.assert_allclose(rho[:, real], expected[:, real], rtol=2e-3, atol=2e-5)
-    assert (edge_pixels.inverse_depth[:, real] == -1.0).all(), "spots are not changed"
+    assert (edge_pixels.inverse_depth[:, real] == -1.0).all(), "edge pixels are not changed"
