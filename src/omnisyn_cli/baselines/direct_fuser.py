@@ -18,7 +18,7 @@ from omnisyn_cli.fusion.blend_kernels import quantize_rows
 from omnisyn_cli.fusion.geometric import Confidence, GeometricFuser, Picture
 from omnisyn_cli.fusion.ghosts import have_same_position
 from omnisyn_cli.fusion.input_builder import downsampled_pair
-from omnisyn_cli.fusion.residual import working_size
+from omnisyn_cli.fusion.residual import network_size
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.types import Layer
@@ -52,7 +52,7 @@ class DirectFuser(GeometricFuser):
     def __init__(self, size: tuple[int, int], network: DirectFusionNetwork, threads: int | None = None) -> None:
         super().__init__(size, threads=threads)
         self._network = network
-        small = self._small = working_size(size, MAX_NETWORK_ROWS, SIZE_MULTIPLE, scale=1)
+        small = self._small = network_size(size, MAX_NETWORK_ROWS, SIZE_MULTIPLE, scale=1)
         self._enlarge = (
             None if small is None or small == size else RemapTable.for_directions(pixel_directions(*size), small)
         )
@@ -62,8 +62,7 @@ class DirectFuser(GeometricFuser):
     ) -> Picture:
         """The predicted picture in [0, 1]; see :class:`omnisyn_cli.types.Fuser`.
 
-        Raises:
-            InputError: the network does not take the channels, or answers something else.
+        Raises InputError: the network does not take the channels, or answers something else.
         """
         if self._small is None or have_same_position(first, second):
             return super().__call__(first, second, t, out, confidence)

@@ -30,8 +30,7 @@ class LearnedDepthEstimator:
         session: of a depth model, from :func:`omnisyn_cli.runtime.session.open_session`. Its metadata ``frame`` is
             ``forward``: it wants panoramas held as :func:`omnisyn_cli.geometry.sweep.forward_frame` does.
 
-    Raises:
-        InputError: the model is of another kind.
+    Raises InputError: the model is of another kind.
     """
 
     def __init__(self, session: Any) -> None:

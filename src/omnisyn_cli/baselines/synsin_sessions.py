@@ -33,8 +33,7 @@ class MonocularDepthEstimator:
     Args:
         session: of a monocular depth model, from :func:`omnisyn_cli.runtime.session.open_session`.
 
-    Raises:
-        InputError: the model is of another kind.
+    Raises InputError: the model is of another kind.
     """
 
     def __init__(self, session: Any) -> None:
@@ -71,8 +70,7 @@ class SynSinSessions:
         decoder: of the model that makes a picture of blended features; its metadata say how wide points are, in rows,
             and how many a pixel is made of.
 
-    Raises:
-        InputError: one is of another kind, or they do not belong together.
+    Raises InputError: one is of another kind, or they do not belong together.
     """
 
     def __init__(self, depth: Any, encoder: Any, decoder: Any) -> None:

@@ -36,8 +36,7 @@ def allowed_threads() -> int:
 def at_most(threads: int) -> Iterator[None]:
     """Inside, in the calling thread and what :func:`both` starts from it, loops use no more threads than that.
 
-    Raises:
-        ValueError: fewer than one thread.
+    Raises ValueError: fewer than one thread.
     """
     if threads < 1:
         raise ValueError(f"expected at least 1 thread, got {threads}")
@@ -52,8 +51,7 @@ def at_most(threads: int) -> Iterator[None]:
 def limited_threads(threads: int | None) -> Iterator[None]:
     """At most ``threads`` of this package (:func:`at_most`) and OpenCV (of the process) inside; None changes nothing.
 
-    Raises:
-        ValueError: fewer than one thread.
+    Raises ValueError: fewer than one thread.
     """
     if threads is None:
         yield

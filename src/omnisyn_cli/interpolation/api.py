@@ -58,8 +58,7 @@ def read_views(images: Sequence[Path | str], poses: Path | str, *, nadir_deg: fl
         poses: pose file (``poses.json``) that names them all.
         nadir_deg: degrees around straight down that are not used: tripod, roof of a car.
 
-    Raises:
-        InputError: a file is missing or damaged, or the pose file does not name a panorama.
+    Raises InputError: a file is missing or damaged, or the pose file does not name a panorama.
     """
     file = read_poses(poses)
     views = []
@@ -88,8 +87,7 @@ def estimate_depth(
         recipe: name of a preset, or a recipe; only its depth and device matter.
         threads: at most this many; None is one per core.
 
-    Raises:
-        InputError: a network is missing, or there is no such device.
+    Raises InputError: a network is missing, or there is no such device.
     """
     recipe = _recipe(recipe)
     estimator = make_estimator(recipe.depth, device=recipe.device, threads=threads)
@@ -121,9 +119,8 @@ def make_frames(
         fuser: joins both renderings in place of the recipe's; for frames of this size.
         threads: at most this many; None is one per core.
 
-    Raises:
-        InputError: a network is missing, or there is no such device.
-        ValueError: fewer than two views, or fewer frames than views.
+    Raises InputError: a network is missing, or there is no such device; ValueError: fewer than two views, or fewer
+    frames than views.
     """
     path = plan_path([view.pose for view in views], frames, ease=ease, heading=heading)
     is_known = estimator is None and all(view.known_depth is not None for view in views)
@@ -145,10 +142,8 @@ def write_video(
         fps: frames per second.
         options: ``codec``, ``crf``, ``preset``, ``overwrite`` of :func:`omnisyn_cli.io.open_video`.
 
-    Raises:
-        ImageError: there are no frames.
-        InputError, OutputPathError: the size, the place or an option cannot be used.
-        EncodingError, WriteError: the encoder stopped, or the disk is full.
+    Raises ImageError: there are no frames; InputError, OutputPathError: the size, the place or an option cannot be
+    used; EncodingError, WriteError: the encoder stopped, or the disk is full.
     """
     waiting = iter(frames)
     if (first := next(waiting, None)) is None:
@@ -174,8 +169,7 @@ def interpolate(images: Sequence[Path | str], poses: Path | str, output: Path | 
         output: video file, folder or file name pattern.
         options: of :class:`omnisyn_cli.interpolation.job.InterpolationJob`.
 
-    Raises:
-        OmnisynError: something that was given cannot be used, or writing failed.
+    Raises OmnisynError: something that was given cannot be used, or writing failed.
     """
     job = InterpolationJob(tuple(map(Path, images)), Path(poses), Path(output), **options)
     return run_interpolation(plan_interpolation(job))

@@ -37,9 +37,7 @@ def check_names(job: TourJob) -> None:
 
     File names that are not text (bytes from another encoding) cannot be handed to the image libraries.
 
-    Raises:
-        InputError: one is no UTF-8.
-        OutputPathError: the system cannot give it to anything.
+    Raises InputError: one is no UTF-8; OutputPathError: the system cannot give it to anything.
     """
     outputs = [place for name in OUTPUTS if (place := getattr(job, name, None)) is not None]
     for path in (*job.images, *job.masks, job.poses, *outputs):
@@ -83,8 +81,7 @@ def check_choices(job: TourJob) -> None:
 def check_method(job: InterpolationJob) -> None:
     """Refuse options that only say how this program's own frames are made beside another method.
 
-    Raises:
-        InputError: there is one.
+    Raises InputError: there is one.
     """
     if METHODS[job.method].draws_surfaces:
         return
@@ -99,11 +96,7 @@ def check_method(job: InterpolationJob) -> None:
 
 
 def source_size(job: TourJob, image: Path) -> tuple[int, int]:
-    """Height and width of the panorama that a file becomes.
-
-    Raises:
-        ImageError: there is none.
-    """
+    """Height and width of the panorama that a file becomes. Raises ImageError: there is none."""
     return sphere_size(read_header(image), allow_aspect=job.allow_aspect, max_pixels=job.max_pixels)
 
 
@@ -112,9 +105,7 @@ def check_companions(
 ) -> None:
     """Refuse masks of other sizes than their panoramas, and depth files, if they are used, that are none.
 
-    Raises:
-        ImageError: one is missing or unreadable, or is no depth.
-        InputError: a mask has another size.
+    Raises ImageError: one is missing or unreadable, or is no depth; InputError: a mask has another size.
     """
     for k, (entry, size) in enumerate(zip(entries, sizes, strict=True)):
         for mask in (entry.mask, *job.masks[k : k + 1]):
@@ -175,11 +166,7 @@ def _check_distinct(targets: Iterable[Path]) -> None:
 
 
 def check_inputs_survive(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> None:
-    """Refuse outputs that would overwrite what the video is made of.
-
-    Raises:
-        OutputPathError: one would.
-    """
+    """Refuse outputs that would overwrite what the video is made of. Raises OutputPathError: one would."""
     outputs = [job.output, *depth_files(job)]
     outputs += [path for path in (job.save_confidence, job.view) if path is not None]
     for place in (job.output, job.save_frames, job.save_confidence):

@@ -40,9 +40,7 @@ def describe_file(path: Path | str, *, max_pixels: int = MAX_PIXELS, allow_outsi
     Returns:
         ``kind`` (``panorama``, ``depth``, ``poses`` or ``video``) and what belongs to it.
 
-    Raises:
-        InputError: missing, damaged, or a video without a video stream.
-        PoseError: a pose file that cannot be used.
+    Raises InputError: missing, damaged, or a video without a video stream; PoseError: a pose file that cannot be used.
     """
     source = Path(path)
     suffix = source.suffix.lower()

@@ -47,8 +47,7 @@ def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outsid
         poses: the pose file; None is ``poses.json`` in the folder, or beside the first panorama.
         allow_outside: accept depth and masks that it names outside of its folder.
 
-    Raises:
-        InputError: a folder without a pose file or among other names, or a panorama that is named there is missing.
+    Raises InputError: a folder without a pose file or among other names, or a panorama that is named there is missing.
     """
     folder = next((path for path in given if path.is_dir()), None)
     if folder is None:

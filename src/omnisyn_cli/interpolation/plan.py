@@ -25,7 +25,7 @@ from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apa
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
 
-__all__ = ["InterpolationPlan", "SECONDS_PER_PAIR", "TourPlan", "frame_count", "plan_interpolation", "with_preset"]
+__all__ = ["SECONDS_PER_PAIR", "InterpolationPlan", "TourPlan", "frame_count", "plan_interpolation", "with_preset"]
 
 SECONDS_PER_PAIR = 3.0
 """Length of the video between two panoramas unless the user says otherwise."""
@@ -129,8 +129,7 @@ class InterpolationPlan(TourPlan):
 def plan_interpolation(job: InterpolationJob) -> InterpolationPlan:
     """Check a job without writing anything; pictures are decoded only to find or to refine poses.
 
-    Raises:
-        InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
+    Raises InputError: a file is missing, poses do not fit, the output exists, a size or count makes no sense.
     """
     checks.check_choices(job)
     checks.check_method(job)
@@ -159,8 +158,7 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
         job: what is asked for.
         recipe_of: what surfaces and frames are made with, given the pose file's entry of every panorama.
 
-    Raises:
-        InputError: a file is missing, poses do not fit, an option makes no sense.
+    Raises InputError: a file is missing, poses do not fit, an option makes no sense.
     """
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
@@ -185,8 +183,7 @@ def memory_of_surfaces(tour: TourPlan, keeping: Footprint) -> int:
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:
     """The plan with another preset; its poses are not looked for again.
 
-    Raises:
-        InputError: the preset's network is not installed.
+    Raises InputError: the preset's network is not installed.
     """
     job = replace(plan.job, preset=preset)
     recipe = for_frames(_installed(video_recipe(job, plan.entries)), job, len(plan.path))
@@ -232,8 +229,7 @@ def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
 def frame_count(job: InterpolationJob) -> int:
     """Frames of the video.
 
-    Raises:
-        InputError: fewer than there are panoramas, more than anybody wants, or said twice.
+    Raises InputError: fewer than there are panoramas, more than anybody wants, or said twice.
     """
     if job.frames is not None and job.duration is not None:
         raise InputError(

@@ -28,9 +28,8 @@ def surface_recipe(job: TourJob, entries: Sequence[PosedPanorama]) -> Recipe:
         job: what is asked for.
         entries: the pose file's entry of every panorama.
 
-    Raises:
-        PoseError: depth is to come from files, and the pose file does not name one for every panorama.
-        InputError: a network where none has a part, or none where one has.
+    Raises PoseError: depth is to come from files, and the pose file does not name one for every panorama;
+    InputError: a network where none has a part, or none where one has.
     """
     usual = PRESETS[job.preset].recipe
     kind = _depth_kind(job, entries, usual)
@@ -142,8 +141,7 @@ def notes_about_gpu(recipe: Recipe, job: InterpolationJob) -> tuple[str, ...]:
 def check_device(recipe: Recipe) -> None:
     """Refuse a device that this machine does not have; a plan alone may be for another one.
 
-    Raises:
-        InputError: there is no such device here.
+    Raises InputError: there is no such device here.
     """
     if recipe.device != "cuda":
         return

@@ -121,9 +121,8 @@ def run_interpolation(
         estimator: finds depth for this program's own method in place of what the plan asks for.
         now: the clock of the summary's seconds.
 
-    Raises:
-        InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on.
-        EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
+    Raises InputError: a picture, mask or depth file turns out to be damaged, or there is no GPU to make frames on;
+    EncodingError, WriteError: see :func:`omnisyn_cli.io.open_video`.
     """
     clock = Stopwatch(now)
     loader = Loader(plan, clock, read)

@@ -88,8 +88,7 @@ def tour_surfaces(
         estimator: finds depth in place of the recipe's.
         clock: collects seconds by stage.
 
-    Raises:
-        InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
+    Raises InputError: a picture, mask or depth file turns out to be damaged, or a network cannot be used.
     """
     clock, recipe, threads = clock or Stopwatch(), plan.recipe, plan.job.threads
     loader = Loader(plan, clock, read)

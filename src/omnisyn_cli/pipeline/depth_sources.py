@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from omnisyn_cli.pipeline.config import DepthSource
+    from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
     from omnisyn_cli.types import DepthEstimator
 
 __all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "make_estimator"]
@@ -103,7 +104,7 @@ def _make_files(source: DepthSource, network: Callable[[], Any], threads: int | 
     return KnownDepth()
 
 
-def _make_matching(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+def _matching(source: DepthSource, threads: int | None) -> MatchingDepthEstimator:
     from omnisyn_cli.stereo.depth_sizes import matching_rows
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
@@ -111,12 +112,16 @@ def _make_matching(source: DepthSource, network: Callable[[], Any], threads: int
     return MatchingDepthEstimator(MatchingOptions(size=(rows, 2 * rows)), threads)
 
 
+def _make_matching(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
+    return _matching(source, threads)
+
+
 def _make_refined(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
     from omnisyn_cli.runtime.image_networks import CompletionSession
     from omnisyn_cli.stereo.refined_estimator import RefinedDepthEstimator
 
     refinement = None if source.model is None else CompletionSession(network())
-    return RefinedDepthEstimator(_make_matching(source, network, threads), refinement, source.rows)
+    return RefinedDepthEstimator(_matching(source, threads), refinement, source.rows)
 
 
 def _make_network(source: DepthSource, network: Callable[[], Any], threads: int | None) -> DepthEstimator:
@@ -161,9 +166,8 @@ def make_estimator(source: DepthSource, *, device: str = "auto", threads: int | 
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
         threads: at most this many; None is one per core.
 
-    Raises:
-        ValueError: an unknown source, or no model where one is needed.
-        InputError: the model cannot be found or loaded, or not on that device.
+    Raises ValueError: an unknown source, or no model where one is needed; InputError: the model cannot be found or
+    loaded, or not on that device.
     """
 
     def open_network() -> Any:

@@ -109,9 +109,7 @@ def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, 
         model: name in the manifest or path of an ONNX file; by default the fusion's own.
         device: where the network runs: ``auto``, ``cpu`` or ``cuda``.
 
-    Raises:
-        ValueError: an unknown name.
-        InputError: the model cannot be found or loaded, or not on that device.
+    Raises ValueError: an unknown name; InputError: the model cannot be found or loaded, or not on that device.
     """
     if name not in FUSIONS:
         raise ValueError(f"expected a fusion of {', '.join(FUSIONS)}, got {name!r}")

@@ -106,8 +106,7 @@ def _make_synsin(recipe: Recipe, parts: MethodParts, *, sources: int) -> Method:
 def open_synsin(*, device: str = "auto", threads: int | None = None) -> SynSinSessions:
     """SynSin's networks that are installed.
 
-    Raises:
-        InputError: one is not there, is of another kind, or cannot be used on that device.
+    Raises InputError: one is not there, is of another kind, or cannot be used on that device.
     """
     from omnisyn_cli.baselines.synsin_sessions import SynSinSessions
     from omnisyn_cli.runtime.session import open_model
@@ -152,8 +151,7 @@ def make_method(
         estimator: finds depth in place of the recipe's, for methods that draw surfaces.
         fuser: joins renderings in place of the recipe's, likewise.
 
-    Raises:
-        InputError: a network cannot be found or loaded, or there is no such device.
+    Raises InputError: a network cannot be found or loaded, or there is no such device.
     """
     from omnisyn_cli.render.mesh import Cut
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions

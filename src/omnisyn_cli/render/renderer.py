@@ -42,7 +42,7 @@ class RendererInputs:
     size: tuple[int, int]
     cut: Cut | None = None
     threads: int | None = None
-    way: Float[np.ndarray, " 3"] | None = None
+    path_end: Float[np.ndarray, " 3"] | None = None
 
     def mesh(self) -> Mesh:
         """The surface.
@@ -69,7 +69,10 @@ class RendererClass(Protocol):
         shades_on_demand: whether colours are made for some rows at a time, from textures of 8 bits where they do.
     """
 
-    shades_on_demand: ClassVar[bool]
+    @property
+    def shades_on_demand(self) -> bool:
+        """See above."""
+        ...
 
     def __call__(self, inputs: RendererInputs) -> Renderer:
         """A renderer of one panorama."""
@@ -91,8 +94,8 @@ class MeshRenderer:
         self._confidence_map = make_confidence_map(mesh, self._texture)
         every = mesh.face_count()
         self._quads, drawn = mesh.blocks, every
-        if inputs.way is not None:
-            self._quads, drawn = simplify(mesh, inputs.way, size[0], threads=threads)
+        if inputs.path_end is not None:
+            self._quads, drawn = simplify(mesh, inputs.path_end, size[0], threads=threads)
         self.triangles, self._rasterizer = (drawn, every), Rasterizer(size, threads)
         self._reprojector = Reprojector(lambda: self._texture, inputs.inverse_depth, self._shader)
 

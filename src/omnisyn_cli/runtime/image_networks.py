@@ -1,4 +1,7 @@
-"""Networks in ONNX Runtime that are shown planes of evidence, at any size that they can halve often enough."""
+"""Networks in ONNX Runtime that map images to images, at any size that they can halve often enough.
+
+All raise InputError for a session of another kind, and for a model that answers something else.
+"""
 
 from typing import Any
 
@@ -11,18 +14,11 @@ from omnisyn_cli.runtime.session import run_depth_network, run_network
 __all__ = ["CompletionSession", "DirectFusionSession", "ResidualFusionSession"]
 
 SIZE_MULTIPLE = 32
-"""The completion network halves its input five times, the other one four: heights and widths are multiples of this."""
+"""The completion network halves its input five times: heights and widths are multiples of this."""
 
 
 class CompletionSession:
-    """Planes in, inverse depth and confidence out; see :class:`omnisyn_cli.stereo.stereo_features.CompletionModel`.
-
-    Args:
-        session: of a completion model, from :func:`omnisyn_cli.runtime.session.open_session`.
-
-    Raises:
-        InputError: the model is of another kind.
-    """
+    """Channels in, inverse depth and confidence out; a :class:`omnisyn_cli.stereo.stereo_features.CompletionModel`."""
 
     def __init__(self, session: Any) -> None:
         names = [entry.name for entry in session.get_inputs()]
@@ -31,68 +27,55 @@ class CompletionSession:
         self._session = session
 
     def __call__(
-        self, planes: Float32[np.ndarray, "planes height width"]
+        self, channels: Float32[np.ndarray, "channels height width"]
     ) -> tuple[Float32[np.ndarray, "height width"], Float32[np.ndarray, "height width"]]:
-        """Inverse depth × baseline, and the probability that it is within 10 %; InputError if the model is broken."""
-        padded, (height, width) = _padded(planes), planes.shape[1:]
+        """Inverse depth × baseline, and the probability that it is within 10 %."""
+        padded, (height, width) = _padded(channels), channels.shape[1:]
         inverse_depth, confidence = run_depth_network(self._session, {"planes": padded[None]}, padded.shape[1:])
         return inverse_depth[:height, :width], confidence[:height, :width]
 
 
 class ResidualFusionSession:
-    """Planes in, corrections out; see :class:`omnisyn_cli.fusion.residual.ResidualFusionNetwork`.
-
-    Args:
-        session: of a fusion model, likewise.
-
-    Raises:
-        InputError: the model is of another kind.
-    """
+    """Channels in, shares of candidates out; a :class:`omnisyn_cli.fusion.residual.ResidualFusionNetwork`."""
 
     def __init__(self, session: Any) -> None:
-        self._session = _checked(session, ["shares"])
+        self._session = _checked(session, "shares")
 
-    def __call__(self, planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "4 height width"]:
-        """Shares of candidates; InputError if the model is broken."""
-        (shares,) = run_network(self._session, {"planes": planes[None]}, ((1, 4, *planes.shape[1:]),))
-        answer: Float32[np.ndarray, "4 height width"] = shares[0]
-        return answer
+    def __call__(self, planes: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "4 height width"]:
+        """Shares of four candidates."""
+        return _answer(self._session, planes, 4)
 
 
 class DirectFusionSession:
-    """Planes in, a picture out; see :class:`omnisyn_cli.baselines.direct_fuser.DirectFusionNetwork`.
-
-    Args:
-        session: of a fusion model that paints, likewise.
-
-    Raises:
-        InputError: the model is of another kind.
-    """
+    """Channels in, a picture out; a :class:`omnisyn_cli.baselines.direct_fuser.DirectFusionNetwork`."""
 
     def __init__(self, session: Any) -> None:
-        self._session = _checked(session, ["colour"])
+        self._session = _checked(session, "colour")
 
     def __call__(self, planes: Float32[np.ndarray, "8 height width"]) -> Float32[np.ndarray, "3 height width"]:
-        """The picture, not bounded; InputError if the model is broken."""
-        (colour,) = run_network(self._session, {"planes": planes[None]}, ((1, 3, *planes.shape[1:]),))
-        picture: Float32[np.ndarray, "3 height width"] = colour[0]
-        return picture
+        """The picture, not bounded."""
+        return _answer(self._session, planes, 3)
 
 
-def _padded(planes: Float32[np.ndarray, "planes height width"]) -> Float32[np.ndarray, "planes rows columns"]:
+def _answer(session: Any, planes: np.ndarray, channels: int) -> np.ndarray:
+    (answer,) = run_network(session, {"planes": planes[None]}, ((1, channels, *planes.shape[1:]),))
+    return np.asarray(answer[0])
+
+
+def _padded(channels: Float32[np.ndarray, "channels height width"]) -> Float32[np.ndarray, "channels rows columns"]:
     """Of a size that networks can halve, carried on over the seam and beyond the poles."""
-    height, width = planes.shape[1:]
+    height, width = channels.shape[1:]
     below, beyond = -height % SIZE_MULTIPLE, -width % SIZE_MULTIPLE
-    padded = np.pad(planes, ((0, 0), (0, below), (0, 0)), mode="edge")
+    padded = np.pad(channels, ((0, 0), (0, below), (0, 0)), mode="edge")
     return np.pad(padded, ((0, 0), (0, 0), (0, beyond)), mode="wrap")
 
 
-def _checked(session: Any, outputs: list[str]) -> Any:
-    """The session, of planes and these outputs."""
+def _checked(session: Any, output: str) -> Any:
+    """The session, with one input and this output."""
     names = [[entry.name for entry in entries] for entries in (session.get_inputs(), session.get_outputs())]
-    if names != [["planes"], outputs]:
+    if names != [["planes"], [output]]:
         raise InputError(
-            f"expected a model with the input 'planes' and the outputs {' and '.join(map(repr, outputs))}, "
-            f"got {names[0]} and {names[1]}; name another"
+            f"expected a model with the input 'planes' and the outputs {output!r}, got {names[0]} and {names[1]}; name "
+            "another"
         )
     return session

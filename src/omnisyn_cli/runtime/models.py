@@ -68,8 +68,7 @@ def models_folder() -> Path:
 def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
     """The models of a folder by name; none where there is no manifest.
 
-    Raises:
-        InputError: the manifest is malformed or of another version.
+    Raises InputError: the manifest is malformed or of another version.
     """
     path = (folder or models_folder()) / MANIFEST
     if not path.is_file():
@@ -90,8 +89,7 @@ def read_manifest(folder: Path | None = None) -> dict[str, ModelEntry]:
 def find_model(name: str, folder: Path | None = None) -> Path:
     """The file of a model of the manifest, verified by its sha256; or ``name`` itself if it is a path to a file.
 
-    Raises:
-        InputError: there is no such model or file, or the file is not the one that was trained.
+    Raises InputError: there is no such model or file, or the file is not the one that was trained.
     """
     if name.endswith(".onnx"):
         if not Path(name).is_file():

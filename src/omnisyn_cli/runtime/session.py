@@ -28,8 +28,7 @@ def open_session(path: Path, *, device: str = "auto", threads: int | None = None
         device: ``auto`` takes CUDA if this ONNX Runtime has it.
         threads: cap on the processor threads of one operation; None = all.
 
-    Raises:
-        InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
+    Raises InputError: unknown or absent device, or a file that ONNX Runtime cannot load.
     """
     import onnxruntime
 
@@ -56,18 +55,13 @@ def open_model(name: str, *, device: str = "auto", threads: int | None = None) -
         device: see :func:`open_session`.
         threads: likewise.
 
-    Raises:
-        InputError: it cannot be found, or see :func:`open_session`.
+    Raises InputError: it cannot be found, or see :func:`open_session`.
     """
     return open_session(find_model(name), device=device, threads=threads)
 
 
 def check_device_of_networks(device: str) -> None:
-    """Refuse a device that no session could be opened on.
-
-    Raises:
-        InputError: unknown or absent.
-    """
+    """Refuse a device that no session could be opened on. Raises InputError: unknown or absent."""
     import onnxruntime
 
     _providers(device, onnxruntime.get_available_providers())
@@ -83,8 +77,7 @@ def run_depth_network(
         inputs: by name.
         size: height and width of its answers.
 
-    Raises:
-        InputError: the model does not take these inputs, or answers something else.
+    Raises InputError: the model does not take these inputs, or answers something else.
     """
     inverse_depth, confidence = (answer[0, 0] for answer in run_network(session, inputs, [(1, 1, *size)] * 2))
     if not (inverse_depth >= 0).all():
@@ -102,8 +95,7 @@ def run_network(
         inputs: by name.
         shapes: of its outputs, in their order.
 
-    Raises:
-        InputError: the model does not take these inputs, or answers something else.
+    Raises InputError: the model does not take these inputs, or answers something else.
     """
     try:
         answers = session.run(None, dict(inputs))

@@ -15,7 +15,13 @@ from jaxtyping import Float32
 
 from omnisyn_cli.compute.threads import both, limited_threads
 from omnisyn_cli.fusion.confidence.pair_confidence import PairConfidence, assess_pair
-from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, estimate_curve, rough_curve
+from omnisyn_cli.fusion.photometry import (
+    ExposureCurve,
+    ExposureMatcher,
+    darken_to_match,
+    estimate_curve,
+    rough_exposure_curve,
+)
 from omnisyn_cli.geometry.pose import Pose, at_same_position, slerp
 from omnisyn_cli.geometry.sphere import solid_angles
 from omnisyn_cli.geometry.tolerances import SAME_POINT_TOLERANCE
@@ -64,14 +70,14 @@ def equalize_exposure(first: View, second: View, threads: int | None = None) -> 
     If their brightness differs, rough depth tells which pixels show the same points. It comes from the census alone,
     which does not depend on exposure. The colours of these pixels then tell whether the exposure differed.
     """
-    if rough_curve(first, second).is_identity or at_same_position(first.pose, second.pose):
+    if rough_exposure_curve(first, second).is_identity or at_same_position(first.pose, second.pose):
         return first, second
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 
     options = MatchingOptions(size=EXPOSURE_DEPTH_SIZE, colour_weight=0.0, clipped_colour_weight=0.0)
     views = (first, second)
     crossed, *_ = _render_crosswise(views, MatchingDepthEstimator(options, threads)(first, second), Cut(), threads)
-    return equalized(first, second, _exposure_curve(crossed), threads)
+    return darken_to_match(first, second, _exposure_curve(crossed), threads)
 
 
 def cross_check(

@@ -56,8 +56,7 @@ def plan_path(
             so that the photographs themselves appear; ``first`` keeps the first one's; ``fixed`` keeps the world's axes
             (centre along −z, level); ``travel`` looks along the way, level.
 
-    Raises:
-        ValueError: fewer than two poses, or fewer frames than poses.
+    Raises ValueError: fewer than two poses, or fewer frames than poses.
     """
     if len(poses) < 2:
         raise ValueError(f"expected at least two panoramas, got {len(poses)}")

@@ -54,8 +54,7 @@ class GltfModel:
                 name is the node's own. Those without triangles are left out.
             picture: its texture.
 
-        Raises:
-            InputError: the model has become larger than the format can say.
+        Raises InputError: the model has become larger than the format can say.
         """
         material = self._append("materials", self._material(name, picture))
         node = self._append("nodes", {
@@ -77,8 +76,7 @@ class GltfModel:
     def write(self, path: Path) -> None:
         """Write the model; an existing file is replaced.
 
-        Raises:
-            WriteError: the disk is full, or the folder went away.
+        Raises WriteError: the disk is full, or the folder went away.
         """
         write_parts(path, self._parts())
 

@@ -205,9 +205,8 @@ def run_export(
         on_panorama: called with the number of finished panoramas, after each.
         estimator: finds depth in place of what the plan asks for.
 
-    Raises:
-        InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown.
-        WriteError: the disk is full, or the folder went away.
+    Raises InputError: a picture, mask or depth file turns out to be damaged, or nothing is left to be shown;
+    WriteError: the disk is full, or the folder went away.
     """
     clock = Stopwatch()
     pairs: dict[int, PairConfidence] = {}

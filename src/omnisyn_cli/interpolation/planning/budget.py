@@ -54,8 +54,7 @@ def apply_budget(plan: InterpolationPlan, budget: float) -> InterpolationPlan:
         plan: of the job; its preset only says what is drawn, and how.
         budget: seconds that the whole run may take.
 
-    Raises:
-        InputError: the job asks for something that was not measured, or no preset was.
+    Raises InputError: the job asks for something that was not measured, or no preset was.
     """
     _check_measured(plan)
     table = shipped_table()

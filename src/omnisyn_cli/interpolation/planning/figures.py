@@ -24,8 +24,8 @@ from omnisyn_cli.pipeline.config import Recipe
 __all__ = [
     "FIGURES",
     "FRAME_STAGES",
-    "Figures",
     "STANDARD_FRAMES",
+    "Figures",
     "Setting",
     "first_seconds",
     "frame_seconds",

@@ -69,8 +69,7 @@ def estimated_surface_memory(
         depths: those of the surfaces, see :func:`estimated_memory`.
         keeping: what is made of surfaces.
 
-    Raises:
-        ImageError: a panorama is missing or unreadable.
+    Raises ImageError: a panorama is missing or unreadable.
     """
     source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
@@ -106,8 +105,7 @@ def estimated_memory(
         depths: those of the surfaces, the first one that of a network's answers; refined ones with more than one come
             to their size by :mod:`omnisyn_cli.stereo.refined_estimator`.
 
-    Raises:
-        ImageError: a panorama is missing or unreadable.
+    Raises ImageError: a panorama is missing or unreadable.
     """
     source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))

@@ -104,11 +104,9 @@ def run_view(
         on_pair: called with the number of finished pairs, after each.
         estimator: finds depth in place of what the plan asks for.
 
-    Raises:
-        InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
-            doubtful and the fallback is to give up.
-        OutputPathError: the walk is too large for one file.
-        WriteError: the disk is full.
+    Raises InputError: a picture, mask or depth file turns out to be damaged, a network cannot be used, or a pair is
+    doubtful and the fallback is to give up; OutputPathError: the walk is too large for one file; WriteError: the
+    disk is full.
     """
     clock = Stopwatch()
     packer = TourPacker(plan, plan.job.options)

@@ -13,8 +13,7 @@ __all__ = ["open_device"]
 def open_device(name: str) -> torch.device:
     """``cuda``, or ``cpu`` for tests and comparisons.
 
-    Raises:
-        InputError: an unknown name, or CUDA where torch sees none.
+    Raises InputError: an unknown name, or CUDA where torch sees none.
     """
     if name not in ("cuda", "cpu"):
         raise InputError(f"expected a device of cuda, cpu, got {name!r}")
@@ -30,8 +29,7 @@ def open_device(name: str) -> torch.device:
 def memory_of_device() -> Iterator[None]:
     """Say in a line that the device has no memory left for what happens inside.
 
-    Raises:
-        OmnisynError: there is none left.
+    Raises OmnisynError: there is none left.
     """
     try:
         yield

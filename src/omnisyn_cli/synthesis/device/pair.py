@@ -48,8 +48,7 @@ class GpuFrames:
         size: height and width of the frames.
         device: ``cuda``; ``cpu`` for tests and comparisons.
 
-    Raises:
-        InputError: CUDA is asked for and torch sees none.
+    Raises InputError: CUDA is asked for and torch sees none.
     """
 
     def __init__(self, size: tuple[int, int], device: str = "cuda") -> None:
@@ -72,9 +71,8 @@ class GpuFrames:
             depth: at the resolution of the mesh.
             cut: where surfaces are separated.
 
-        Raises:
-            ValueError: on inverse depths that are negative or not finite.
-            OmnisynError: the device has no memory left.
+        Raises ValueError: on inverse depths that are negative or not finite; OmnisynError: the device has no
+        memory left.
         """
         mesh = build_mesh(depth.inverse_depth, cut, mask_of_vertices(mask, depth.inverse_depth.shape), depth.confidence)
         texture = make_texture(image, mask)
@@ -183,8 +181,7 @@ class GpuPair:
             t: share of the way.
             out: written: rounded to 8 bits, or as numbers, never negative.
 
-        Raises:
-            OmnisynError: the device has no memory left.
+        Raises OmnisynError: the device has no memory left.
         """
         poses = (target_from_first, target_from_second)
         seen = [surface.seen_from(pose) for surface, pose in zip(self.surfaces, poses, strict=True)]
