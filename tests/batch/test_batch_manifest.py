@@ -66,18 +66,9 @@ def test_csv_says_the_same_as_jsonl(tmp_path):
 def test_all_problems_are_listed_with_their_lines(tmp_path):
     write_row(tmp_path, 3)
     found = problems(
-        tmp_path,
-        line(0, 1),
-        '{"id": ',
-        "",
-        "[1]",
-        line(1, 2, framse=3, fps="many"),
-        line(0, 7),
-        line(1, 0) | {"id": "0-1"},
-        {"id": "../x", "scene": "no"},
-        {"id": "none"},
-        line(0, 2, poses="gone.json"),
-    )
+        tmp_path, line(0, 1), '{"id": ', "", "[1]", line(1, 2, framse=3, fps="many"), line(0, 7),
+        line(1, 0) | {"id": "0-1"}, {"id": "../x", "scene": "no"}, {"id": "none"}, line(0, 2, poses="gone.json"),
+    )  # fmt: skip
     words = {2: "JSON", 4: "object", 5: "fps", 6: "p7.png", 7: "as in line 1", 8: "id:", 9: "scene", 10: "gone.json"}
     for number, word in words.items():
         assert any(text.startswith(f"line {number}: ") and word in text for text in found), (number, found)

@@ -7,7 +7,7 @@ import numpy as np
 from batch_samples import write_row
 
 from omnisyn_cli.batch.interpolations import MAX_CACHED_PANORAMAS, DepthCache, PanoramaCache
-from omnisyn_cli.fusion.photometry import equalized, rough_curve
+from omnisyn_cli.fusion.photometry import darken_to_match, rough_exposure_curve
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_panorama, write_image
 from omnisyn_cli.types import DepthEstimate, View
@@ -67,7 +67,7 @@ def test_pictures_that_were_darkened_to_one_exposure_are_known_again_in_either_d
     bright = np.random.default_rng(0).uniform(0.2, 0.8, (64, 128, 3)).astype(np.float32)
     memory, a, b = DepthCache(Counting()), view(1.0, bright), view(2.0, np.float32(0.7) * bright[:, ::-1])
     for pair in ((a, b), (b, a), (a, b)):
-        darkened = equalized(*pair, rough_curve(*pair))
+        darkened = darken_to_match(*pair, rough_exposure_curve(*pair))
         assert not any(one is other for one, other in zip(darkened, pair, strict=True) if other is a)
         memory(*darkened)
     assert memory.found == 1

@@ -29,20 +29,12 @@ def daylight(rng: np.random.Generator) -> Lighting:
     zenith = mixed((0.13 * blue, 0.30 * blue, 0.62), (0.42, 0.48, 0.56), 0.5 * grey)
     horizon = mixed(mixed((0.62, 0.74, 0.86), (0.95, 0.76, 0.56), 0.6 * warmth), (0.78, 0.80, 0.83), grey)
     return Lighting(
-        sun_direction=sun_at(rng.uniform(0, 2 * math.pi), elevation),
-        sun=sun,
-        sky=sky,
-        bounce=bounce,
-        softness=0.006 + 0.05 * max(0.0, cover - 0.5),
-        zenith=_scaled(zenith, 1.25),
-        horizon=_scaled(horizon, 1.35),
-        cloud=_scaled(mixed((1.0, 0.98, 0.95), (0.8, 0.82, 0.85), grey), rng.uniform(1.3, 1.9)),
-        cloud_cover=cover,
-        cloud_scale=float(rng.uniform(0.35, 1.1)),
-        haze=float(rng.choice([0.0004, 0.001, 0.003], p=[0.5, 0.35, 0.15])),
-        exposure=float(rng.uniform(0.85, 1.35)) * (1.0 + 0.25 * (1.0 - direct)),
-        seed=int(rng.integers(1, 1000)),
-    )
+        sun_direction=sun_at(rng.uniform(0, 2 * math.pi), elevation), sun=sun, sky=sky, bounce=bounce,
+        softness=0.006 + 0.05 * max(0.0, cover - 0.5), zenith=_scaled(zenith, 1.25), horizon=_scaled(horizon, 1.35),
+        cloud=_scaled(mixed((1.0, 0.98, 0.95), (0.8, 0.82, 0.85), grey), rng.uniform(1.3, 1.9)), cloud_cover=cover,
+        cloud_scale=float(rng.uniform(0.35, 1.1)), haze=float(rng.choice([0.0004, 0.001, 0.003], p=[0.5, 0.35, 0.15])),
+        exposure=float(rng.uniform(0.85, 1.35)) * (1.0 + 0.25 * (1.0 - direct)), seed=int(rng.integers(1, 1000)),
+    )  # fmt: skip
 
 
 def _scaled(colour: Colour, factor: float) -> Colour:

@@ -61,15 +61,12 @@ def indoor_light(rng: np.random.Generator) -> Lighting:
     elevation = rng.uniform(0.35, 0.9) if is_sided else rng.uniform(1.15, 1.5)
     level *= 0.6 if is_sided else 1.0
     return replace(
-        day,
-        sun_direction=sun_at(rng.uniform(-math.pi, math.pi), elevation),
+        day, sun_direction=sun_at(rng.uniform(-math.pi, math.pi), elevation),
         sun=(strength * tone[0], strength * tone[1], strength * tone[2]),
         sky=(level * tone[0], level * tone[1], level * tone[2]),
-        bounce=(0.8 * level * tone[0], 0.77 * level * tone[1], 0.7 * level * tone[2]),
-        softness=rng.uniform(0.02, 0.2),
-        haze=0.0,
-        exposure=rng.uniform(1.0, 2.0),
-    )
+        bounce=(0.8 * level * tone[0], 0.77 * level * tone[1], 0.7 * level * tone[2]), softness=rng.uniform(0.02, 0.2),
+        haze=0.0, exposure=rng.uniform(1.0, 2.0),
+    )  # fmt: skip
 
 
 def _floor_plan(rng: np.random.Generator) -> Grid:

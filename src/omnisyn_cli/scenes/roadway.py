@@ -59,13 +59,9 @@ def draw_plan(rng: np.random.Generator) -> StreetPlan:
     middles = (rng.uniform(-45, -9), rng.uniform(6, 50))
     crossings = [(middle, rng.uniform(3.0, 6.0)) for middle in middles if rng.random() < 0.6]
     return StreetPlan(
-        style=style,
-        road=float(rng.choice([rng.uniform(2.6, 4.2), rng.uniform(4.2, 8.0)])),
-        pavement=rng.uniform(1.4, 4.5),
-        kerb=rng.uniform(0.08, 0.17),
-        slope=slope,
-        crossings=tuple(crossings),
-    )
+        style=style, road=float(rng.choice([rng.uniform(2.6, 4.2), rng.uniform(4.2, 8.0)])),
+        pavement=rng.uniform(1.4, 4.5), kerb=rng.uniform(0.08, 0.17), slope=slope, crossings=tuple(crossings),
+    )  # fmt: skip
 
 
 def _add_slab(
@@ -80,14 +76,9 @@ def _add_slab(
     centre = (0.5 * (x[0] + x[1]), plan.slope * middle + top - 0.5 * deep, middle)
     half = (0.5 * abs(x[1] - x[0]), 0.5 * deep, length)
     build.add(
-        Shape.BOX,
-        centre,
-        half,
-        material if side_material is None else side_material,
-        cap=material,
-        rotation=rotation,
+        Shape.BOX, centre, half, material if side_material is None else side_material, cap=material, rotation=rotation,
         casts_shadow=False,
-    )
+    )  # fmt: skip
 
 
 def lay_roadway(build: SceneBuilder, plan: StreetPlan) -> None:

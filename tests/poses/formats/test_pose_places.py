@@ -163,7 +163,7 @@ def test_altitudes_are_for_all_or_none(tmp_path):
     without = imported(write_text(tmp_path / "a.csv", "image,lat,lng,heading", "a,1,2,3", "b,1,2,3"), expected="table")
     assert any("equally high" in note for note in without.notes)
     mixed = write_text(tmp_path / "b.csv", "image,lat,lng,heading,alt", "a,1,2,3,5", "b,1,2,3,")
-    with pytest.raises(PoseError, match="altitudes for all panoramas or for none, got none for 'b'"):
+    with pytest.raises(PoseError, match="altitudes for all panoramas or none, got none for 'b'"):
         import_poses([mixed], "auto", ImportOptions())
 
 

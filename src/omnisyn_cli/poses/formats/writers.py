@@ -60,7 +60,8 @@ def export_poses(
 def _size(path: Path, name: str, folder: Path, file: Path | None) -> tuple[int, int]:
     """``(height, width)`` of the whole sphere of a panorama."""
     if file is None:
-        raise PoseError(f"{path}: expected the panorama '{name}' in '{folder}', got none; use --images or --size")
+        found = f"expected the panorama '{name}' in '{folder}', for its size, got none"
+        raise PoseError(f"{path}: {found}; name the folder (--images) or the size (--size)")
     placement = placement_of(read_header(file))
     return placement.full_height, placement.full_width
 

@@ -73,7 +73,12 @@ def _kept_faces(mesh: TexturedMesh, rng: np.random.Generator) -> Bool[np.ndarray
 
 def _varied(material: Material, rng: np.random.Generator, photos: Sequence[np.ndarray], share: float) -> Material:
     # the same numbers are drawn for every material, so that one more photograph does not change all others
-    chance, photo, tile, tint = rng.random(), int(rng.integers(1 << 30)), rng.uniform(*np.log(TILES)), rng.normal(0, 1, 3)
+    chance, photo, tile, tint = (
+        rng.random(),
+        int(rng.integers(1 << 30)),
+        rng.uniform(*np.log(TILES)),
+        rng.normal(0, 1, 3),
+    )
     if material.is_emissive or material.is_lightmapped or material.is_lit:
         return material
     if photos and chance < (REPLACED if material.is_textured else share) and material.opacity is None:
