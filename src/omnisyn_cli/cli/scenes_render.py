@@ -41,7 +41,9 @@ def render(
     scale: float, z_up: bool, unlit: bool, textures: Path | None, light_rays: int, supersample: int, seed: int,
     pool: bool, no_depth: bool, overwrite: bool, quiet: bool,
 ) -> None:  # fmt: skip
-    """Walk through MESHES (glTF, OBJ, PLY): panoramas, their depth (EXR, metres) and poses.json.
+    """Render walks through textured MESHES (glTF, OBJ, PLY).
+
+    The output is that of `scenes make`: panoramas, their depth (EXR, metres) and poses.json.
 
     Cameras stand at eye height in free space, on straight lines that the program finds, or at --poses. Light comes from
     light maps if there are any, else from the sky, lamps and other surfaces. Several walks get a folder each.
