@@ -21,6 +21,7 @@ from omnisyn_cli.training.guided_depth import (
     guided_loss,
     guided_scores,
 )
+from omnisyn_cli.training.simulated_matching import simulated_matching
 from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, save_walk
 
 
@@ -75,7 +76,7 @@ def test_turning_towards_the_other_camera_moves_pictures_and_direction_alike(hea
     towards = rotation_from_heading(heading) @ np.array([0.0, 0.3, -1.0]) / math.hypot(1.0, 0.3)
     directions = pixel_directions(64, 128)
     images = np.stack([directions, directions]).astype(np.float32)
-    turned, _, ahead = facing_the_other(images, directions[..., 0], towards)
+    turned, _, ahead = facing_the_other(images, images[..., 0], towards)
     assert abs(math.atan2(ahead[0], -ahead[2])) <= math.pi / 128 + 1e-9
     expected = (pixel_directions(64, 128) @ ahead).reshape(64, 128)
     np.testing.assert_allclose(turned[0] @ towards, expected, atol=1e-6)
@@ -87,7 +88,7 @@ def prediction(root, log_scale=-3.0):
 
 
 def batch_of(root, ratio=0.4, is_mesh=True):
-    empty = torch.zeros(len(root), 1)
+    empty = torch.zeros(len(root), 8, 1, 1)
     return GuidedBatch(empty, empty, empty, empty, root, torch.full((len(root),), ratio), torch.tensor([is_mesh]))
 
 
@@ -127,7 +128,7 @@ def test_figures_belong_to_the_bin_of_the_pair():
     assert scores["delta_25"] == 1.0  # 1.1² < 1.25
     assert scores["delta_5"] == 0.0
     assert scores["error_wide"] == scores["error"]
-    assert all(math.isnan(scores[f"error_{group}"]) for group in ("narrow", "medium", "mesh"))
+    assert all(math.isnan(scores[f"error_{group}"]) for group in ("narrow", "medium", "mesh", "guided"))
 
 
 def test_a_walk_of_a_procedural_scene_reads_back_and_is_the_same_again(tmp_path):
@@ -148,3 +149,40 @@ def test_kinds_and_meshes_are_checked_before_anything_is_made():
         WalkConfig(kinds=("castle",)).check()
     with pytest.raises(InputError, match="--meshes"):
         WalkConfig(kinds=("mesh",)).check()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_simulated_matching_is_mostly_right_where_it_is_consistent_and_less_so_elsewhere(seed):
+    walk, rng = ball_walk(seed), np.random.default_rng(seed)
+    motion = walk.positions[1] - walk.positions[0]
+    baseline = float(np.linalg.norm(motion))
+    image, (own, other) = walk.images[0] / np.float32(255.0), (walk.inverse_depth[:2] * baseline).astype(np.float32)
+    own = np.where(rng.random(own.shape) < 0.05, np.float32(np.nan), own)
+    root, valid, consistent, ratio = simulated_matching(image, own, other, motion / baseline, rng)
+    is_right = np.abs(root - np.sqrt(own)) < 0.06 * np.sqrt(own)
+    assert 0.1 < consistent.mean() < 1.0
+    assert is_right[consistent > 0].mean() > max(0.8, is_right[(valid > 0) & (consistent == 0)].mean())
+    assert ratio[is_right & (consistent > 0)].mean() > ratio[valid > 0].min()
+    assert not root[np.isnan(own)].any()
+    for channel in (root, consistent, ratio):
+        assert not channel[valid == 0].any()
+    assert np.isfinite(root).all()
+
+
+def test_nothing_is_consistent_that_the_other_camera_cannot_see():
+    walk, rng = ball_walk(0), np.random.default_rng(0)
+    own = walk.inverse_depth[0].astype(np.float32)
+    in_front = np.full_like(own, 50.0)  # something right before the other camera
+    _, _, consistent, _ = simulated_matching(
+        walk.images[0] / np.float32(255.0), own, in_front, np.array([0.0, 0.0, -1.0]), rng
+    )
+    assert consistent.mean() < 0.2  # islands and borders that pass by mistake
+
+
+def test_pairs_are_shown_with_guidance_as_often_as_asked_for(tmp_path):
+    pool = list_pool(make_walks(tmp_path, 2), "recipe")
+    batch = draw_guided(pool, np.random.default_rng(0), 40, (32, 64), 2.0, None, 0.5)
+    is_guided = batch.guidance.flatten(1).any(dim=1)
+    assert 10 <= int(is_guided.sum()) <= 30
+    assert (batch.guidance[is_guided][:, 6] == 1.0).all()
+    assert not batch.guidance[:, [4, 5, 7]].any()  # plane sweeps

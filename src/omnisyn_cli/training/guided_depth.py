@@ -14,11 +14,12 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.geometry.lookup import Lookup
 from omnisyn_cli.geometry.pose import rotation_from_rotation_vector
+from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sphere import pixel_directions, row_weights
 from omnisyn_cli.networks.guided_depth import GUIDANCE_CHANNELS, STRIDE, GuidedDepthPrediction
 from omnisyn_cli.training.data import Augmentation, as_tensor, at_block_centres, reduced, vary_colours
+from omnisyn_cli.training.simulated_matching import simulated_matching
 from omnisyn_cli.training.walks import Walk, load_walk
 
 __all__ = ["BASELINE_BINS", "GuidedBatch", "draw_guided", "guided_loss", "guided_scores"]
@@ -45,6 +46,9 @@ GRADIENT_SCALES = 4
 
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
 """Errors count more where the root is small: the weight is 1 + weight / (floor + root)."""
+
+MATCHING_CHANNELS, HAS_MATCHING = 4, 6
+"""Of the guidance: how many channels are of matching, and the one that says that they are there."""
 
 FARTHEST_ROOT = 0.03
 """Roots below this are not judged by their ratio."""
@@ -84,6 +88,7 @@ class _Pair:
     colours: Float32[np.ndarray, "2 height width 3"]
     inverse_depth: Float32[np.ndarray, "height width"]
     towards: Float[np.ndarray, " 3"]
+    guidance: Float32[np.ndarray, "8 rows cols"]
     ratio: float
     is_mesh: bool
 
@@ -95,6 +100,7 @@ def draw_guided(
     size: tuple[int, int],
     greatest_root: float,
     augmentation: Augmentation | None = None,
+    guided: float = 0.0,
 ) -> GuidedBatch:
     """Random pairs of random walks.
 
@@ -105,18 +111,21 @@ def draw_guided(
         size: ``(height, width)``, a whole fraction of the pool's.
         greatest_root: that targets are clipped to.
         augmentation: of colours; without one, nothing is varied and poses are exact.
+        guided: share of the pairs that are shown with what matching would say.
 
     Raises:
         InputError: the pool's size is not a multiple of ``size``.
     """
-    drawn = [_draw_pair(load_walk(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(pairs)]
+    drawn = [
+        _draw_pair(load_walk(pool[rng.integers(len(pool))]), rng, size, augmentation, guided) for _ in range(pairs)
+    ]
     colours = np.stack([pair.colours for pair in drawn])
     root = np.sqrt(np.stack([pair.inverse_depth for pair in drawn])).clip(max=greatest_root)
     return GuidedBatch(
         first=as_tensor(colours[:, 0]),
         second=as_tensor(colours[:, 1]),
         towards=torch.tensor(np.stack([pair.towards for pair in drawn]), dtype=torch.float32)[..., None, None],
-        guidance=torch.zeros(pairs, GUIDANCE_CHANNELS, size[0] // STRIDE, size[1] // STRIDE),
+        guidance=torch.from_numpy(np.stack([pair.guidance for pair in drawn])),
         root=torch.from_numpy(root.astype(np.float32)).unsqueeze(1),
         ratio=torch.tensor([pair.ratio for pair in drawn]),
         is_mesh=torch.tensor([pair.is_mesh for pair in drawn]),
@@ -128,26 +137,44 @@ def baseline_bin(ratio: float) -> str:
     return next(name for name, (least, below) in BASELINE_BINS.items() if least <= ratio < below)
 
 
-def _draw_pair(walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None) -> _Pair:
+def _draw_pair(
+    walk: Walk, rng: np.random.Generator, size: tuple[int, int], augmentation: Augmentation | None, guided: float
+) -> _Pair:
     rows = walk.images.shape[1]
     if rows % size[0]:
         raise InputError(f"expected walks of a multiple of {size[0]} rows, got {rows}; make others")
     first, second, ratio = _choose(walk, rng)
-    images, inverse_depth = walk.images[[first, second]], walk.inverse_depth[first]
+    images, inverse_depths = walk.images[[first, second]], walk.inverse_depth[[first, second]]
     motion = walk.positions[second].astype(np.float64) - walk.positions[first]
     baseline = float(np.linalg.norm(motion))
     towards = motion / baseline
     if rng.random() < 0.5:
-        images, inverse_depth = images[:, :, ::-1], inverse_depth[:, ::-1]
+        images, inverse_depths = images[:, :, ::-1], inverse_depths[:, :, ::-1]
         towards = towards * [-1.0, 1.0, 1.0]
-    images, inverse_depth, towards = facing_the_other(images, inverse_depth, towards)
+    images, inverse_depths, towards = facing_the_other(images, inverse_depths, towards)
     if augmentation is not None:
-        images, inverse_depth, towards = _held_by_hand(images, inverse_depth, towards, rng)
+        images, inverse_depths, towards = _held_by_hand(images, inverse_depths, towards, rng)
     colours = np.stack([reduced(image, size) for image in images]).astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
         colours = vary_colours(colours, rng, augmentation)
-    scaled = at_block_centres(inverse_depth, size) * np.float32(baseline)
-    return _Pair(colours, scaled, towards, ratio, walk.is_mesh)
+    scaled = inverse_depths * np.float32(baseline)
+    guidance = np.zeros((GUIDANCE_CHANNELS, size[0] // STRIDE, size[1] // STRIDE), np.float32)
+    if rng.random() < guided:
+        guidance[:MATCHING_CHANNELS] = _matching(colours[0], scaled, towards, rng)
+        guidance[HAS_MATCHING] = 1.0
+    return _Pair(colours, at_block_centres(scaled[0], size), towards, guidance, ratio, walk.is_mesh)
+
+
+def _matching(
+    colours: Float32[np.ndarray, "height width 3"],
+    inverse_depths: Float32[np.ndarray, "2 height width"],
+    towards: Float[np.ndarray, " 3"],
+    rng: np.random.Generator,
+) -> Float32[np.ndarray, "4 rows cols"]:
+    """What matching would say, at the size of the guidance."""
+    rows, cols = colours.shape[0] // STRIDE, colours.shape[1] // STRIDE
+    own, other = (at_block_centres(each, (rows, cols)) for each in inverse_depths)
+    return simulated_matching(reduced(colours, (rows, cols)), own, other, towards, rng)
 
 
 def _choose(walk: Walk, rng: np.random.Generator) -> tuple[int, int, float]:
@@ -175,7 +202,7 @@ def _median_depth(inverse_depth: Float[np.ndarray, "height width"]) -> float:
 
 
 def facing_the_other(
-    images: np.ndarray, inverse_depth: np.ndarray, towards: Float[np.ndarray, " 3"]
+    images: np.ndarray, inverse_depths: np.ndarray, towards: Float[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, " 3"]]:
     """Rolled by whole columns so that the other camera is ahead, and the direction to it in that frame."""
     width = images.shape[2]
@@ -184,30 +211,32 @@ def facing_the_other(
     turn = columns / width * 2.0 * math.pi
     cosine, sine = math.cos(turn), math.sin(turn)
     ahead = np.array([cosine * towards[0] + sine * towards[2], towards[1], cosine * towards[2] - sine * towards[0]])
-    return np.roll(images, -columns, axis=2), np.roll(inverse_depth, -columns, axis=1), ahead
+    return np.roll(images, -columns, axis=2), np.roll(inverse_depths, -columns, axis=2), ahead
 
 
 def _held_by_hand(
-    images: np.ndarray, inverse_depth: np.ndarray, towards: np.ndarray, rng: np.random.Generator
+    images: np.ndarray, inverse_depths: np.ndarray, towards: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cameras not quite upright, and poses not quite right."""
     is_tilted, is_misplaced = rng.random() < TILTED, rng.random() < MISPLACED
     tilt = rng.normal(0.0, TILT, 3) * [1.0, 0.0, 1.0] * is_tilted
     error = rng.normal(0.0, TURN_ERROR, 3) * is_misplaced
     wrong = rng.normal(0.0, DIRECTION_ERROR, 3) * is_misplaced
-    directions = pixel_directions(*inverse_depth.shape)
     held = rotation_from_rotation_vector(tilt)
-    first, second = images
+    first, second = zip(images, inverse_depths, strict=True)
     if is_tilted:
-        turned = Lookup.along(directions @ held.T, inverse_depth.shape)
-        first = turned.bilinear(np.ascontiguousarray(first))
-        inverse_depth = turned.nearest(np.ascontiguousarray(inverse_depth))
+        first = _turned(*first, held)
     if is_tilted or is_misplaced:
-        other = held @ rotation_from_rotation_vector(error)
-        turned = Lookup.along(directions @ other.T, inverse_depth.shape)
-        second = turned.bilinear(np.ascontiguousarray(second))
+        second = _turned(*second, held @ rotation_from_rotation_vector(error))
     told = held.T @ towards + wrong
-    return np.stack([first, second]), inverse_depth, told / np.linalg.norm(told)
+    pictures, depths = zip(first, second, strict=True)
+    return np.stack(pictures), np.stack(depths), told / np.linalg.norm(told)
+
+
+def _turned(image: np.ndarray, inverse_depth: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A view as a camera turned by a rotation would have it."""
+    table = RemapTable.for_directions(pixel_directions(*inverse_depth.shape) @ rotation.T, inverse_depth.shape)
+    return table.bilinear(np.ascontiguousarray(image)), table.nearest(np.ascontiguousarray(inverse_depth))
 
 
 def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor:
@@ -263,8 +292,9 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
 
     Returns:
         ``error``, the mean absolute error of the root; ``delta_25`` and ``delta_5``, the shares whose depth is within a
-        factor of 1.25 and 1.05; the same by baseline over median depth (``error_wide``, …) and for meshes
-        (``error_mesh``, …); ``calibration``, the mean of |confidence − (within a factor of 1.1)|.
+        factor of 1.25 and 1.05; the same of groups: by baseline over median depth (``error_wide``, …), for meshes
+        (``error_mesh``, …) and for pairs with guidance (``error_guided``, …); ``calibration``, the mean of
+        |confidence − (within a factor of 1.1)|.
     """
     target, known = batch.root.nan_to_num(), torch.isfinite(batch.root)
     area = polar_weights(target) * known
@@ -283,7 +313,8 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     }
     scores = dict(figures)
     own = {baseline_bin(float(batch.ratio[0]))} | ({"mesh"} if bool(batch.is_mesh[0]) else set())
-    for group in (*BASELINE_BINS, "mesh"):
+    own |= {"guided"} if bool(batch.guidance.any()) else set()
+    for group in (*BASELINE_BINS, "mesh", "guided"):
         scores |= {f"{name}_{group}": value if group in own else math.nan for name, value in figures.items()}
     right = (ratio < 1.1).float()
     scores["calibration"] = float(_weighted_mean((prediction.confidence() - right).abs(), judged))

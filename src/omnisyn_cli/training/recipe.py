@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float32
 from torch import Tensor
 
 from omnisyn_cli.compute.threads import at_most
@@ -27,7 +28,6 @@ from omnisyn_cli.io.outputs import make_folder, write_errors
 from omnisyn_cli.training.checkpoint import compact, load_checkpoint, of_this_version, save_checkpoint
 from omnisyn_cli.training.data import Augmentation
 from omnisyn_cli.training.loop import BEST, CHECKPOINT, PROCESSOR, Trainer
-from omnisyn_cli.training.pictures import contact_sheet
 from omnisyn_cli.training.precision import Precision
 from omnisyn_cli.training.task import TrainConfig
 from omnisyn_cli.training.tasks import TASKS
@@ -66,6 +66,7 @@ class Stage:
         steps: of this stage.
         rate: learning rate at its beginning.
         final_rate: at its end; between both along a cosine.
+        guided: share of the pairs that are shown with what matching would say.
     """
 
     height: int
@@ -73,6 +74,7 @@ class Stage:
     steps: int
     rate: float
     final_rate: float
+    guided: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -225,6 +227,7 @@ class RecipeTrainer(Trainer):
             validate_every=recipe.validate_every,
             save_every=recipe.save_every,
             validation_pairs=recipe.validation_pairs,
+            guided=stage.guided,
         )
 
     def rate(self) -> float:
@@ -278,15 +281,15 @@ class RecipeTrainer(Trainer):
         return row
 
     @torch.no_grad()
-    def sheet(self) -> np.ndarray:
-        """What the averaged network says of some of the pairs to be judged by."""
-        network, pictures = self.averaged_network(), dict[str, np.ndarray]()
+    def sheet(self) -> Float32[np.ndarray, "rows cols 3"]:
+        """What the averaged network says of some of the pairs to be judged by, a row for each."""
+        network, rows = self.averaged_network(), []
         apart = max(1, self.config.validation_pairs // SHOWN)
         for index, batch in enumerate(self.task.validation(network, self.config)):
             if index % apart == 0 and self.task.pictures is not None:
                 shown = self.task.pictures(self.task.answer_of(network, batch), batch)
-                pictures |= {f"{name} {index}": picture for name, picture in shown.items()}
-        return contact_sheet(pictures)
+                rows.append(np.concatenate(list(shown.values()), axis=1))
+        return np.concatenate(rows)
 
     def compact(self) -> dict[str, Any]:
         """The state without what a warm restart does not need."""

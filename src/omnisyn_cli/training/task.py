@@ -35,6 +35,7 @@ class TrainConfig:
         seed: of the weights and of all batches.
         validate_every, save_every: in steps.
         validation_pairs: how many pairs are scored.
+        guided: share of the pairs that a depth network is shown with what matching would say.
     """
 
     pool: str
@@ -51,6 +52,7 @@ class TrainConfig:
     validate_every: int = 250
     save_every: int = 50
     validation_pairs: int = 32
+    guided: float = 0.0
 
 
 Draw = Callable[[list[Path], np.random.Generator, TrainConfig, Any, Augmentation | None], Any]

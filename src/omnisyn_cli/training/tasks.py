@@ -84,7 +84,7 @@ TASKS: Mapping[str, Task] = {
         GUIDED_DEPTH_VARIANTS,
         GuidedDepthNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_guided(
-            pool, rng, stage.batch, stage.size, network.config.greatest_root, varied
+            pool, rng, stage.batch, stage.size, network.config.greatest_root, varied, stage.guided
         ),
         loss=guided_loss,
         scores=guided_scores,
