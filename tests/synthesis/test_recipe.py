@@ -8,8 +8,9 @@ import pytest
 from omnisyn_cli.baselines.fades import CrossFades, FlowFades
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS
-from omnisyn_cli.pipeline.methods import SYNSIN_MODELS, make_method
+from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.pipeline.presets import PRESETS
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.trajectory import Waypoint

@@ -24,7 +24,7 @@ from omnisyn_cli.interpolation.viewer.contents import TourPacker, Walk
 from omnisyn_cli.interpolation.viewer.packing import packed_map
 from omnisyn_cli.interpolation.viewer.page import write_page
 from omnisyn_cli.pipeline.config import Recipe
-from omnisyn_cli.pipeline.methods import make_method
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.scenes import generate_scene, sample_path
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import KnownDepth, View

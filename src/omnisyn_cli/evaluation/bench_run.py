@@ -30,7 +30,7 @@ from omnisyn_cli.interpolation.planning.figures import FRAME_STAGES, Figures, Se
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.pipeline.depth_sources import make_estimator
-from omnisyn_cli.pipeline.methods import make_method
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.synthesis.synthesize import synthesize, turned_panorama
 from omnisyn_cli.types import DepthEstimate, DepthEstimator, View

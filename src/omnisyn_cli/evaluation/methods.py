@@ -32,9 +32,9 @@ from omnisyn_cli.geometry.sampling import sample_nearest
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH, make_estimator
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS as STRATEGIES
-from omnisyn_cli.pipeline.methods import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS, SCALE
 from omnisyn_cli.pipeline.renderers import RENDERERS
 from omnisyn_cli.runtime.models import read_manifest

@@ -24,7 +24,7 @@ from omnisyn_cli.io import MAX_PIXELS, open_video, read_inverse_depth, read_pano
 from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.pipeline.depth_sources import make_estimator
-from omnisyn_cli.pipeline.methods import make_method
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.synthesis.consistency import equalize_exposure

@@ -27,7 +27,7 @@ from omnisyn_cli.io import open_video, read_panorama, write_depth
 from omnisyn_cli.io.background import BackgroundSink, FrameRing, frames_in_queue
 from omnisyn_cli.io.images import INTEGER_PEAKS
 from omnisyn_cli.io.outputs import staged_folder
-from omnisyn_cli.pipeline.methods import make_method
+from omnisyn_cli.pipeline.factory import make_method
 from omnisyn_cli.synthesis.consistency import CrossCheck
 from omnisyn_cli.synthesis.methods import Pair, SurfaceMethod, SurfacePair
 from omnisyn_cli.synthesis.prepared_pair import measure_pair

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
 
-from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES, DepthStrategy
+from omnisyn_cli.pipeline.choices import chosen
+from omnisyn_cli.pipeline.depth_sources import DepthSource
 from omnisyn_cli.pipeline.fusions import FUSIONS, FusionStrategy
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN, MethodStrategy
 from omnisyn_cli.pipeline.renderers import RENDERERS, RendererStrategy
@@ -17,36 +16,6 @@ FALLBACKS = ("none", "crossfade", "fail")
 """What is done about pairs of low confidence: a warning, the photographs cross-faded in doubtful regions, nothing."""
 
 DEVICES = ("auto", "cpu", "cuda")
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class DepthSource:
-    """Where depth comes from.
-
-    Attributes:
-        kind: one of :data:`~omnisyn_cli.pipeline.depth_sources.DEPTH_SOURCES`.
-        rows: that it is looked for at; refined estimates have half of them, those of matching alone as many, but not
-            more than it is good at, see :mod:`omnisyn_cli.stereo.depth_sizes`; a network alone answers in a size of
-            its own.
-        model: name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves
-            the network out, to compare with.
-    """
-
-    kind: str = "file"
-    rows: int = 512
-    model: str | None = None
-
-    @property
-    def strategy(self) -> DepthStrategy:
-        """What its kind can do; ValueError for an unknown one."""
-        return _known(DEPTH_SOURCES, self.kind, "depth source")
-
-    @property
-    def networks(self) -> tuple[str, ...]:
-        """Those that have a part in it."""
-        return () if self.model is None else (self.model,)
 
 
 @dataclass(frozen=True)
@@ -70,7 +39,7 @@ class Recipe:
         is_on_gpu: whether frames are made on a GPU too.
     """
 
-    depth: DepthSource = DepthSource()
+    depth: DepthSource = field(default_factory=DepthSource)
     method: str = OMNISYN
     renderer: str = "mesh"
     cut: float | None = 0.05
@@ -91,17 +60,17 @@ class Recipe:
     @property
     def method_strategy(self) -> MethodStrategy:
         """What its method can do; ValueError for an unknown one, as of the other strategies."""
-        return _known(METHODS, self.method, "method")
+        return chosen(METHODS, self.method, "method")
 
     @property
     def renderer_strategy(self) -> RendererStrategy:
         """What its renderer can do."""
-        return _known(RENDERERS, self.renderer, "renderer")
+        return chosen(RENDERERS, self.renderer, "renderer")
 
     @property
     def fusion_strategy(self) -> FusionStrategy:
         """What its fusion can do."""
-        return _known(FUSIONS, self.fusion, "fusion")
+        return chosen(FUSIONS, self.fusion, "fusion")
 
     @property
     def draws_surfaces(self) -> bool:
@@ -123,9 +92,3 @@ class Recipe:
         """Those that have a part in it, by name in the manifest or as paths: of depth, then of fusion."""
         fusing = self.fusion_strategy.model if self.draws_surfaces else None
         return self.method_strategy.networks or (*self.depth.networks, *(() if fusing is None else (fusing,)))
-
-
-def _known(registry: Mapping[str, T], name: str, what: str) -> T:
-    if name not in registry:
-        raise ValueError(f"expected a {what} of {', '.join(registry)}, got {name!r}")
-    return registry[name]

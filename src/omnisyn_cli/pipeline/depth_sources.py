@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from omnisyn_cli.pipeline.choices import chosen
+
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from omnisyn_cli.pipeline.config import DepthSource
     from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator
     from omnisyn_cli.types import DepthEstimator
 
-__all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "make_estimator"]
+__all__ = ["DEPTH_SOURCES", "SYNSIN_DEPTH", "DepthSource", "make_estimator"]
 
 Size = tuple[int, int]
 EstimatorMaker = Callable[["DepthSource", Callable[[], Any], "int | None"], "DepthEstimator"]
@@ -27,6 +28,34 @@ SYNSIN_DEPTH = "synsin-depth"
 
 PROGRAM_BYTES = 345e6
 """Of the interpreter, its libraries and kernels; measured as peak memory of runs on small pictures."""
+
+
+@dataclass(frozen=True)
+class DepthSource:
+    """Where depth comes from.
+
+    Attributes:
+        kind: one of :data:`DEPTH_SOURCES`.
+        rows: that it is looked for at; refined estimates have half of them, those of matching alone as many, but not
+            more than it is good at, see :mod:`omnisyn_cli.stereo.depth_sizes`; a network alone answers in a size of
+            its own.
+        model: name in the manifest or path of an ONNX file, for sources with a network; for ``refined`` None leaves
+            the network out, to compare with.
+    """
+
+    kind: str = "file"
+    rows: int = 512
+    model: str | None = None
+
+    @property
+    def strategy(self) -> DepthStrategy:
+        """What its kind can do; ValueError for an unknown one."""
+        return chosen(DEPTH_SOURCES, self.kind, "depth source")
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Those that have a part in it."""
+        return () if self.model is None else (self.model,)
 
 
 def _matching_size(source: DepthSource, picture_rows: int, files: Sequence[Path]) -> list[Size]:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from omnisyn_cli.pipeline.choices import chosen
+
 if TYPE_CHECKING:
     from omnisyn_cli.types import Fuser
 
@@ -111,9 +113,7 @@ def make_fuser(name: str, settings: FuserSettings, *, model: str | None = None, 
 
     Raises ValueError: an unknown name; InputError: the model cannot be found or loaded, or not on that device.
     """
-    if name not in FUSIONS:
-        raise ValueError(f"expected a fusion of {', '.join(FUSIONS)}, got {name!r}")
-    fusion = FUSIONS[name]
+    fusion = chosen(FUSIONS, name, "fusion")
 
     def open_network() -> Any:
         from omnisyn_cli.runtime.session import open_model

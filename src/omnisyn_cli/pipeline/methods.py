@@ -8,18 +8,16 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH, make_estimator
-from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
+from omnisyn_cli.pipeline.depth_sources import SYNSIN_DEPTH
 
 if TYPE_CHECKING:
     from omnisyn_cli.baselines.synsin_sessions import SynSinSessions
     from omnisyn_cli.compute.stopwatch import Stopwatch
-    from omnisyn_cli.pipeline.config import Recipe
     from omnisyn_cli.synthesis.methods import Method
     from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
     from omnisyn_cli.types import DepthEstimator, Fuser
 
-__all__ = ["METHODS", "OMNISYN", "SYNSIN_MODELS", "make_method", "open_synsin"]
+__all__ = ["METHODS", "OMNISYN", "SYNSIN_MODELS", "open_synsin"]
 
 OMNISYN = "omnisyn"
 
@@ -29,19 +27,23 @@ SYNSIN_MODELS = (SYNSIN_DEPTH, "synsin-encoder", "synsin-decoder")
 
 @dataclass(frozen=True)
 class MethodParts:
-    """What a method is made with besides its recipe.
+    """What methods are made with; each takes what it needs.
 
     Attributes:
         options: size of the frames, threads.
         clock: collects seconds by stage.
-        estimator: finds depth in place of the recipe's, for methods that draw surfaces.
-        fuser: joins renderings in place of the recipe's, likewise.
+        device: where networks run.
+        is_on_gpu: whether frames are made on a GPU.
+        estimator: makes what finds depth.
+        fuser: makes what joins two layers.
     """
 
     options: SynthesisOptions
-    clock: Stopwatch | None = None
-    estimator: DepthEstimator | None = None
-    fuser: Fuser | None = None
+    clock: Stopwatch | None
+    device: str
+    is_on_gpu: bool
+    estimator: Callable[[], DepthEstimator]
+    fuser: Callable[[], Fuser]
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class MethodStrategy:
     Attributes:
         name: as users choose it.
         description: what it does, in a few words.
-        make: makes it of a recipe and its parts.
+        make: makes it of its parts.
         networks: names in the manifest of its own networks.
         draws_surfaces: whether depth, renderer and fusion of a recipe matter.
         is_offered: whether ``omnisyn interpolate`` has it; others are there for evaluation alone.
@@ -61,7 +63,7 @@ class MethodStrategy:
 
     name: str
     description: str
-    make: Callable[[Recipe, MethodParts], Method]
+    make: Callable[[MethodParts], Method]
     networks: tuple[str, ...] = ()
     draws_surfaces: bool = False
     is_offered: bool = False
@@ -69,37 +71,33 @@ class MethodStrategy:
     note: str = ""
 
 
-def _make_surfaces(recipe: Recipe, parts: MethodParts) -> Method:
+def _make_surfaces(parts: MethodParts) -> Method:
     from omnisyn_cli.synthesis.methods import SurfaceMethod
 
-    size, threads = parts.options.size, parts.options.threads
     device = None
-    if recipe.is_on_gpu:
+    if parts.is_on_gpu:
         from omnisyn_cli.synthesis.device.pair import GpuFrames
 
-        device = GpuFrames(size)
-    settings = FuserSettings(size, threads, recipe.fusion_rows, recipe.edges)
-    fuser = parts.fuser or make_fuser(recipe.fusion, settings, device=recipe.device)
-    estimator = parts.estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads)
-    return SurfaceMethod(estimator, parts.options, fuser, parts.clock, device)
+        device = GpuFrames(parts.options.size)
+    return SurfaceMethod(parts.estimator(), parts.options, parts.fuser(), parts.clock, device)
 
 
-def _make_crossfade(recipe: Recipe, parts: MethodParts) -> Method:
+def _make_crossfade(parts: MethodParts) -> Method:
     from omnisyn_cli.baselines.fades import CrossFades
 
     return CrossFades(parts.options, parts.clock)
 
 
-def _make_flow(recipe: Recipe, parts: MethodParts) -> Method:
+def _make_flow(parts: MethodParts) -> Method:
     from omnisyn_cli.baselines.fades import FlowFades
 
     return FlowFades(parts.options, parts.clock)
 
 
-def _make_synsin(recipe: Recipe, parts: MethodParts, *, sources: int) -> Method:
+def _make_synsin(parts: MethodParts, *, sources: int) -> Method:
     from omnisyn_cli.baselines.synsin import SynSin
 
-    networks = open_synsin(device=recipe.device, threads=parts.options.threads)
+    networks = open_synsin(device=parts.device, threads=parts.options.threads)
     return SynSin(networks, sources, parts.options, parts.clock)
 
 
@@ -130,34 +128,3 @@ METHODS: Mapping[str, MethodStrategy] = MappingProxyType({
     )
 })  # fmt: skip
 """By name, this program's own first."""
-
-
-def make_method(
-    recipe: Recipe,
-    size: tuple[int, int],
-    *,
-    threads: int | None = None,
-    clock: Stopwatch | None = None,
-    estimator: DepthEstimator | None = None,
-    fuser: Fuser | None = None,
-) -> Method:
-    """What makes frames of a size by a recipe.
-
-    Args:
-        recipe: what they are made with.
-        size: height and width of the frames.
-        threads: at most this many; None is one per core.
-        clock: collects seconds by stage.
-        estimator: finds depth in place of the recipe's, for methods that draw surfaces.
-        fuser: joins renderings in place of the recipe's, likewise.
-
-    Raises InputError: a network cannot be found or loaded, or there is no such device.
-    """
-    from omnisyn_cli.render.mesh import Cut
-    from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
-
-    options = SynthesisOptions(
-        size, recipe.renderer_strategy.load(), Cut(recipe.cut, recipe.cut_metres), threads,
-        cross_fade=recipe.fallback == "crossfade", confidence=recipe.confidence, adaptive=recipe.adaptive,
-    )  # fmt: skip
-    return recipe.method_strategy.make(recipe, MethodParts(options, clock, estimator, fuser))

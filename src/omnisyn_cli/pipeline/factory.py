@@ -1,0 +1,57 @@
+"""A method made of a recipe."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from omnisyn_cli.pipeline.depth_sources import make_estimator
+from omnisyn_cli.pipeline.fusions import FuserSettings, make_fuser
+from omnisyn_cli.pipeline.methods import MethodParts
+
+if TYPE_CHECKING:
+    from omnisyn_cli.compute.stopwatch import Stopwatch
+    from omnisyn_cli.pipeline.config import Recipe
+    from omnisyn_cli.synthesis.methods import Method
+    from omnisyn_cli.types import DepthEstimator, Fuser
+
+__all__ = ["make_method"]
+
+
+def make_method(
+    recipe: Recipe,
+    size: tuple[int, int],
+    *,
+    threads: int | None = None,
+    clock: Stopwatch | None = None,
+    estimator: DepthEstimator | None = None,
+    fuser: Fuser | None = None,
+) -> Method:
+    """What makes frames of a size by a recipe.
+
+    Args:
+        recipe: what they are made with.
+        size: height and width of the frames.
+        threads: at most this many; None is one per core.
+        clock: collects seconds by stage.
+        estimator: finds depth in place of the recipe's, for methods that draw surfaces.
+        fuser: joins renderings in place of the recipe's, likewise.
+
+    Raises InputError: a network cannot be found or loaded, or there is no such device.
+    """
+    from omnisyn_cli.render.mesh import Cut
+    from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+
+    options = SynthesisOptions(
+        size, recipe.renderer_strategy.load(), Cut(recipe.cut, recipe.cut_metres), threads,
+        cross_fade=recipe.fallback == "crossfade", confidence=recipe.confidence, adaptive=recipe.adaptive,
+    )  # fmt: skip
+    settings = FuserSettings(size, threads, recipe.fusion_rows, recipe.edges)
+    parts = MethodParts(
+        options,
+        clock,
+        recipe.device,
+        recipe.is_on_gpu,
+        lambda: estimator or make_estimator(recipe.depth, device=recipe.device, threads=threads),
+        lambda: fuser or make_fuser(recipe.fusion, settings, device=recipe.device),
+    )
+    return recipe.method_strategy.make(parts)
