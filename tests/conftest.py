@@ -4,6 +4,7 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -26,6 +27,33 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
     is_of_files = any(Path(argument.partition("::")[0]).is_file() for argument in config.args)
     return 0 if is_of_files else min(available_threads(), MOST_WORKERS)
+
+
+@pytest.fixture
+def omnisyn(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Any:
+    """The command line in this process: a :class:`cli.cli_samples.Omnisyn`."""
+    from cli.cli_samples import Omnisyn
+
+    return Omnisyn(capsys, tmp_path)
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Any:
+    """The first two panoramas of the chain: an :class:`interpolation_samples.Hall`."""
+    return _hall(tmp_path, 2)
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Any:
+    """All three panoramas of the chain: an :class:`interpolation_samples.Hall`."""
+    return _hall(tmp_path, 3)
+
+
+def _hall(folder: Path, count: int) -> Any:
+    from interpolation_samples import CHAIN, Hall
+    from synthesis_samples import write_hall
+
+    return Hall(folder, write_hall(folder, CHAIN[:count]))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -1,13 +1,17 @@
 """A chain of panoramas in the hall of :mod:`synthesis_samples`, and jobs about it."""
 
+import json
 import sys
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 
 from omnisyn_cli.interpolation.job import InterpolationJob, TourJob
+from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
+from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from synthesis_samples import posed
 
 T = TypeVar("T", bound=TourJob)
@@ -21,9 +25,44 @@ def job_of(folder: Path, images: list[Path], **changes: object) -> Interpolation
     return replace(job, **changes)
 
 
+def write_entries(
+    folder: Path, images: list[Path], depth: str | None = "p{}_depth.exr", mask: str | None = None
+) -> None:
+    """Another ``poses.json`` for the chain: names of panoramas, and of the depth and the mask of each."""
+    companions = [[name and folder / name.format(k) for name in (depth, mask)] for k in range(len(images))]
+    entries = [PosedPanorama(pose, *files) for pose, files in zip(CHAIN, companions, strict=False)]
+    write_poses(folder / "poses.json", dict(zip([path.name for path in images], entries, strict=True)))
+
+
+@dataclass(frozen=True)
+class Hall:
+    """Panoramas of the chain in a folder, with their depth, and what is planned with them."""
+
+    folder: Path
+    images: list[Path]
+
+    def job(self, **changes: object) -> InterpolationJob:
+        return job_of(self.folder, self.images, **changes)
+
+    def plan(self, **changes: object) -> InterpolationPlan:
+        return plan_interpolation(self.job(**changes))
+
+    def refuses(self, error: type[Exception], words: str, **changes: object) -> None:
+        """Such a job is refused before any work, with these words."""
+        with pytest.raises(error, match=words):
+            self.plan(**changes)
+
+
 def tour_job(kind: type[T], folder: Path, images: list[Path], output: str, **changes: Any) -> T:
     """A job for something that is made of surfaces."""
     return kind(tuple(images), folder / "poses.json", folder / output, threads=1, **changes)
+
+
+def edit_poses(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the panoramas in ``poses.json`` by hand, as its author might."""
+    document = json.loads((folder / "poses.json").read_text())
+    change(document["panoramas"])
+    (folder / "poses.json").write_text(json.dumps(document))
 
 
 def use_ffmpeg(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str, encoder: str = "libx264") -> None:

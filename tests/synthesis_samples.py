@@ -7,7 +7,7 @@ import numpy as np
 
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import pixel_directions, solid_angles
-from omnisyn_cli.io import write_depth, write_image
+from omnisyn_cli.io import read_depth, write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.types import DepthEstimate, View
 
@@ -51,6 +51,22 @@ def ws_psnr(image: np.ndarray, truth: np.ndarray) -> float:
 
 def as_bytes(image: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def write_mask(path: Path, row: int) -> Path:
+    """A mask for panoramas of the hall that is black from a row on."""
+    usable = np.full((*SIZE, 3), 255, np.uint8)
+    usable[row:] = 0
+    write_image(path, usable)
+    return path
+
+
+def open_to_the_sky(folder: Path, rows: int, count: int = 2) -> None:
+    """Take the wall away from depth files above a row."""
+    for index in range(count):
+        depth = np.array(read_depth(folder / f"p{index}_depth.exr"))
+        depth[:rows] = np.inf
+        write_depth(folder / f"p{index}_depth.exr", depth)
 
 
 def write_hall(

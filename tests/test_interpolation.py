@@ -1,7 +1,6 @@
 """From files to frames: the photographs at the ends, every kind of input, and all of it or nothing."""
 
 import gc
-import sys
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +10,14 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from interpolation_samples import CHAIN, job_of, listing
+from interpolation_samples import CHAIN, Hall, job_of, listing, use_ffmpeg, write_entries
 from omnisyn_cli.errors import EncodingError, ImageError, InputError, OutputPathError
 from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import plan_interpolation
+from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import Panorama, read_depth, read_panorama, write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
-from omnisyn_cli.stereo.matching import MatchingDepthEstimator, MatchingOptions
+from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
 from omnisyn_cli.types import View
 from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, posed, write_hall, ws_psnr
 
@@ -29,21 +28,26 @@ def run(job: InterpolationJob) -> list[np.ndarray]:
     return [samples_of(file) for file in sorted(job.output.iterdir())]
 
 
+def check_frames(plan: InterpolationPlan) -> None:
+    """All frames show the hall from where the camera is."""
+    for waypoint, frame in zip(plan.path, run(plan.job), strict=True):
+        assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+
+
 def samples_of(file: Path) -> np.ndarray:
     samples = read_panorama(file).original
     assert samples is not None
     return samples
 
 
-def test_photographs_come_out_bit_by_bit_and_frames_between_are_right(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN)
-    plan = plan_interpolation(job_of(tmp_path, images, frames=7))
+def test_photographs_come_out_bit_by_bit_and_frames_between_are_right(tmp_path: Path, chain: Hall) -> None:
+    plan = chain.plan(frames=7)
     run_interpolation(plan)
     shown = set()
     for waypoint, file in zip(plan.path, sorted((tmp_path / "out").iterdir()), strict=True):
         frame, place = samples_of(file), waypoint.segment + waypoint.t
         if place in (0, 1, 2):
-            np.testing.assert_array_equal(frame, samples_of(images[int(place)]))
+            np.testing.assert_array_equal(frame, samples_of(chain.images[int(place)]))
             shown.add(place)
         else:
             assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
@@ -68,13 +72,9 @@ def test_panoramas_are_let_go_of_as_soon_as_a_run_has_ended(tmp_path: Path) -> N
         gc.enable()
 
 
-def test_with_a_common_heading_a_chain_is_level_and_still_passes_through(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN)
+def test_with_a_common_heading_a_chain_is_level_and_still_passes_through(tmp_path: Path, chain: Hall) -> None:
     for heading in ("first", "fixed", "travel"):
-        job = job_of(tmp_path, images, frames=5, heading=heading, output=tmp_path / heading)
-        plan = plan_interpolation(job)
-        for waypoint, frame in zip(plan.path, run(job), strict=True):
-            assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+        check_frames(chain.plan(frames=5, heading=heading, output=tmp_path / heading))
 
 
 @pytest.mark.parametrize("suffix", [".png", ".exr", ".tif"])
@@ -84,9 +84,7 @@ def test_inputs_of_more_than_8_bits_are_rounded_once(tmp_path: Path, suffix: str
     images = [tmp_path / f"deep{index}{suffix}" for index in (0, 1)]
     for path, image in zip(images, exact, strict=True):
         write_image(path, image if suffix == ".exr" else np.rint(image * 65535).astype(np.uint16))
-    entries = {path.name: PosedPanorama(pose, tmp_path / f"p{index}_depth.exr")
-               for index, (path, pose) in enumerate(zip(images, CHAIN, strict=False))}  # fmt: skip
-    write_poses(tmp_path / "poses.json", entries)
+    write_entries(tmp_path, images)
     frames = run(job_of(tmp_path, images))
     for frame, image in zip(frames[::2], exact, strict=True):
         assert np.abs(frame - image * 255).max() <= 0.51
@@ -102,113 +100,87 @@ def write_alpha(path: Path, samples: np.ndarray, usable: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("way", ["alpha", "mask file", "half of each"])
-def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, way: str) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
+def test_what_is_masked_comes_from_the_other_photograph(tmp_path: Path, pair: Hall, way: str) -> None:
     usable = np.ones(SIZE, bool)
     usable[40:60, 30:50] = False
-    samples = samples_of(images[0]).copy()
+    samples = samples_of(pair.images[0]).copy()
     samples[~usable] = (255, 0, 255)
     entries = [PosedPanorama(pose, tmp_path / f"p{index}_depth.exr") for index, pose in enumerate(CHAIN[:2])]
     is_upper = np.arange(SIZE[0])[:, None] < 50
     in_alpha = {"alpha": usable, "mask file": None, "half of each": usable | is_upper}[way]
     in_file = {"alpha": None, "mask file": usable, "half of each": usable | ~is_upper}[way]
-    write_image(images[0], samples)
+    write_image(pair.images[0], samples)
     if in_alpha is not None:
-        write_alpha(images[0], samples, in_alpha)
+        write_alpha(pair.images[0], samples, in_alpha)
     if in_file is not None:
         write_image(tmp_path / "mask.png", np.where(in_file, 255, 0).astype(np.uint8))
         entries[0] = replace(entries[0], mask=tmp_path / "mask.png")
-    write_poses(tmp_path / "poses.json", dict(zip([path.name for path in images], entries, strict=True)))
-    plan = plan_interpolation(job_of(tmp_path, images))
+    write_poses(tmp_path / "poses.json", dict(zip([path.name for path in pair.images], entries, strict=True)))
+    plan = pair.plan()
     run_interpolation(plan)
-    for waypoint, file in zip(plan.path, sorted((tmp_path / "out").iterdir()), strict=True):
-        assert np.abs(samples_of(file) / 255 - hall_image(waypoint.pose)).max() < 0.1
-    np.testing.assert_array_equal(samples_of(tmp_path / "out" / "000002.png"), samples_of(images[1]))
+    for waypoint, frame in zip(plan.path, map(samples_of, sorted((tmp_path / "out").iterdir())), strict=True):
+        assert np.abs(frame / 255 - hall_image(waypoint.pose)).max() < 0.1
+    np.testing.assert_array_equal(samples_of(tmp_path / "out" / "000002.png"), samples_of(pair.images[1]))
 
 
-def test_a_mask_that_forbids_everything_is_refused(tmp_path: Path) -> None:
-    """Usually one of zeros and ones, where white was meant."""
-    first, second = write_hall(tmp_path, CHAIN[:2])
-    write_image(tmp_path / "mask.png", np.ones_like(as_bytes(hall_image(CHAIN[0]))[..., 0]))
-    mask = tmp_path / "mask.png"
-    job = job_of(tmp_path, [first, second], masks=(mask, mask))
-    with pytest.raises(InputError, match=r"mask\.png: expected white where the panorama may be used"):
-        run_interpolation(plan_interpolation(job))
-    assert not job.output.exists()
+@pytest.mark.parametrize(
+    ("samples", "words"),
+    [
+        (np.ones(SIZE, np.uint8), r"mask\.png: expected white where the panorama may be used"),  # white was meant
+        (np.full((8, 16), 255, np.uint8), "128×64 pixels, got 16×8"),
+    ],
+)
+def test_a_mask_that_forbids_everything_or_does_not_fit_is_refused(
+    tmp_path: Path, pair: Hall, samples: np.ndarray, words: str
+) -> None:
+    write_image(tmp_path / "mask.png", samples)
+    write_entries(tmp_path, pair.images, mask="mask.png")
+    with pytest.raises(InputError, match=words):
+        run_interpolation(pair.plan())
+    assert not (tmp_path / "out").exists()
 
 
-def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    write_image(tmp_path / "mask.png", np.full((8, 16), 255, np.uint8))
-    entries = {path.name: PosedPanorama(pose, None, tmp_path / "mask.png")
-               for path, pose in zip(images, CHAIN, strict=False)}  # fmt: skip
-    write_poses(tmp_path / "poses.json", entries)
-    with pytest.raises(InputError, match="128×64 pixels, got 16×8"):
-        run_interpolation(plan_interpolation(job_of(tmp_path, images)))
-
-
-def test_depth_is_kept_on_request_for_every_pair(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN)
-    run(job_of(tmp_path, images, frames=3, save_depth=tmp_path / "depth"))
+def test_depth_is_kept_on_request_for_every_pair(tmp_path: Path, chain: Hall) -> None:
+    run(chain.job(frames=3, save_depth=tmp_path / "depth"))
     names = ["0000_p0_depth.exr", "0000_p1_depth.exr", "0001_p1_depth.exr", "0001_p2_depth.exr"]
     assert sorted(file.name for file in (tmp_path / "depth").iterdir()) == names
     for name, index in zip(names, (0, 1, 1, 2), strict=True):
         saved = read_depth(tmp_path / "depth" / name)
         np.testing.assert_allclose(saved, distance_to_wall(CHAIN[index], SIZE), rtol=1e-5)
-    with pytest.raises(OutputPathError, match=r"0000_p0_depth\.exr"):
-        plan_interpolation(job_of(tmp_path, images, output=tmp_path / "b", save_depth=tmp_path / "depth"))
+    chain.refuses(OutputPathError, r"0000_p0_depth\.exr", output=tmp_path / "b", save_depth=tmp_path / "depth")
 
 
 def test_depth_of_both_is_kept_where_only_their_endings_differ(tmp_path: Path) -> None:
     first, second = write_hall(tmp_path, CHAIN[:2])
-    entries = {name: PosedPanorama(pose, tmp_path / f"p{index}_depth.exr")
-               for index, (name, pose) in enumerate(zip(("p.png", "p.tif"), CHAIN, strict=False))}  # fmt: skip
-    write_image(tmp_path / "p.tif", samples_of(second))
-    write_poses(tmp_path / "poses.json", entries)
-    run(job_of(tmp_path, [first.rename(tmp_path / "p.png"), tmp_path / "p.tif"], save_depth=tmp_path / "depth"))
+    images = [first.rename(tmp_path / "p.png"), tmp_path / "p.tif"]
+    write_image(images[1], samples_of(second))
+    write_entries(tmp_path, images)
+    run(job_of(tmp_path, images, save_depth=tmp_path / "depth"))
     for name, pose in zip(("0000_p.png_depth.exr", "0000_p.tif_depth.exr"), CHAIN, strict=False):
         np.testing.assert_allclose(read_depth(tmp_path / "depth" / name), distance_to_wall(pose, SIZE), rtol=1e-5)
 
 
-def test_frames_are_kept_besides_the_video_on_request(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    job = job_of(
-        tmp_path, images, output=tmp_path / "a.mp4", save_frames=tmp_path / "frames", encoder_preset="ultrafast"
-    )
+def test_frames_are_kept_besides_the_video_on_request(tmp_path: Path, pair: Hall) -> None:
+    job = pair.job(output=tmp_path / "a.mp4", save_frames=tmp_path / "frames", encoder_preset="ultrafast")
     seen: list[int] = []
     summary = run_interpolation(plan_interpolation(job), seen.append)
     assert seen == [1, 2, 3]
     assert b"ftyp" in (tmp_path / "a.mp4").read_bytes()[:16]
     assert sorted(file.name for file in (tmp_path / "frames").iterdir()) == ["000000.png", "000001.png", "000002.png"]
-    np.testing.assert_array_equal(samples_of(tmp_path / "frames" / "000002.png"), samples_of(images[1]))
+    np.testing.assert_array_equal(samples_of(tmp_path / "frames" / "000002.png"), samples_of(pair.images[1]))
     described = summary.describe()
     assert {"decode", "depth", "mesh", "render", "fuse", "encode", "total"} <= set(described["stages"])
     assert described["encoder"] == "h264 crf 17 preset ultrafast"
 
 
-def test_damage_found_late_leaves_nothing_at_all(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN)
-    images[2].write_bytes(images[2].read_bytes()[:-300])
+def test_damage_found_late_leaves_nothing_at_all(tmp_path: Path, chain: Hall) -> None:
+    chain.images[2].write_bytes(chain.images[2].read_bytes()[:-300])
     before = listing(tmp_path)
-    job = job_of(tmp_path, images, output=tmp_path / "a.mp4", save_frames=tmp_path / "f", save_depth=tmp_path / "d")
+    job = chain.job(output=tmp_path / "a.mp4", save_frames=tmp_path / "f", save_depth=tmp_path / "d")
     with pytest.raises(ImageError, match="damaged"):
         run_interpolation(plan_interpolation(job))
     assert listing(tmp_path) == before
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
-
-
-def fake_ffmpeg(folder: Path, last_words: str) -> Path:
-    """A program that lists libx264, takes all frames, writes half a file and fails."""
-    program = folder / "fake-ffmpeg"
-    program.write_text(
-        f"#!{sys.executable}\nimport sys\n"
-        "if '-encoders' in sys.argv:\n    print(' V....D libx264  H.264')\n    sys.exit(0)\n"
-        "sys.stdin.buffer.read()\n"
-        "open(next(word[5:] for word in sys.argv if word.startswith('file:')), 'w').write('half')\n"
-        f"sys.exit({last_words!r})\n"
-    )
-    program.chmod(0o755)
-    return program
 
 
 def test_an_encoder_that_fails_at_the_very_end_takes_everything_with_it(
@@ -218,8 +190,7 @@ def test_an_encoder_that_fails_at_the_very_end_takes_everything_with_it(
     inputs.mkdir()
     out.mkdir()
     images = write_hall(inputs, CHAIN[:2])
-    program = fake_ffmpeg(tmp_path, "the muxer lost its mind")
-    monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
+    use_ffmpeg(monkeypatch, tmp_path, "sys.stdin.buffer.read()\nsys.exit('the muxer lost its mind')")
     job = job_of(
         inputs, images, output=out / "a.mp4", save_frames=out / "frames", save_depth=out / "depth",
         save_confidence=out / "sure",
@@ -237,20 +208,16 @@ def test_one_place_twice_is_a_cross_fade_and_said_so(tmp_path: Path) -> None:
         "there is no parallax to follow, the video cross-fades",
         "there is no parallax to follow, the video turns in place and cross-fades",
     ]
-    for waypoint, frame in zip(plan.path, run(plan.job), strict=True):
-        assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+    check_frames(plan)
 
 
-def test_other_aspect_ratios_are_refused_or_resampled(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    for image in images:
+def test_other_aspect_ratios_are_refused_or_resampled(pair: Hall) -> None:
+    for image in pair.images:
         write_image(image, samples_of(image).repeat(2, axis=0))
-    with pytest.raises(ImageError, match="twice as wide as high, got 128×128"):
-        plan_interpolation(job_of(tmp_path, images))
-    plan = plan_interpolation(job_of(tmp_path, images, allow_aspect=True))
+    pair.refuses(ImageError, "twice as wide as high, got 128×128")
+    plan = pair.plan(allow_aspect=True)
     assert plan.size == SIZE
-    for waypoint, frame in zip(plan.path, run(plan.job), strict=True):
-        assert ws_psnr(frame / 255, hall_image(waypoint.pose)) > 45
+    check_frames(plan)
 
 
 def test_matching_is_better_than_a_cross_fade() -> None:
@@ -265,50 +232,41 @@ def test_matching_is_better_than_a_cross_fade() -> None:
         assert np.median(np.abs(estimate.inverse_depth / truth - 1)) < 0.2
 
 
-def test_saved_depth_can_be_used_again(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    first = run(job_of(tmp_path, images, save_depth=tmp_path / "depth"))
-    entries = {path.name: PosedPanorama(pose, tmp_path / "depth" / f"0000_{path.stem}_depth.exr")
-               for path, pose in zip(images, CHAIN, strict=False)}  # fmt: skip
-    write_poses(tmp_path / "poses.json", entries)
-    for a, b in zip(first, run(job_of(tmp_path, images, output=tmp_path / "again")), strict=True):
+def test_saved_depth_can_be_used_again(tmp_path: Path, pair: Hall) -> None:
+    first = run(pair.job(save_depth=tmp_path / "depth"))
+    write_entries(tmp_path, pair.images, depth="depth/0000_p{}_depth.exr")
+    for a, b in zip(first, run(pair.job(output=tmp_path / "again")), strict=True):
         assert np.abs(a.astype(int) - b).max() <= 1
 
 
-def test_nothing_there_is_a_place_infinitely_far(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
+def test_nothing_there_is_a_place_infinitely_far(tmp_path: Path, pair: Hall) -> None:
     for index in (0, 1):
         write_depth(tmp_path / f"p{index}_depth.exr", np.full(SIZE, np.inf))
-    run(job_of(tmp_path, images, save_depth=tmp_path / "depth"))
+    run(pair.job(save_depth=tmp_path / "depth"))
     assert np.isinf(read_depth(tmp_path / "depth" / "0000_p0_depth.exr")).all()
 
 
-def test_exr_frames_keep_what_eight_bits_would_round(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    run_interpolation(plan_interpolation(job_of(tmp_path, images, codec="exr")))
+def test_exr_frames_keep_what_eight_bits_would_round(tmp_path: Path, pair: Hall) -> None:
+    run_interpolation(pair.plan(codec="exr"))
     middle = read_panorama(tmp_path / "out" / "000001.exr").image
     assert np.abs(middle * 255 - np.rint(middle * 255)).max() > 0.25
-    run_interpolation(plan_interpolation(job_of(tmp_path, images, output=tmp_path / "png")))
+    run_interpolation(pair.plan(output=tmp_path / "png"))
     np.testing.assert_array_equal(samples_of(tmp_path / "png" / "000001.png"), as_bytes(middle))
 
 
-def test_prores_takes_sixteen_bits_and_a_folder_takes_no_quality(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    run_interpolation(plan_interpolation(job_of(tmp_path, images, output=tmp_path / "clip.mov", codec="prores")))
+def test_prores_takes_sixteen_bits_and_a_folder_takes_no_quality(tmp_path: Path, pair: Hall) -> None:
+    run_interpolation(pair.plan(output=tmp_path / "clip.mov", codec="prores"))
     assert (tmp_path / "clip.mov").stat().st_size > 0
-    with pytest.raises(OutputPathError, match="leave it out"):
-        plan_interpolation(job_of(tmp_path, images, crf=18))
+    pair.refuses(OutputPathError, "leave it out", crf=18)
 
 
-def test_overwriting_frames_spares_files_that_only_look_numbered(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
+def test_overwriting_frames_spares_files_that_only_look_numbered(tmp_path: Path, pair: Hall) -> None:
     out = tmp_path / "out"
     out.mkdir()
-    for name in ("0001.png", "7.png", "20230615.png", "000009.png"):
-        (out / name).write_bytes(b"somebody's")
-    (out / "000002.png").write_bytes(b"former frame")
-    (out / "000003.png").write_bytes(b"former frame")
-    run_interpolation(plan_interpolation(job_of(tmp_path, images, overwrite=True)))
-    kept = {file.name for file in out.iterdir()}
-    assert kept == {"000000.png", "000001.png", "000002.png", "0001.png", "7.png", "20230615.png", "000009.png"}
-    assert (out / "000002.png").read_bytes() != b"former frame"
+    others = dict.fromkeys(("0001.png", "7.png", "20230615.png", "000009.png"), b"somebody's")
+    for name, content in {**others, "000002.png": b"former frame", "000003.png": b"former frame"}.items():
+        (out / name).write_bytes(content)
+    run_interpolation(pair.plan(overwrite=True))
+    found = listing(out)
+    assert found.keys() == {"000000.png", "000001.png", "000002.png", *others}
+    assert found["000002.png"] != b"former frame"

@@ -9,7 +9,7 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from interpolation_samples import CHAIN, job_of, tour_job
+from interpolation_samples import CHAIN, Hall, job_of, tour_job
 from omnisyn_cli.cli import main
 from omnisyn_cli.interpolation.export import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
@@ -117,19 +117,14 @@ def test_the_estimate_of_memory_grows_with_every_size(tmp_path: Path) -> None:
     assert 5e8 < plan_interpolation(job_of(tmp_path, small, size=(4096, 8192))).memory < 1e10
 
 
-def test_memory_grows_with_the_surfaces_and_their_renderer(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
-    sizes = [plan_interpolation(job_of(tmp_path, images, renderer=name)).memory for name in ("mesh", "two-pass")]
+def test_memory_grows_with_the_surfaces_and_their_renderer(pair: Hall) -> None:
+    sizes = [pair.plan(renderer=name).memory for name in ("mesh", "two-pass")]
     assert sizes == sorted(set(sizes))
 
 
-def test_the_network_that_corrects_the_blend_takes_the_same_at_every_size(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
+def test_the_network_that_corrects_the_blend_takes_the_same_at_every_size(pair: Hall) -> None:
     for size in ((64, 128), (512, 1024)):
-        plain, corrected = (
-            plan_interpolation(job_of(tmp_path, images, size=size, fusion=name)).memory
-            for name in ("geometric", "network")
-        )
+        plain, corrected = (pair.plan(size=size, fusion=name).memory for name in ("geometric", "network"))
         assert corrected - plain == pytest.approx(FUSIONS["network"].network_bytes(0), abs=1)
 
 
@@ -145,12 +140,11 @@ def test_a_data_window_of_depth_takes_the_memory_of_the_whole_sphere(tmp_path: P
     assert plan_interpolation(job_of(tmp_path, images)).memory == whole
 
 
-def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Path) -> None:
+def test_colours_are_held_only_where_every_pixel_is_looked_at_first(tmp_path: Path, pair: Hall) -> None:
     """Both renderings' colours, in frames of small cells; a network that corrects the blend needs no more of them."""
-    images = write_hall(tmp_path, CHAIN[:2])
 
     def bytes_of(rows: int, **changes: object) -> float:
-        job = job_of(tmp_path, images, size=(rows, 2 * rows), **changes)
+        job = pair.job(size=(rows, 2 * rows), **changes)
         return plan_interpolation(job).memory / (2 * rows**2)
 
     few, many = (bytes_of(rows) - bytes_of(rows, renderer="two-pass") for rows in (896, 898))

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interpolation_samples import CHAIN, job_of
+from interpolation_samples import CHAIN, Hall, job_of
 from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.interpolation.plan import TourPlan, plan_tour
 from omnisyn_cli.interpolation.surfaces import PanoramaSurface, panorama_surfaces, tour_surfaces
 from omnisyn_cli.io import write_image
 from omnisyn_cli.types import DepthEstimate, View
-from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, write_hall
+from synthesis_samples import SIZE, as_bytes, distance_to_wall, hall_image, write_hall, write_mask
 
 
 def surfaces_of(plan: TourPlan, **options: object) -> list[PanoramaSurface]:
@@ -56,17 +56,12 @@ def test_a_panorama_that_one_neighbour_shares_its_place_with_has_the_surface_of_
     assert middle.depth is found
 
 
-def test_masked_pixels_have_no_surface_and_no_colour_of_their_own(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN[:2])
+def test_masked_pixels_have_no_surface_and_no_colour_of_their_own(tmp_path: Path, pair: Hall) -> None:
     painted = as_bytes(hall_image(CHAIN[0]))
     painted[48:] = 255
-    write_image(images[0], painted)
-    usable = np.full((*SIZE, 3), 255, np.uint8)
-    usable[48:] = 0
-    masks = tmp_path / "mask 0.png", tmp_path / "mask 1.png"
-    write_image(masks[0], usable)
-    write_image(masks[1], np.full_like(usable, 255))
-    first, second = surfaces_of(plan_tour(job_of(tmp_path, images, masks=masks)))
+    write_image(pair.images[0], painted)
+    masks = write_mask(tmp_path / "mask 0.png", 48), write_mask(tmp_path / "mask 1.png", SIZE[0])
+    first, second = surfaces_of(plan_tour(pair.job(masks=masks)))
     assert (first.mesh.inverse_depth[48:] < 0).all()
     assert (first.mesh.inverse_depth[:48] > 0).all()
     assert (second.mesh.inverse_depth > 0).all()
@@ -79,11 +74,10 @@ def test_panoramas_of_one_place_are_as_far_as_the_sky(tmp_path: Path) -> None:
         assert not surface.depth.inverse_depth.any()
 
 
-def test_a_tour_is_refused_as_a_video_is_but_for_its_place(tmp_path: Path) -> None:
-    images = write_hall(tmp_path, CHAIN)
+def test_a_tour_is_refused_as_a_video_is_but_for_its_place(tmp_path: Path, chain: Hall) -> None:
     with pytest.raises(InputError, match="two or more panoramas, got 1"):
-        plan_tour(job_of(tmp_path, images[:1]))
-    (tmp_path / "other.png").write_bytes(images[0].read_bytes())
+        plan_tour(job_of(tmp_path, chain.images[:1]))
+    (tmp_path / "other.png").write_bytes(chain.images[0].read_bytes())
     with pytest.raises(PoseError, match=r"other\.png"):
-        plan_tour(job_of(tmp_path, [*images, tmp_path / "other.png"]))
-    plan_tour(job_of(tmp_path, images, output=tmp_path / "no such folder" / "model.glb"))
+        plan_tour(job_of(tmp_path, [*chain.images, tmp_path / "other.png"]))
+    plan_tour(chain.job(output=tmp_path / "no such folder" / "model.glb"))

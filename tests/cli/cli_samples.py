@@ -1,11 +1,13 @@
 """A command line run in this process or in one of its own, and a small pair of panoramas to give it."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,14 +37,60 @@ class Result:
         return self.raw_err.replace(f"{COMPILING}\n", "")
 
 
-def run_cli(capsys: pytest.CaptureFixture[str], *arguments: object) -> Result:
-    """``omnisyn arguments…`` in this process."""
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as left:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    assert isinstance(left.value.code, int)
-    return Result(left.value.code, out, err)
+@dataclass(frozen=True)
+class Omnisyn:
+    """``omnisyn arguments…`` in this process; ``folder`` is where a command that fails leaves nothing."""
+
+    capsys: pytest.CaptureFixture[str]
+    folder: Path
+
+    def __call__(self, *arguments: object) -> Result:
+        self.capsys.readouterr()
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        out, err = self.capsys.readouterr()
+        assert isinstance(left.value.code, int)
+        return Result(left.value.code, out, err)
+
+    def ended(self, code: int, *arguments: object) -> Result:
+        """The same, with an exit code that is known."""
+        result = self(*arguments)
+        assert result.code == code, result.err
+        return result
+
+    def made(self, *arguments: object) -> Result:
+        """The same, which has to succeed."""
+        return self.ended(0, *arguments)
+
+    def quiet(self, *arguments: object) -> Result:
+        """The same, without a word on standard error."""
+        result = self.made(*arguments)
+        assert result.err == ""
+        return result
+
+    def json(self, *arguments: object) -> Any:
+        """What is printed with ``--json``."""
+        return json.loads(self.made(*arguments, "--json").out)
+
+    def refused(self, *arguments: object, code: int = 3) -> str:
+        """The one line that is said of unusable input, or of another failure; nothing else is printed or written."""
+        result = self._failed(code, *arguments)
+        assert result.strip().count("\n") == 0
+        return result
+
+    def misused(self, *arguments: object) -> str:
+        """What is said of wrong usage; nothing is written."""
+        result = self._failed(2, *arguments)
+        assert "Error: " in result
+        assert "Traceback" not in result
+        return result
+
+    def _failed(self, code: int, *arguments: object) -> str:
+        before = listing(self.folder)
+        result = self(*arguments)
+        assert (result.code, result.out) == (code, "")
+        assert listing(self.folder) == before
+        return result.err
 
 
 def start_cli(*arguments: object, folder: Path, **environment: str) -> subprocess.Popen[bytes]:

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_samples import listing, run_cli, start_cli, write_pair
+
+from cli.cli_samples import Omnisyn, listing, start_cli, write_pair
+from interpolation_samples import edit_poses
 
 NAMES = ("a.png", "b.png", "c.png", "d.png")
 
@@ -102,12 +104,10 @@ def test_whatever_is_killed_the_videos_are_those_of_an_undisturbed_run(tmp_path:
     assert not [pid for pid in orphans if Path(f"/proc/{pid}").exists()]
 
 
-def test_failures_are_shown_and_are_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failures_are_shown_and_are_exit_code_1(tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_pair(tmp_path)
     (tmp_path / "bad.png").write_bytes((tmp_path / "a.png").read_bytes()[:300])
-    poses = json.loads((tmp_path / "poses.json").read_text())
-    poses["panoramas"]["bad.png"] = poses["panoramas"]["a.png"]
-    (tmp_path / "poses.json").write_text(json.dumps(poses))
+    edit_poses(tmp_path, lambda panoramas: panoramas.update({"bad.png": panoramas["a.png"]}))
     common = {"poses": "poses.json", "frames": 3, "encoder_preset": "ultrafast"}
     lines = [
         {"id": "good", "inputs": ["a.png", "b.png"], **common},
@@ -115,53 +115,42 @@ def test_failures_are_shown_and_are_exit_code_1(tmp_path: Path, capsys: pytest.C
     ]
     (tmp_path / "jobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     arguments = ["batch", tmp_path / "jobs.jsonl", "-o", tmp_path / "out", "--workers", 1, "--threads", 1]
-    result = run_cli(capsys, *arguments)
-    assert result.code == 1
+    result = omnisyn.ended(1, *arguments)
     assert "2 jobs, 1 done" in result.out
     assert "1 failed" in result.err
     assert "worse" in result.err
-    again = run_cli(capsys, *arguments, "--json")
-    report = json.loads(again.out)
-    assert (again.code, report["done"], report["kept"], report["failed"]) == (1, 0, 1, 1)
+    report = json.loads(omnisyn.ended(1, *arguments, "--json").out)
+    assert (report["done"], report["kept"], report["failed"]) == (0, 1, 1)
     assert "bad.png" in report["failures"][0]["error"]
     assert (tmp_path / "out" / "good.mp4").exists()
 
 
-def test_problems_of_a_manifest_are_listed_and_nothing_starts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_problems_of_a_manifest_are_listed_and_nothing_starts(tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_pair(tmp_path)
     (tmp_path / "jobs.jsonl").write_text('{"id": "a"}\nno\n')
-    result = run_cli(capsys, "batch", tmp_path / "jobs.jsonl", "-o", tmp_path / "out")
-    assert result.code == 3
-    assert "jobs.jsonl: line 1: " in result.err
-    assert "jobs.jsonl: line 2: " in result.err
+    listed = omnisyn.ended(3, "batch", tmp_path / "jobs.jsonl", "-o", tmp_path / "out").err
+    assert "jobs.jsonl: line 1: " in listed
+    assert "jobs.jsonl: line 2: " in listed
     assert not (tmp_path / "out").exists()
 
 
-def test_a_tour_is_planned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tour_is_planned(tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_pair(tmp_path, NAMES)
     arguments = ["batch", "plan", tmp_path, "-o", tmp_path / "jobs.jsonl", "--max-baseline", 1.5, "--set", "fps=25"]
-    result = run_cli(capsys, *arguments, "--set", "ease=smooth")
-    assert (result.code, result.err) == (0, "")
-    assert "6 jobs" in result.out
+    assert "6 jobs" in omnisyn.quiet(*arguments, "--set", "ease=smooth").out
     lines = [json.loads(line) for line in (tmp_path / "jobs.jsonl").read_text().splitlines()]
     assert {(line["fps"], line["ease"]) for line in lines} == {(25, "smooth")}
-    assert run_cli(capsys, *arguments).code == 3, "it exists"
-    assert run_cli(capsys, *arguments, "--set", "fps").code == 2
-    assert run_cli(capsys, *arguments[:4], tmp_path / "jobs.txt").code == 3
+    assert omnisyn(*arguments).code == 3, "it exists"
+    assert omnisyn(*arguments, "--set", "fps").code == 2
+    assert omnisyn(*arguments[:4], tmp_path / "jobs.txt").code == 3
 
 
 @pytest.mark.parametrize("more", [["--gpus", "1"], ["--ray-address", "auto"]])
-def test_what_only_ray_has_is_refused_without_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]
-) -> None:
-    result = run_cli(capsys, "batch", write_batch(tmp_path), "-o", tmp_path / "out", *more)
-    assert result.code == 3
-    assert "engine ray" in result.err
+def test_what_only_ray_has_is_refused_without_it(tmp_path: Path, omnisyn: Omnisyn, more: list[str]) -> None:
+    assert "engine ray" in omnisyn.refused("batch", write_batch(tmp_path), "-o", tmp_path / "out", *more)
 
 
-def test_help_of_both(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "MANIFEST" in run_cli(capsys, "batch", "--help").out
-    assert "FOLDER|POSES" in run_cli(capsys, "batch", "plan", "--help").out
-    assert run_cli(capsys, "batch").code == 2
+def test_help_of_both(omnisyn: Omnisyn) -> None:
+    assert "MANIFEST" in omnisyn("batch", "--help").out
+    assert "FOLDER|POSES" in omnisyn("batch", "plan", "--help").out
+    assert omnisyn("batch").code == 2

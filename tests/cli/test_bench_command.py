@@ -80,7 +80,7 @@ def test_a_failure_is_named_and_the_exit_code_is_1(
     omnisyn: Omnisyn, scenes: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bench_settings, "_measure_in_child", lambda run: Figures(run.setting, "failed", "no memory"))
-    result = omnisyn.refused("bench", scenes, "--methods", "omnisyn-fast", "--sizes", "64x32", "--threads", 1, code=1)
+    result = omnisyn.ended(1, "bench", scenes, "--methods", "omnisyn-fast", "--sizes", "64x32", "--threads", 1)
     assert "omnisyn-fast, 64x32, 1 thread: no memory" in result.out
 
 
@@ -95,8 +95,8 @@ def test_a_failure_is_named_and_the_exit_code_is_1(
     ],
 )
 def test_wrong_options_are_explained(omnisyn: Omnisyn, options: list[str], code: int, message: str) -> None:
-    result = omnisyn("bench", *options)
-    assert (result.code, result.out) == (code, "")
+    result = omnisyn.ended(code, "bench", *options)
+    assert result.out == ""
     assert message in result.err
 
 

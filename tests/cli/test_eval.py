@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cli.cli_samples import Omnisyn, listing
+from interpolation_samples import edit_poses
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.results import read_records
 from omnisyn_cli.runtime import session
@@ -78,9 +80,7 @@ def test_the_usual_methods_are_compared_unless_others_are_named(omnisyn: Omnisyn
     presets = ["omnisyn-fast", "omnisyn-balanced"]
     assert methods() == ["crossfade", "matching", *presets, "oracle-depth"]
     assert methods("--methods", "usual") == methods()
-    poses = json.loads((scenes / "hall" / "poses.json").read_text())
-    poses["panoramas"]["p2.png"].pop("depth")
-    (scenes / "hall" / "poses.json").write_text(json.dumps(poses))
+    edit_poses(scenes / "hall", lambda panoramas: panoramas["p2.png"].pop("depth"))
     assert methods() == ["crossfade", "matching", *presets]
     assert methods("--methods", "crossfade,oracle-depth") == ["crossfade", "oracle-depth"]
     words = " ".join(omnisyn("eval", "--help").out.split())
@@ -93,14 +93,13 @@ def test_the_report_and_its_pictures_are_kept(omnisyn: Omnisyn, scenes: Path, tm
     kept = listing(tmp_path / "report")
     assert {"results.jsonl", "report.html", "report.md", "report.csv", "report.json"} <= set(kept)
     assert any(name.startswith("pictures/") and name.endswith(".jpg") for name in kept)
-    bare = omnisyn(*arguments(scenes, "--report", tmp_path / "bare", "--no-pictures", "-q"))
-    assert (bare.code, bare.out) == (0, "")
+    assert omnisyn.made(*arguments(scenes, "--report", tmp_path / "bare", "--no-pictures", "-q")).out == ""
     assert not any(name.startswith("pictures/") for name in listing(tmp_path / "bare"))
 
 
 def test_what_is_broken_is_named_and_the_exit_code_is_1(omnisyn: Omnisyn, scenes: Path) -> None:
     (scenes / "pair" / "poses.json").write_text("{")
-    result = omnisyn.refused(*arguments(scenes), code=1)
+    result = omnisyn.ended(1, *arguments(scenes))
     assert "pair: failed: " in result.out
     assert "crossfade" in result.out
 
@@ -109,13 +108,14 @@ def test_depth_outside_of_a_scene_is_read_only_if_allowed(omnisyn: Omnisyn, scen
     hall = scenes / "hall"
     elsewhere = scenes.parent / "depth"
     elsewhere.mkdir()
-    poses = json.loads((hall / "poses.json").read_text())
-    for entry in poses["panoramas"].values():
-        (hall / entry["depth"]).rename(elsewhere / entry["depth"])
-        entry["depth"] = f"../../depth/{entry['depth']}"
-    (hall / "poses.json").write_text(json.dumps(poses))
-    refused = omnisyn.refused(*arguments(hall), code=1)
-    assert "commands with --allow-outside accept it" in refused.out
+
+    def move(panoramas: dict[str, Any]) -> None:
+        for entry in panoramas.values():
+            (hall / entry["depth"]).rename(elsewhere / entry["depth"])
+            entry["depth"] = f"../../depth/{entry['depth']}"
+
+    edit_poses(hall, move)
+    assert "commands with --allow-outside accept it" in omnisyn.ended(1, *arguments(hall)).out
     allowed = omnisyn.json(*arguments(hall, "--allow-outside"))
     done = {unit["method"]: unit for unit in allowed["units"] if unit["status"] == "done"}
     assert len(done["oracle-depth"]["depths"]) == 2

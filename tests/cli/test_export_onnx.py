@@ -6,12 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from cli.cli_samples import run_cli
+from cli.cli_samples import Omnisyn
 from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.training.checkpoint import save_checkpoint
 from omnisyn_cli.training.tasks import TASKS
-
-Capture = pytest.CaptureFixture[str]
 
 
 def write_checkpoint(path: Path, kind: str = "fusion", variant: str = "residual", step: int = 1200) -> None:
@@ -20,28 +18,23 @@ def write_checkpoint(path: Path, kind: str = "fusion", variant: str = "residual"
     config = task.variants[variant]
     torch.manual_seed(0)
     network = task.build(config)
-    training = {"size": (64, 128)}
-    average = network.state_dict()
-    save_checkpoint(
-        path, {"kind": kind, "network": asdict(config), "training": training, "step": step, "average": average}
-    )
+    state = {"kind": kind, "network": asdict(config), "training": {"size": (64, 128)}, "step": step}
+    save_checkpoint(path, {**state, "average": network.state_dict()})
 
 
 def test_without_a_checkpoint_those_are_listed_that_there_are(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In runs below this folder and in folders of checkpoints; what is no checkpoint is passed over."""
     monkeypatch.chdir(tmp_path)
-    empty = run_cli(capsys, "export-onnx")
-    assert (empty.code, empty.err) == (0, "")
+    empty = omnisyn.quiet("export-onnx")
     assert empty.out.startswith("no checkpoints here\n")
     for kind, task in TASKS.items():
         assert f"    {kind}: {', '.join(task.variants)}" in empty.out
     write_checkpoint(tmp_path / "runs" / "one" / "checkpoint.pt")
     write_checkpoint(tmp_path / "models" / "checkpoints" / "kept.pt", step=7)
     (tmp_path / "photo.pt").write_bytes(b"no checkpoint")
-    found = run_cli(capsys, "export-onnx")
-    assert found.code == 0
+    found = omnisyn.made("export-onnx")
     assert found.out.splitlines()[:3] == [
         "`omnisyn export-onnx PATH` writes one of these:",
         f"    {Path('models/checkpoints/kept.pt')}: fusion residual, 7 steps",
@@ -49,16 +42,14 @@ def test_without_a_checkpoint_those_are_listed_that_there_are(
     ]
 
 
-def test_a_model_comes_to_lie_beside_its_checkpoint_and_over_no_other_one(tmp_path: Path, capsys: Capture) -> None:
+def test_a_model_comes_to_lie_beside_its_checkpoint_and_over_no_other_one(tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_checkpoint(tmp_path / "run" / "checkpoint.pt")
     model = tmp_path / "run" / "fusion-residual.onnx"
-    made = run_cli(capsys, "export-onnx", tmp_path / "run" / "checkpoint.pt")
-    assert (made.code, made.out.startswith(f"{model}: ")) == (0, True)
+    words = ("export-onnx", tmp_path / "run" / "checkpoint.pt")
+    assert omnisyn.made(*words).out.startswith(f"{model}: ")
     assert list(read_manifest(tmp_path / "run")) == ["fusion-residual"]
     model.write_bytes(b"mine")
-    again = run_cli(capsys, "export-onnx", tmp_path / "run" / "checkpoint.pt")
-    assert (again.code, again.out) == (3, "")
-    assert again.err.startswith(f"omnisyn: {model}: expected a new file, got one that exists")
+    assert omnisyn.refused(*words).startswith(f"omnisyn: {model}: expected a new file, got one that exists")
     assert model.read_bytes() == b"mine"
-    assert run_cli(capsys, "export-onnx", tmp_path / "run" / "checkpoint.pt", "--overwrite").code == 0
+    omnisyn.made(*words, "--overwrite")
     assert model.read_bytes() != b"mine"

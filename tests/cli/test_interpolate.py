@@ -10,17 +10,16 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from cli_samples import SIZE, folder_arguments, listing, pair_arguments, run_cli, start_cli, write_pair
 
+from cli.cli_samples import SIZE, Omnisyn, folder_arguments, listing, pair_arguments, start_cli, write_pair
+from interpolation_samples import edit_poses, use_ffmpeg
 from omnisyn_cli.io import open_video, read_spherical, write_image
 from omnisyn_cli.io.encoders import ffmpeg_program
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
-
-Capture = pytest.CaptureFixture[str]
+from process_limits import file_size_limit
 
 
 @pytest.fixture
@@ -28,92 +27,68 @@ def pair(tmp_path: Path) -> list[Path]:
     return write_pair(tmp_path)
 
 
-def edit_poses(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change the document of ``poses.json`` by hand, as its author might."""
-    document = json.loads((folder / "poses.json").read_text())
-    change(document["panoramas"])
-    (folder / "poses.json").write_text(json.dumps(document))
-
-
-def test_a_video_and_one_line_on_stdout(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+def test_a_video_and_one_line_on_stdout(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
     before = set(listing(tmp_path))
-    result = run_cli(capsys, *pair_arguments(tmp_path, pair))
-    assert (result.code, result.err) == (0, "")
+    result = omnisyn.quiet(*pair_arguments(tmp_path, pair))
     assert re.fullmatch(rf"{re.escape(str(tmp_path / 'out.mp4'))}: 3 frames of 32x16 in \d+\.\d s\n", result.out)
     assert set(listing(tmp_path)) - before == {"out.mp4"}
     assert read_spherical(tmp_path / "out.mp4").projection == "equirectangular"
 
 
 def test_quiet_prints_nothing_and_verbose_prints_seconds_on_stderr(
-    tmp_path: Path, pair: list[Path], capsys: Capture
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn
 ) -> None:
-    quiet = run_cli(capsys, *folder_arguments(tmp_path, pair, "-q"))
-    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    verbose = run_cli(capsys, *folder_arguments(tmp_path, pair, "-v", "--overwrite"))
+    assert omnisyn.quiet(*folder_arguments(tmp_path, pair, "-q")).out == ""
+    verbose = omnisyn(*folder_arguments(tmp_path, pair, "-v", "--overwrite"))
     assert verbose.out.count("\n") == 1
     assert re.search(r"render: +\d+\.\d\d s", verbose.err)
     assert "2 photographs, 1 rendered, 0 shown again" in verbose.err
     assert re.search(r"triangles drawn: \d\.\d\d of \d\.\d\d million\ninfinitely far: 0%", verbose.err)
 
 
-def test_json_on_stdout_has_the_plan_and_the_stages(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
-    result = run_cli(capsys, *pair_arguments(tmp_path, pair, "out.mp4", "--json"))
-    summary = json.loads(result.out)
-    assert result.err == ""
+def test_json_on_stdout_has_the_plan_and_the_stages(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
+    summary = json.loads(omnisyn.quiet(*pair_arguments(tmp_path, pair, "out.mp4", "--json")).out)
     assert {"decode", "depth", "mesh", "render", "fuse", "encode", "total"} <= set(summary["stages"])
     assert all(seconds >= 0 for seconds in summary["stages"].values())
     assert (summary["frames"], summary["size"], summary["path_metres"]) == (3, "32x16", 1.0)
     assert summary["inputs"] == [str(image) for image in pair]
     assert summary["frames_made"] == {"photographs": 2, "rendered": 1, "shown_again": 0}
-    assert summary["infinitely_far"] == [{"first": 0, "share": 0.0}]
+    assert summary["shade_at_infinity"] == [{"first": 0, "share": 0.0}]
     assert all(entry["drawn"] <= entry["of"] for entry in summary["triangles"])
 
 
-def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+def test_a_dry_run_prints_the_plan_and_writes_nothing(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
     before = listing(tmp_path)
     arguments = pair_arguments(tmp_path, pair, "out.mp4", "--dry-run", "--save-depth", tmp_path / "depth")
-    result = run_cli(capsys, *arguments)
-    assert (result.code, result.err) == (0, "")
-    for line in (
-        "frames: 3",
-        "encoder: h264 crf 17 preset ultrafast",
-        "path metres: 1.0",
-        "size: 32x16",
-        "depth: file",
-    ):
-        assert line in result.out
+    result = omnisyn.quiet(*arguments)
+    lines = {"frames: 3", "encoder: h264 crf 17 preset ultrafast", "path metres: 1.0", "size: 32x16", "depth: file"}
+    assert lines <= {line.strip() for line in result.out.splitlines()}
     assert re.search(r"memory mib: \d+", result.out)
-    plan = json.loads(run_cli(capsys, *arguments, "--json").out)
+    plan = omnisyn.json(*arguments)
     assert (plan["frames"], plan["depth"], plan["notes"]) == (3, "file", [])
     assert plan["memory_mib"] > 100
     assert listing(tmp_path) == before
 
 
-def test_one_place_twice_is_noted_on_stderr_unless_quiet(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+def test_one_place_twice_is_noted_on_stderr_unless_quiet(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
     edit_poses(tmp_path, lambda panoramas: panoramas["b.png"].update(position=[0, 0, 0]))
-    result = run_cli(capsys, *folder_arguments(tmp_path, pair))
-    assert result.code == 0
+    result = omnisyn.made(*folder_arguments(tmp_path, pair))
     assert result.err.startswith("note: a.png and b.png have the same position")
     assert result.err.count("\n") == 1
-    assert run_cli(capsys, *folder_arguments(tmp_path, pair, "--overwrite", "-q")).err == ""
+    assert omnisyn(*folder_arguments(tmp_path, pair, "--overwrite", "-q")).err == ""
 
 
 @pytest.mark.parametrize(
     "names", [("with space.png", "ünï 日本.png"), ("-a.png", "--b.png"), ("50%d.png", "a'b\".png")]
 )
 def test_awkward_names_work(
-    tmp_path: Path, capsys: Capture, names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, omnisyn: Omnisyn, names: tuple[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_pair(tmp_path, names)
     monkeypatch.chdir(tmp_path)
     output = f"-{names[1]}.mp4"
-    result = run_cli(capsys, "interpolate", "--poses", "poses.json", "-o", output, "--frames", 2, "--", *names)
-    assert (result.code, result.err) == (0, "")
+    omnisyn.quiet("interpolate", "--poses", "poses.json", "-o", output, "--frames", 2, "--", *names)
     assert (tmp_path / output).stat().st_size > 0
-
-
-def delete(path: Path) -> None:
-    path.unlink()
 
 
 def truncate(path: Path) -> None:
@@ -134,15 +109,8 @@ def rename_pose(folder: Path) -> None:
 
 
 def scale_matrix(folder: Path) -> None:
-    def change(panoramas: dict[str, Any]) -> None:
-        del panoramas["b.png"]["rotation"]
-        panoramas["b.png"]["matrix"] = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]
-
-    edit_poses(folder, change)
-
-
-def square(path: Path) -> None:
-    write_image(path, np.zeros((32, 32, 3), np.uint8))
+    scaled = {"position": [0, 0, -1], "matrix": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}
+    edit_poses(folder, lambda panoramas: panoramas.update({"b.png": scaled}))
 
 
 def undefined_pose(folder: Path) -> None:
@@ -151,21 +119,22 @@ def undefined_pose(folder: Path) -> None:
 
 
 BAD_INPUT: dict[str, tuple[Callable[[Path], object], list[str]]] = {
-    "missing panorama": (lambda folder: delete(folder / "b.png"), ["b.png: expected a file, got no such file"]),
+    "missing panorama": (lambda folder: (folder / "b.png").unlink(), ["b.png: expected a file, got no such file"]),
     "truncated PNG": (lambda folder: truncate(folder / "b.png"), ["b.png: expected a complete image"]),
     "truncated JPEG": (as_jpeg, ["b.jpg: expected a complete image"]),
     "no image": (lambda folder: (folder / "b.png").write_text("hello"), ["b.png: expected an image"]),
     "empty image": (lambda folder: (folder / "b.png").write_bytes(b""), ["got an empty file"]),
-    "not 2:1": (lambda folder: square(folder / "b.png"), ["b.png", "twice as wide as high, got 32×32"]),
+    "not 2:1": (
+        lambda folder: write_image(folder / "b.png", np.zeros((32, 32, 3), np.uint8)),
+        ["b.png", "twice as wide as high, got 32×32"],
+    ),
     "no pose": (rename_pose, ["expected an entry for 'b.png'", "did you mean 'bb.png'?"]),
     "not rigid": (scale_matrix, ["'b.png'.matrix: expected a rigid rotation", "remove scale and shear"]),
     "NaN pose": (undefined_pose, ["poses.json: expected finite numbers, got NaN"]),
     "no JSON": (lambda folder: (folder / "poses.json").write_text("{"), ["poses.json: expected JSON"]),
-    "missing poses": (lambda folder: delete(folder / "poses.json"), ["poses.json: expected a pose file"]),
-    "unknown key": (
-        lambda folder: edit_poses(folder, lambda panoramas: panoramas["b.png"].update(rotatoin=1)), ["rotatoin"],
-    ),
-    "missing depth": (lambda folder: delete(folder / "depth1.exr"), ["depth1.exr: expected a file"]),
+    "missing poses": (lambda folder: (folder / "poses.json").unlink(), ["poses.json: expected a pose file"]),
+    "unknown key": (lambda folder: edit_poses(folder, lambda all_: all_["b.png"].update(rotatoin=1)), ["rotatoin"]),
+    "missing depth": (lambda folder: (folder / "depth1.exr").unlink(), ["depth1.exr: expected a file"]),
     "truncated depth": (lambda folder: truncate(folder / "depth1.exr"), ["depth1.exr: expected"]),
     "depth is a photograph": (
         lambda folder: edit_poses(folder, lambda panoramas: panoramas["b.png"].update(depth="a.png")),
@@ -176,18 +145,14 @@ BAD_INPUT: dict[str, tuple[Callable[[Path], object], list[str]]] = {
 
 
 @pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_is_one_line_code_3_and_nothing_written(tmp_path: Path, capsys: Capture, case: str) -> None:
+def test_bad_input_is_one_line_code_3_and_nothing_written(tmp_path: Path, omnisyn: Omnisyn, case: str) -> None:
     spoil, words = BAD_INPUT[case]
     images = write_pair(tmp_path)
     changed = spoil(tmp_path)
-    before = listing(tmp_path)
-    result = run_cli(capsys, *pair_arguments(tmp_path, changed if isinstance(changed, list) else images))
-    assert (result.code, result.out) == (3, "")
-    assert result.err.count("\n") == 1
-    assert result.err.startswith("omnisyn: ")
+    result = omnisyn.refused(*pair_arguments(tmp_path, changed if isinstance(changed, list) else images))
+    assert result.startswith("omnisyn: ")
     for word in ("expected", "got", *words):
-        assert word in result.err
-    assert listing(tmp_path) == before
+        assert word in result
 
 
 BAD_OUTPUT = {
@@ -218,28 +183,27 @@ FOLDERS = {
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_folders_may_have_a_dot_in_their_names(
-    tmp_path: Path, pair: list[Path], capsys: Capture, folder: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, folder: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     arguments = ["interpolate", *pair, "--poses", "poses.json", "--frames", 3, "--threads", 1, "-o", *FOLDERS[folder]]
-    planned = run_cli(capsys, *arguments, "--dry-run", "--json")
-    assert (planned.code, json.loads(planned.out)["encoder"]) == (0, "png images")
+    assert omnisyn.json(*arguments, "--dry-run")["encoder"] == "png images"
     assert not (tmp_path / folder).exists()
-    assert run_cli(capsys, *arguments).code == 0
-    assert sorted(file.name for file in (tmp_path / folder).iterdir()) == [f"00000{k}.png" for k in range(3)]
+    omnisyn.made(*arguments)
+    assert set(listing(tmp_path / folder)) == {f"00000{k}.png" for k in range(3)}
 
 
-def test_notes_about_a_plan_are_said_once(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+def test_notes_about_a_plan_are_said_once(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
     arguments = pair_arguments(tmp_path, [pair[0], pair[0]], "out.mp4", "--dry-run")
-    result = run_cli(capsys, *arguments)
+    result = omnisyn(*arguments)
     assert "note: " in result.err
     assert (result.out + result.err).count("there is no parallax to follow") == 1
-    assert "no parallax" in "".join(json.loads(run_cli(capsys, *arguments, "--json").out)["notes"])
+    assert "no parallax" in "".join(omnisyn.json(*arguments)["notes"])
 
 
-def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, capsys: Capture) -> None:
+def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, omnisyn: Omnisyn) -> None:
     """At 0 x264 leaves the profiles that players know; right above it does not."""
-    words = run_cli(capsys, "interpolate", "-h").out.split()
+    words = omnisyn("interpolate", "-h").out.split()
     assert "for h264 0 is lossless, which few players play" in " ".join(words)
     for crf, profile in ((0, "High 4:4:4 Predictive"), (1, "High")):
         with open_video(tmp_path / f"{crf}.mp4", size=(32, 64), fps=25, crf=crf) as sink:
@@ -249,68 +213,50 @@ def test_help_warns_of_a_quality_that_few_players_play(tmp_path: Path, capsys: C
         assert f"h264 ({profile})" in report
 
 
-def test_the_rate_may_be_a_fraction(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
-    result = run_cli(capsys, *pair_arguments(tmp_path, pair, "a.mp4", "--dry-run", "--json", "--fps", "30000/1001"))
-    assert (result.code, json.loads(result.out)["fps"]) == (0, 30000 / 1001)
-    assert run_cli(capsys, *pair_arguments(tmp_path, pair, "a.mp4", "--fps", "30/0")).code == 2
+def test_the_rate_may_be_a_fraction(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
+    plan = omnisyn.json(*pair_arguments(tmp_path, pair, "a.mp4", "--dry-run", "--fps", "30000/1001"))
+    assert plan["fps"] == 30000 / 1001
 
 
-def test_one_rule_for_cutting_meshes_is_enough(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
-    before = listing(tmp_path)
-    result = run_cli(capsys, *folder_arguments(tmp_path, pair, "--cut", 0.1, "--cut-metres", 2))
-    assert result.code == 2
-    assert "expected --cut or --cut-metres, got both; leave one of them out" in result.err
-    assert listing(tmp_path) == before
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--cut", 0.1, "--cut-metres", 2), "expected --cut or --cut-metres, got both; leave one of them out"),
+        (("--fps", "30/0"), "--fps"),
+    ],
+)
+def test_wrong_usage_leaves_nothing(
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, more: tuple[object, ...], words: str
+) -> None:
+    assert words in omnisyn.misused(*folder_arguments(tmp_path, pair, *more))
 
 
 @pytest.mark.parametrize("case", BAD_OUTPUT)
 def test_unusable_outputs_are_refused_before_any_work(
-    tmp_path: Path, capsys: Capture, case: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, omnisyn: Omnisyn, case: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments, words = BAD_OUTPUT[case]
     images = write_pair(tmp_path, ("a.png", "b.png", "c.png"))
     monkeypatch.chdir(tmp_path)
-    before = listing(tmp_path)
     frames = [] if case == "endless" else ["--frames", "3"]
-    result = run_cli(capsys, "interpolate", *images, "--poses", "poses.json", *frames, "-o", *arguments)
-    assert (result.code, result.out) == (3, "")
-    assert result.err.count("\n") == 1
-    assert words in result.err
-    assert listing(tmp_path) == before
+    assert words in omnisyn.refused("interpolate", *images, "--poses", "poses.json", *frames, "-o", *arguments)
 
 
 def test_a_read_only_folder_is_refused(
-    tmp_path: Path, pair: list[Path], capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK)
-    result = run_cli(capsys, *pair_arguments(tmp_path, pair))
-    assert result.code == 3
-    assert "expected a writable folder, got a read-only one" in result.err
+    assert "expected a writable folder, got a read-only one" in omnisyn.refused(*pair_arguments(tmp_path, pair))
 
 
 def test_overwriting_has_to_be_allowed_and_replaces_only_the_output(
-    tmp_path: Path, pair: list[Path], capsys: Capture
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn
 ) -> None:
     for more, code in (((), 0), ((), 3), (("--overwrite",), 0)):
-        assert run_cli(capsys, *folder_arguments(tmp_path, pair, *more)).code == code
+        assert omnisyn(*folder_arguments(tmp_path, pair, *more)).code == code
     (tmp_path / "out" / "notes.txt").write_text("mine")
-    assert run_cli(capsys, *folder_arguments(tmp_path, pair, "--overwrite")).code == 0
-    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [
-        "000000.png", "000001.png", "000002.png", "notes.txt",
-    ]  # fmt: skip
-
-
-def fake_ffmpeg(folder: Path, script: str) -> Path:
-    """An ffmpeg that lists libx264 and then does what ``script`` says, with the output's name in ``output``."""
-    program = folder / "fake-ffmpeg"
-    program.write_text(
-        f"#!{sys.executable}\nimport sys, time\n"
-        "if '-encoders' in sys.argv:\n    print(' V....D libx264  H.264')\n    sys.exit(0)\n"
-        "output = next(word[5:] for word in sys.argv if word.startswith('file:'))\n"
-        f"open(output, 'w').write('half')\n{script}\n"
-    )
-    program.chmod(0o755)
-    return program
+    omnisyn.made(*folder_arguments(tmp_path, pair, "--overwrite"))
+    assert set(listing(tmp_path / "out")) == {"000000.png", "000001.png", "000002.png", "notes.txt"}
 
 
 ENCODER_FAILURES = {
@@ -319,59 +265,29 @@ ENCODER_FAILURES = {
     "at the end": ("sys.stdin.buffer.read()\nsys.exit('cannot write the index')", "cannot write the index"),
     "full disk": ("sys.stdin.buffer.read()\nsys.exit('No space left on device')", "free some space"),
     "without a word": ("sys.exit(7)", "got exit code 7"),
+    "missing": ("", "expected an ffmpeg with libx264"),
 }
 
 
 @pytest.mark.parametrize("case", ENCODER_FAILURES)
 def test_a_failing_encoder_is_code_1_with_its_own_words_and_no_file(
-    tmp_path: Path, capsys: Capture, case: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, case: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script, words = ENCODER_FAILURES[case]
-    images = write_pair(tmp_path)
-    program = fake_ffmpeg(tmp_path, script)
-    monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
-    before = listing(tmp_path)
+    use_ffmpeg(monkeypatch, tmp_path, script, "libx265" if case == "missing" else "libx264")
     more = ("--save-frames", tmp_path / "frames", "--save-depth", tmp_path / "depth", "--frames", 9)
-    result = run_cli(capsys, *pair_arguments(tmp_path, images, "out.mp4", *more))
-    assert (result.code, result.out) == (1, "")
-    assert words in result.err
-    assert result.err.count("\n") == 1
-    assert listing(tmp_path) == before
-
-
-def test_a_missing_encoder_is_code_1(
-    tmp_path: Path, pair: list[Path], capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    program = fake_ffmpeg(tmp_path, "")
-    program.write_text(f"#!{sys.executable}\n")
-    monkeypatch.setattr("omnisyn_cli.io.encoders.ffmpeg_program", lambda: str(program))
-    before = listing(tmp_path)
-    result = run_cli(capsys, *pair_arguments(tmp_path, pair))
-    assert result.code == 1
-    assert "expected an ffmpeg with libx264" in result.err
-    assert listing(tmp_path) == before
+    assert words in omnisyn.refused(*pair_arguments(tmp_path, pair, "out.mp4", *more), code=1)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no file size limits there")
 @pytest.mark.parametrize("kind", ["frames", "depth"])
-def test_a_full_disk_is_code_1_and_one_line(tmp_path: Path, pair: list[Path], capsys: Capture, kind: str) -> None:
-    import resource
-
+def test_a_full_disk_is_code_1_and_one_line(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn, kind: str) -> None:
     more = ["--size", "128x64"] if kind == "frames" else ["--save-depth", tmp_path / "depth", "--size", "8x4"]
-    run_cli(capsys, *folder_arguments(tmp_path, pair, *more))  # kernels are compiled and kept while there is room
+    omnisyn(*folder_arguments(tmp_path, pair, *more))  # kernels are compiled and kept while there is room
     for made in ("out", "depth"):
         shutil.rmtree(tmp_path / made, ignore_errors=True)
-    before = listing(tmp_path)
-    former = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (900 if kind == "frames" else 250, former[1]))
-    try:
-        result = run_cli(capsys, *folder_arguments(tmp_path, pair, *more))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, former)
-    assert (result.code, result.out) == (1, "")
-    assert result.err.count("\n") == 1
-    assert "check free space" in result.err
-    assert listing(tmp_path) == before
+    with file_size_limit(900 if kind == "frames" else 250):
+        assert "check free space" in omnisyn.refused(*folder_arguments(tmp_path, pair, *more), code=1)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals there")
@@ -399,14 +315,12 @@ def test_a_signal_in_the_middle_leaves_nothing(tmp_path: Path, pair: list[Path],
     assert listing(tmp_path) == before
 
 
-def test_panoramas_of_16_bits_may_become_any_kind_of_frame(tmp_path: Path, pair: list[Path], capsys: Capture) -> None:
+def test_panoramas_of_16_bits_may_become_any_kind_of_frame(tmp_path: Path, pair: list[Path], omnisyn: Omnisyn) -> None:
     entries = read_poses(tmp_path / "poses.json").panoramas
     deep = tmp_path / "deep.png"
     write_image(deep, np.full((*SIZE, 3), 30_000, np.uint16))
     write_poses(tmp_path / "poses.json", {**entries, "deep.png": PosedPanorama(entries["b.png"].pose)})
-    images = [pair[0], deep]
     for codec in ("png", "jpg", "exr", "tif"):
-        result = run_cli(capsys, "interpolate", *images, "--poses", tmp_path / "poses.json", "-o", tmp_path / codec,
-                         "--frames", 2, "--codec", codec, "-q")  # fmt: skip
-        assert (result.code, result.err) == (0, "")
-        assert sorted(file.name for file in (tmp_path / codec).iterdir()) == [f"000000.{codec}", f"000001.{codec}"]
+        more = ("-o", tmp_path / codec, "--codec", codec, "--overwrite", "-q")
+        omnisyn.quiet(*folder_arguments(tmp_path, [pair[0], deep], *more))
+        assert set(listing(tmp_path / codec)) == {f"00000{k}.{codec}" for k in range(3)}

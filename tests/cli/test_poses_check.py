@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_samples import listing, run_cli
 
+from cli.cli_samples import Omnisyn, listing
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.io import write_image
 from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
 from omnisyn_cli.poses.registration.least_squares import direction_error, relative_pose, rotation_error
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
-
-Capture = pytest.CaptureFixture[str]
 
 NAMES = ("a.png", "b.png", "c.png")
 
@@ -50,41 +48,38 @@ def changed_file(tour: Path, path: Path, change: object) -> Path:
     return path
 
 
-def test_right_poses_fit_pair_by_pair(tour: Path, capsys: Capture) -> None:
-    result = run_cli(capsys, "poses", "check", *images(tour, 3), "--poses", tour / "poses.json", "--threads", 2)
-    assert (result.code, result.err) == (0, "")
+def disturbed_file(tour: Path, path: Path) -> Path:
+    """Poses of which all but the first are turned by some degrees."""
+    turns = iter(map(rotation_from_rotation_vector, np.array([[0, 0, 0], [0.03, 0.03, 0.03], [-0.03, 0.02, 0.04]])))
+    return changed_file(tour, path, lambda pose: Pose(next(turns) @ pose.rotation, pose.position))
+
+
+def test_right_poses_fit_pair_by_pair(tour: Path, omnisyn: Omnisyn) -> None:
+    result = omnisyn.quiet("poses", "check", *images(tour, 3), "--poses", tour / "poses.json", "--threads", 2)
     assert "a.png and b.png: the poses fit\n" in result.out
     assert "b.png and c.png: the poses fit\n" in result.out
 
 
-def test_inverted_poses_are_named_with_figures_and_a_remedy(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_inverted_poses_are_named_with_figures_and_a_remedy(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     inverted = changed_file(tour, tmp_path / "inverted.json", lambda pose: pose.inverse())
-    result = run_cli(capsys, "poses", "check", *images(tour), "--poses", inverted)
-    assert result.code == 3
-    assert "the poses do not fit" in result.out
-    assert "world-to-camera transforms, given as camera-to-world" in result.out
-    assert "to do: invert every transform" in result.out
-    result = run_cli(capsys, "poses", "check", *images(tour), "--poses", inverted, "--json")
-    (pair,) = json.loads(result.out)
-    assert (result.code, pair["verdict"], pair["mistakes"][0]["name"]) == (3, "mistake", "world-to-camera")
+    words = ("poses", "check", *images(tour), "--poses", inverted)
+    printed = omnisyn.ended(3, *words).out
+    assert "the poses do not fit" in printed
+    assert "world-to-camera transforms, given as camera-to-world" in printed
+    assert "to do: invert every transform" in printed
+    (pair,) = json.loads(omnisyn.ended(3, *words, "--json").out)
+    assert (pair["verdict"], pair["mistakes"][0]["name"]) == ("mistake", "world-to-camera")
     relative, wrong = relative_pose(*poses_of(tour / "poses.json")), relative_pose(*poses_of(inverted))
     assert pair["given"]["rotation_off_deg"] == pytest.approx(math.degrees(rotation_error(wrong, relative)), abs=0.5)
     assert pair["given"]["direction_off_deg"] == pytest.approx(math.degrees(direction_error(wrong, relative)), abs=1.0)
     assert pair["mistakes"][0]["corrected"]["residual_deg"] < 0.3 < pair["given"]["residual_deg"]
 
 
-def test_refining_brings_a_disturbed_tour_back(tour: Path, tmp_path: Path, capsys: Capture) -> None:
-    turns = iter(([0.0, 0.0, 0.0], [0.03, 0.03, 0.03], [-0.03, 0.02, 0.04]))
-    disturbed = changed_file(
-        tour,
-        tmp_path / "disturbed.json",
-        lambda pose: Pose(rotation_from_rotation_vector(np.array(next(turns))) @ pose.rotation, pose.position),
-    )
+def test_refining_brings_a_disturbed_tour_back(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
+    disturbed = disturbed_file(tour, tmp_path / "disturbed.json")
     output = tmp_path / "refined.json"
     arguments = ("poses", "refine", *images(tour, 3), "--poses", disturbed, "-o", output)
-    result = run_cli(capsys, *arguments)
-    assert result.code == 0
-    assert "2 of 2 pairs refined" in result.err
+    assert "2 of 2 pairs refined" in omnisyn.made(*arguments).err
     truth, refined = poses_of(tour / "poses.json", 3), poses_of(output, 3)
     assert refined[0].almost_equals(truth[0])
     for k in range(2):
@@ -93,29 +88,24 @@ def test_refining_brings_a_disturbed_tour_back(tour: Path, tmp_path: Path, capsy
         assert math.degrees(direction_error(found, right)) < 2.0
         lengths = [np.linalg.norm(poses[k + 1].position - poses[k].position) for poses in (refined, truth)]
         assert lengths[0] == pytest.approx(lengths[1])
-    again = run_cli(capsys, *arguments)
-    assert again.code == 3
-    assert "--overwrite" in again.err
-    assert run_cli(capsys, *arguments, "--overwrite", "-q").err == ""
+    assert "--overwrite" in omnisyn.refused(*arguments)
+    omnisyn.quiet(*arguments, "--overwrite", "-q")
 
 
-def test_what_contradicts_the_pictures_is_left_alone_and_said(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_what_contradicts_the_pictures_is_left_alone_and_said(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     inverted = changed_file(tour, tmp_path / "inverted.json", lambda pose: pose.inverse())
     output = tmp_path / "out.json"
-    result = run_cli(capsys, "poses", "refine", *images(tour), "--poses", inverted, "-o", output)
-    assert result.code == 0
+    result = omnisyn.made("poses", "refine", *images(tour), "--poses", inverted, "-o", output)
     assert "it looks as if the poses are world-to-camera" in result.err
     assert "0 of 1 pairs refined" in result.err
     assert all(a.almost_equals(b) for a, b in zip(poses_of(inverted), poses_of(output), strict=True))
 
 
-def test_poses_are_estimated_without_any(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_poses_are_estimated_without_any(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     output, truth = tmp_path / "found.json", poses_of(tour / "poses.json", 3)
     lengths = [float(np.linalg.norm(truth[k + 1].position - truth[k].position)) for k in range(2)]
     options = ("--baseline", lengths[0], "--baseline", lengths[1], "-o", output)
-    result = run_cli(capsys, "poses", "estimate", *images(tour, 3), *options)
-    assert result.code == 0
-    assert "taken for level" in result.err
+    assert "taken for level" in omnisyn.made("poses", "estimate", *images(tour, 3), *options).err
     found = poses_of(output, 3)
     assert found[0].almost_equals(Pose.identity())
     for k in (1, 2):
@@ -130,29 +120,22 @@ REFUSED = {
     "one twice": (("estimate", "a.png", "a.png", "--baseline", 1), "expected every panorama once"),
     "baselines": (("estimate", "a.png", "b.png", "--baseline", 1, "--baseline", 2), "expected one baseline"),
     "no entry": (("refine", "a.png", "blank.png", "--poses", "poses.json"), "expected an entry for 'blank.png'"),
-}
+    "over the input": (
+        ("refine", "a.png", "b.png", "--poses", "poses.json", "-o", "poses.json", "--overwrite"), "not overwritten",
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_done_is_refused_and_nothing_is_written(
-    tour: Path, tmp_path: Path, capsys: Capture, case: str
+    tour: Path, tmp_path: Path, omnisyn: Omnisyn, case: str
 ) -> None:
     (command, *arguments), words = REFUSED[case]
     paths = [tour / str(a) if str(a).endswith((".png", ".json")) else a for a in arguments]
-    result = run_cli(capsys, "poses", command, *paths, "-o", tmp_path / "out.json")
-    assert (result.code, result.out) == (3, "")
-    assert words in result.err
-    assert listing(tmp_path) == {}
+    assert words in omnisyn.refused("poses", command, "-o", tmp_path / "out.json", *paths)
 
 
-def test_inputs_are_not_overwritten(tour: Path, capsys: Capture) -> None:
-    file = tour / "poses.json"
-    result = run_cli(capsys, "poses", "refine", *images(tour), "--poses", file, "-o", file, "--overwrite")
-    assert result.code == 3
-    assert "not overwritten" in result.err
-
-
-def test_masks_outside_of_the_folder_are_read_only_if_allowed(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_masks_outside_of_the_folder_are_read_only_if_allowed(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     """And written: the refined file names the same mask, from where that file is."""
     (tmp_path / "poses").mkdir()
     write_image(tmp_path / "mask.png", np.full((192, 384), 255, np.uint8))
@@ -160,22 +143,17 @@ def test_masks_outside_of_the_folder_are_read_only_if_allowed(tour: Path, tmp_pa
     document["panoramas"]["a.png"]["mask"] = "../mask.png"
     file, output = tmp_path / "poses" / "poses.json", tmp_path / "refined.json"
     file.write_text(json.dumps(document))
-    size = ("--size", "384x192")
-    commands = {
-        "check": (*images(tour), "--poses", file),
-        "refine": (*images(tour), "--poses", file, "-o", output),
-        "export": (file, "--format", "tum", "-o", tmp_path / "out.tum", *size),
-    }
-    for command, arguments in commands.items():
-        refused = run_cli(capsys, "poses", command, *arguments)
-        assert refused.code == 3
-        assert "--allow-outside" in refused.err
-        allowed = run_cli(capsys, "poses", command, *arguments, "--allow-outside")
-        assert allowed.code == 0, allowed.err
+    for words in (
+        ("check", *images(tour), "--poses", file),
+        ("refine", *images(tour), "--poses", file, "-o", output),
+        ("export", file, "--format", "tum", "-o", tmp_path / "out.tum", "--size", "384x192"),
+    ):
+        assert "--allow-outside" in omnisyn.refused("poses", *words)
+        omnisyn.made("poses", *words, "--allow-outside")
     assert json.loads(output.read_text())["panoramas"]["a.png"]["mask"] == "mask.png"
     deeper = tmp_path / "a" / "b"
     deeper.mkdir(parents=True)
-    run_cli(capsys, "poses", "refine", *images(tour), "--poses", file, "-o", deeper / "p.json", "--allow-outside")
+    omnisyn("poses", "refine", *images(tour), "--poses", file, "-o", deeper / "p.json", "--allow-outside")
     assert json.loads((deeper / "p.json").read_text())["panoramas"]["a.png"]["mask"] == "../../mask.png"
     mask = read_poses(deeper / "p.json", allow_outside=True).of("a.png").mask
     assert mask is not None
@@ -183,7 +161,7 @@ def test_masks_outside_of_the_folder_are_read_only_if_allowed(tour: Path, tmp_pa
 
 
 def test_masks_that_the_new_file_could_not_name_are_refused_before_any_picture_is_read(
-    tour: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    tour: Path, tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "elsewhere").mkdir()
     document = json.loads((tour / "poses.json").read_text())
@@ -192,54 +170,35 @@ def test_masks_that_the_new_file_could_not_name_are_refused_before_any_picture_i
     write_image(tmp_path / "mask.png", np.full((192, 384), 255, np.uint8))
     arguments = ("poses", "refine", *images(tour), "--poses", tmp_path / "poses.json", "-o")
     with monkeypatch.context() as patched:
-        patched.setattr(
-            "omnisyn_cli.poses.estimation.read_panorama", lambda *_, **__: pytest.fail("a picture was read")
-        )
-        result = run_cli(capsys, *arguments, tmp_path / "elsewhere" / "out.json")
-    assert result.code == 3
-    assert "'a.png'.mask: expected a file in the folder of the pose file" in result.err
-    assert "write the pose file beside it, or allow files elsewhere (--allow-outside)" in result.err
-    assert listing(tmp_path / "elsewhere") == {}
-    assert run_cli(capsys, *arguments, tmp_path / "beside.json").code == 0
-    assert run_cli(capsys, *arguments, tmp_path / "elsewhere" / "out.json", "--allow-outside").code == 0
+        patched.setattr("omnisyn_cli.poses.estimation.read_panorama", lambda *_, **__: pytest.fail("a picture is read"))
+        result = omnisyn.refused(*arguments, tmp_path / "elsewhere" / "out.json")
+    assert "'a.png'.mask: expected a file in the folder of the pose file" in result
+    assert "write the pose file beside it, or allow files elsewhere (--allow-outside)" in result
+    omnisyn.made(*arguments, tmp_path / "beside.json")
+    omnisyn.made(*arguments, tmp_path / "elsewhere" / "out.json", "--allow-outside")
 
 
-def test_with_too_few_matches_refine_keeps_what_was_given(tour: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_with_too_few_matches_refine_keeps_what_was_given(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_poses(tmp_path / "p.json", {name: PosedPanorama(Pose.identity()) for name in ("a.png", "blank.png")})
     arguments = (tour / "a.png", tour / "blank.png", "--poses", tmp_path / "p.json")
-    result = run_cli(capsys, "poses", "refine", *arguments, "-o", tmp_path / "out.json")
-    assert result.code == 0
+    result = omnisyn.made("poses", "refine", *arguments, "-o", tmp_path / "out.json")
     assert "too few of 0 matches agree; the poses stay as they are" in result.err
     assert read_poses(tmp_path / "out.json").of("blank.png").pose.almost_equals(Pose.identity())
-    result = run_cli(capsys, "poses", "check", *arguments)
-    assert result.code == 0
-    assert "too few matches to judge the poses" in result.out
+    assert "too few matches to judge the poses" in omnisyn.made("poses", "check", *arguments).out
 
 
-def test_interpolating_with_poses_from_the_pictures(tour: Path, tmp_path: Path, capsys: Capture) -> None:
-    arguments = ("interpolate", *images(tour), "-o", tmp_path / "out", "--dry-run", "--json")
-    result = run_cli(capsys, *arguments, "--poses", "auto")
-    assert result.code == 0
+def test_interpolating_with_poses_from_the_pictures(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
+    arguments = ("interpolate", *images(tour), "-o", tmp_path / "out", "--dry-run")
+    result = omnisyn.made(*arguments, "--poses", "auto", "--json")
     assert "taken to be 1 m apart" in result.err
     assert json.loads(result.out)["path_metres"] == pytest.approx(1.0)
-    result = run_cli(capsys, *arguments, "--poses", "auto", "--baseline", 2.5)
-    assert json.loads(result.out)["path_metres"] == pytest.approx(2.5)
-    result = run_cli(capsys, *arguments, "--poses", tour / "poses.json", "--baseline", 2.5)
-    assert result.code == 3
-    assert "expected a baseline only where poses are found" in result.err
-    result = run_cli(capsys, *arguments, "--poses", "auto", "--refine")
-    assert result.code == 3
-    assert "expected poses to refine" in result.err
+    assert omnisyn.json(*arguments, "--poses", "auto", "--baseline", 2.5)["path_metres"] == pytest.approx(2.5)
+    given = ("--poses", tour / "poses.json", "--baseline", 2.5)
+    assert "expected a baseline only where poses are found" in omnisyn.refused(*arguments, *given)
+    assert "expected poses to refine" in omnisyn.refused(*arguments, "--poses", "auto", "--refine")
 
 
-def test_interpolating_with_refined_poses(tour: Path, tmp_path: Path, capsys: Capture) -> None:
-    turns = iter(([0.0, 0.0, 0.0], [0.03, 0.03, 0.03], [0.0, 0.0, 0.0]))
-    disturbed = changed_file(
-        tour,
-        tmp_path / "disturbed.json",
-        lambda pose: Pose(rotation_from_rotation_vector(np.array(next(turns))) @ pose.rotation, pose.position),
-    )
+def test_interpolating_with_refined_poses(tour: Path, tmp_path: Path, omnisyn: Omnisyn) -> None:
+    disturbed = disturbed_file(tour, tmp_path / "disturbed.json")
     arguments = ("interpolate", *images(tour), "-o", tmp_path / "out", "--dry-run", "--poses", disturbed, "--refine")
-    result = run_cli(capsys, *arguments)
-    assert result.code == 0
-    assert "a.png and b.png: rotation corrected by " in result.err
+    assert "a.png and b.png: rotation corrected by " in omnisyn.made(*arguments).err

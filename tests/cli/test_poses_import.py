@@ -1,17 +1,15 @@
 """``omnisyn poses import`` and ``export``: what was assumed is said, nothing is overwritten, help is instant."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO
 import pytest
-from cli_samples import listing, pair_arguments, run_cli, write_pair
 
+from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
 from omnisyn_cli.cli import poses as commands
-from omnisyn_cli.evaluation import duration
+from omnisyn_cli.interpolation.planning import duration
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.poses.formats import CAMERA_AXES, EXPORT_FORMATS, IMPORT_FORMATS, WORLD_UP
 
@@ -42,31 +40,19 @@ def test_choices_are_those_of_the_library() -> None:
     """They are written out twice, because help should not load the library."""
     assert set(commands.IMPORT_FORMATS) == {"auto", *IMPORT_FORMATS}
     assert set(commands.CAMERA_AXES) == set(CAMERA_AXES)
-    assert set(commands.UP) == {*WORLD_UP, "cameras"}
+    assert set(commands.UP_AXES) == {*WORLD_UP, "cameras"}
     assert commands.EXPORT_FORMATS == EXPORT_FORMATS
 
 
-def test_every_subcommand_is_listed_and_loads(capsys: pytest.CaptureFixture[str]) -> None:
-    result = run_cli(capsys, "poses", "--help")
+def test_every_subcommand_is_listed_and_loads(omnisyn: Omnisyn) -> None:
+    result = omnisyn("poses", "--help")
     places = [result.out.index(f"  {name}") for name in ("import", "export", "check", "refine", "estimate")]
     assert places == sorted(places)
     assert len(places) == len(commands.poses.commands)
 
 
-@pytest.mark.parametrize("arguments", [["poses", "--help"], ["poses", "import", "-h"], ["poses", "export", "-h"]])
-def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
-    program = (
-        "import sys\nfrom omnisyn_cli.cli import main\n"
-        f"try:\n    main({arguments})\nexcept SystemExit as left:\n    print(left.code, *sys.modules, file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    code, *modules = done.stderr.split()
-    assert code == "0"
-    assert not {"numpy", "pydantic", "OpenImageIO", "torch"} & {module.partition(".")[0] for module in modules}
-
-
-def test_import_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = run_cli(capsys, "poses", "import", table(tmp_path), "-o", tmp_path / "poses.json")
+def test_import_says_what_it_assumed(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    result = omnisyn("poses", "import", table(tmp_path), "-o", tmp_path / "poses.json")
     assert (result.code, result.out) == (0, "")
     assert "altitudes: none given" in result.err
     assert "images: 'a.png', 'b.png' not found" in result.err
@@ -76,126 +62,97 @@ def test_import_says_what_it_assumed(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert second.position[2] == pytest.approx(-1.112, abs=1e-3)
 
 
-def test_values_may_begin_with_a_minus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_values_may_begin_with_a_minus(tmp_path: Path, omnisyn: Omnisyn) -> None:
     arguments = ["poses", "import", table(tmp_path), "-o", tmp_path / "poses.json"]
-    result = run_cli(capsys, *arguments, "--origin", "-48.1,-11.5,-3")
-    assert result.code == 0
+    result = omnisyn.made(*arguments, "--origin", "-48.1,-11.5,-3")
     assert "origin: latitude -48.1, longitude -11.5, altitude -3 m" in result.err
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 -2 1 a.png\n\n", encoding="utf-8")
     arguments = ["poses", "import", tmp_path / "images.txt", "-o", tmp_path / "up.json"]
-    assert run_cli(capsys, *arguments, "--up", "-z").code == 0
+    omnisyn.made(*arguments, "--up", "-z")
     np.testing.assert_allclose(read_poses(tmp_path / "up.json").of("a.png").pose.position, [0, -2, 0])
 
 
-def test_quiet_is_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = run_cli(capsys, "poses", "import", table(tmp_path), "-q", "-o", tmp_path / "poses.json")
-    assert (result.code, result.out, result.err) == (0, "", "")
+def test_quiet_is_quiet(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    assert omnisyn.quiet("poses", "import", table(tmp_path), "-q", "-o", tmp_path / "poses.json").out == ""
 
 
-def test_nothing_is_overwritten_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_overwritten_unasked(tmp_path: Path, omnisyn: Omnisyn) -> None:
     output = tmp_path / "poses.json"
     output.write_text("mine", encoding="utf-8")
     arguments = ["poses", "import", table(tmp_path), "-o", output]
-    result = run_cli(capsys, *arguments)
-    assert result.code == 3
-    assert "--overwrite" in result.err
+    assert "--overwrite" in omnisyn.refused(*arguments)
     assert output.read_text(encoding="utf-8") == "mine"
-    assert run_cli(capsys, *arguments, "--overwrite").code == 0
+    omnisyn.made(*arguments, "--overwrite")
     assert json.loads(output.read_text(encoding="utf-8"))["version"] == 1
 
 
-def test_images_of_one_name_are_copied_under_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_of_one_name_are_copied_under_two(tmp_path: Path, omnisyn: Omnisyn) -> None:
     sources = [placed_panorama(tmp_path / "g" / name / "R0010001.JPG") for name in ("a", "b")]
     output = tmp_path / "out" / "poses.json"
     output.parent.mkdir()
-    refused = run_cli(capsys, "poses", "import", *sources, "-o", output)
-    assert refused.code == 3
-    assert "image files of different names, got 'a/R0010001.JPG' and 'b/R0010001.JPG'" in refused.err
-    assert "--copy-images" in refused.err
-    copied = run_cli(capsys, "poses", "import", *sources, "-o", output, "--copy-images")
-    assert copied.code == 0, copied.err
+    refused = omnisyn.refused("poses", "import", *sources, "-o", output)
+    assert "image files of different names, got 'a/R0010001.JPG' and 'b/R0010001.JPG'" in refused
+    assert "--copy-images" in refused
+    omnisyn.made("poses", "import", *sources, "-o", output, "--copy-images")
     assert list(listing(output.parent)) == ["a_R0010001.JPG", "b_R0010001.JPG", "poses.json"]
     assert list(read_poses(output).panoramas) == ["a_R0010001.JPG", "b_R0010001.JPG"]
 
 
 @pytest.mark.parametrize("name", ["none", "walk.csv"])
-def test_a_folder_of_panoramas_has_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+def test_a_folder_of_panoramas_has_to_be_one(tmp_path: Path, omnisyn: Omnisyn, name: str) -> None:
     source = table(tmp_path)
-    result = run_cli(capsys, "poses", "import", source, "-o", tmp_path / "out.json", "--images", tmp_path / name)
-    assert result.code == 3
-    assert f"{tmp_path / name}: expected a readable folder, got '" in result.err
-    assert list(listing(tmp_path)) == ["walk.csv"]
+    result = omnisyn.refused("poses", "import", source, "-o", tmp_path / "out.json", "--images", tmp_path / name)
+    assert f"{tmp_path / name}: expected a readable folder, got '" in result
 
 
-def test_export_names_the_folder_in_which_it_looked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_names_the_folder_in_which_it_looked(tmp_path: Path, omnisyn: Omnisyn) -> None:
     write_pair(tmp_path)
     (tmp_path / "images").mkdir()
     arguments = ["poses", "export", tmp_path / "poses.json", "--format", "nerfstudio", "-o", tmp_path / "t.json"]
-    result = run_cli(capsys, *arguments, "--images", tmp_path / "images")
-    assert result.code == 3
-    assert f"expected the panorama 'a.png' in '{tmp_path / 'images'}', for its size, got none" in result.err
+    result = omnisyn.refused(*arguments, "--images", tmp_path / "images")
+    assert f"expected the panorama 'a.png' in '{tmp_path / 'images'}', for its size, got none" in result
 
 
 @pytest.mark.parametrize("command", ["import", "export"])
-def test_not_even_overwriting_reaches_the_source(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_not_even_overwriting_reaches_the_source(tmp_path: Path, omnisyn: Omnisyn, command: str) -> None:
     source = table(tmp_path)
     if command == "export":
-        assert run_cli(capsys, "poses", "import", source, "-o", tmp_path / "poses.json").code == 0
+        assert omnisyn("poses", "import", source, "-o", tmp_path / "poses.json").code == 0
         source = tmp_path / "poses.json"
     before = source.read_bytes()
-    more = ["--format", "tum"] if command == "export" else []
-    result = run_cli(capsys, "poses", command, source, "-o", source, "--overwrite", *more)
-    assert result.code == 3
-    assert "inputs that are not overwritten" in result.err
+    words = [source, "-o", source, "--overwrite", *(["--format", "tum"] if command == "export" else [])]
+    assert "inputs that are not overwritten" in omnisyn.refused("poses", command, *words)
     assert source.read_bytes() == before
 
 
-def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_are_one_line_and_leave_nothing_behind(tmp_path: Path, omnisyn: Omnisyn) -> None:
     source = tmp_path / "walk.csv"
     source.write_text(TABLE + "c.png,1,2,north\n", encoding="utf-8")
-    result = run_cli(capsys, "poses", "import", source, "-o", tmp_path / "poses.json")
-    assert result.code == 3
-    assert result.err.count("\n") == 1
-    assert f"{source}:4: expected numbers (heading)" in result.err
-    assert list(listing(tmp_path)) == ["walk.csv"]
+    result = omnisyn.refused("poses", "import", source, "-o", tmp_path / "poses.json")
+    assert f"{source}:4: expected numbers (heading)" in result
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--origin", "north"],
-        ["--origin", "91,0"],
-        ["--origin", "1,2,inf"],
-        ["--origin", "1"],
-        ["--up", "x"],
-        ["--format", "bundler"],
-    ],
+    "words",
+    ["--origin north", "--origin 91,0", "--origin 1,2,inf", "--origin 1", "--up x", "--format bundler"],
 )
-def test_wrong_usage_is_2(tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
-    result = run_cli(capsys, "poses", "import", table(tmp_path), "-o", tmp_path / "poses.json", *arguments)
-    assert result.code == 2
-    assert "Error: " in result.err
+def test_wrong_usage_is_2(tmp_path: Path, omnisyn: Omnisyn, words: str) -> None:
+    omnisyn.misused("poses", "import", table(tmp_path), "-o", tmp_path / "poses.json", *words.split())
 
 
 def test_exported_and_imported_poses_make_the_same_plan(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A whole way round, through a COLMAP model, to a command that uses the result."""
     monkeypatch.setattr(duration, "probe", lambda: 1e-3)  # how fast the machine is may change between two plans
     images = write_pair(tmp_path)
     poses = tmp_path / "poses.json"
-    exported = run_cli(capsys, "poses", "export", poses, "--format", "colmap", "-o", tmp_path / "model")
-    assert exported.code == 0, exported.err
+    omnisyn.made("poses", "export", poses, "--format", "colmap", "-o", tmp_path / "model")
     arguments = pair_arguments(tmp_path, images, "out.mp4", "--dry-run", "--depth", "matching")
-    before = run_cli(capsys, *arguments)
-    again = run_cli(capsys, "poses", "import", tmp_path / "model", "-o", poses, "--overwrite")
-    assert again.code == 0, again.err
+    before = omnisyn.made(*arguments).out
+    again = omnisyn.made("poses", "import", tmp_path / "model", "-o", poses, "--overwrite")
     assert "COLMAP knows no scale" in again.err
-    after = run_cli(capsys, *arguments)
-    assert (before.code, after.code) == (0, 0)
-    assert before.out == after.out
+    assert omnisyn.made(*arguments).out == before
 
 
 def test_the_documentation_knows_every_format_and_option() -> None:
@@ -208,10 +165,10 @@ def test_the_documentation_knows_every_format_and_option() -> None:
             assert not long.startswith("--") or long in text or long in {"--quiet", "--output"}, long
 
 
-def test_the_table_of_the_documentation_is_understood(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_of_the_documentation_is_understood(tmp_path: Path, omnisyn: Omnisyn) -> None:
     text = (Path(__file__).parents[2] / "docs" / "poses.md").read_text(encoding="utf-8")
     start = text.index("image,lat,lng")
     source = tmp_path / "walk.csv"
     source.write_text(text[start : text.index("```", start)], encoding="utf-8")
-    assert run_cli(capsys, "poses", "import", source, "-o", tmp_path / "poses.json").code == 0
+    assert omnisyn("poses", "import", source, "-o", tmp_path / "poses.json").code == 0
     assert list(read_poses(tmp_path / "poses.json").panoramas) == ["a.jpg", "b.jpg"]

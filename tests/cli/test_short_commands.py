@@ -1,18 +1,15 @@
 """What is left out of a command is found: the pose file, the panoramas of a folder, the name of what is made."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cli.cli_samples import Result, run_cli, write_pair
-from interpolation_samples import CHAIN, listing
+from cli.cli_samples import Omnisyn, write_pair
+from interpolation_samples import CHAIN
 from omnisyn_cli.interpolation.inputs import NamedTour, named_tour, video_ending
 from omnisyn_cli.poses.file import POSES_NAME, read_poses, write_poses
 from synthesis_samples import write_hall
-
-Capture = pytest.CaptureFixture[str]
 
 COMMANDS: dict[str, tuple[str, tuple[object, ...]]] = {
     "interpolate": (".mp4", ("--frames", 3, "--encoder-preset", "ultrafast")),
@@ -34,15 +31,12 @@ def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def run(capsys: Capture, command: str, *arguments: object) -> Result:
-    return run_cli(capsys, command, *arguments, "--threads", 1, *COMMANDS[command][1])
+def cheap(command: str, *arguments: object) -> list[object]:
+    return [command, *arguments, "--threads", 1, *COMMANDS[command][1]]
 
 
-def planned(capsys: Capture, command: str, *arguments: object) -> dict[str, Any]:
-    result = run(capsys, command, *arguments, "--dry-run", "--json")
-    assert result.code == 0, result.err
-    plan: dict[str, Any] = json.loads(result.out)
-    return plan
+def planned(omnisyn: Omnisyn, command: str, *arguments: object) -> Any:
+    return omnisyn.json(*cheap(command, *arguments), "--dry-run")
 
 
 def names(walk: Path) -> list[str]:
@@ -50,60 +44,53 @@ def names(walk: Path) -> list[str]:
 
 
 @every_command
-def test_the_output_is_named_after_the_first_and_the_last_panorama(walk: Path, capsys: Capture, command: str) -> None:
+def test_the_output_is_named_after_the_first_and_the_last_panorama(walk: Path, omnisyn: Omnisyn, command: str) -> None:
     """In the current folder, and nothing there is replaced unless that is asked for."""
     images = [walk / name for name in names(walk)]
     output = Path(f"{images[0].stem}-{images[-1].stem}{COMMANDS[command][0]}")
-    first = run(capsys, command, *images, "--poses", walk / POSES_NAME)
-    assert (first.code, first.err) == (0, "")
-    assert first.out.startswith(f"{output}: ")
+    words = cheap(command, *images, "--poses", walk / POSES_NAME)
+    assert omnisyn.quiet(*words).out.startswith(f"{output}: ")
     made = output.read_bytes()
     output.write_text("mine")
-    again = run(capsys, command, *images, "--poses", walk / POSES_NAME)
-    assert (again.code, again.out) == (3, "")
-    assert again.err.startswith(f"omnisyn: {output}: expected a new file, got one that exists")
+    assert omnisyn.refused(*words).startswith(f"omnisyn: {output}: expected a new file, got one that exists")
     assert output.read_text() == "mine"
-    assert run(capsys, command, *images, "--poses", walk / POSES_NAME, "--overwrite").code == 0
+    omnisyn.made(*words, "--overwrite")
     assert output.read_bytes() == made
 
 
 @every_command
-def test_a_folder_stands_for_the_panoramas_that_its_pose_file_names(walk: Path, capsys: Capture, command: str) -> None:
+def test_a_folder_stands_for_the_panoramas_that_its_pose_file_names(walk: Path, omnisyn: Omnisyn, command: str) -> None:
     """In the order of the file, which is not that of their names; other images in the folder are not looked at."""
     poses = read_poses(walk / POSES_NAME).panoramas
     write_poses(walk / POSES_NAME, dict(reversed(poses.items())))
     (walk / "0.png").write_text("no panorama")
-    plan = planned(capsys, command, "tour/")
+    plan = planned(omnisyn, command, "tour/")
     assert plan["inputs"] == [f"tour/{name}" for name in reversed(poses)]
     assert plan["output"] == f"tour{COMMANDS[command][0]}"
-    result = run(capsys, command, "tour")
-    assert (result.code, result.err) == (0, "")
+    omnisyn.quiet(*cheap(command, "tour"))
     assert Path(plan["output"]).is_file()
 
 
 @every_command
 def test_poses_are_looked_for_beside_the_panoramas(
-    walk: Path, capsys: Capture, command: str, monkeypatch: pytest.MonkeyPatch
+    walk: Path, omnisyn: Omnisyn, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     images = names(walk)
-    assert planned(capsys, command, *(walk / image for image in images[:2]))["depth"] == "file"
+    assert planned(omnisyn, command, *(walk / image for image in images[:2]))["depth"] == "file"
     monkeypatch.chdir(walk)
-    assert planned(capsys, command, *images)["inputs"] == images
-    assert planned(capsys, command, ".")["output"] == f"tour{COMMANDS[command][0]}"
+    assert planned(omnisyn, command, *images)["inputs"] == images
+    assert planned(omnisyn, command, ".")["output"] == f"tour{COMMANDS[command][0]}"
     (walk / POSES_NAME).rename(walk / "other.json")
-    result = run(capsys, command, *images)
-    assert result.code == 2
-    assert "expected --poses, or a poses.json beside" in result.err
-    assert planned(capsys, command, ".", "--poses", "other.json")["inputs"] == images
+    assert "expected --poses, or a poses.json beside" in omnisyn.misused(*cheap(command, *images))
+    assert planned(omnisyn, command, ".", "--poses", "other.json")["inputs"] == images
 
 
-def test_what_fills_a_folder_does_not_get_that_of_the_panoramas(walk: Path, capsys: Capture) -> None:
+def test_what_fills_a_folder_does_not_get_that_of_the_panoramas(walk: Path, omnisyn: Omnisyn) -> None:
     for codec, output in (("png", "tour-frames"), ("prores", "tour.mov")):
-        result = run_cli(capsys, "interpolate", "tour", "--codec", codec, "--dry-run", "--json")
-        assert json.loads(result.out)["output"] == output
-    assert planned(capsys, "view", "tour", "--folder")["output"] == "tour-walk"
+        assert omnisyn.json("interpolate", "tour", "--codec", codec, "--dry-run")["output"] == output
+    assert planned(omnisyn, "view", "tour", "--folder")["output"] == "tour-walk"
     for name, output in (("ply", "tour.ply"), ("splats", "tour.ply"), ("colmap", "tour-colmap")):
-        assert planned(capsys, "export", "tour", "--format", name)["output"] == output
+        assert planned(omnisyn, "export", "tour", "--format", name)["output"] == output
 
 
 def test_a_dot_or_a_number_in_names_makes_no_file_and_no_pattern_of_a_folder() -> None:
@@ -139,48 +126,36 @@ REFUSED = {
 
 @every_command
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_folder_that_cannot_be_used_is_one_line(walk: Path, capsys: Capture, command: str, case: str) -> None:
+def test_a_folder_that_cannot_be_used_is_one_line(walk: Path, omnisyn: Omnisyn, command: str, case: str) -> None:
     spoil, words = REFUSED[case]
     name = names(walk)[1]
     arguments = spoil(walk)
-    before = listing(walk.parent)
-    result = run(capsys, command, *arguments)
-    assert (result.code, result.out, result.err.count("\n")) == (3, "", 1)
-    assert words.format(name=name) in result.err
-    assert listing(walk.parent) == before
+    assert words.format(name=name) in omnisyn.refused(*cheap(command, *arguments))
 
 
 @every_command
-def test_a_panorama_that_does_not_exist_is_no_missing_pose(tmp_path: Path, capsys: Capture, command: str) -> None:
-    images = write_pair(tmp_path)
-    result = run(capsys, command, images[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME)
-    assert (result.code, result.out) == (3, "")
-    assert result.err == f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
+def test_without_poses_too_a_missing_panorama_is_named(tmp_path: Path, omnisyn: Omnisyn, command: str) -> None:
     (tmp_path / "other").mkdir()
-    without = run(capsys, command, tmp_path / "other" / "d.png", images[1])
-    assert without.code == 2
-    assert f"{tmp_path / 'other' / 'd.png'}: expected a panorama, got no such file" in without.err
+    without = omnisyn.misused(*cheap(command, tmp_path / "other" / "d.png", write_pair(tmp_path)[1]))
+    assert f"{tmp_path / 'other' / 'd.png'}: expected a panorama, got no such file" in without
 
 
-@pytest.mark.parametrize("command", ["check", "refine"])
-def test_nor_is_it_where_poses_are_looked_at(tmp_path: Path, capsys: Capture, command: str) -> None:
-    images = write_pair(tmp_path)
-    output = ["-o", tmp_path / "new.json"] if command == "refine" else []
-    result = run_cli(capsys, "poses", command, images[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME, *output)
-    assert result.code == 3
-    assert result.err == f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
+@pytest.mark.parametrize("command", [*COMMANDS, "poses check", "poses refine"])
+def test_a_panorama_that_does_not_exist_is_no_missing_pose(tmp_path: Path, omnisyn: Omnisyn, command: str) -> None:
+    inputs = [write_pair(tmp_path)[0], tmp_path / "c.png", "--poses", tmp_path / POSES_NAME]
+    output = ["-o", tmp_path / "new.json"] if command == "poses refine" else []
+    expected = f"omnisyn: {tmp_path / 'c.png'}: expected a file, got no such file; check the name\n"
+    assert omnisyn.refused(*command.split(), *inputs, *output) == expected
 
 
 @pytest.mark.parametrize("command", ["interpolate", "view"])
 def test_one_panorama_twice_is_made_and_said(
-    tmp_path: Path, capsys: Capture, command: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, omnisyn: Omnisyn, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of one place there is nothing to walk along, whatever is made of it."""
     monkeypatch.chdir(tmp_path)
     image = write_pair(tmp_path)[0]
-    result = run(capsys, command, image, image)
-    assert result.code == 0
-    assert "a.png and a.png have the same position" in result.err
+    assert "a.png and a.png have the same position" in omnisyn.made(*cheap(command, image, image)).err
     assert Path(f"a-a{COMMANDS[command][0]}").is_file()
 
 

@@ -19,8 +19,8 @@ from types import FunctionType
 from typing import Any
 
 import pytest
-from cli_samples import listing, pair_arguments, run_cli, write_pair
 
+from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
 from omnisyn_cli.cli import signals
 from omnisyn_cli.cli.signals import Terminated, signals_raised
 from omnisyn_cli.errors import WriteError
@@ -87,7 +87,7 @@ MOMENTS = {
 
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_a_signal_leaves_all_or_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, moment: str
+    tmp_path: Path, omnisyn: Omnisyn, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
     owner, name, number, then = MOMENTS[moment]
     more = ("--save-frames", tmp_path / "frames", "--frames", 9, "-q")
@@ -103,7 +103,7 @@ def test_a_signal_leaves_all_or_nothing(
 
     monkeypatch.setattr(subprocess.Popen, "__init__", started)
     monkeypatch.setattr(owner, name, at_call(number, getattr(owner, name), then))
-    result = run_cli(capsys, *arguments)
+    result = omnisyn(*arguments)
     assert (result.code, result.out) == (143, "")
     assert result.err == "omnisyn: ended by a signal; nothing was left half written\n"
     assert {*listing(tmp_path)} in (before, all_there)

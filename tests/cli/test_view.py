@@ -1,17 +1,14 @@
 """``omnisyn view`` from the command line, and the page that ``interpolate --view`` makes beside a video."""
 
-import json
 import signal
 from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
 
-from cli.cli_samples import run_cli, start_cli
+from cli.cli_samples import Omnisyn, start_cli
 from interpolation_samples import CHAIN, listing
 from synthesis_samples import write_hall
-
-Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
@@ -25,25 +22,22 @@ def given(tour: list[Path], *more: object) -> list[object]:
     return [*tour, "--poses", tour[0].parent / "poses.json", "--threads", 1, *more]
 
 
-def test_a_page_is_written_and_said(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
+def test_a_page_is_written_and_said(tour: list[Path], tmp_path: Path, omnisyn: Omnisyn) -> None:
     page = tmp_path / "a b.html"
-    result = run_cli(capsys, "view", *given(tour, "-o", page))
-    assert (result.code, result.err) == (0, "")
+    result = omnisyn.quiet("view", *given(tour, "-o", page))
     assert result.out.startswith(f"{page}: a walk through 3 panoramas, ")
-    again = run_cli(capsys, "view", *given(tour, "-o", page))
-    assert (again.code, again.err.count("\n")) == (3, 1)
-    assert "--overwrite" in again.err
+    assert "--overwrite" in omnisyn.refused("view", *given(tour, "-o", page))
     before = page.read_bytes()
-    assert run_cli(capsys, "view", *given(tour, "-o", page, "--overwrite", "--quiet")).out == ""
+    assert omnisyn("view", *given(tour, "-o", page, "--overwrite", "--quiet")).out == ""
     assert page.read_bytes() == before
 
 
-def test_a_video_s_page_is_the_page_of_view(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
+def test_a_video_s_page_is_the_page_of_view(tour: list[Path], tmp_path: Path, omnisyn: Omnisyn) -> None:
     """Of the same depth, pairs without a frame of their own included."""
-    assert run_cli(capsys, "view", *given(tour, "-o", tmp_path / "own.html")).code == 0
+    omnisyn.made("view", *given(tour, "-o", tmp_path / "own.html"))
     more = ("--frames", 3, "-o", tmp_path / "frames", "--view", tmp_path / "beside.html")
-    made = run_cli(capsys, "interpolate", *given(tour, *more))
-    assert (made.code, made.out.splitlines()[1]) == (0, f"{tmp_path / 'beside.html'}: a walk through 3 panoramas")
+    made = omnisyn.made("interpolate", *given(tour, *more))
+    assert made.out.splitlines()[1] == f"{tmp_path / 'beside.html'}: a walk through 3 panoramas"
     assert (tmp_path / "beside.html").read_bytes() == (tmp_path / "own.html").read_bytes()
     assert len(listing(tmp_path / "frames")) == 3
 
@@ -57,27 +51,21 @@ def test_a_video_s_page_is_the_page_of_view(tour: list[Path], tmp_path: Path, ca
     ],
 )
 def test_a_page_that_cannot_be_is_refused_before_any_frame(
-    tour: list[Path], tmp_path: Path, capsys: Capture, more: tuple[str, ...], words: str
+    tour: list[Path], tmp_path: Path, omnisyn: Omnisyn, more: tuple[str, ...], words: str
 ) -> None:
     (tmp_path / "there.html").write_text("mine")
     placed = [tmp_path / text if text.endswith((".html", ".mp4")) else text for text in more]
-    before = listing(tmp_path)
-    result = run_cli(capsys, "interpolate", *given(tour, "-o", tmp_path / "frames", *placed))
-    assert (result.code, result.out) == (3, "")
-    assert words in result.err
-    assert listing(tmp_path) == before
+    assert words in omnisyn.refused("interpolate", *given(tour, "-o", tmp_path / "frames", *placed))
 
 
-def test_the_summary_of_a_video_names_its_page(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
-    more = ("--frames", 3, "-o", tmp_path / "frames", "--json")
-    made = run_cli(capsys, "interpolate", *given(tour, *more, "--view", tmp_path / "beside.html"))
-    assert json.loads(made.out)["view"] == str(tmp_path / "beside.html")
-    assert json.loads(run_cli(capsys, "interpolate", *given(tour, *more, "--overwrite")).out)["view"] == ""
+def test_the_summary_of_a_video_names_its_page(tour: list[Path], tmp_path: Path, omnisyn: Omnisyn) -> None:
+    words = ("interpolate", *given(tour, "--frames", 3, "-o", tmp_path / "frames"))
+    assert omnisyn.json(*words, "--view", tmp_path / "beside.html")["view"] == str(tmp_path / "beside.html")
+    assert omnisyn.json(*words, "--overwrite")["view"] == ""
 
 
-def test_a_dry_run_says_what_would_be_done(tour: list[Path], tmp_path: Path, capsys: Capture) -> None:
-    result = run_cli(capsys, "view", *given(tour, "-o", tmp_path / "walk.html", "--dry-run", "--json"))
-    plan = json.loads(result.out)
+def test_a_dry_run_says_what_would_be_done(tour: list[Path], tmp_path: Path, omnisyn: Omnisyn) -> None:
+    plan = omnisyn.json("view", *given(tour, "-o", tmp_path / "walk.html", "--dry-run"))
     assert (plan["texture"], plan["depth"], plan["folder"]) == (4096, "file", False)
     assert plan["memory_mib"] > 100
     assert not (tmp_path / "walk.html").exists()
@@ -85,9 +73,9 @@ def test_a_dry_run_says_what_would_be_done(tour: list[Path], tmp_path: Path, cap
 
 @pytest.mark.parametrize("more", [("--serve",), ("--cut", "0.1", "--cut-metres", "1")])
 def test_options_that_contradict_each_other_are_wrong_usage(
-    tour: list[Path], tmp_path: Path, capsys: Capture, more: tuple[str, ...]
+    tour: list[Path], tmp_path: Path, omnisyn: Omnisyn, more: tuple[str, ...]
 ) -> None:
-    assert run_cli(capsys, "view", *given(tour, "-o", tmp_path / "walk.html", *more)).code == 2
+    omnisyn.misused("view", *given(tour, "-o", tmp_path / "walk.html", *more))
 
 
 def test_a_folder_is_served_until_it_is_ended(tour: list[Path], tmp_path: Path) -> None:

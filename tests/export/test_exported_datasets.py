@@ -13,8 +13,8 @@ from omnisyn_cli.geometry.pose import rotation_from_quaternion
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.interpolation.export import plan_export, run_export
 from omnisyn_cli.interpolation.export.datasets import FACES
-from omnisyn_cli.io import read_depth, write_depth, write_image
-from synthesis_samples import SIZE, hall_image
+from omnisyn_cli.io import read_depth, write_depth
+from synthesis_samples import SIZE, hall_image, write_mask
 
 HALF_PIXEL = 0.02
 """Metres: nearest depth on faces is up to half a pixel aside."""
@@ -161,11 +161,7 @@ def test_nerfstudios_rays_end_on_the_wall(tmp_path: Path) -> None:
 
 
 def test_what_is_unknown_or_too_far_for_millimetres_is_zero(tmp_path: Path) -> None:
-
-    usable = np.full((*SIZE, 3), 255, np.uint8)
-    usable[50:] = 0
-    mask = tmp_path / "a mask.png"
-    write_image(mask, usable)
+    mask = write_mask(tmp_path / "a mask.png", 50)
     job = job_in(tmp_path, "out", format="nerfstudio", chain=CHAIN[:2], masks=(mask, mask))
     depth = np.array(read_depth(tmp_path / "p0_depth.exr"))
     depth[:10], depth[10:20] = np.inf, 70.0
@@ -175,4 +171,5 @@ def test_what_is_unknown_or_too_far_for_millimetres_is_zero(tmp_path: Path) -> N
     assert not found[:20].any()
     assert found[20:50].all()
     assert not found[50:].any()
-    assert np.array_equal(np.asarray(Image.open(tmp_path / "out" / "masks" / "0000_p0.png")), usable[..., 0])
+    masks = (Image.open(path).convert("L") for path in (tmp_path / "out" / "masks" / "0000_p0.png", mask))
+    assert np.array_equal(*map(np.asarray, masks))

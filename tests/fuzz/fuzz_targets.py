@@ -44,8 +44,8 @@ def targets() -> dict[str, Callable[[], Target]]:
     return {
         "poses.json": _poses,
         **images,
-        "depth exr": _depth,
-        "depth png": _depth_png,
+        "depth exr": partial(_depth, "a.exr", "float32"),
+        "depth png": partial(_depth, "a.png", "uint16"),
         "onnx": _onnx,
         "models manifest": _models,
         "batch jsonl": partial(_batch, "jsonl"),
@@ -126,18 +126,11 @@ def _with_xmp(webp: bytes) -> bytes:
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
-def _depth() -> Target:
-    from omnisyn_cli.io import read_inverse_depth, write_depth
-
-    data = _bytes_of(lambda path: write_depth(path, np.linspace(1, 9, 512, dtype=np.float32).reshape(16, 32)), "a.exr")
-    return Target({"a.exr": data}, ("a.exr",), lambda at: read_inverse_depth(at / "a.exr", max_pixels=MAX_PIXELS))
-
-
-def _depth_png() -> Target:
+def _depth(name: str, dtype: str) -> Target:
     from omnisyn_cli.io import read_inverse_depth
 
-    data = _picture("a.png", "uint16", channels=1)
-    return Target({"a.png": data}, ("a.png",), lambda at: read_inverse_depth(at / "a.png", max_pixels=MAX_PIXELS))
+    data = _picture(name, dtype, channels=1)
+    return Target({name: data}, (name,), lambda folder: read_inverse_depth(folder / name, max_pixels=MAX_PIXELS))
 
 
 POSES = {
@@ -232,16 +225,10 @@ def _batch(kind: str) -> Target:
     from omnisyn_cli.batch.manifest import read_manifest
     from omnisyn_cli.errors import InputError
 
+    common = {"inputs": ["a.png", "b.png"], "poses": "poses.json"}
     lines = [
-        {
-            "id": "one",
-            "inputs": ["a.png", "b.png"],
-            "poses": "poses.json",
-            "frames": 60,
-            "size": "2048x1024",
-            "fps": 24.0,
-        },
-        {"id": "two", "inputs": ["a.png", "b.png"], "poses": "poses.json", "output": "two/f_%03d.png", "cut": 0.1},
+        {"id": "one", **common, "frames": 60, "size": "2048x1024", "fps": 24.0},
+        {"id": "two", **common, "output": "two/f_%03d.png", "cut": 0.1},
     ]
     if kind == "jsonl":
         text = b"\n".join(_json(line) for line in lines) + b"\n"
@@ -263,10 +250,8 @@ def _batch(kind: str) -> Target:
 def _batch_results() -> Target:
     from omnisyn_cli.batch.folder import Records
 
-    lines = [
-        {"id": f"job{index}", "status": "done", "key": "0" * 64, "outputs": {"output": "a.mp4"}} for index in range(4)
-    ]
-    data = b"".join(_json(line) + b"\n" for line in lines)
+    line = {"status": "done", "key": "0" * 64, "outputs": {"output": "a.mp4"}}
+    data = b"".join(_json({"id": f"job{index}", **line}) + b"\n" for index in range(4))
 
     def read(folder: Path) -> None:
         with Records(folder / "results.jsonl") as records:
@@ -278,47 +263,31 @@ def _batch_results() -> Target:
 
 
 def _eval_results() -> Target:
-    from omnisyn_cli.evaluation.results import (
-        DepthRecord,
-        FrameRecord,
-        UnitRecord,
-        append_record,
-        latest_records,
-        read_records,
-    )
+    from omnisyn_cli.evaluation import results
 
-    frames = tuple(FrameRecord(f"{i}.png", i / 4, 0.25, {"ws_psnr": 30.0 + i, "psnr": math.inf}) for i in (1, 2, 3))
-    record = UnitRecord(
+    frames = tuple(
+        results.FrameRecord(f"{i}.png", i / 4, 0.25, {"ws_psnr": 30.0 + i, "psnr": math.inf}) for i in (1, 2, 3)
+    )
+    record = results.UnitRecord(
         "k" * 64, "hall", "a.png", "b.png", "matching", "done", baseline=1.0, size=(512, 1024), frames=frames,
-        depths=(DepthRecord("a.png", {"mae": 0.1}, {"mae": 0.2}),), temporal={"flicker": 0.1}, seconds={"total": 2.0},
+        depths=(results.DepthRecord("a.png", {"mae": 0.1}, {"mae": 0.2}),), temporal={"flicker": 0.1},
+        seconds={"total": 2.0},
     )  # fmt: skip
     data = b"".join(_json(record.to_json()) + b"\n" for _ in range(3))
 
     def read(folder: Path) -> None:
-        for found in latest_records(read_records(folder)):
+        for found in results.latest_records(results.read_records(folder)):
             found.mean("ws_psnr")
-        append_record(folder, record)
+        results.append_record(folder, record)
 
     return Target({"results.jsonl": data}, ("results.jsonl",), read)
-
-
-FOREIGN: dict[str, tuple[str, Callable[[], dict[str, bytes]]]] = {}
-"""By format: the name of the source below the folder, and its files."""
-
-
-def _format(name: str, source: str) -> Callable[[Callable[[], dict[str, bytes]]], Callable[[], dict[str, bytes]]]:
-    def add(files: Callable[[], dict[str, bytes]]) -> Callable[[], dict[str, bytes]]:
-        FOREIGN[name] = (source, files)
-        return files
-
-    return add
 
 
 def _foreign(name: str) -> Target:
     from omnisyn_cli.poses.formats import ImportOptions, import_poses
 
-    source, make = FOREIGN[name]
-    files = make()
+    source, content = FOREIGN[name]
+    files = content() if callable(content) else content
     broken = tuple(file for file in files if not file.endswith(".png"))
 
     def read(folder: Path) -> None:
@@ -327,92 +296,61 @@ def _foreign(name: str) -> Target:
     return Target(files, broken, read)
 
 
-@_format("csv", "places.csv")
-def _csv() -> dict[str, bytes]:
-    return {"places.csv": b"image,lat,lng,heading,altitude\na.png,48.1,11.5,93,520\nb.png,48.2,11.6,9.5,521\n"}
-
-
-@_format("table json", "places.json")
-def _table() -> dict[str, bytes]:
-    rows = [
-        {"pano_id": f"{n}", "location": {"lat": 48.1, "lng": 11.5}, "heading": 20 * n, "pitch": 0} for n in range(3)
-    ]
-    return {"places.json": _json({"images": rows})}
-
-
-@_format("colmap", ".")
-def _colmap() -> dict[str, bytes]:
-    images = b"# list\n1 1 0 0 0 0.5 0 0 1 a.png\n\n2 0.6 0.8 0 0 1.5 0 -2 1 b.png\n1 2 -1\n"
-    return {"cameras.txt": b"1 EQUIRECTANGULAR 64 32 64 32\n", "images.txt": images, "a.png": b""}
-
-
-@_format("opensfm", "reconstruction.json")
-def _opensfm() -> dict[str, bytes]:
-    shots = {
-        name: {"camera": "c", "rotation": [0.1, 0.2, 0.3], "translation": [1, 2, 3.5]} for name in ("a.png", "b.png")
-    }
-    part = {
-        "cameras": {"c": {"projection_type": "spherical", "width": 64, "height": 32}},
-        "shots": shots,
-        "reference_lla": {"latitude": 48.0, "longitude": 11.0, "altitude": 500.0},
-    }
-    return {"reconstruction.json": _json([part])}
-
-
-@_format("nerfstudio", "transforms.json")
-def _nerfstudio() -> dict[str, bytes]:
-    matrix = [[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, -3], [0, 0, 0, 1]]
-    frames = [{"file_path": f"./images/{n}.png", "transform_matrix": matrix} for n in range(2)]
-    document = {
-        "camera_model": "EQUIRECTANGULAR",
-        "applied_scale": 2.0,
-        "applied_transform": matrix[:3],
-        "frames": frames,
-    }
-    return {"transforms.json": _json(document)}
-
-
-@_format("tum", "track.tum")
-def _tum() -> dict[str, bytes]:
-    lines = b"# image 0 a.png\n0 0 0 0 0 0 0 1\n# image 1.5 b.png\n1.5 1 2 3 0.6 0 0 0.8\n"
-    return {"track.tum": lines, "a.png": b"", "b.png": b""}
-
-
-@_format("kitti", "00.txt")
-def _kitti() -> dict[str, bytes]:
-    return {"00.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1.5 0 1 0 2 0 0 1 -3\n", "a.png": b"", "b.png": b""}
-
-
-@_format("habitat", ".")
-def _habitat() -> dict[str, bytes]:
-    return {
-        f"{n}/{name}": data
-        for n in range(2)
-        for name, data in (("rot.txt", b"1 0 0\n0 1 0\n0 0 1\n"), ("tran.txt", b"0.5\n1\n-2\n"), ("rgb.png", b""))
-    }
-
-
-@_format("zind", "zind_data.json")
-def _zind() -> dict[str, bytes]:
-    similarity = {"translation": [1.0, 2.0], "rotation": 30.0, "scale": 0.5}
-    panoramas = {
-        f"p{n}": {"image_path": f"p/{n}.jpg", "camera_height": 1.0, "floor_plan_transformation": similarity}
-        for n in "12"
-    }
-    return {
-        "zind_data.json": _json(
-            {"merger": {"f1": {"r1": {"q1": panoramas}}}, "scale_meters_per_coordinate": {"f1": 3.5}}
-        )
-    }
-
-
-@_format("authors", ".")
 def _authors() -> dict[str, bytes]:
     rotations = _bytes_of(lambda path: np.save(path, np.stack([np.eye(3)] * 2)), "r.npy")
     translations = _bytes_of(lambda path: np.save(path, np.zeros((2, 3))), "t.npy")
-    return {"rotations.npy": rotations, "translations.npy": translations, "0.png": b"", "1.png": b""}
+    return {"rotations.npy": rotations, "translations.npy": translations, **PICTURES}
 
 
-@_format("exif", "a.jpg")
-def _exif() -> dict[str, bytes]:
-    return {"a.jpg": _picture("a.jpg", **GPS)}
+PICTURES = {"0.png": b"", "1.png": b""}
+
+NAMED = {"a.png": b"", "b.png": b""}
+
+ROWS = [{"pano_id": f"{n}", "location": {"lat": 48.1, "lng": 11.5}, "heading": 20 * n, "pitch": 0} for n in range(3)]
+
+SHOT = {"camera": "c", "rotation": [0.1, 0.2, 0.3], "translation": [1, 2, 3.5]}
+
+RECONSTRUCTION = {
+    "cameras": {"c": {"projection_type": "spherical", "width": 64, "height": 32}},
+    "shots": {"a.png": SHOT, "b.png": SHOT},
+    "reference_lla": {"latitude": 48.0, "longitude": 11.0, "altitude": 500.0},
+}
+
+MATRIX = [[1, 0, 0, 0.5], [0, 1, 0, 2], [0, 0, 1, -3], [0, 0, 0, 1]]
+
+TRANSFORMS = {
+    "camera_model": "EQUIRECTANGULAR", "applied_scale": 2.0, "applied_transform": MATRIX[:3],
+    "frames": [{"file_path": f"./images/{n}.png", "transform_matrix": MATRIX} for n in range(2)],
+}  # fmt: skip
+
+SIMILARITY = {"translation": [1.0, 2.0], "rotation": 30.0, "scale": 0.5}
+
+ROOM = {
+    f"p{n}": {"image_path": f"p/{n}.jpg", "camera_height": 1.0, "floor_plan_transformation": SIMILARITY} for n in "12"
+}
+
+HOUSE = {"merger": {"f1": {"r1": {"q1": ROOM}}}, "scale_meters_per_coordinate": {"f1": 3.5}}
+
+PLACE = {"rot.txt": b"1 0 0\n0 1 0\n0 0 1\n", "tran.txt": b"0.5\n1\n-2\n", "rgb.png": b""}
+
+FOREIGN: dict[str, tuple[str, dict[str, bytes] | Callable[[], dict[str, bytes]]]] = {
+    "csv": ("places.csv", {
+        "places.csv": b"image,lat,lng,heading,altitude\na.png,48.1,11.5,93,520\nb.png,48.2,11.6,9.5,521\n",
+    }),
+    "table json": ("places.json", {"places.json": _json({"images": ROWS})}),
+    "colmap": (".", {
+        "cameras.txt": b"1 EQUIRECTANGULAR 64 32 64 32\n", "a.png": b"",
+        "images.txt": b"# list\n1 1 0 0 0 0.5 0 0 1 a.png\n\n2 0.6 0.8 0 0 1.5 0 -2 1 b.png\n1 2 -1\n",
+    }),
+    "opensfm": ("reconstruction.json", {"reconstruction.json": _json([RECONSTRUCTION])}),
+    "nerfstudio": ("transforms.json", {"transforms.json": _json(TRANSFORMS)}),
+    "tum": ("track.tum", {
+        "track.tum": b"# image 0 a.png\n0 0 0 0 0 0 0 1\n# image 1.5 b.png\n1.5 1 2 3 0.6 0 0 0.8\n", **NAMED,
+    }),
+    "kitti": ("00.txt", {"00.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1.5 0 1 0 2 0 0 1 -3\n", **NAMED}),
+    "habitat": (".", {f"{n}/{name}": data for n in range(2) for name, data in PLACE.items()}),
+    "zind": ("zind_data.json", {"zind_data.json": _json(HOUSE)}),
+    "authors": (".", _authors),
+    "exif": ("a.jpg", lambda: {"a.jpg": _picture("a.jpg", **GPS)}),
+}  # fmt: skip
+"""By format: the name of the source below the folder, and its files, or what makes them."""

@@ -21,7 +21,7 @@ from fuzz_mutations import mutated
 from fuzz_targets import MEMORY, Target, targets
 
 from omnisyn_cli.errors import OmnisynError
-from process_memory import peak_memory
+from process_limits import peak_memory
 
 LONGEST_MESSAGE = 20_000
 """Characters; a message is for people."""

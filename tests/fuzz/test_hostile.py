@@ -2,11 +2,8 @@
 
 import ast
 import json
-import os
-import subprocess
 import sys
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +11,15 @@ import OpenImageIO
 import pytest
 
 import omnisyn_cli
-from omnisyn_cli.cli import main
+from cli.cli_samples import Omnisyn, folder_arguments, pair_arguments, start_cli, write_pair
+from interpolation_samples import Hall, edit_poses
 from omnisyn_cli.errors import ImageError, InputError, PoseError
-from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.interpolation.describe import describe_file
-from omnisyn_cli.interpolation.job import InterpolationJob
-from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.io import MAX_PIXELS, read_depth, read_panorama, write_image
-from omnisyn_cli.poses.file import PosedPanorama, read_poses, write_poses
+from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.poses.formats import ImportOptions, import_poses
 from omnisyn_cli.runtime.models import find_model
-from process_memory import STATUS, peak_memory, renewed_peak_memory
+from process_limits import STATUS, peak_memory, renewed_peak_memory
 
 SOURCE = Path(omnisyn_cli.__file__).parent
 
@@ -108,31 +103,14 @@ def test_a_decompression_bomb_is_stopped_by_max_pixels(tmp_path: Path) -> None:
     assert peak_memory() - before < 64 << 20
 
 
-def small_pair(folder: Path) -> list[Path]:
-    images = [folder / "a.png", folder / "b.png"]
-    for image in images:
-        write_image(image, np.full((16, 32, 3), 90, np.uint8))
-    entries = {image.name: PosedPanorama(Pose(np.eye(3), np.array([0.0, 0.0, -at]))) for at, image in enumerate(images)}
-    write_poses(folder / "poses.json", entries)
-    return images
-
-
-def test_max_pixels_is_heeded_by_the_plan_and_by_the_command_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    images = small_pair(tmp_path)
-    poses, output = tmp_path / "poses.json", tmp_path / "out"
-    assert plan_interpolation(InterpolationJob(tuple(images), poses, output, max_pixels=512)).size == (16, 32)
-    with pytest.raises(ImageError, match="at most 511 pixels, got 32×16"):
-        plan_interpolation(InterpolationJob(tuple(images), poses, output, max_pixels=511))
-    arguments = ["interpolate", *map(str, images), "--poses", str(poses), "-o", str(output), "--max-pixels", "511"]
-    for command in (arguments, ["info", str(images[0]), "--max-pixels", "511"]):
-        with pytest.raises(SystemExit) as left:
-            main(command)
-        out, err = capsys.readouterr()
-        assert left.value.code == 3
-        assert "at most 511 pixels" in out + err
-    assert not output.exists()
+def test_max_pixels_is_heeded_by_the_plan_and_by_the_command_line(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    hall = Hall(tmp_path, write_pair(tmp_path))
+    assert hall.plan(max_pixels=512).size == (16, 32)
+    hall.refuses(ImageError, "at most 511 pixels, got 32×16", max_pixels=511)
+    for words in (folder_arguments(tmp_path, hall.images), ["info", hall.images[0]]):
+        result = omnisyn.ended(3, *words, "--max-pixels", 511)
+        assert "at most 511 pixels" in result.out + result.err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", ["../secret.png", "/etc/passwd", "x/../../secret.png", "C:\\secret.png"])
@@ -151,18 +129,13 @@ def test_pose_files_reach_nothing_outside_their_folder(tmp_path: Path, name: str
 def test_companions_of_a_panorama_lie_outside_only_if_allowed(tmp_path: Path, key: str) -> None:
     folder = tmp_path / "scene"
     folder.mkdir()
-    images = small_pair(folder)
-    document = json.loads((folder / "poses.json").read_text())
+    hall = Hall(folder, write_pair(folder))
     outside = tmp_path / "outside.png"
     write_image(outside, np.full((16, 32, 3) if key == "mask" else (16, 32), 255, np.uint8))
     for name in ("../outside.png", str(outside)):
-        document["panoramas"][images[0].name][key] = name
-        (folder / "poses.json").write_text(json.dumps(document))
-        job = InterpolationJob(tuple(images), folder / "poses.json", tmp_path / "out")
-        with pytest.raises(PoseError, match="--allow-outside"):
-            plan_interpolation(job)
-        entry = plan_interpolation(replace(job, allow_outside=True)).entries[0]
-        assert getattr(entry, key).samefile(outside)
+        edit_poses(folder, lambda panoramas, name=name: panoramas["a.png"].update({key: name}))
+        hall.refuses(PoseError, "--allow-outside")
+        assert getattr(hall.plan(allow_outside=True).entries[0], key).samefile(outside)
 
 
 def test_foreign_poses_reach_outside_only_if_allowed(tmp_path: Path) -> None:
@@ -191,32 +164,26 @@ def test_a_model_is_loaded_by_its_hash_or_by_the_name_of_its_file(tmp_path: Path
     assert find_model(str(outside), folder) == outside
 
 
-def test_a_long_or_impossible_name_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    images = small_pair(tmp_path)
+def test_a_long_or_impossible_name_is_refused_in_one_line(omnisyn: Omnisyn, tmp_path: Path) -> None:
+    images = write_pair(tmp_path)
     long = tmp_path / ("x" * 300 + ".mp4")
-    for command in (
-        ["interpolate", *map(str, images), "--poses", str(tmp_path / "poses.json"), "-o", str(long)],
-        ["info", str(long)],
-        ["models", str(long)],
-    ):
-        with pytest.raises(SystemExit) as left:
-            main(command)
-        assert left.value.code in (2, 3)
-        assert "Traceback" not in capsys.readouterr().err
+    for words in (pair_arguments(tmp_path, images, long), ["info", long], ["models", long]):
+        result = omnisyn(*words)
+        assert result.code in (2, 3)
+        assert "Traceback" not in result.err
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such names there")
 @pytest.mark.parametrize("name", ["a'b\"c ;touch gone $(touch gone) `touch gone`|x&", "-i --rm ä 日本 %d"])
 def test_names_are_never_read_by_a_shell(tmp_path: Path, name: str) -> None:
     """A video with such a name is made by ffmpeg and described by ffmpeg; nothing else happens."""
-    images = small_pair(tmp_path)
-    command = [sys.executable, "-m", "omnisyn_cli", "interpolate", "--poses", "poses.json", "-o", f"{name}.mp4",
-               "--frames", "2", "--threads", "1", "--encoder-preset", "ultrafast", "-q", "--",
-               *(image.name for image in images)]  # fmt: skip
-    environment = {**os.environ, "PYTHONPATH": str(SOURCE.parent)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=300)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(["a.png", "b.png", "poses.json", f"{name}.mp4"])
+    images = write_pair(tmp_path)
+    before = {file.name for file in tmp_path.iterdir()}
+    words = ["interpolate", "--poses", "poses.json", "-o", f"{name}.mp4", "--frames", 2, "--threads", 1,
+             "--encoder-preset", "ultrafast", "-q", "--", *(image.name for image in images)]  # fmt: skip
+    process = start_cli(*words, folder=tmp_path)
+    assert (process.communicate(timeout=300)[1], process.returncode) == (b"", 0)
+    assert {file.name for file in tmp_path.iterdir()} == before | {f"{name}.mp4"}
     assert describe_file(tmp_path / f"{name}.mp4")["spherical"]["version_1"]
 
 

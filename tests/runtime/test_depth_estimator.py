@@ -11,11 +11,11 @@ from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.geometry.sweep import (
     epipole_frame,
-    swap_cameras_in_epipole_frame,
-    swap_cameras_in_forward_frame,
     forward_frame,
     free_space_agreement,
     neighbourhood_agreement,
+    swap_cameras_in_epipole_frame,
+    swap_cameras_in_forward_frame,
 )
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.types import View

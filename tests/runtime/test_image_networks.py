@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.runtime.image_networks import ResidualFusionSession, DirectFusionSession, CompletionSession
+from omnisyn_cli.runtime.image_networks import CompletionSession, DirectFusionSession, ResidualFusionSession
 
 
 class Session:

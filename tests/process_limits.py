@@ -1,7 +1,8 @@
-"""How much memory this process has held at most."""
+"""How much memory this process has held at most, and how large its files may grow."""
 
 import resource
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 STATUS = Path("/proc/self/status")
@@ -25,3 +26,14 @@ def renewed_peak_memory() -> int:
         with suppress(OSError):
             FORGET.write_text(PEAK_ONLY)
     return peak_memory()
+
+
+@contextmanager
+def file_size_limit(size: int) -> Iterator[None]:
+    """No file can grow beyond ``size`` bytes: the system's answer is that of a full disk."""
+    former = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, former[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, former)
