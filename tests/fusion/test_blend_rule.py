@@ -44,7 +44,7 @@ VIEWS = rendering(0), rendering(1)
 
 
 @pytest.mark.parametrize("t", [0.0, 0.002, 0.05, 0.5, 0.93, 1.0])
-@pytest.mark.parametrize("options", [BlendOptions(), BlendOptions(0.2, 0.3), BlendOptions(hidden=1.0)], ids=str)
+@pytest.mark.parametrize("options", [BlendOptions(), BlendOptions(0.2, 0.3), BlendOptions(hidden_weight=1.0)], ids=str)
 def test_the_kernel_is_the_rule(t: float, options: BlendOptions) -> None:
     """What is seen, to a tenth of a level; the exponential of the kernel is right to a ten-thousandth of itself."""
     rule, views = BlendRule.at(t, options), [shown(view) for view in VIEWS]

@@ -133,7 +133,7 @@ def test_nothing_pops_up_along_the_way() -> None:
 
 def test_a_hidden_surface_keeps_the_share_that_it_is_granted() -> None:
     near, far = rendering(1, 0.5), rendering(2, 0.1)
-    fused = GeometricFuser(SIZE, BlendOptions(hidden=0.25), threads=1)(near, far, 0.5)
+    fused = GeometricFuser(SIZE, BlendOptions(hidden_weight=0.25), threads=1)(near, far, 0.5)
     np.testing.assert_allclose(fused, 0.8 * near.colour[..., :3] + 0.2 * far.colour[..., :3], atol=1e-5)
 
 

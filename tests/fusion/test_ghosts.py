@@ -239,7 +239,7 @@ def test_any_size_works(size: tuple[int, int]) -> None:
     for c in colour:
         c[..., :3] = rng.random((*size, 3))
     views = [Layer.from_arrays(np.full(size, 0.2, np.float32), c, Pose(np.eye(3), np.zeros(3))) for c in colour]
-    suppress(views[0], views[1], 0.5, ghosts=GhostOptions(difference=0.01))
+    suppress(views[0], views[1], 0.5, ghosts=GhostOptions(min_difference=0.01))
     assert all(np.isfinite(c).all() and (c >= 0).all() for c in colour)
 
 

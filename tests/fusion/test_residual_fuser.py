@@ -15,7 +15,7 @@ from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.fusion.input_builder import InputBuilder
 from omnisyn_cli.fusion.input_channels import INPUT_CHANNELS, disagreement_mask
 from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
-from omnisyn_cli.fusion.residual import ResidualFuser, working_size
+from omnisyn_cli.fusion.residual import ResidualFuser, network_size
 from omnisyn_cli.fusion.warp_candidates import CANDIDATE_CHANNELS, CANDIDATE_SCALE
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -249,7 +249,7 @@ def test_the_network_is_not_asked_where_it_has_no_say():
     [((2048, 4096), (128, 256)), ((128, 256), (64, 128)), ((120, 240), (32, 64)), ((63, 126), None)],
 )
 def test_the_size_that_the_network_works_at(size, expected):
-    assert working_size(size, 128) == expected
+    assert network_size(size, 128) == expected
 
 
 def test_the_number_of_threads_does_not_show():

@@ -44,15 +44,14 @@ def at_edge_pixels(image: np.ndarray, edge_pixels: EdgePixels) -> np.ndarray:
     return np.stack([image[np.repeat(2 * rows + half, 2), cols] for half in range(2)])[:, cols >= 0]
 
 
-def renderers(cut: str, way: np.ndarray | None = None) -> tuple[MeshRenderer, MeshRenderer]:
+def renderers(cut: str, path_end: np.ndarray | None = None) -> tuple[MeshRenderer, MeshRenderer]:
     """Of one size and of twice that."""
     rng = np.random.default_rng(5)
     image, surface_confidence = rng.random((64, 128, 3)).astype(np.float32), rng.uniform(0.2, 1.0, (16, 32))
     sizes = SIZE, (2 * SIZE[0], 2 * SIZE[1])
     rho = rough(16, 32) if cut != "whole" else smooth(16, 32)
-    one, two = (
-        MeshRenderer(RendererInputs(image, None, rho, surface_confidence, size, CUTS[cut], 1, way)) for size in sizes
-    )
+    inputs = (RendererInputs(image, None, rho, surface_confidence, size, CUTS[cut], 1, path_end) for size in sizes)
+    one, two = map(MeshRenderer, inputs)
     return one, two
 
 

@@ -92,8 +92,8 @@ def test_confidence_becomes_weight_up_to_the_poles_and_never_nothing(name, confi
 
 def test_a_simplified_mesh_trusts_its_poles_as_little_as_what_is_beside_them():
     sure = np.full((16, 32), 0.5, np.float32)
-    way = np.array([0.1, 0.0, 0.0])
-    renderer = make_renderer("mesh", picture(32, 64), None, smooth(16, 32), sure, (64, 128), WHOLE, way=way)
+    path_end = np.array([0.1, 0.0, 0.0])
+    renderer = make_renderer("mesh", picture(32, 64), None, smooth(16, 32), sure, (64, 128), WHOLE, path_end=path_end)
     np.testing.assert_allclose(renderer(Pose.identity()).colour[..., 3], 0.5, rtol=1e-4)
 
 

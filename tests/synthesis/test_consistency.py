@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from confidence_samples import disturbed
-from omnisyn_cli.fusion.photometry import rough_curve
+from omnisyn_cli.fusion.photometry import rough_exposure_curve
 from omnisyn_cli.render.mesh import Cut
 from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 from omnisyn_cli.synthesis.consistency import cross_check, equalize_exposure, subsample_depth
@@ -103,7 +103,7 @@ def uneven() -> tuple[View, View]:
 
 
 def test_a_brighter_place_is_not_taken_for_another_exposure(uneven: tuple[View, View]) -> None:
-    assert np.abs(rough_curve(*uneven).gain.mean()) > 0.25
+    assert np.abs(rough_exposure_curve(*uneven).gain.mean()) > 0.25
     assert all(a is b for a, b in zip(equalize_exposure(*uneven, 1), uneven, strict=True))
 
 

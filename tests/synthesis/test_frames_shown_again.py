@@ -8,7 +8,6 @@ import pytest
 from interpolation_samples import job_of
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
-from omnisyn_cli.synthesis import frame
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize

@@ -17,7 +17,7 @@ __all__ = ["blend_rows", "quantization_for", "quantize_rows"]
 RUN_PIXELS = 512
 """Pixels of a row that are blended together, even: 8 kB of scratch for each of two rows stay in the L1 cache."""
 
-SQUARINGS = 6
+EXP_SQUARINGS = 6
 """``exp(x)`` is computed as ``exp(x / 2^6)`` squared six times; the small argument makes a short series accurate."""
 
 MAX_GAP = np.float32(4.0)
@@ -43,7 +43,7 @@ class KernelRule(NamedTuple):
 
     t: np.float32
     disagreement: np.float32
-    hidden: np.float32
+    hidden_weight: np.float32
 
 
 class Quantization(NamedTuple):
@@ -56,7 +56,7 @@ class Quantization(NamedTuple):
 
 def kernel_rule(rule: BlendRule) -> KernelRule:
     """The rule as kernels take it."""
-    return KernelRule(np.float32(rule.t), np.float32(rule.disagreement), np.float32(rule.hidden))
+    return KernelRule(np.float32(rule.t), np.float32(rule.disagreement), np.float32(rule.hidden_weight))
 
 
 def quantization_for(out: np.ndarray) -> Quantization:
@@ -94,7 +94,7 @@ def _proximity(rho, x, y, z, offset):
 def _gaussian(gap):
     """``exp(-gap²)`` within 1e-7, without a call, so that LLVM vectorises the loop around it."""
     gap = min(max(gap, -MAX_GAP), MAX_GAP)
-    x = gap * gap * np.float32(-1.0 / (1 << SQUARINGS))
+    x = gap * gap * np.float32(-1.0 / (1 << EXP_SQUARINGS))
     # The Taylor series of exp to x⁴: |x| is at most 16/64, so the rest is below x⁵/120 = 1e-5.
     value = np.float32(1 / 6) + x * np.float32(1 / 24)
     value = np.float32(1.0) + x * (np.float32(1.0) + x * (np.float32(1 / 2) + x * value))
@@ -129,7 +129,7 @@ def view_weights(weight_a, rho_a, offset_a, weight_b, rho_b, offset_b, x, y, z, 
     b = b if weight_b > MIN_VISIBLE_WEIGHT else zero
     gap = (rho_a - rho_b) / (max(rho_a, rho_b) * rule.disagreement + np.float32(1e-9))
     depth_confidence = min(one, np.float32(DEPTH_CONFIDENCE_GAIN) * (weight_a if gap > zero else weight_b))
-    rest = one - depth_confidence * (one - max(_gaussian(gap), rule.hidden))
+    rest = one - depth_confidence * (one - max(_gaussian(gap), rule.hidden_weight))
     is_both = min(a, b) > zero
     share_a = (one - rule.t) * (rest if gap < zero else one)
     share_b = rule.t * (one if gap < zero else rest)
@@ -266,7 +266,7 @@ def _quantize_run(mixed, quantization, out, seen):
 
 
 @inlined(fastmath=True)
-def _mean(upper, lower, at, w00, w01, w10, w11):
+def _weighted_mean_2x2(upper, lower, at, w00, w01, w10, w11):
     """Weighted sum over 2×2 pixels."""
     return w00 * upper[at] + w01 * upper[at + 1] + w10 * lower[at] + w11 * lower[at + 1]
 
@@ -280,13 +280,13 @@ def _pull_run(upper, lower, colour, weight):
         total = w00 + w01 + w10 + w11
         share = np.float32(1.0) / max(total, np.float32(1e-37))
         weight[col] = total
-        colour[3 * col] = share * _mean(upper, lower, 2 * col, w00, w01, w10, w11)
-        colour[3 * col + 1] = share * _mean(upper, lower, RUN_PIXELS + 2 * col, w00, w01, w10, w11)
-        colour[3 * col + 2] = share * _mean(upper, lower, 2 * RUN_PIXELS + 2 * col, w00, w01, w10, w11)
+        colour[3 * col] = share * _weighted_mean_2x2(upper, lower, 2 * col, w00, w01, w10, w11)
+        colour[3 * col + 1] = share * _weighted_mean_2x2(upper, lower, RUN_PIXELS + 2 * col, w00, w01, w10, w11)
+        colour[3 * col + 2] = share * _weighted_mean_2x2(upper, lower, 2 * RUN_PIXELS + 2 * col, w00, w01, w10, w11)
 
 
 @inlined(fastmath=True)
-def fine_to_coarse(index, fine, coarse):
+def coarse_position(index, fine, coarse):
     """The coarse index before the centre of a fine pixel (it may be −1), and the fraction beyond it."""
     position = (np.float32(index) + np.float32(0.5)) * np.float32(coarse) / np.float32(fine) - np.float32(0.5)
     before = math.floor(position)

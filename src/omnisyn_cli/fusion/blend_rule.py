@@ -41,13 +41,13 @@ class BlendOptions:
 
     Attributes:
         disagreement: relative difference of inverse depth at which a hidden surface is down to 1/e of its weight.
-        hidden: the least share of its weight that a hidden surface keeps.
-        ends: share of the way at either end over which visibility sets in, so that nothing pops up next to an end.
+        hidden_weight: the least share of its weight that a hidden surface keeps.
+        ramp_share: of the way at either end, over which visibility sets in, so that nothing pops up next to an end.
     """
 
     disagreement: float = OCCLUSION_SCALE
-    hidden: float = 0.003
-    ends: float = 0.1
+    hidden_weight: float = 0.003
+    ramp_share: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -57,21 +57,21 @@ class BlendRule:
     Attributes:
         t: share of the way.
         disagreement: see :class:`BlendOptions`.
-        hidden: the least share of its weight that a hidden surface keeps here: all of it at both ends.
+        hidden_weight: the least share of its weight that a hidden surface keeps here: all of it at both ends.
         strictness: how strictly the nearer surface wins: 0 at both ends of the way, 1 in between.
     """
 
     t: float
     disagreement: float
-    hidden: float
+    hidden_weight: float
     strictness: float
 
     @staticmethod
     def at(t: float, options: BlendOptions) -> BlendRule:
         """At a share ``t`` of the way; visibility sets in by a smooth step from either end."""
-        x = min(1.0, min(t, 1.0 - t) / options.ends)
+        x = min(1.0, min(t, 1.0 - t) / options.ramp_share)
         strictness = x * x * (3.0 - 2.0 * x)
-        return BlendRule(t, options.disagreement, options.hidden**strictness, strictness)
+        return BlendRule(t, options.disagreement, options.hidden_weight**strictness, strictness)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def view_weights(
     gap = normalized_depth_gap(first, second, rule.disagreement)
     # A surface hides another only as far as its own depth is reliable.
     depth_confidence = xp.clip(DEPTH_CONFIDENCE_GAIN * xp.where(gap > 0.0, first.weight, second.weight), max=1.0)
-    rest = 1.0 - depth_confidence * (1.0 - xp.clip(xp.exp(-gap * gap), min=rule.hidden))
+    rest = 1.0 - depth_confidence * (1.0 - xp.clip(xp.exp(-gap * gap), min=rule.hidden_weight))
     is_both = first.is_seen & second.is_seen
     shared_a = (1.0 - rule.t) * a * xp.where(gap < 0.0, rest, one)
     shared_b = rule.t * b * xp.where(gap < 0.0, one, rest)

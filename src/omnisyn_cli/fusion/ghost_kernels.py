@@ -7,7 +7,7 @@ from omnisyn_cli.types import MIN_VISIBLE_WEIGHT
 
 
 @fast_kernel()
-def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, end):
+def accumulate_cells(first, first_rho, second, second_rho, cell_size, sums, begin, end):
     """Sums over the pixels of each cell, for rows of cells ``begin`` to ``end``.
 
     Args:
@@ -15,7 +15,7 @@ def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, en
         first_rho: its inverse depth.
         second: as ``first``.
         second_rho: as ``first_rho``.
-        cell: pixels along the side of a cell.
+        cell_size: pixels along the side of a cell.
         sums: ``(rows, cols, 13)``, written: [0] how many pixels both layers see; of these, [1–4] RGB and weight of the
             first, [5–8] of the second, [9, 10] inverse depth of both; [11] how many only the first sees, [12] only the
             second.
@@ -27,8 +27,8 @@ def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, en
         for j in range(sums.shape[1]):
             for k in range(sums.shape[2]):
                 sums[i, j, k] = np.float32(0.0)
-            for row in range(i * cell, min((i + 1) * cell, height)):
-                for col in range(j * cell, min((j + 1) * cell, width)):
+            for row in range(i * cell_size, min((i + 1) * cell_size, height)):
+                for col in range(j * cell_size, min((j + 1) * cell_size, width)):
                     if not first[row, col, 3] > MIN_VISIBLE_WEIGHT:
                         sums[i, j, 12] += np.float32(second[row, col, 3] > MIN_VISIBLE_WEIGHT)
                     elif not second[row, col, 3] > MIN_VISIBLE_WEIGHT:
@@ -43,55 +43,56 @@ def accumulate_cells(first, first_rho, second, second_rho, cell, sums, begin, en
 
 
 @fast_kernel()
-def suppress_rows(first, second, signed_strength, cell, top):
+def suppress_rows(first, second, signed_strength, cell_size, top):
     """Take weight from the suppressed layer where both see something; the strength is bilinear between cells.
 
     Args:
         first: ``(rows, width, 4)`` RGB and weight; the weight is changed in place.
         second: likewise.
         signed_strength: ``(rows, cols)`` by cell: from −1 (the first loses all of its weight) to 1 (the second does).
-        cell: pixels along the side of a cell.
+        cell_size: pixels along the side of a cell.
         top: row of the frame that the first row of both is.
     """
     width = first.shape[1]
     for row in range(len(first)):
-        upper, lower, down = _neighbour_rows(signed_strength, cell, top + row)
-        for cell_col in range(-(-width // cell)):
+        upper, lower, down = _neighbour_rows(signed_strength, cell_size, top + row)
+        for cell_col in range(-(-width // cell_size)):
             # Nearly all cells of nearly all frames: no interpolation where nothing is suppressed.
             if _is_unsuppressed(signed_strength, upper, lower, cell_col):
                 continue
-            for col in range(cell_col * cell, min((cell_col + 1) * cell, width)):
-                _reduce_weight(first, second, row, col, _interpolate(signed_strength, cell, upper, lower, down, col))
+            for col in range(cell_col * cell_size, min((cell_col + 1) * cell_size, width)):
+                strength = _interpolate(signed_strength, cell_size, upper, lower, down, col)
+                _reduce_weight(first, second, row, col, strength)
 
 
 @fast_kernel()
-def suppress_edge_samples(first, second, signed_strength, cell, edge_pixels):
+def suppress_edge_samples(first, second, signed_strength, cell_size, edge_pixels):
     """The same for the samples of edge pixels, ``(2, samples, 4)`` of either layer; one strength for each pixel."""
     for row in range(len(edge_pixels.tile_begins)):
-        upper, lower, down = _neighbour_rows(signed_strength, cell, edge_pixels.top + row)
+        upper, lower, down = _neighbour_rows(signed_strength, cell_size, edge_pixels.top + row)
         for at in range(edge_pixels.tile_begins[row, 0], edge_pixels.tile_begins[row, -1]):
             col = edge_pixels.cols[at]
-            if col < 0 or _is_unsuppressed(signed_strength, upper, lower, col // cell):
+            if col < 0 or _is_unsuppressed(signed_strength, upper, lower, col // cell_size):
                 continue
-            value = _interpolate(signed_strength, cell, upper, lower, down, col)
+            value = _interpolate(signed_strength, cell_size, upper, lower, down, col)
             for half in range(2):
                 _reduce_weight(first, second, half, 2 * at, value)
                 _reduce_weight(first, second, half, 2 * at + 1, value)
 
 
 @inlined()
-def _neighbour_rows(signed_strength, cell, row):
+def _neighbour_rows(signed_strength, cell_size, row):
     """The two rows of cells between whose centres a row lies, and its fraction of the way between them."""
-    y = (np.float32(row) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
+    y = (np.float32(row) + np.float32(0.5)) / np.float32(cell_size) - np.float32(0.5)
     i = int(np.floor(y))
     last = len(signed_strength) - 1
     return min(max(i, 0), last), min(max(i + 1, 0), last), y - np.float32(i)
 
 
 @inlined()
-def _interpolate(signed_strength, cell, upper, lower, down, col):
+def _interpolate(signed_strength, cell_size, upper, lower, down, col):
     """The strength at a column, bilinear between four cells; columns wrap."""
-    x = (np.float32(col) + np.float32(0.5)) / np.float32(cell) - np.float32(0.5)
+    x = (np.float32(col) + np.float32(0.5)) / np.float32(cell_size) - np.float32(0.5)
     j, cols = int(np.floor(x)), signed_strength.shape[1]
     across = x - np.float32(j)
     left, right = j % cols, (j + 1) % cols

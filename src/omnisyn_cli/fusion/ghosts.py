@@ -43,13 +43,13 @@ Array = Any  # numpy.ndarray or torch.Tensor
 MAX_DISPLACEMENT_CELLS = 3
 """Cells by which wrong depth may displace things. Set by hand."""
 
-COLOUR_OUT_OF_RANGE = 1e3
+UNSEEN_COLOUR = 1e3
 """Stands for the colour of cells that are not seen, so that they never widen a range."""
 
-MIN_SHARE_OF_WAY = 1e-9
+MIN_PATH_POSITION = 1e-9
 """Distance from an end of the way at which the weights of both layers are still compared; at the end one is 0."""
 
-SPREADING_STEPS = 4
+LABEL_STEPS_PER_CHECK = 4
 """Label spreading steps between two tests for convergence on a device, where a test waits for it. Set by hand."""
 
 COVERAGE_LOG_WEIGHT = 4.0
@@ -67,15 +67,15 @@ class GhostOptions:
     """When two colours of one place are different things. All were set by hand.
 
     Attributes:
-        difference: least difference of the mean colours in any channel, sRGB values.
-        beyond: how far one colour has to lie outside of the range of the other layer in nearby cells. A thing that is
-            merely displaced by wrong depth lies inside.
-        neighbourhood: radius in cells over which a common difference counts as light, not as a thing.
+        min_difference: least difference of the mean colours in any channel, sRGB values.
+        min_out_of_range: how far one colour has to lie outside of the range of the other layer in nearby cells. A thing
+            that is merely displaced by wrong depth lies inside.
+        light_radius: radius in cells over which a common difference counts as light, not as a thing.
     """
 
-    difference: float = 0.12
-    beyond: float = 0.08
-    neighbourhood: int = 12
+    min_difference: float = 0.12
+    min_out_of_range: float = 0.08
+    light_radius: int = 12
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,19 @@ class GhostSuppression:
 
     Attributes:
         signed_strength: by cell, in [−1, 1]: at −1 the first layer loses all of its weight, at 1 the second does.
-        cell: pixels along the side of a cell.
+        cell_size: pixels along the side of a cell.
     """
 
     signed_strength: Float32[Array, "rows cols"]
-    cell: int
+    cell_size: int
 
     def __call__(self, first: Array, second: Array, top: int) -> None:
         """In some rows of both layers, see :func:`suppress`."""
-        suppress(first, second, top, self.signed_strength, self.cell)
+        suppress(first, second, top, self.signed_strength, self.cell_size)
 
     def apply_to_edges(self, first: Array, second: Array, edge_pixels: EdgePixels) -> None:
         """In the samples of edge pixels, ``(2, samples, 4)`` of either layer."""
-        suppress_edge_samples(first, second, self.signed_strength, self.cell, edge_pixels)
+        suppress_edge_samples(first, second, self.signed_strength, self.cell_size, edge_pixels)
 
 
 class GhostRemover:
@@ -115,12 +115,12 @@ class GhostRemover:
 
     def __init__(self, size: tuple[int, int], options: GhostOptions | None = None, threads: int | None = None) -> None:
         self.size, self.threads, self.options = size, threads, options or GhostOptions()
-        self.cell, step = ghost_cell_size(size), ghost_sample_step(size)
+        self.cell_size, step = ghost_cell_size(size), ghost_sample_step(size)
         self.is_full_resolution = step == 1
-        self.samples_per_side = -(-self.cell // step)
-        self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell % step == 0) for count in size)
+        self.samples_per_side = -(-self.cell_size // step)
+        self._rows, self._cols = (np.flatnonzero(np.arange(count) % self.cell_size % step == 0) for count in size)
         self.downsampled_size = len(self._rows), len(self._cols)
-        self._grid = (-(-size[0] // self.cell), -(-size[1] // self.cell))
+        self._grid = (-(-size[0] // self.cell_size), -(-size[1] // self.cell_size))
         self._directions = pixel_directions(*self._grid).astype(np.float32)
 
     def __call__(self, first: Layer, second: Layer, rule: BlendRule) -> GhostSuppression | None:
@@ -153,13 +153,13 @@ class GhostRemover:
         differs = self._different_cells(cells_a, cells_b, count)
         if not is_any(differs):
             return None
-        preference = self._preference(cells_a, cells_b, rule, differs) + COVERAGE_LOG_WEIGHT * coverage
-        return GhostSuppression(region_winners(differs, preference), self.cell)
+        preference = self._log_weight_ratio(cells_a, cells_b, rule, differs) + COVERAGE_LOG_WEIGHT * coverage
+        return GhostSuppression(region_winners(differs, preference), self.cell_size)
 
     @property
     def _light_radius(self) -> int:
         """Of the box filter that estimates the common difference; it has to fit into the grid."""
-        return min(self.options.neighbourhood, *(count // 2 - 1 for count in self._grid))
+        return min(self.options.light_radius, *(count // 2 - 1 for count in self._grid))
 
     def _cell_means(self, first: Layer, second: Layer) -> tuple[LayerArrays, LayerArrays, Array, Array]:
         """Statistics of each cell.
@@ -210,23 +210,23 @@ class GhostRemover:
         weighted = xp.concat([difference * count[..., None], count[..., None]], axis=-1)
         means = box_filter(weighted, self._light_radius, mirror_poles=True)
         relit = second.colour + means[..., :3] / xp.clip(means[..., 3:], min=1e-6)
-        threshold, seen = self.options.difference, count > 0.0
+        threshold, seen = self.options.min_difference, count > 0.0
         # The plain test as well: beside a large moving thing, relighting alone makes unchanged cells differ.
         differs = seen & (_channel_max(xp.abs(difference)) > threshold)
         differs &= _channel_max(xp.abs(first.colour - relit)) > threshold
         outside = xp.maximum(_out_of_range(first.colour, relit, seen), _out_of_range(relit, first.colour, seen))
-        differs &= outside > self.options.beyond
+        differs &= outside > self.options.min_out_of_range
         # Opening: erosion by 1 cell drops thin structures. Dilation by 2 gives back that cell, and one cell of margin.
         rest = dilate(xp.astype(~differs, xp.int32), 1)
         return dilate(1 - rest, 2) > 0
 
-    def _preference(
+    def _log_weight_ratio(
         self, first: LayerArrays, second: LayerArrays, rule: BlendRule, wanted: Bool[Array, "rows cols"]
     ) -> Float32[Array, "rows cols"]:
         """log(weight of the first / weight of the second) in the blend of the wanted cells, which are few; else 0."""
         xp, cells = array_namespace(wanted), array_namespace(wanted).nonzero(wanted)
         directions = xp.asarray(self._directions, device=device(wanted))[cells]
-        inside = replace(rule, t=min(max(rule.t, MIN_SHARE_OF_WAY), 1.0 - MIN_SHARE_OF_WAY))
+        inside = replace(rule, t=min(max(rule.t, MIN_PATH_POSITION), 1.0 - MIN_PATH_POSITION))
         a, b = view_weights(_take_cells(first, cells), _take_cells(second, cells), directions, inside)
         is_known, one = (a > 0.0) & (b > 0.0), xp.ones_like(a)
         preference = xp.zeros_like(first.weight)
@@ -248,7 +248,9 @@ def have_same_position(first: Layer, second: Layer) -> bool:
     return at_same_position(first.target_from_source, second.target_from_source)
 
 
-def suppress(first: Array, second: Array, top: int, signed_strength: Float32[Array, "rows cols"], cell: int) -> None:
+def suppress(
+    first: Array, second: Array, top: int, signed_strength: Float32[Array, "rows cols"], cell_size: int
+) -> None:
     """Take weight from the suppressed layer where both see something, in place; bilinear between cells.
 
     Args:
@@ -256,14 +258,14 @@ def suppress(first: Array, second: Array, top: int, signed_strength: Float32[Arr
         second: likewise.
         top: row of the frame that the first of them is.
         signed_strength: see :class:`GhostSuppression`.
-        cell: pixels along the side of a cell.
+        cell_size: pixels along the side of a cell.
     """
     if is_numpy_array(first):
-        suppress_rows(first, second, signed_strength, cell, top)
+        suppress_rows(first, second, signed_strength, cell_size, top)
         return
     xp, (rows, cols) = array_namespace(first), signed_strength.shape
-    upper, lower, down = _neighbour_cells(xp.arange(first.shape[0], device=device(first)) + top, cell)
-    left, right, across = _neighbour_cells(xp.arange(first.shape[1], device=device(first)), cell)
+    upper, lower, down = _neighbour_cells(xp.arange(first.shape[0], device=device(first)) + top, cell_size)
+    left, right, across = _neighbour_cells(xp.arange(first.shape[1], device=device(first)), cell_size)
     above, below = signed_strength[xp.clip(upper, min=0)], signed_strength[xp.clip(lower, max=rows - 1)]
     line = above + down[:, None] * (below - above)
     value = line[:, left % cols] + across * (line[:, right % cols] - line[:, left % cols])
@@ -272,10 +274,10 @@ def suppress(first: Array, second: Array, top: int, signed_strength: Float32[Arr
     second[..., 3] *= 1.0 - xp.clip(value, min=0.0)
 
 
-def _neighbour_cells(pixel: Integer[Array, " pixels"], cell: int) -> tuple[Array, Array, Array]:
+def _neighbour_cells(pixel: Integer[Array, " pixels"], cell_size: int) -> tuple[Array, Array, Array]:
     """The two cells between whose centres a pixel centre lies, and its fraction of the way between them."""
     xp = array_namespace(pixel)
-    position = (xp.astype(pixel, xp.float32) + 0.5) / cell - 0.5
+    position = (xp.astype(pixel, xp.float32) + 0.5) / cell_size - 0.5
     floor = xp.floor(position)
     index = xp.astype(floor, xp.int64)
     return index, index + 1, position - floor
@@ -284,7 +286,7 @@ def _neighbour_cells(pixel: Integer[Array, " pixels"], cell: int) -> tuple[Array
 def _out_of_range(one: Array, other: Array, seen: Bool[Array, "rows cols"]) -> Float32[Array, "rows cols"]:
     """How far the colours of one layer lie outside of the other layer's range in the cells around."""
     xp = array_namespace(one)
-    unseen, known = xp.full_like(other, -COLOUR_OUT_OF_RANGE), seen[..., None]
+    unseen, known = xp.full_like(other, -UNSEEN_COLOUR), seen[..., None]
     highest = dilate(xp.where(known, other, unseen), MAX_DISPLACEMENT_CELLS)
     lowest = -dilate(xp.where(known, -other, unseen), MAX_DISPLACEMENT_CELLS)
     return _channel_max(xp.maximum(one - highest, lowest - one))
@@ -326,7 +328,7 @@ def label_regions(differs: Bool[Array, "rows cols"]) -> Integer[Array, "rows col
     labels = inside * xp.arange(1, count + 1, device=device(differs)).reshape(inside.shape)
     while True:
         before = labels
-        for _ in range(SPREADING_STEPS):
+        for _ in range(LABEL_STEPS_PER_CHECK):
             labels = dilate(labels, 1) * inside
             named = xp.take(labels.reshape(-1), xp.clip(labels - 1, min=0).reshape(-1), axis=0)
             labels = named.reshape(inside.shape) * inside

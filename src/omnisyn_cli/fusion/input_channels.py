@@ -55,7 +55,7 @@ matters fully. Set by hand."""
 MIN_WEIGHT_RATIO = 1e-9
 """Keeps the logarithm finite where one of two weights is 0; far beyond :data:`MAX_LOG_RATIO`."""
 
-LINEAR_BELOW = 1e-4
+SQRT_LINEAR_LIMIT = 1e-4
 """Inverse depth × baseline below which its square root is replaced by a line, so that its slope stays bounded."""
 
 DISAGREEMENT_RADIUS, DISAGREEMENT_BLUR_RADIUS = 4, 2
@@ -128,8 +128,8 @@ def _colour_relevance(difference: Float[Array, "height width 3"]) -> Float[Array
 def sqrt_inverse_depth(scaled: Float[Array, "*maps height width"]) -> Float[Array, "*maps height width"]:
     """Square root of inverse depth × baseline, linear near 0 and clipped to :data:`MAX_SQRT_INV_DEPTH`."""
     xp = array_namespace(scaled)
-    above = xp.sqrt(xp.clip(scaled, min=LINEAR_BELOW, max=MAX_SQRT_INV_DEPTH**2))
-    return xp.where(scaled < LINEAR_BELOW, scaled / LINEAR_BELOW**0.5, above)
+    above = xp.sqrt(xp.clip(scaled, min=SQRT_LINEAR_LIMIT, max=MAX_SQRT_INV_DEPTH**2))
+    return xp.where(scaled < SQRT_LINEAR_LIMIT, scaled / SQRT_LINEAR_LIMIT**0.5, above)
 
 
 def disagreement_mask(gap: Float32[Array, "height width"]) -> Float32[Array, "height width"]:

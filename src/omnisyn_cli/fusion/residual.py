@@ -25,16 +25,16 @@ from omnisyn_cli.fusion.window_filters import dilate
 from omnisyn_cli.geometry.sampling import max_pool
 from omnisyn_cli.types import Layer, SourceSampler
 
-__all__ = ["ResidualFuser", "working_size"]
+__all__ = ["ResidualFuser", "network_size"]
 
 SIZE_MULTIPLE = 32
 """Of the network's input: it halves its input five times."""
 
-MIN_STRENGTH = 1e-6
+MIN_CORRECTION_STRENGTH = 1e-6
 """Below it the correction could change no colour, so the network is not run."""
 
 
-def free_of_ghosts(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
+def ghost_free_mask(suppression: GhostSuppression, size: tuple[int, ...]) -> Float32[np.ndarray, "rows cols"]:
     """1 where the network may choose between the layers, 0 where a ghost is suppressed and around there."""
     strength = max_pool(np.abs(suppression.signed_strength), size)
     return np.asarray(1.0 - dilate(strength, 1), np.float32)
@@ -48,7 +48,7 @@ class ResidualFusionNetwork(Protocol):
         ...
 
 
-def working_size(
+def network_size(
     size: tuple[int, int], rows: int, multiple: int = SIZE_MULTIPLE, scale: int = CANDIDATE_SCALE
 ) -> tuple[int, int] | None:
     """Height and width that a network works at for frames of ``size``; None where frames are too small for it.
@@ -87,7 +87,7 @@ class ResidualFuser(GeometricFuser):
     ) -> None:
         super().__init__(size, options, threads, edges=edges)
         self._network = network
-        small = working_size(size, rows)
+        small = network_size(size, rows)
         tiles = RowTileRunner(self._ghosts.downsampled_size, threads)
         self._inputs = None if small is None else InputBuilder(small, tiles)
 
@@ -100,20 +100,20 @@ class ResidualFuser(GeometricFuser):
             InputError: the network does not take the channels, or answers something else.
         """
         rule = BlendRule.at(t, self.options)
-        if self._inputs is None or rule.strictness < MIN_STRENGTH or have_same_position(first, second):
+        if self._inputs is None or rule.strictness < MIN_CORRECTION_STRENGTH or have_same_position(first, second):
             return super().__call__(first, second, t, out, confidence)
         if self._ghosts.is_full_resolution:
             first, second = self.tiles.with_cached_colours(first, second)
         small_first, small_second = self._ghosts.downsample(first), self._ghosts.downsample(second)
         suppression, out = self._ghosts.detect(small_first, small_second, rule), self._output_buffer(out)
         self.blend(self._with_confidence(first, second, confidence).with_step(suppression), rule, out)
-        small_step = None if suppression is None else replace(suppression, cell=self._ghosts.samples_per_side)
+        small_step = None if suppression is None else replace(suppression, cell_size=self._ghosts.samples_per_side)
         small_layers = LayerPair(small_first, small_second).with_step(small_step)
         channels, candidates = self._inputs(small_layers, rule, _source_samplers(first, second))
         if not needs_no_network(channels):
             strength = np.full(channels.shape[1:], rule.strictness, np.float32)
             if suppression is not None:
-                strength *= free_of_ghosts(suppression, strength.shape)
+                strength *= ghost_free_mask(suppression, strength.shape)
             self.correct(channels, candidates, strength, out)
         return out
 

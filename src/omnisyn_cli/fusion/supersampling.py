@@ -22,8 +22,8 @@ from omnisyn_cli.fusion.blend_rule import BlendRule
 from omnisyn_cli.fusion.ghosts import have_same_position
 from omnisyn_cli.fusion.layer_pair import LayerPair
 from omnisyn_cli.fusion.supersampling_kernels import (
-    FIRST_EDGE,
-    SECOND_EDGE,
+    FIRST_LAYER_EDGE,
+    SECOND_LAYER_EDGE,
     list_edge_pixels,
     mark_edge_pixels,
     prefill_visibility,
@@ -36,7 +36,7 @@ MIN_CONTRAST_LEVELS = 40
 TILE_ROWS = 64
 """Rows whose edge pixels are sampled together. Set by hand."""
 
-MIN_MEAN_SHARE = 1.0 / 512.0
+MIN_SUPERSAMPLING_SHARE = 1.0 / 512.0
 """Share of the mean below which no level of 8 bits changes."""
 
 
@@ -63,7 +63,7 @@ class EdgeSupersampler:
         """
         height, _ = self.size
         share, scalars, quantization = np.float32(rule.strictness), kernel_rule(rule), quantization_for(out)
-        if share < MIN_MEAN_SHARE or have_same_position(layers.first, layers.second):
+        if share < MIN_SUPERSAMPLING_SHARE or have_same_position(layers.first, layers.second):
             return
         marks = self.mark(layers, out)
 
@@ -112,4 +112,4 @@ class EdgeSupersampler:
             prefill_visibility(marks, np.uint8(mark), layer.inverse_depth, edge_pixels)
             return edge_pixels
 
-        return of_layer(layers.first, FIRST_EDGE), of_layer(layers.second, SECOND_EDGE)
+        return of_layer(layers.first, FIRST_LAYER_EDGE), of_layer(layers.second, SECOND_LAYER_EDGE)

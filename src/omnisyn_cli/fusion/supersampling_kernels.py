@@ -8,7 +8,7 @@ from omnisyn_cli.fusion.pixel_classes import MIN_INVERSE_DEPTH
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS
 
-FIRST_EDGE, SECOND_EDGE = 1, 2
+FIRST_LAYER_EDGE, SECOND_LAYER_EDGE = 1, 2
 """Bits of a mark: which layer has a depth discontinuity there."""
 
 SKIP_COLUMNS = 64
@@ -25,7 +25,7 @@ def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, 
         picture: ``(height, width, 3)`` the blend of both.
         scale: from its values to levels of 8 bits.
         min_contrast: levels by which some channel has to vary over 3x3 pixels.
-        marks: ``(height, width)`` uint8, written: bits :data:`FIRST_EDGE` and :data:`SECOND_EDGE`.
+        marks: ``(height, width)`` uint8, written: bits :data:`FIRST_LAYER_EDGE` and :data:`SECOND_LAYER_EDGE`.
         begin: first row.
         end: the row after the last.
     """
@@ -33,8 +33,8 @@ def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, 
     for row in range(begin, end):
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         marks[row] = 0
-        _mark_depth_edges(first[above], first[row], first[below], marks[row], np.uint8(FIRST_EDGE))
-        _mark_depth_edges(second[above], second[row], second[below], marks[row], np.uint8(SECOND_EDGE))
+        _mark_depth_edges(first[above], first[row], first[below], marks[row], np.uint8(FIRST_LAYER_EDGE))
+        _mark_depth_edges(second[above], second[row], second[below], marks[row], np.uint8(SECOND_LAYER_EDGE))
         for left in range(0, width, SKIP_COLUMNS):
             right = min(left + SKIP_COLUMNS, width)
             if not _is_any(marks[row], left, right):

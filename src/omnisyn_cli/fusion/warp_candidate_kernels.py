@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from omnisyn_cli.compute.jit import fast_kernel, inlined
-from omnisyn_cli.fusion.blend_kernels import fine_to_coarse, quantize
+from omnisyn_cli.fusion.blend_kernels import coarse_position, quantize
 
 
 class CandidateArrays(NamedTuple):
@@ -40,7 +40,7 @@ def _columns_between(j, width, cols):
 def _interpolate_row(values, row, j, height):
     """Values of a coarse map in a row of the frame, at coarse columns ``j`` and ``j + 1``; columns wrap."""
     rows, cols = values.shape
-    i, down = fine_to_coarse(row, height, rows)
+    i, down = coarse_position(row, height, rows)
     upper, lower, left_col, right_col = max(i, 0), min(i + 1, rows - 1), j % cols, (j + 1) % cols
     left = values[upper, left_col] + down * (values[lower, left_col] - values[upper, left_col])
     return left, values[upper, right_col] + down * (values[lower, right_col] - values[upper, right_col])

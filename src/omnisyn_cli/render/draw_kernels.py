@@ -6,7 +6,7 @@ row of the target an edge function is ``P·cos(azimuth − φ) + Q``, so its inn
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,10 +81,10 @@ class Target(NamedTuple):
 class Box(NamedTuple):
     """Pixels of a target, both ends included."""
 
-    first_row: int
-    last_row: int
-    first_col: int
-    last_col: int
+    first_row: int | np.integer[Any]
+    last_row: int | np.integer[Any]
+    first_col: int | np.integer[Any]
+    last_col: int | np.integer[Any]
 
 
 @inlined()

@@ -7,8 +7,8 @@ The four points of a quad and its triangles::
     │     │
     2 ─── 3     one that is split from 2 to 1 is turned by 90° first: then 1, 3, 0, 2 are its corners
 
-A ray with ``r·cut >= 0`` can only hit triangle A, with the left and the bottom edge; one with ``r·cut < 0`` only B, with
-the right and the top edge. On either, the inverse depth is ``r·g``, because a plane is linear in the ray; g sums the
+A ray with ``r·cut >= 0`` can only hit triangle A, with the left and bottom edges; one with ``r·cut < 0`` only B, with
+the right and top edges. On either, the inverse depth is ``r·g``, because a plane is linear in the ray; g sums the
 edges, each weighted by the inverse depth of the opposite corner.
 
 Eight quads are set up at a time, in float64, and rounded to float32 once. Rays are tested in float32, eight neighbours

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, equalized, rough_curve
+from omnisyn_cli.fusion.photometry import ExposureCurve, ExposureMatcher, darken_to_match, rough_exposure_curve
 from omnisyn_cli.fusion.photometry.exposure_curve import KNOTS
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.types import Layer, View
@@ -75,7 +75,7 @@ def test_values_beyond_the_table_go_on_and_holes_stay_holes() -> None:
 
 
 def alike(first: View, second: View) -> tuple[View, View]:
-    return equalized(first, second, rough_curve(first, second), threads=1)
+    return darken_to_match(first, second, rough_exposure_curve(first, second), threads=1)
 
 
 @pytest.mark.parametrize("stop", [1.0, -1.0])

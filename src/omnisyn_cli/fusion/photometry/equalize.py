@@ -25,15 +25,15 @@ MAX_CLIPPED_SHARE = 0.02
 """Share of the sphere above which a picture counts as clipped. Set by hand."""
 
 
-def rough_curve(first: View, second: View) -> ExposureCurve:
+def rough_exposure_curve(first: View, second: View) -> ExposureCurve:
     """A rough exposure curve without correspondences, see :func:`estimate_gain`.
 
     Rooms a few metres apart differ by half a stop without being exposed differently, so it has to be confirmed.
     """
-    return estimate_gain(_even_samples(first), _even_samples(second))
+    return estimate_gain(_uniform_samples(first), _uniform_samples(second))
 
 
-def equalized(first: View, second: View, curve: ExposureCurve, threads: int | None = None) -> tuple[View, View]:
+def darken_to_match(first: View, second: View, curve: ExposureCurve, threads: int | None = None) -> tuple[View, View]:
     """Both views exposed like the darker one; the very same views where they are exposed alike.
 
     The brighter picture is darkened. Brightening the darker one would clip what only that one shows: with matched depth
@@ -47,7 +47,7 @@ def equalized(first: View, second: View, curve: ExposureCurve, threads: int | No
     return _expose(first, curve.table(1.0, of_second=False), threads), second
 
 
-def _even_samples(view: View) -> Float[np.ndarray, "samples 3"]:
+def _uniform_samples(view: View) -> Float[np.ndarray, "samples 3"]:
     """Colours of the panorama, each of the same share of the sphere: rows repeat in proportion to their area."""
     image = cv2.resize(np.asarray(view.image, np.float32), SAMPLE_SIZE[::-1], interpolation=cv2.INTER_AREA)
     repeats = np.rint(10.0 * solid_angles(*SAMPLE_SIZE) / solid_angles(*SAMPLE_SIZE).max()).astype(np.intp)
@@ -61,5 +61,5 @@ def _even_samples(view: View) -> Float[np.ndarray, "samples 3"]:
 def _expose(view: View, table: np.ndarray, threads: int | None) -> View:
     image = np.array(view.image, np.float32)
     run_ranges(lambda begin, end: look_up_rows(image, table, begin, end), len(image), threads)
-    is_clipped = bool((_even_samples(view).max(axis=-1) >= CLIPPED_SRGB).mean() > MAX_CLIPPED_SHARE)
+    is_clipped = bool((_uniform_samples(view).max(axis=-1) >= CLIPPED_SRGB).mean() > MAX_CLIPPED_SHARE)
     return replace(view, image=image, image_uint8=None, is_clipped=is_clipped)

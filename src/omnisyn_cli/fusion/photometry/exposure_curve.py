@@ -50,7 +50,7 @@ SMOOTHNESS_WEIGHT = 0.02
 MAX_UNEXPLAINED_SHARE = 0.9
 """Share of the typical difference that a curve may leave; above it the pictures differ in other ways. Set by hand."""
 
-OUTLIER_STOPS = 2.0
+MAX_OUTLIER_STOPS = 2.0
 """Differences count as this at most when a curve is judged: moving things may differ by any amount. Set by hand."""
 
 MIN_ROUGH_GAIN_STOPS = 0.25
@@ -66,7 +66,7 @@ LEVEL_BINS_PER_STOP = 4
 MAX_GAIN_STOPS = 5.0
 """The largest gain that is looked for. Set by hand."""
 
-TABLE_ENTRIES = 1024
+EXPOSURE_TABLE_ENTRIES = 1024
 """Entries of a table from sRGB value to sRGB value, evenly from 0 to 1; read linearly."""
 
 
@@ -95,7 +95,7 @@ class ExposureCurve:
         Rising from 0 to at most 1: what would be brighter than white is white. At the picture's own end of the way it
         is the identity.
         """
-        srgb, share = np.linspace(0.0, 1.0, TABLE_ENTRIES), t - float(of_second)
+        srgb, share = np.linspace(0.0, 1.0, EXPOSURE_TABLE_ENTRIES), t - float(of_second)
         if share == 0.0 or self.is_identity:
             return np.tile(srgb, (3, 1)).astype(np.float32)
         moved = _to_stops(srgb) + share * self.gains_at(srgb, of_second=of_second)
@@ -131,9 +131,9 @@ def estimate_curve(
     """
     fits = [_fit_channel(first[:, k], second[:, k], weight) for k in range(3)]
     is_alike = max(fit.rms_gain for fit in fits) < MIN_GAIN_STOPS
-    if is_alike or sum(fit.left for fit in fits) > MAX_UNEXPLAINED_SHARE * sum(fit.before for fit in fits):
+    if is_alike or sum(fit.error_after for fit in fits) > MAX_UNEXPLAINED_SHARE * sum(fit.error_before for fit in fits):
         return ExposureCurve(np.zeros((3, len(KNOTS))))
-    return ExposureCurve(_monotone(np.stack([fit.gain for fit in fits])))
+    return ExposureCurve(_limit_slope(np.stack([fit.gain for fit in fits])))
 
 
 @dataclass(frozen=True)
@@ -143,13 +143,13 @@ class _ChannelFit:
     Attributes:
         gain: stops at the knots.
         rms_gain: stops, root mean square of the gain over what is seen.
-        before, left: stops, mean difference of samples without and with the gain.
+        error_before, error_after: stops, mean difference of samples without and with the gain.
     """
 
     gain: Float[np.ndarray, " knots"]
     rms_gain: float
-    before: float
-    left: float
+    error_before: float
+    error_after: float
 
 
 def estimate_gain(first: Float[np.ndarray, "pixels 3"], second: Float[np.ndarray, "more_pixels 3"]) -> ExposureCurve:
@@ -196,7 +196,7 @@ def _fit_channel(first: np.ndarray, second: np.ndarray, weight: np.ndarray) -> _
 
 def _mean_magnitude(stops: np.ndarray, weight: np.ndarray) -> float:
     """A clipped mean: a median would ignore the smaller of two kinds of samples, a plain mean trusts outliers."""
-    return float(np.average(np.minimum(np.abs(stops), OUTLIER_STOPS), weights=weight))
+    return float(np.average(np.minimum(np.abs(stops), MAX_OUTLIER_STOPS), weights=weight))
 
 
 def _median_gains(
@@ -230,7 +230,7 @@ def _smooth_fit(level: np.ndarray, median: np.ndarray, share: np.ndarray) -> Flo
     return np.asarray(np.linalg.solve(left, hats.T @ (share * median)))
 
 
-def _monotone(gain: np.ndarray) -> Float[np.ndarray, "3 knots"]:
+def _limit_slope(gain: np.ndarray) -> Float[np.ndarray, "3 knots"]:
     """Flatten the gain where a brighter place would otherwise become darker than a darker one in one of the pictures.
 
     A level ``m`` is shown at ``m ± g(m)/2``, which rises as long as ``|g'| < 2``; 1.5 leaves a margin.
