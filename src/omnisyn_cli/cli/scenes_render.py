@@ -106,22 +106,20 @@ def _walk(
     import numpy as np
 
     from omnisyn_cli.errors import InputError
-    from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
     from omnisyn_cli.poses.file import read_poses
-    from omnisyn_cli.scenes.mesh import MeshCaster, MeshScene, draw_lighting, find_line, find_places
+    from omnisyn_cli.scenes.mesh import MeshCaster, MeshScene, draw_lighting, find_walk
 
     caster, rng = MeshCaster(mesh), np.random.default_rng([31, *seeds])
     if poses is not None:
         line = {name: panorama.pose for name, panorama in read_poses(poses).panoramas.items()}
     else:
-        found = find_line(caster, find_places(caster, rng, 40), rng, frames)
+        found = find_walk(caster, rng, frames)
         if found is None:
             raise InputError(
                 f"expected a floor in {path} with free space at eye height and something around it, found none; "
                 "check --scale and --z-up, or give cameras (--poses)"
             )
-        rotation = rotation_from_heading(rng.uniform(-np.pi, np.pi))
-        line = {f"{frame:04d}.png": Pose(rotation, position) for frame, position in enumerate(found)}
+        line = {f"{frame:04d}.png": pose for frame, pose in enumerate(found)}
     first = next(iter(line.values()))
     scene = MeshScene.of(mesh, draw_lighting(caster, rng, first.position, light_rays), caster)
     return scene.exposed_at(first), line

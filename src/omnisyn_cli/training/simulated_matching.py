@@ -81,7 +81,7 @@ def simulated_matching(
     ratio = np.where(found, AMBIGUITY + (1.0 - AMBIGUITY) * _blobs(size, 32, rng), AMBIGUITY * _blobs(size, 32, rng))
     ratio = np.where(consistent & ~found, np.maximum(ratio, rng.random(size, dtype=np.float32)), ratio)
     channels = np.stack([root, np.ones(size), consistent, np.clip(ratio, 0.0, 1.0)]) * valid
-    return channels.astype(np.float32)
+    return np.asarray(channels, np.float32)
 
 
 def _is_found(

@@ -28,8 +28,7 @@ from omnisyn_cli.scenes.mesh import (
     MeshCaster,
     MeshScene,
     draw_lighting,
-    find_line,
-    find_places,
+    find_walk,
     render_mesh,
     varied_mesh,
 )
@@ -45,9 +44,6 @@ ATTEMPTS = 12
 
 STOPS = 9
 """Positions along a procedural path that views are chosen from; the ends are always taken."""
-
-PLACES = 40
-"""Places for cameras that are looked for in a mesh."""
 
 LIGHT_RAYS = 16
 """Directions that every point of a mesh asks for light."""
@@ -210,13 +206,11 @@ def _mesh_walk(kind: str, seed: int, attempt: int, config: WalkConfig) -> Walk |
     if not config.is_held_out:
         mesh = varied_mesh(mesh, rng, _photographs(config.textures))
     caster = MeshCaster(mesh)
-    line = find_line(caster, find_places(caster, rng, PLACES), rng, config.views)
-    if line is None:
+    poses = find_walk(caster, rng, config.views)
+    if poses is None:
         return None
-    scene = MeshScene.of(mesh, draw_lighting(caster, rng, line[0], LIGHT_RAYS), caster)
-    rotation = rotation_from_heading(rng.uniform(-np.pi, np.pi))
-    scene = scene.exposed_at(Pose(rotation, line[0]))
-    walk = mesh_walk(scene, [Pose(rotation, position) for position in line], config.size, config.supersample)
+    scene = MeshScene.of(mesh, draw_lighting(caster, rng, poses[0].position, LIGHT_RAYS), caster)
+    walk = mesh_walk(scene.exposed_at(poses[0]), poses, config.size, config.supersample)
     is_dark = min(float(image.mean()) for image in walk.images) < 255.0 * DARKEST
     return None if is_dark else walk
 

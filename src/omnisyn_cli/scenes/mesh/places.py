@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.scenes.mesh.lighting import sphere_directions
 from omnisyn_cli.scenes.mesh.raycast import MeshCaster
 
-__all__ = ["Place", "find_line", "find_places"]
+__all__ = ["Place", "find_line", "find_places", "find_walk"]
 
 EYE_HEIGHTS = (1.1, 1.9)
 """Metres above the floor."""
@@ -39,6 +40,9 @@ LONGEST_WALK = 12.0
 """Metres."""
 
 ATTEMPTS = 200
+
+PLACES = 40
+"""That a walk begins at one of."""
 
 
 @dataclass(frozen=True)
@@ -109,3 +113,10 @@ def find_line(
         if all(look_around(caster, position) is not None for position in line[1:]):
             return line
     return None
+
+
+def find_walk(caster: MeshCaster, rng: np.random.Generator, frames: int) -> list[Pose] | None:
+    """Upright cameras with one heading along a line that :func:`find_line` finds; None if there is none."""
+    line = find_line(caster, find_places(caster, rng, PLACES), rng, frames)
+    rotation = rotation_from_heading(rng.uniform(-math.pi, math.pi))
+    return None if line is None else [Pose(rotation, position) for position in line]
