@@ -8,6 +8,7 @@ import pytest
 from interpolation_samples import job_of
 from omnisyn_cli.fusion.photometry import ExposureMatcher
 from omnisyn_cli.interpolation.plan import plan_interpolation, with_preset
+from omnisyn_cli.synthesis import frame
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
 from omnisyn_cli.synthesis.synthesize import Frame, synthesize
@@ -28,7 +29,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[float]:
             found.append(t)
             return super().__call__(first, second, t)
 
-    monkeypatch.setattr(between, "ExposureMatcher", Counted)
+    monkeypatch.setattr(frame, "ExposureMatcher", Counted)
     return found
 
 

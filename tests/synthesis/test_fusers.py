@@ -36,7 +36,8 @@ POSES = (posed((0.0, 0.0, 0.8)), posed((0.2, 0.1, -0.8), heading=0.3))
 def models(tmp_path_factory):
     """Two networks in ONNX files: one that is fresh, and one that answers at random."""
     torch.manual_seed(0)
-    network = FusionNetwork(FusionConfig("tiny", planes=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12), fine=6)).eval()
+    config = FusionConfig("tiny", planes=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12), fine=6)
+    network = FusionNetwork(config).eval()
     folder = tmp_path_factory.mktemp("models")
     export_network(network, folder / "fresh.onnx")
     torch.nn.init.normal_(network.answer.weight, std=0.5)
@@ -56,7 +57,8 @@ def frames(fuser):
 
 def test_a_fuser_has_the_name_that_it_was_asked_for(models):
     assert type(make_fuser("geometric", FuserSettings(SIZE))) is GeometricFuser
-    assert type(make_fuser("network", FuserSettings(SIZE, threads=1), model=models["fresh"], device="cpu")) is ResidualFuser
+    settings = FuserSettings(SIZE, threads=1)
+    assert type(make_fuser("network", settings, model=models["fresh"], device="cpu")) is ResidualFuser
     with pytest.raises(ValueError, match="geometric, network, painting"):
         make_fuser("magic", FuserSettings(SIZE))
     with pytest.raises(InputError, match=r"nothing\.onnx"):

@@ -100,7 +100,7 @@ def test_the_evaluation_has_the_preset_with_all_its_settings() -> None:
     assert changed.recipe == replace(PAPER, renderer="mesh", cut=0.05, cut_metres=None)
 
 
-def test_the_help_says_that_it_is_no_point_on_the_scale() -> None:
+def test_the_help_describes_every_preset() -> None:
     words = " ".join(CliRunner().invoke(interpolate, ["--help"]).output.split())
-    assert "Beside that scale paper: the method of the paper" in words
-    assert f"balanced: {SCALE['balanced'].summary}" in words
+    for name, preset in PRESETS.items():
+        assert f"{name}: {preset.summary}" in words

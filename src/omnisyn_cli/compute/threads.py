@@ -91,7 +91,8 @@ def run_ranges(kernel: Callable[[int, int], None], rows: int, threads: int | Non
     if threads == 1:
         kernel(0, rows)
         return
-    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in split_range(rows, threads * RANGES_PER_THREAD)]
+    ranges = split_range(rows, threads * RANGES_PER_THREAD)
+    pending = [_pool(threads).submit(kernel, begin, end) for begin, end in ranges]
     for future in pending:
         future.result()
 
