@@ -177,9 +177,8 @@ def installed(tmp_path, monkeypatch):
     for module in (models, provenance):
         monkeypatch.setattr(module, "models_folder", lambda: folder)
     monkeypatch.setattr(interpolations, "make_estimator", lambda source, **_: lopsided)
-    monkeypatch.setattr(
-        "omnisyn_cli.pipeline.methods.make_fuser", lambda name, size, **_: GeometricFuser(size, threads=1)
-    )
+    fuser = lambda name, settings, **_: GeometricFuser(settings.size, threads=1)  # noqa: E731
+    monkeypatch.setattr("omnisyn_cli.pipeline.factory.make_fuser", fuser)
     return folder
 
 

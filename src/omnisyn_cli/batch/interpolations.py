@@ -17,7 +17,7 @@ import numpy as np
 from omnisyn_cli.batch.folder import attempt_folder, output_stats, publish, read_outputs, shares_staging_dir
 from omnisyn_cli.batch.manifest import BatchJob
 from omnisyn_cli.batch.provenance import digest_of_network, file_stamp, job_sources
-from omnisyn_cli.interpolation.loading import KeptPanorama
+from omnisyn_cli.interpolation.loading import CachedPanorama
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import MAX_PIXELS, Panorama, read_panorama
@@ -66,7 +66,7 @@ class PanoramaCache:
     """
 
     def __init__(self) -> None:
-        self._known = LRUCache[KeptPanorama](MAX_CACHED_PANORAMAS)
+        self._known = LRUCache[CachedPanorama](MAX_CACHED_PANORAMAS)
 
     @property
     def decoded(self) -> int:
@@ -76,14 +76,14 @@ class PanoramaCache:
     def __call__(self, path: Path, *, allow_aspect: bool = False, max_pixels: int = MAX_PIXELS) -> Panorama:
         """The panorama of a file."""
 
-        def read() -> KeptPanorama:
-            return KeptPanorama(read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels))
+        def read() -> CachedPanorama:
+            return CachedPanorama(read_panorama(path, allow_aspect=allow_aspect, max_pixels=max_pixels))
 
         if not path.exists():
             read()  # which says what is wrong
         kept = self._known.get((*file_stamp(path), allow_aspect, max_pixels), read)
         panorama = Panorama(kept.image(), kept.mask, kept.original, path)
-        kept.forget_numbers()
+        kept.release_floats()
         return panorama
 
 
