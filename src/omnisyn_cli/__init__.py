@@ -53,8 +53,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    room = "evaluation" if name in ("evaluate", "score") else "interpolation"
-    return getattr(import_module(f"omnisyn_cli.{room}.api"), name)
+    home = "evaluation.public_api" if name in ("evaluate", "score") else "interpolation.api"
+    return getattr(import_module(f"omnisyn_cli.{home}"), name)
 
 
 def __dir__() -> list[str]:
