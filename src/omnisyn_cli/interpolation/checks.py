@@ -85,10 +85,10 @@ def check_method(job: InterpolationJob) -> None:
     """
     if METHODS[job.method].draws_surfaces:
         return
-    usual = InterpolationJob(job.images, job.poses, job.output)
+    defaults = InterpolationJob(job.images, job.poses, job.output)
     for name in SURFACE_FIELDS:
         chosen = getattr(job, name)
-        if chosen != getattr(usual, name):
+        if chosen != getattr(defaults, name):
             raise InputError(
                 f"expected no {name.replace('_', '-')} with the method {job.method}, which leaves none to choose, got "
                 f"{chosen}; leave it out, or take the method {OMNISYN}"

@@ -15,13 +15,13 @@ from omnisyn_cli.io.images import INTEGER_PEAKS, usable_part
 from omnisyn_cli.poses.file import PosedPanorama
 from omnisyn_cli.types import DepthEstimate, View
 
-__all__ = ["KeptPanorama"]
+__all__ = ["CachedPanorama"]
 
 PanoramaReader = Callable[..., Panorama]
 """Called as :func:`omnisyn_cli.io.read_panorama` is: with a path, ``allow_aspect`` and ``max_pixels``."""
 
 
-class KeptPanorama:
+class CachedPanorama:
     """A panorama that can be held as the samples of its file; numbers are made of them again where they are needed."""
 
     def __init__(self, panorama: Panorama) -> None:
@@ -38,7 +38,7 @@ class KeptPanorama:
             self._known = ref(image)
         return image
 
-    def forget_numbers(self) -> None:
+    def release_floats(self) -> None:
         """Hold samples only, if they say everything."""
         if self.samples is not None:
             self._image = None
@@ -66,18 +66,18 @@ class Loader(Sequence[View]):
                 panorama.image(), self._plan.entries[index].pose, mask, known_depth, image_uint8=panorama.samples
             )
 
-    def forget_numbers(self, index: int) -> None:
+    def release_floats(self, index: int) -> None:
         """What the surfaces of a pair have been made of is not needed as numbers any more."""
         for view in range(index, min(index + 2 + self._plan.looks_ahead, len(self))):
-            self.panorama(view).forget_numbers()
+            self.panorama(view).release_floats()
 
 
-def _read_panorama(job: TourJob, read: PanoramaReader, index: int) -> KeptPanorama:
-    return KeptPanorama(read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
+def _read_panorama(job: TourJob, read: PanoramaReader, index: int) -> CachedPanorama:
+    return CachedPanorama(read(job.images[index], allow_aspect=job.allow_aspect, max_pixels=job.max_pixels))
 
 
 def _read_companions(
-    plan: TourPlan, panorama_of: Callable[[int], KeptPanorama], index: int
+    plan: TourPlan, panorama_of: Callable[[int], CachedPanorama], index: int
 ) -> tuple[np.ndarray | None, DepthEstimate | None]:
     """What of a panorama may be used, and its depth if that is known."""
     job, entry, panorama = plan.job, plan.entries[index], panorama_of(index)

@@ -174,10 +174,10 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
     return TourPlan(job, entries, source_sizes, recipe, (*remarks, *_notes_about_depth(job, entries, recipe)))
 
 
-def memory_of_surfaces(tour: TourPlan, keeping: Footprint) -> int:
+def memory_of_surfaces(tour: TourPlan, footprint: Footprint) -> int:
     """Bytes that something made of the surfaces of a tour will take, estimated."""
     surfaces = _surface_sizes(tour.recipe, tour.source_sizes, tour.entries)
-    return estimated_surface_memory(tour.job, tour.recipe, tour.source_sizes, surfaces, keeping)
+    return estimated_surface_memory(tour.job, tour.recipe, tour.source_sizes, surfaces, footprint)
 
 
 def with_preset(plan: InterpolationPlan, preset: str) -> InterpolationPlan:

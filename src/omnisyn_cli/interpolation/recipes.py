@@ -31,13 +31,13 @@ def surface_recipe(job: TourJob, entries: Sequence[PosedPanorama]) -> Recipe:
     Raises PoseError: depth is to come from files, and the pose file does not name one for every panorama;
     InputError: a network where none has a part, or none where one has.
     """
-    usual = PRESETS[job.preset].recipe
-    kind = _depth_kind(job, entries, usual)
-    is_cut_as_usual = job.cut is None and job.cut_metres is None
+    defaults = PRESETS[job.preset].recipe
+    kind = _depth_kind(job, entries, defaults)
+    has_default_cut = job.cut is None and job.cut_metres is None
     return Recipe(
-        DepthSource(kind, usual.depth.rows, _model(job, kind, usual)),
-        cut=usual.cut if is_cut_as_usual else job.cut,
-        cut_metres=usual.cut_metres if is_cut_as_usual else job.cut_metres,
+        DepthSource(kind, defaults.depth.rows, _model(job, kind, defaults)),
+        cut=defaults.cut if has_default_cut else job.cut,
+        cut_metres=defaults.cut_metres if has_default_cut else job.cut_metres,
         fallback=job.fallback, device=job.device,
     )  # fmt: skip
 
@@ -46,12 +46,12 @@ def video_recipe(job: InterpolationJob, entries: Sequence[PosedPanorama]) -> Rec
     """What the frames of a job are made with, likewise."""
     if not METHODS[job.method].draws_surfaces:
         return Recipe(DepthSource("monocular", model=SYNSIN_DEPTH), job.method, device=job.device)
-    usual, surfaces = PRESETS[job.preset].recipe, surface_recipe(job, entries)
+    defaults, surfaces = PRESETS[job.preset].recipe, surface_recipe(job, entries)
     recipe = replace(
         surfaces,
-        renderer=usual.renderer if job.renderer == "auto" else job.renderer,
-        adaptive=usual.adaptive if job.adaptive is None else job.adaptive,
-        fusion=_fusion(job, surfaces.depth.kind, usual), fusion_rows=usual.fusion_rows, edges=usual.edges,
+        renderer=defaults.renderer if job.renderer == "auto" else job.renderer,
+        adaptive=defaults.adaptive if job.adaptive is None else job.adaptive,
+        fusion=_fusion(job, surfaces.depth.kind, defaults), fusion_rows=defaults.fusion_rows, edges=defaults.edges,
         confidence=job.save_confidence is not None,
     )  # fmt: skip
     return _on_gpu(recipe, job) if job.device == "cuda" else recipe
@@ -65,10 +65,10 @@ def for_frames(recipe: Recipe, job: InterpolationJob, frames: int) -> Recipe:
     return replace(recipe, adaptive=recipe.adaptive and is_worth_it)
 
 
-def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], usual: Recipe) -> str:
+def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], defaults: Recipe) -> str:
     without = [image.name for image, entry in zip(job.images, entries, strict=True) if entry.depth is None]
     if job.depth == "auto":
-        return usual.depth.kind if without or job.model is not None else "file"
+        return defaults.depth.kind if without or job.model is not None else "file"
     if job.depth != "auto" and DEPTH_SOURCES[job.depth].reads_files and without:
         raise PoseError(
             f"{job.poses}: expected a 'depth' file for every panorama, got none for {', '.join(without)}; "
@@ -77,7 +77,7 @@ def _depth_kind(job: TourJob, entries: Sequence[PosedPanorama], usual: Recipe) -
     return job.depth
 
 
-def _model(job: TourJob, kind: str, usual: Recipe) -> str | None:
+def _model(job: TourJob, kind: str, defaults: Recipe) -> str | None:
     """The network that finds or refines depth, if one does."""
     source = DEPTH_SOURCES[kind]
     if not source.has_network:
@@ -88,17 +88,17 @@ def _model(job: TourJob, kind: str, usual: Recipe) -> str | None:
                 "leave one of them out"
             )
         return None
-    model = job.model or (usual.depth.model if kind == usual.depth.kind else source.model)
+    model = job.model or (defaults.depth.model if kind == defaults.depth.kind else source.model)
     if model is None:
         raise InputError(f"expected a model for depth {kind!r}, got none; name one (--model)")
     return model
 
 
-def _fusion(job: InterpolationJob, kind: str, usual: Recipe) -> str:
+def _fusion(job: InterpolationJob, kind: str, defaults: Recipe) -> str:
     """What the job says, else its preset where depth is found as it says: no network saw renderings of other depth."""
     if job.fusion != "auto":
         return job.fusion
-    return usual.fusion if kind == usual.depth.kind else "geometric"
+    return defaults.fusion if kind == defaults.depth.kind else "geometric"
 
 
 def _on_gpu(recipe: Recipe, job: InterpolationJob) -> Recipe:

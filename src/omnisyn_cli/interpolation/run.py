@@ -183,7 +183,7 @@ class _PairKeeper:
         self.made.shade_at_infinity[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.check)
-        self._loader.forget_numbers(index)
+        self._loader.release_floats(index)
 
     def count(self, frame: Frame) -> None:
         """Look at a frame."""

@@ -112,11 +112,11 @@ class ExportPlan(TourPlan):
         """Bytes that it will take, estimated."""
         chosen = FORMATS[self.format]
         if chosen.point == 0:
-            keeping = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)
+            footprint = Footprint(JPEG_PIXEL_BYTES, MODEL_VERTEX_BYTES, columns=self.job.texture)
         else:
             spread = POINTS_PER_VERTEX / self.stride**2
-            keeping = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
-        return memory_of_surfaces(self, keeping)
+            footprint = Footprint(0.0, spread * POINT_BYTES, spread * (POINT_BYTES + chosen.point), chosen.writing)
+        return memory_of_surfaces(self, footprint)
 
     def describe(self) -> dict[str, Any]:
         """See :meth:`TourPlan.described`."""

@@ -140,7 +140,7 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
         if runs
         else "a guess from figures of another machine; former runs on this one will make it better"
     )
-    besides = "" if _is_usual(plan) else ", of an MP4 by the usual encoder and nothing besides"
+    besides = "" if _is_standard(plan) else ", of an MP4 by the usual encoder and nothing besides"
     return Duration(work.start * slowness + work.pairs * pairs + work.frames * frames, source + besides)
 
 
@@ -149,7 +149,7 @@ def remember_run(summary: Summary) -> None:
     plan, seconds = summary.plan, summary.seconds
     try:
         work = work_of(plan, shipped_table())
-        if work is None or not _is_usual(plan):
+        if work is None or not _is_standard(plan):
             return
         pairs = sum(seconds.get(stage, 0.0) for stage in ("decode", "depth", "check", "mesh"))
         pace = (
@@ -165,7 +165,7 @@ def remember_run(summary: Summary) -> None:
         return
 
 
-def _is_usual(plan: InterpolationPlan) -> bool:
+def _is_standard(plan: InterpolationPlan) -> bool:
     """Whether nothing is made besides the frames, and those are encoded as in the table."""
     job = plan.job
     besides = (job.view, job.save_depth, job.save_confidence, job.save_frames, job.codec, job.encoder_preset)
@@ -211,26 +211,28 @@ def _threads(plan: InterpolationPlan) -> int:
 def work_of(plan: InterpolationPlan, table: Sequence[Figures]) -> Work | None:
     """What a job is in computing, None where the table does not say."""
     recipe = plan.recipe
-    finders = _like(table, recipe, "depth.kind", "depth.networks") if recipe.estimates_depth else _usual(table)
+    finders = (
+        _like(table, recipe, "depth.kind", "depth.networks") if recipe.estimates_depth else _standard_figures(table)
+    )
     renderers, fusers = _like(table, recipe, "renderer"), _like(table, recipe, "fusion", "edges")
     if not recipe.draws_surfaces or recipe.is_on_gpu or not (finders and renderers and fusers):
         return None
     finder, renderer = (_nearest(each, recipe) for each in (finders, renderers))
-    usual = _nearest(_usual(table), PRESETS[DEFAULT_PRESET].recipe)
-    source = math.prod(max(plan.source_sizes)) / math.prod(usual.source)
+    standard = _nearest(_standard_figures(table), PRESETS[DEFAULT_PRESET].recipe)
+    source = math.prod(max(plan.source_sizes)) / math.prod(standard.source)
     found = sum(finder.seconds[stage] for stage in ("depth",) if recipe.estimates_depth)
     surfaces = finder.seconds["check"] + renderer.seconds["mesh"]
     panoramas = len(plan.entries)
     frame = _at(table, renderer, "render", plan.size) + _at(table, _nearest(fusers, recipe), "fuse", plan.size)
-    frame += _at(table, usual, "encode", plan.size)
+    frame += _at(table, standard, "encode", plan.size)
     return Work(
-        usual.seconds["start"],
-        usual.seconds["decode"] * source * panoramas / 2 + (panoramas - 1) * (found + surfaces),
+        standard.seconds["start"],
+        standard.seconds["decode"] * source * panoramas / 2 + (panoramas - 1) * (found + surfaces),
         max(len(plan.path) - panoramas, 0) * frame,
     )
 
 
-def _usual(table: Sequence[Figures]) -> list[Figures]:
+def _standard_figures(table: Sequence[Figures]) -> list[Figures]:
     return _like(table, PRESETS[DEFAULT_PRESET].recipe, *STAGE_SETTINGS)
 
 
@@ -263,8 +265,10 @@ def _at(table: Sequence[Figures], figures: Figures, stage: str, size: tuple[int,
     sizes = [f for f in table if f.recipe == figures.recipe]
     if len(sizes) > 1:
         return _between(sizes, stage, math.prod(size))
-    usual = [f for f in table if f.recipe == _nearest(_usual(table), PRESETS[DEFAULT_PRESET].recipe).recipe]
-    here, there = (_between(usual, stage, math.prod(each)) for each in (size, figures.setting.size))
+    standard = [
+        f for f in table if f.recipe == _nearest(_standard_figures(table), PRESETS[DEFAULT_PRESET].recipe).recipe
+    ]
+    here, there = (_between(standard, stage, math.prod(each)) for each in (size, figures.setting.size))
     return max(0.0, here + figures.seconds[stage] - there)
 
 

@@ -181,8 +181,8 @@ def read_table(path: Path) -> tuple[Figures, ...]:
         return tuple(FIGURES.validate_python(values) for values in content["figures"])
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path}: expected a table of version {TABLE_VERSION} from `omnisyn bench --store`, got '{error}'; write it "
-            "anew"
+            f"{path}: expected a table of version {TABLE_VERSION} from `omnisyn bench --store`, got '{error}'; write "
+            "it anew"
         ) from error
 
 

@@ -58,7 +58,7 @@ class Footprint:
 
 def estimated_surface_memory(
     job: TourJob, recipe: Recipe, sources: Sequence[tuple[int, int]], depths: Sequence[tuple[int, int]],
-    keeping: Footprint,
+    footprint: Footprint,
 ) -> int:  # fmt: skip
     """Bytes, estimated: the most of what is held while depth is found and while something is made of a surface.
 
@@ -78,12 +78,12 @@ def estimated_surface_memory(
     more = (panorama * largest + UNCOLLECTED_BYTES) if len(sources) > 2 else 0.0
     if fuses_chain_depth(recipe, len(sources)):
         more += panorama * largest + LOOK_AHEAD_VERTEX_BYTES * vertices
-    picture = largest if keeping.columns is None else min(largest, keeping.columns**2 // 2)
-    kept = len(sources) * (keeping.per_pixel * picture + keeping.per_vertex * vertices)
+    picture = largest if footprint.columns is None else min(largest, footprint.columns**2 // 2)
+    kept = len(sources) * (footprint.per_pixel * picture + footprint.per_vertex * vertices)
     making = max(
         source.bytes_of_finding(depths),
-        keeping.writing * largest + recipe.renderer_strategy.building_bytes * vertices,
-        len(sources) * keeping.closing * vertices,
+        footprint.writing * largest + recipe.renderer_strategy.building_bytes * vertices,
+        len(sources) * footprint.closing * vertices,
     )
     return int(source.bytes_of_program(depths) + 2 * panorama * largest + more + kept + making)
 
