@@ -67,7 +67,7 @@ def estimated_surface_memory(
         recipe: what surfaces are made with.
         sources: height and width of the panoramas.
         depths: those of the surfaces, see :func:`estimated_memory`.
-        keeping: what is made of surfaces.
+        footprint: what is made of surfaces.
 
     Raises ImageError: a panorama is missing or unreadable.
     """
