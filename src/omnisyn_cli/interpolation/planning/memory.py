@@ -73,8 +73,8 @@ def estimated_surface_memory(
     """
     source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
-    has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    panorama = FLOAT_PIXEL_BYTES + (3 if has_edge_samples else FLOAT_PIXEL_BYTES)
+    is_8_bit = all(read_header(image).dtype == "uint8" for image in job.images)
+    panorama = FLOAT_PIXEL_BYTES + (3 if is_8_bit else FLOAT_PIXEL_BYTES)
     more = (panorama * largest + UNCOLLECTED_BYTES) if len(sources) > 2 else 0.0
     if fuses_chain_depth(recipe, len(sources)):
         more += panorama * largest + LOOK_AHEAD_VERTEX_BYTES * vertices
@@ -109,9 +109,9 @@ def estimated_memory(
     """
     source = recipe.depth.strategy
     largest, vertices = (max(height * width for height, width in group) for group in (sources, depths))
-    has_edge_samples = all(read_header(image).dtype == "uint8" for image in job.images)
-    is_kept_as_samples = has_edge_samples and recipe.renderer == "mesh"
-    kept = (3 if has_edge_samples else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
+    is_8_bit = all(read_header(image).dtype == "uint8" for image in job.images)
+    is_kept_as_samples = is_8_bit and recipe.renderer_strategy.shades_on_demand
+    kept = (3 if is_8_bit else 12) + MIP_LEVEL_SHARE * 4 * (1 if is_kept_as_samples else 4)
     texturing = 4  # numbers are those of both for depth; of the last one again, when it is shown
     program = source.bytes_of_program(depths)
     frames = _bytes_of_frames(job, recipe, size) + FLOAT_PIXEL_BYTES * largest
@@ -121,7 +121,7 @@ def estimated_memory(
     if source.refines(depths):
         finding += 2 * FLOAT_PIXEL_BYTES * largest
     ahead = (
-        (FLOAT_PIXEL_BYTES + (3 if has_edge_samples else 0)) * largest
+        (FLOAT_PIXEL_BYTES + (3 if is_8_bit else 0)) * largest
         + LOOK_AHEAD_VERTEX_BYTES * vertices
         + UNCOLLECTED_BYTES
     )

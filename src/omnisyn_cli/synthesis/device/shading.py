@@ -89,11 +89,11 @@ def shade(
     target_from_source: Pose,
     target_rows: int,
 ) -> Float32[Tensor, "rows width 4"]:
-    """Colour and worth of some rows of a target; all 0 where nothing is seen.
+    """Colour and weight of some rows of a target; all 0 where nothing is seen.
 
     Args:
         inverse_depth: 1/metre from the target, negative where nothing is seen.
-        trust: in the surface.
+        surface_confidence: of the surface.
         rays: unit vectors through the pixels, in the frame of the target.
         texture: the photograph.
         target_from_source: the transform.
