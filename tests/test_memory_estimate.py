@@ -1,6 +1,5 @@
 """What ``--dry-run`` says about memory is what a run takes."""
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +8,8 @@ import numpy as np
 import OpenImageIO
 import pytest
 
+from cli.cli_samples import Omnisyn
 from interpolation_samples import CHAIN, Hall, job_of, tour_job
-from omnisyn_cli.cli import main
 from omnisyn_cli.interpolation.export import ExportJob, plan_export
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
@@ -78,13 +77,11 @@ def test_the_plan_is_within_a_fifth_of_the_peak(
     ("command", "output"), [(["view"], "a.html"), (["export", "--format", "colmap"], "set")], ids=["view", "colmap"]
 )
 def test_what_is_made_of_surfaces_takes_what_its_plan_says(
-    tmp_path: Path, command: list[str], output: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, command: list[str], output: str, omnisyn: Omnisyn
 ) -> None:
     images = write_hall(tmp_path, [posed((0, 0, 0.3)), posed((0, 0, -0.3))], (1024, 2048), with_depth=False)
     words = [*command, *map(str, images), "-o", str(tmp_path / output), "--preset", "fast"]
-    with pytest.raises(SystemExit, match="0"):
-        main([*words, "--dry-run", "--json"])
-    planned = json.loads(capsys.readouterr().out)["memory_mib"] * 2**20
+    planned = omnisyn.json(*words, "--dry-run")["memory_mib"] * 2**20
     measured = peak_of([sys.executable, "-c", MEASURED, *words, "--overwrite", "-q"])
     assert 0.8 < measured / planned < 1.2
 

@@ -15,7 +15,7 @@ from omnisyn_cli.errors import ImageError
 from omnisyn_cli.evaluation import public_api as verbs_that_compare
 from omnisyn_cli.interpolation import api
 from omnisyn_cli.io import read_panorama
-from synthesis_samples import SIZE, hall_image, posed, write_hall, ws_psnr
+from synthesis_samples import SIZE, hall_image, hall_view, posed, write_hall, ws_psnr
 
 ROOT = Path(__file__).parents[1]
 
@@ -69,9 +69,4 @@ def test_what_cannot_be_used_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="one frame or more"):
         omnisyn.write_video(tmp_path / "none.mp4", [])
     with pytest.raises(ValueError, match="preset of fast"):
-        list(omnisyn.make_frames([hall_view_at(0.5), hall_view_at(-0.5)], 3, "hasty"))
-
-
-def hall_view_at(z: float) -> omnisyn.View:
-    return omnisyn.View(hall_image(posed((0, 0, z))), posed((0, 0, z)), known_depth=omnisyn.DepthEstimate(
-        np.full(SIZE, 0.25, np.float32), np.ones(SIZE, np.float32)))  # fmt: skip
+        list(omnisyn.make_frames([hall_view(posed((0, 0, z))) for z in (0.5, -0.5)], 3, "hasty"))

@@ -67,7 +67,7 @@ def test_tables_say_what_to_take(omnisyn: Omnisyn, scenes: Path, runs: list[Benc
     assert result.out.count("What settings cost and are worth") == 1
     assert "● omnisyn-balanced, 64x32, 1 thread" in result.out
     assert "○ omnisyn-balanced:rows=512, 64x32, 2 threads" in result.out
-    assert "28.00" in result.out
+    assert "27.00" in result.out
 
 
 def test_scenes_are_made_where_none_are_given(omnisyn: Omnisyn, runs: list[BenchRun], tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ def test_compiling_is_said_once_on_standard_error_unless_all_is_quiet(
     with say_when_compiling(is_quiet=is_quiet):
         quick(1)
     assert capsys.readouterr().err == ""
-    monkeypatch.setattr(progress, "SHORT", 0.0)
+    monkeypatch.setattr(progress, "MIN_BAR_SECONDS", 0.0)
     first, second = kernel(cache=False)(lambda x: x + 1), kernel(cache=False)(lambda x: x - 1)
     with say_when_compiling(is_quiet=is_quiet):
         first(1)

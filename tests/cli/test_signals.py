@@ -57,6 +57,13 @@ def after_signal(wait: Callable[..., object], *arguments: object) -> None:
     wait(*arguments)
 
 
+def check_broken_off(work: Callable[[], None]) -> None:
+    begin = time.monotonic()
+    with pytest.raises(Terminated):
+        work()
+    assert time.monotonic() - begin < LONG / 2
+
+
 class Destroyed:
     def __del__(self) -> None:
         end()
@@ -136,10 +143,7 @@ def test_a_signal_while_kernels_are_compiled_is_not_lost() -> None:
         callback()
         time.sleep(LONG)
 
-    begin = time.monotonic()
-    with pytest.raises(Terminated):
-        compile_and_go_on()
-    assert time.monotonic() - begin < LONG / 2
+    check_broken_off(compile_and_go_on)
 
 
 def test_a_signal_while_garbage_is_collected_is_not_lost() -> None:
@@ -155,10 +159,7 @@ def test_a_signal_while_garbage_is_collected_is_not_lost() -> None:
         gc.collect()
         time.sleep(LONG)
 
-    begin = time.monotonic()
-    with pytest.raises(Terminated):
-        collect_and_go_on()
-    assert time.monotonic() - begin < LONG / 2
+    check_broken_off(collect_and_go_on)
 
 
 def test_a_wait_is_broken_off() -> None:
@@ -168,7 +169,7 @@ def test_a_wait_is_broken_off() -> None:
 
 def test_tidying_up_that_hangs_is_broken_off(monkeypatch: pytest.MonkeyPatch) -> None:
     """Joining a thread is not broken off otherwise: it would be no longer known that it runs."""
-    monkeypatch.setattr(signals, "PATIENCE", 0.2)
+    monkeypatch.setattr(signals, "SIGNAL_PATIENCE_SECONDS", 0.2)
     hanging, ended = threading.Event(), list[bool]()
     thread = threading.Thread(target=lambda: ended.append(hanging.wait(LONG)))
     thread.start()

@@ -131,7 +131,7 @@ def test_companions_of_a_panorama_lie_outside_only_if_allowed(tmp_path: Path, ke
     folder.mkdir()
     hall = Hall(folder, write_pair(folder))
     outside = tmp_path / "outside.png"
-    write_image(outside, np.full((16, 32, 3) if key == "mask" else (16, 32), 255, np.uint8))
+    write_image(outside, np.full((16, 32), 255, np.uint8 if key == "mask" else np.uint16))
     for name in ("../outside.png", str(outside)):
         edit_poses(folder, lambda panoramas, name=name: panoramas["a.png"].update({key: name}))
         hall.refuses(PoseError, "--allow-outside")

@@ -5,10 +5,13 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import numpy as np
 import pytest
+
+from omnisyn_cli.interpolation.viewer import served
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 
@@ -104,6 +107,19 @@ class WalkPage:
             np.frombuffer(colours, np.uint8).reshape(height, width, 4)[..., :3],
             [np.frombuffer(depth, np.float32).reshape(height, width) for depth in depths],
         )
+
+
+@contextmanager
+def serving(folder: Path) -> Iterator[str]:
+    """The address of a folder that is served meanwhile."""
+    with served(folder) as (address, server):
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield address
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def pinhole_rays(size: tuple[int, int], fov: float) -> np.ndarray:

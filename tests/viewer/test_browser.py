@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from interpolation_samples import tour_job
-from omnisyn_cli.interpolation.viewer import ViewJob, plan_view, run_view, served
+from omnisyn_cli.interpolation.viewer import ViewJob, plan_view, run_view
 from synthesis_samples import posed, write_hall
-from viewer.browser import Launch, WalkPage
+from viewer.browser import Launch, WalkPage, serving
 
 TOUR = [posed((0.3 * k, 0.05 * (k % 2), 0.2 * k), 0.2 * k) for k in range(5)]
 
@@ -250,18 +250,10 @@ def test_only_neighbours_stay_unpacked(walk: WalkPage) -> None:
 
 
 def test_a_served_folder_walks(opened: Any, tmp_path: Path) -> None:
-    from threading import Thread
-
-    with served(written(tmp_path, is_folder=True)) as (address, server):
-        thread = Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            page = WalkPage(opened, address).wait()
-            assert all(request.startswith(address) for request in page.requests)
-            assert page.errors == []
-        finally:
-            server.shutdown()
-            thread.join()
+    with serving(written(tmp_path, is_folder=True)) as address:
+        page = WalkPage(opened, address).wait()
+        assert all(request.startswith(address) for request in page.requests)
+        assert page.errors == []
 
 
 def test_a_folder_without_a_server_says_what_it_needs(opened: Any, tmp_path: Path) -> None:

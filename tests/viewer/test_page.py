@@ -10,14 +10,15 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from interpolation_samples import CHAIN, listing, tour_job
+from interpolation_samples import CHAIN, edit_poses, listing, tour_job
 from omnisyn_cli.errors import InputError, OutputPathError, PoseError
 from omnisyn_cli.fusion.photometry import ExposureCurve
-from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view, run_view, served
+from omnisyn_cli.interpolation.viewer import ViewJob, ViewOptions, plan_view, run_view
 from omnisyn_cli.interpolation.viewer import run as walk_run
 from omnisyn_cli.interpolation.viewer.contents import _gains
 from omnisyn_cli.io import write_image
 from synthesis_samples import posed, write_hall
+from viewer.browser import serving
 
 
 def made(folder: Path, images: list[Path], *, is_folder: bool = False, **changes: object) -> Path:
@@ -67,9 +68,7 @@ def test_names_are_text_whatever_they_hold(tmp_path: Path) -> None:
     images = write_hall(folder, CHAIN[:2])
     odd = folder / "a <i>&amp;<!--\u2028.png"
     images[0].rename(odd)
-    poses = json.loads((folder / "poses.json").read_text())
-    poses["panoramas"][odd.name] = poses["panoramas"].pop(images[0].name)
-    (folder / "poses.json").write_text(json.dumps(poses))
+    edit_poses(folder, lambda panoramas: panoramas.update({odd.name: panoramas.pop(images[0].name)}))
     page = made(folder, [odd, images[1]]).read_text()
     assert "<i>" not in page
     assert "<!--" not in page
@@ -83,19 +82,11 @@ def test_a_folder_is_served_to_this_machine(tmp_path: Path) -> None:
     assert "connect-src 'self'" in page
     assert "block-0" not in page
     assert set(listing(folder)) == {"index.html", *manifest["files"]}
-    import threading
-
-    with served(folder) as (address, server):
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            assert address.startswith("http://127.0.0.1:")
-            for name in ("", manifest["files"][0]):
-                with urlopen(address + name) as answer:  # noqa: S310 - this machine
-                    assert answer.read() == (folder / (name or "index.html")).read_bytes()
-        finally:
-            server.shutdown()
-            thread.join()
+    with serving(folder) as address:
+        assert address.startswith("http://127.0.0.1:")
+        for name in ("", manifest["files"][0]):
+            with urlopen(address + name) as answer:  # noqa: S310 - this machine
+                assert answer.read() == (folder / (name or "index.html")).read_bytes()
 
 
 def test_what_is_too_large_for_one_file_says_so_and_leaves_nothing(
@@ -103,7 +94,7 @@ def test_what_is_too_large_for_one_file_says_so_and_leaves_nothing(
 ) -> None:
     images = write_hall(tmp_path, CHAIN)
     before = listing(tmp_path)
-    monkeypatch.setattr(walk_run, "MOST_BYTES", 4000)
+    monkeypatch.setattr(walk_run, "MAX_PAGE_BYTES", 4000)
     with pytest.raises(OutputPathError, match="--folder"):
         made(tmp_path, images)
     assert listing(tmp_path) == before
