@@ -20,7 +20,7 @@ from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama, write_image
-from omnisyn_cli.synthesis.presets import PRESETS
+from omnisyn_cli.pipeline.presets import PRESETS
 
 WIDTH = 1792
 """Of the frames that parts are taken from; a multiple of :data:`CELL`."""
