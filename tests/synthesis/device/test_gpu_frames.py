@@ -125,7 +125,7 @@ def test_samples_are_the_rounded_numbers(views: LayerPair) -> None:
 def test_how_much_is_done_at_a_time_changes_nothing(views: LayerPair, monkeypatch: pytest.MonkeyPatch) -> None:
     target = target_between(*views, 0.5)
     whole = on_device(views, target, 0.5, SIZE, BRIGHTER)
-    monkeypatch.setattr(frames, "PIXELS_AT_A_TIME", 7 * SIZE[1])
+    monkeypatch.setattr(frames, "PIXELS_PER_STEP", 7 * SIZE[1])
     np.testing.assert_array_equal(on_device(views, target, 0.5, SIZE, BRIGHTER), whole)
 
 

@@ -57,6 +57,6 @@ def test_from_its_own_place_a_surface_has_no_holes(pose: str, cut: str) -> None:
 def test_how_much_is_done_at_a_time_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = build_mesh(rough(8, 16))
     whole = seen(mesh, POSES["any"], TARGET)
-    monkeypatch.setattr(raster, "QUADS_AT_A_TIME", 37)
-    monkeypatch.setattr(raster, "CANDIDATES_AT_A_TIME", 101)
+    monkeypatch.setattr(raster, "QUADS_PER_STEP", 37)
+    monkeypatch.setattr(raster, "CANDIDATES_PER_STEP", 101)
     np.testing.assert_array_equal(seen(mesh, POSES["any"], TARGET), whole)
