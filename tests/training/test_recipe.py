@@ -11,6 +11,7 @@ from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks import guided_depth
 from omnisyn_cli.training import recipe as recipes
+from omnisyn_cli.training.publish import publish
 from omnisyn_cli.training.recipe import Recipe, RecipeTrainer, Stage, WalkPool, read_recipe, train_recipe
 from omnisyn_cli.training.tasks import TASKS
 
@@ -168,3 +169,12 @@ def test_a_mesh_that_is_not_there_is_no_training(tmp_path):
     command = ["recipe", str(tmp_path / "recipe.toml"), str(tmp_path / "run")]
     assert CliRunner().invoke(train, [*command, "--held-out", "hall"]).exit_code == 2
     assert CliRunner().invoke(train, [*command, "--mesh-scale", "hall", "--meshes", str(tmp_path)]).exit_code == 2
+
+
+def test_a_compact_checkpoint_is_published(tmp_path):
+    train_recipe(PLAN, tmp_path / "run")
+    ((entry, difference),) = publish(tmp_path / "run" / "best.pt", tmp_path / "models")
+    assert entry.name == "guided-depth-small"
+    assert entry.size == SMALL.size
+    assert difference < 1e-4
+    assert (tmp_path / "models" / "guided-depth-small.onnx").exists()

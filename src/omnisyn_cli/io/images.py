@@ -233,8 +233,8 @@ PHOTOGRAPH_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff
 MAX_PHOTOGRAPH_SIDE = 768
 """Pixels of the longer side that are kept: two megabytes a photograph, with its mip levels."""
 
-MAX_PHOTOGRAPHS = 1000
-"""Photographs in a folder: two gigabytes."""
+MAX_PHOTOGRAPHS = 2000
+"""Photographs in a folder: four gigabytes at most, much less where they are small."""
 
 
 def list_photographs(folder: Path) -> list[Path]:

@@ -46,7 +46,7 @@ def export_network(network: Network, path: Path) -> None:
         warnings.simplefilter("ignore")  # the tracer's remarks on sizes, which are meant to be fixed
         torch.onnx.export(
             _Outputs(network).eval(),
-            tuple(torch.rand(1, channels, *ports.own_sizes.get(name, size)) for name, channels in ports.inputs.items()),
+            tuple(torch.rand(1, *shape) for shape in ports.input_shapes(size).values()),
             str(path),
             input_names=list(ports.inputs),
             output_names=list(ports.outputs),

@@ -27,6 +27,7 @@ from omnisyn_cli.networks.layers import LEAK, WrappedConv, at_least_single, size
 __all__ = [
     "GUIDANCE_CHANNELS",
     "GUIDED_DEPTH_VARIANTS",
+    "STRIDE",
     "GuidedDepthConfig",
     "GuidedDepthNetwork",
     "GuidedDepthPrediction",
@@ -83,7 +84,7 @@ class GuidedDepthConfig(NetworkConfig):
         return 32
 
 
-GUIDED_DEPTH_VARIANTS = {"guided": GuidedDepthConfig("guided")}
+GUIDED_DEPTH_VARIANTS = {"lite0": GuidedDepthConfig("lite0")}
 """The networks by name."""
 
 

@@ -34,17 +34,21 @@ class Ports:
         inputs: channels by name.
         outputs: names.
         size: ``(height, width)`` that it takes; None for all multiples of its configuration's ``size_multiple``.
-        own_sizes: of inputs that are not of that size.
         notes: for the metadata.
         is_folded: whether constants are computed when the file is written.
+        own_sizes: of inputs that are not of that size.
     """
 
     inputs: Mapping[str, int]
     outputs: tuple[str, ...] = ("inverse_depth", "confidence")
     size: tuple[int, int] | None = None
-    own_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
     is_folded: bool = True
+    own_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    def input_shapes(self, size: tuple[int, int]) -> dict[str, tuple[int, int, int]]:
+        """Channels, height and width of each input, of a network that is called at ``size``."""
+        return {name: (channels, *self.own_sizes.get(name, size)) for name, channels in self.inputs.items()}
 
 
 class Network(nn.Module):

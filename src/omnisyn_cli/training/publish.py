@@ -148,7 +148,8 @@ def _noise(network: Network, size: tuple[int, int]) -> Examples:
     half, more = max(multiple, height // 2 // multiple * multiple), height + multiple
     free = [(rows, 2 * rows) for rows in (height, half, more)]
     for shape in free if network.ports.size is None else [size] * COMPARED:
-        yield tuple(rng.random((1, channels, *shape), dtype=np.float32) for channels in network.ports.inputs.values())
+        inputs = network.ports.input_shapes(shape).values()
+        yield tuple(rng.random((1, *each), dtype=np.float32) for each in inputs)
 
 
 def write_manifest(folder: Path, entries: Mapping[str, ModelEntry]) -> None:

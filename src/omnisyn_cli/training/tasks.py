@@ -90,6 +90,7 @@ TASKS: Mapping[str, Task] = {
         scores=guided_scores,
         pictures=_guided_pictures,
         pools=("recipe",),
+        role="guided-depth",
     ),
     "completion": Task(
         CompletionConfig,
