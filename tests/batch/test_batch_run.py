@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from batch_samples import SIZE, InlineExecutor, contents, line, records, write_lines, write_row
 
+from omnisyn_cli.batch import batch_runner as batch_module
 from omnisyn_cli.batch import interpolations, provenance
-from omnisyn_cli.batch import runner as batch_module
+from omnisyn_cli.batch.batch_runner import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.batch.executor import Work
 from omnisyn_cli.batch.folder import STAGING_DIR, open_staging_dir, write_outputs
 from omnisyn_cli.batch.interpolations import Interpolator, WorkerSettings
 from omnisyn_cli.batch.manifest import read_manifest
-from omnisyn_cli.batch.runner import BatchOptions, BatchReport, Progress, run_batch
 from omnisyn_cli.errors import InputError, OutputPathError
 from omnisyn_cli.fusion.geometric import GeometricFuser
 from omnisyn_cli.geometry.pose import Pose

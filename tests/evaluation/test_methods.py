@@ -24,8 +24,8 @@ from omnisyn_cli.evaluation.views import LoadedPair
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.pipeline.config import DepthSource, Recipe
 from omnisyn_cli.runtime import models
-from omnisyn_cli.synthesis.synthesize import Frame
 from omnisyn_cli.synthesis.methods import Pair
+from omnisyn_cli.synthesis.synthesize import Frame
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimate, KnownDepth, View
 from synthesis_samples import distance_to_wall, hall_image, posed, ws_psnr

@@ -15,8 +15,8 @@ from omnisyn_cli.cli.progress import is_watched
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
+    from omnisyn_cli.batch.batch_runner import BatchReport, Progress
     from omnisyn_cli.batch.manifest import Manifest
-    from omnisyn_cli.batch.runner import BatchReport, Progress
 
 MAX_SHOWN_JOBS = 20
 """Failures in the table at the end; all of them are in results.jsonl and in --json."""
@@ -76,8 +76,8 @@ def batch(context: click.Context, /, manifest: Path, output: Path, as_json: bool
     every job. Started again, the command does only what is missing or has changed. `omnisyn batch plan` writes a
     manifest.
     """  # noqa: D301 - click's \b is a backspace
+    from omnisyn_cli.batch.batch_runner import BatchOptions, run_batch
     from omnisyn_cli.batch.manifest import read_manifest
-    from omnisyn_cli.batch.runner import BatchOptions, run_batch
 
     checked = read_manifest(manifest)
     _refuse_problems(checked)
