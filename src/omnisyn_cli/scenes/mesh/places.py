@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,9 @@ LEAST_ENCLOSED = 0.5
 
 LEAST_FLOOR = 0.95
 """Share of the rays below a place that hit something."""
+
+BETWEEN_SHELLS = (0.4, 0.6)
+"""Share of surfaces seen from behind, in the gap between two shells; inside or outside it is nearly none or all."""
 
 LEVEL = 0.8
 """Least cosine between the normal of a floor and up."""
@@ -52,14 +56,10 @@ class Place:
     Attributes:
         position: ``(3,)`` metres.
         median: distance of what is around it, metres.
-        enclosed: share of directions in which there is something.
-        inside_out: share of surfaces that are seen from behind.
     """
 
     position: Float[np.ndarray, " 3"]
     median: float
-    enclosed: float
-    inside_out: float
 
 
 def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place | None:
@@ -74,11 +74,13 @@ def look_around(caster: MeshCaster, position: Float[np.ndarray, " 3"]) -> Place 
     if distances.min() < CLEARANCE or np.median(distances) < NEAR_MEDIAN:
         return None
     behind = np.einsum("ij,ij->i", caster.normals[hits.face[found]], directions[found]) > 0
-    return Place(position, float(np.median(distances)), float(found.mean()), float(behind.mean()))
+    if BETWEEN_SHELLS[0] < behind.mean() < BETWEEN_SHELLS[1]:
+        return None
+    return Place(position, float(np.median(distances)))
 
 
 def find_places(caster: MeshCaster, rng: np.random.Generator, count: int, attempts: int = 400) -> list[Place]:
-    """Places by chance, the most enclosed ones first; fewer than ``count`` where there are no more."""
+    """Places by chance; fewer than ``count`` where ``attempts`` do not find more."""
     low, high = (np.percentile(caster.mesh.vertices, share, axis=0) for share in (1, 99))
     starts = rng.uniform(low, np.maximum(high, low + 1e-3), (attempts, 3))
     starts[:, 1] += 0.3
@@ -87,10 +89,8 @@ def find_places(caster: MeshCaster, rng: np.random.Generator, count: int, attemp
     level = floor.is_hit & (np.abs(caster.normals[floor.face][:, 1]) > LEVEL)
     eyes = starts[level]
     eyes[:, 1] += rng.uniform(*EYE_HEIGHTS, level.sum()) - floor.distance[level]
-    places = [place for place in (look_around(caster, eye) for eye in eyes) if place is not None]
-    # a place between two shells sees about half of them from behind; inside and outside it is nearly none or all
-    places.sort(key=lambda place: 2.0 * min(place.inside_out, 1.0 - place.inside_out) - place.enclosed)
-    return places[:count]
+    found = (place for place in (look_around(caster, eye) for eye in eyes) if place is not None)
+    return list(islice(found, count))
 
 
 def find_line(
