@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import kernel
+from omnisyn_cli.compute.jit import kernel, subkernel
 
 NO_POINT = -1
 
@@ -32,7 +32,7 @@ def project_points(rho, mask, sin_p, cos_p, sin_a, cos_a, rotation, t, scale, po
             points[row, col, 3] = w * shrink if seen else -1.0
 
 
-@kernel()
+@subkernel()
 def disc_rows(point, radius, height, begin, end):
     """First and last row that a disc of angle ``radius`` around a point can touch."""
     polar = math.atan2(point[1], point[0])
@@ -42,7 +42,7 @@ def disc_rows(point, radius, height, begin, end):
     return max(begin, first), min(end - 1, last)
 
 
-@kernel()
+@subkernel()
 def disc_columns(point, cos_radius, sp, cp, width):
     """First and last column of a row that a disc covers; all of them if it holds the pole, none if it misses the row.
 

@@ -3,6 +3,7 @@
 Where no folder can be written (a read-only installation without a home), they are compiled by every process.
 """
 
+import gc
 import hashlib
 import threading
 import time
@@ -21,9 +22,11 @@ __all__ = [
     "are_kernels_kept",
     "compiled_kernel",
     "fast_kernel",
+    "fast_subkernel",
     "inlined",
     "inlined_contracting",
     "kernel",
+    "subkernel",
     "when_compiling",
     "while_compiling",
 ]
@@ -94,7 +97,7 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
     """
     if function is None:
         return partial(compiled_kernel, cache=cache, **options)
-    compiled = njit(function, **options)
+    compiled = njit(function, **{"no_cfunc_wrapper": True, **options})  # nobody calls kernels from C
     if cache:
         try:
             compiled._cache = _Kernels(compiled.py_func)
@@ -106,14 +109,41 @@ def compiled_kernel(function: Callable[..., Any] | None = None, *, cache: bool =
 kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy")
 """Strict floating point: a·b − c·d is the exact negative of c·d − a·b."""
 
-inlined: Decorator = partial(kernel, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""The same, always inlined, so that loops around it can be vectorised; only kernels can call it."""
+fast_kernel: Decorator = partial(kernel, fastmath=True)
+"""Reassociation allowed: for colours and boxes, never for tests of visibility."""
+
+subkernel: Decorator = partial(kernel, cache=False, no_cpython_wrapper=True)
+"""Only other kernels can call it, and its machine code is kept with theirs: that compiles faster."""
+
+fast_subkernel: Decorator = partial(subkernel, fastmath=True)
+"""The same with reassociation."""
+
+inlined: Decorator = partial(subkernel, forceinline=True)
+"""Always inlined, so that loops around it can be vectorised."""
 
 inlined_contracting: Decorator = partial(inlined, fastmath={"contract"})
 """Inlined; a·b + c may be one instruction."""
 
-fast_kernel: Decorator = partial(compiled_kernel, nogil=True, error_model="numpy", fastmath=True)
-"""Reassociation allowed: for colours and boxes, never for tests of visibility."""
+
+class _WithoutCollections(event.Listener):  # type: ignore[misc]
+    """Stops the garbage collector while a kernel is compiled, which makes many objects that live on: a tenth faster."""
+
+    def __init__(self) -> None:
+        self._depth, self._was_enabled = 0, True
+
+    def on_start(self, event: Any) -> None:
+        if self._depth == 0:
+            self._was_enabled = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._was_enabled:
+            gc.enable()
+
+
+event.register(COMPILE_EVENT, _WithoutCollections())
 
 
 class _Compilation(event.Listener):  # type: ignore[misc]

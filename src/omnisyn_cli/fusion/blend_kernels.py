@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.fusion.blend_rule import FAR_WEIGHT_OFFSET, BlendRule
 from omnisyn_cli.types import DEPTH_CONFIDENCE_GAIN, MIN_VISIBLE_WEIGHT, DirectionTables, Layer
 
@@ -228,7 +228,7 @@ def _quantize_mean(upper, lower, at, share, quantization, pixel):
         pixel[k] = quantize(own + share * (quarter * total - own), quantization)
 
 
-@fast_kernel()
+@fast_subkernel()
 def _blend_run(first, second, rule, tables, mixed):
     """Blend some pixels of a row. ``mixed`` gets red, green, blue and fill weight, :data:`RUN_PIXELS` apart.
 
@@ -255,7 +255,7 @@ def _blend_run(first, second, rule, tables, mixed):
         mixed[3 * RUN_PIXELS + col] = far * far * far * far if total > zero else zero
 
 
-@fast_kernel()
+@fast_subkernel()
 def _quantize_run(mixed, quantization, out, seen):
     """Quantise what :func:`_blend_run` wrote."""
     for col in range(len(seen)):
@@ -271,7 +271,7 @@ def _weighted_mean_2x2(upper, lower, at, w00, w01, w10, w11):
     return w00 * upper[at] + w01 * upper[at + 1] + w10 * lower[at] + w11 * lower[at + 1]
 
 
-@fast_kernel()
+@fast_subkernel()
 def _pull_run(upper, lower, colour, weight):
     """The first pull step of :mod:`omnisyn_cli.fusion.fill`, for two runs, one above the other."""
     for col in range(len(weight)):

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.fusion.pixel_classes import MIN_INVERSE_DEPTH
 from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
 from omnisyn_cli.types import EDGE_PIXEL_MULTIPLE, EDGE_TILE_COLUMNS
@@ -44,7 +44,7 @@ def mark_edge_pixels(first, second, picture, scale, min_contrast, marks, begin, 
                     marks[row, col] = 0
 
 
-@fast_kernel()
+@fast_subkernel()
 def _mark_depth_edges(above, rho, below, marks, mark):
     """Mark those pixels of a row that differ in depth from one of their four neighbours; columns wrap."""
     last = len(rho) - 1
@@ -61,7 +61,7 @@ def _mark_depth_edges(above, rho, below, marks, mark):
         marks[col] |= mark if is_edge else np.uint8(0)
 
 
-@fast_kernel()
+@fast_subkernel()
 def _is_any(marks, begin, end):
     found = np.uint8(0)
     for col in range(begin, end):

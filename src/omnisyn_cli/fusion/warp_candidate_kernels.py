@@ -178,6 +178,6 @@ def average_candidates(layer_colours, layer_points, arrays, channels, begin, end
                     first_count += _add_cross_view(0, layer_colours[0], layer_points, arrays, row, col, values[:6])
                     second_count += _add_cross_view(1, layer_colours[1], layer_points, arrays, row, col, values[6:12])
                     _add_candidates(arrays, row, col, share, values[12:])
-            values[:6] /= np.float32(max(first_count, 1))
-            values[6:12] /= np.float32(max(second_count, 1))
-            channels[:, i, j] = values
+            first_scale, second_scale = np.float32(max(first_count, 1)), np.float32(max(second_count, 1))
+            for k in range(len(values)):  # an assignment of slices takes 3 s to compile
+                channels[k, i, j] = values[k] / (first_scale if k < 6 else second_scale if k < 12 else np.float32(1.0))

@@ -12,7 +12,7 @@ figure E-1 (type 0).
 import numpy as np
 from jaxtyping import UInt8
 
-from omnisyn_cli.compute.jit import fast_kernel
+from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel
 
 RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
 """Weights of the channels in luma (BT.709-6, item 3.2)."""
@@ -87,7 +87,7 @@ def _convert_rows(rgb, luma, blue, red, begin, end):
                 sums[k * STRIDE] = sums[k * STRIDE + right - left]
 
 
-@fast_kernel()
+@fast_subkernel()
 def _start_chroma_sums(rgb, luma, sums):
     """Luma of a run of pixels, three samples each; they are put into ``sums``, channel after channel."""
     for col in range(len(luma)):
@@ -96,7 +96,7 @@ def _start_chroma_sums(rgb, luma, sums):
         sums[1 + col], sums[STRIDE + 1 + col], sums[2 * STRIDE + 1 + col] = r, g, b
 
 
-@fast_kernel()
+@fast_subkernel()
 def _add_chroma_sums(rgb, luma, sums):
     """As :func:`_start_chroma_sums`; the samples are added."""
     for col in range(len(luma)):
@@ -107,7 +107,7 @@ def _add_chroma_sums(rgb, luma, sums):
         sums[2 * STRIDE + 1 + col] += b
 
 
-@fast_kernel()
+@fast_subkernel()
 def _write_chroma(sums, blue, red):
     """Chroma of every other pixel, of the columns beside it and of both rows; the first sum is of the column before."""
     for col in range(len(blue)):

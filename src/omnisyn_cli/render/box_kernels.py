@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import fast_kernel, inlined, kernel
+from omnisyn_cli.compute.jit import fast_subkernel, inlined, kernel, subkernel
 from omnisyn_cli.render.quad_blocks import BLOCK, PlacedQuads
 from omnisyn_cli.render.simd import LANES, broadcast, load, store
 from omnisyn_cli.render.trigonometry import atan2_fast
@@ -36,7 +36,7 @@ FIRST_FREE_ROW = 10
 MAX_BLOCK_POINTS = 4 * BLOCK + 2 * LANES
 
 
-@kernel()
+@subkernel()
 def place_quads(quads, k, pose, scale, block):
     """Transform the points of block ``k`` into the frame of the target, and project them to pixels.
 
@@ -73,7 +73,7 @@ def place_quads(quads, k, pose, scale, block):
     return PlacedQuads(begins, quads.codes[k], quads.gaps[BLOCK * k : BLOCK * (k + 1)])
 
 
-@fast_kernel()
+@fast_subkernel()
 def _project_points(block, count, scale):
     """Project the first ``count`` points to (row, col)."""
     row_scale, row_zero, col_scale, col_zero = scale
@@ -122,7 +122,7 @@ def _quad_box(rows, cols, height, width):
     return first, last, col0 + left, col0 + right, is_wide
 
 
-@fast_kernel()
+@fast_subkernel()
 def _find_boxes_without_gaps(block, corners, height, width):
     """Boxes of the quads of a block, without room for gaps; all columns where a quad is wide."""
     height32, width32, margin, zero = (
@@ -151,7 +151,7 @@ def _corner(block, at):
     return x, y, z, math.sqrt(x * x + y * y + z * z) + np.float32(1e-20)
 
 
-@kernel()
+@subkernel()
 def tighten_wide_box(block, corners, k, gap, height, width):
     """Shrink the box of a wide quad to that of a spherical cap around its middle; tight near a pole of the target.
 
@@ -201,7 +201,7 @@ def _widen(block, corners, k, gap, sin_p, height, width):
     block[FIRST_ROW, k], block[LAST_ROW, k], block[FIRST_COL, k], block[LAST_COL, k] = first, last, left, right
 
 
-@kernel()
+@subkernel()
 def find_quad_boxes(block, quads, sin_p, height, width):
     """Boxes of the quads of a transformed block, with room for their gaps if there are any.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import fast_kernel, inlined, inlined_contracting, kernel
+from omnisyn_cli.compute.jit import fast_subkernel, inlined, inlined_contracting, subkernel
 from omnisyn_cli.render.box_kernels import (
     COL,
     FIRST_COL,
@@ -199,7 +199,7 @@ def _edge_vector(block, row, k, sign):
     return sign * block[row, k], sign * block[row + 1, k], sign * block[row + 2, k], block[row + 3, k]
 
 
-@fast_kernel()
+@fast_subkernel()
 def _clip_row_spans(edge, rows, first, count, middle, left, right):
     """Clip the spans of some rows to the inner side of an edge.
 
@@ -231,7 +231,7 @@ def _clip_row_spans(edge, rows, first, count, middle, left, right):
         right[i] = low if high >= end and low < end else end
 
 
-@kernel()
+@subkernel()
 def _find_spans(block, k, rows, first, count, middle, half, spans):
     """First and last azimuth of some rows at which quad ``k`` may be seen.
 
@@ -262,7 +262,7 @@ def _find_spans(block, k, rows, first, count, middle, half, spans):
             spans[0, i], spans[1, i] = min(spans[0, i], spans[2, i]), max(spans[1, i], spans[3, i])
 
 
-@kernel()
+@subkernel()
 def _draw_spans(block, k, number, box, target, face):
     """A box at most as wide as the image, row by row; columns outside of the image wrap."""
     width, spans = target.width, np.empty((4, SPAN_ROWS), np.float32)
@@ -329,7 +329,7 @@ def intersect_exactly(setup, x, y, z):
     return seen, second
 
 
-@kernel(fastmath={"contract"})
+@subkernel(fastmath={"contract"})
 def _draw_exactly(points, gap, number, box, target, face):
     """Both triangles of a quad in float64 against the rays in a box; columns outside the image wrap."""
     rows, cols = target.exact_rows, target.exact_cols
@@ -363,7 +363,7 @@ def exact_corners(block, corners, code, k):
     return (q1, q3, q0, q2) if code & DIAGONAL else (q0, q1, q2, q3)
 
 
-@kernel()
+@subkernel()
 def draw_quads(block, quads, number, target, face, begin, end):
     """Draw the set-up quads of a block in target rows ``begin`` to ``end``.
 

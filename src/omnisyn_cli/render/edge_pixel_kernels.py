@@ -8,7 +8,7 @@ in a box.
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import inlined, kernel
+from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.render.box_kernels import (
     FIRST_COL,
     FIRST_ROW,
@@ -70,7 +70,7 @@ def _is_any_unknown(edge_pixels, box, width):
     return False
 
 
-@kernel()
+@subkernel()
 def _find_quads(block, quads, target, edge_pixels, found):
     """List the quads of a block that have edge pixels in their boxes; returns how many.
 
@@ -123,7 +123,7 @@ def _has_unknown(edge_pixels, first_row, last_row, first_col, last_col):
     return False
 
 
-@kernel()
+@subkernel()
 def _draw_found(block, quads, found, target, edge_pixels, out):
     """Draw the set-up quads that :func:`_find_quads` listed."""
     for i in range(len(found)):
@@ -162,7 +162,7 @@ def _draw_in_float32(block, k, box, target, edge_pixels, out):
             store_halves(out, at, below, where(wins, seen, old))
 
 
-@kernel()
+@subkernel()
 def _draw_in_float64(setup, box, target, edge_pixels, out):
     """An :func:`omnisyn_cli.render.draw_kernels.exact_setup`, one sample at a time."""
     rows, cols = target.exact_rows, target.exact_cols

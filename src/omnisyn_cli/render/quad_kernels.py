@@ -19,7 +19,7 @@ float64.
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import inlined, kernel
+from omnisyn_cli.compute.jit import inlined, subkernel
 from omnisyn_cli.render.box_kernels import FIRST_FREE_ROW, INVERSE_DEPTH, X, Y, Z
 from omnisyn_cli.render.quad_blocks import DIAGONAL, REMOVED
 from omnisyn_cli.render.simd import (
@@ -51,12 +51,12 @@ UNREACHABLE_OFFSET = np.float32(-1e30)
 """Offset that moves an edge of an invisible triangle so far inwards that no ray passes it."""
 
 CUT, A_LEFT, A_OTHER, B_RIGHT, B_OTHER, A_PLANE, B_PLANE, PRECISION = (
-    FIRST_FREE_ROW + k for k in (0, 4, 8, 12, 16, 20, 23, 26)
+    np.int64(FIRST_FREE_ROW + k) for k in (0, 4, 8, 12, 16, 20, 23, 26)
 )
 """Rows of a block with the setups of its quads: edges (x, y, z, offset), planes (x, y, z), precision of drawing.
-``OTHER`` is the bottom edge of A and the top edge of B."""
+``OTHER`` is the bottom edge of A and the top edge of B. They are no ints, for each of which kernels compile anew."""
 
-BLOCK_ROWS = PRECISION + 1
+BLOCK_ROWS = int(PRECISION) + 1
 """All rows of a block."""
 
 NOT_DRAWN, IN_FLOAT32, IN_FLOAT64 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
@@ -159,7 +159,7 @@ def _square(a):
     return a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
 
 
-@kernel()
+@subkernel()
 def set_up_quads(block, quads, begin, end):
     """Write edges and planes of the quads ``begin`` to ``end`` of a block, rounded to whole vectors.
 

@@ -7,7 +7,7 @@ the target's frame and projected, boxes are found, edges and planes are set up, 
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import fast_kernel, inlined, kernel
+from omnisyn_cli.compute.jit import fast_subkernel, inlined, kernel
 from omnisyn_cli.render.box_kernels import (
     FIRST_COL,
     FIRST_ROW,
@@ -43,7 +43,7 @@ def _write_bounds(block, boxes, k):
     boxes[k, 2], boxes[k, 3] = _range(block[FIRST_COL], block[LAST_COL])
 
 
-@fast_kernel()
+@fast_subkernel()
 def _range(first, last):
     """Minimum and maximum over the quads of a block; LLVM vectorises this loop, but not numpy's reductions."""
     smallest, largest = first[0], last[0]
@@ -77,5 +77,5 @@ def rasterize_blocks(quads, boxes, pose, target, face, begin, end):
             find_quad_boxes(block, placed, target.rows[0], target.height, target.width)
             if is_whole:
                 _write_bounds(block, boxes, k)
-            set_up_quads(block, placed, 0, BLOCK)
+            set_up_quads(block, placed, np.int64(0), np.int64(BLOCK))  # types as elsewhere: compiled once
             draw_quads(block, placed, 2 * BLOCK * k, target, face, begin, end)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import fast_kernel, inlined
+from omnisyn_cli.compute.jit import fast_kernel, fast_subkernel, inlined
 from omnisyn_cli.render.simd import (
     FIXED_ONE,
     FIXED_TEXEL,
@@ -229,7 +229,10 @@ def _shade_run(rho, texture, sp, cp, sin_a, cos_a, view, scratch, flat, first):
 @inlined()
 def _is_any(rho):
     """Whether any pixel of a run sees something."""
-    return rho.max() >= np.float32(0.0)
+    for k in range(len(rho)):  # noqa: SIM110 - rho.max() takes longer to compile
+        if rho[k] >= np.float32(0.0):
+            return True
+    return False
 
 
 @inlined()
@@ -278,7 +281,7 @@ def _find_coordinates(rho, sp, cp, sin_a, cos_a, view, layout, coordinates, mode
     _find_modes(rho, coordinates, squared, np.float32(layout.shape[0] - 1) - LEVEL_MARGIN, modes)
 
 
-@fast_kernel()
+@fast_subkernel()
 def find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates):
     """The direction ``Rᵀ(r − ρ·t)`` in which the source sees each pixel; its squared length as ``LEVEL``."""
     rotation, t = view.rotation, view.position
@@ -294,7 +297,7 @@ def find_source_directions(rho, sp, cp, sin_a, cos_a, view, coordinates):
         coordinates[LEVEL, col] = dx * dx + dy * dy + dz * dz
 
 
-@fast_kernel()
+@fast_subkernel()
 def _find_texels(coordinates, layout, count):
     """Texel rows and columns at full resolution; two loops, so that the constants of each stay in registers."""
     scale, zero = np.float32(layout[0, 2]), np.float32(layout[0, 3])
@@ -306,7 +309,7 @@ def _find_texels(coordinates, layout, count):
         coordinates[X, col] = atan2_fast(coordinates[X, col], -coordinates[Z, col]) * scale + zero
 
 
-@fast_kernel()
+@fast_subkernel()
 def _find_modes(rho, coordinates, squared, highest, modes):
     """Mip levels, and how pixels are read by them.
 
@@ -321,7 +324,7 @@ def _find_modes(rho, coordinates, squared, highest, modes):
         modes[col] = mode if rho[col] >= 0.0 else HOLE
 
 
-@fast_kernel()
+@fast_subkernel()
 def _find_confidences(coordinates, confidence, confidence_layout, confidences, count):
     """Confidence of the quarter of a quad at each texture coordinate, from an image of quarters with a border."""
     row_scale, row_zero = confidence_layout[0], confidence_layout[1]
@@ -335,7 +338,7 @@ def _find_confidences(coordinates, confidence, confidence_layout, confidences, c
         confidences[k] = confidence[np.int32(row * stride) + col]
 
 
-@fast_kernel()
+@fast_subkernel()
 def _find_fractions(coordinates, stride, parts, fractions):
     """For a whole run: the second texel of the second row of its 4x4, and the indices of row and column weights."""
     texels_a_row, parts = np.int32(stride // 4), np.float32(parts)
@@ -375,7 +378,7 @@ def _levels_from_full(layout):
     return factors
 
 
-@fast_kernel()
+@fast_subkernel()
 def _prepare_levels(coordinates, finer, strides, factors, full_weight, has_level, index, shares):
     """Indices and weights of two mip levels, unless this run has them already."""
     for level in range(finer, finer + 2):
@@ -385,7 +388,7 @@ def _prepare_levels(coordinates, finer, strides, factors, full_weight, has_level
             has_level[level] = True
 
 
-@fast_kernel()
+@fast_subkernel()
 def _find_bilinear(coordinates, level, stride, factors, full_weight, index, shares):
     """For a whole run: the first of 2x2 texels in a mip level, and their bilinear weights, the upper two first.
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from omnisyn_cli.compute.jit import inlined, kernel
+from omnisyn_cli.compute.jit import inlined, kernel, subkernel
 from omnisyn_cli.render.quad_blocks import BOTTOM, CUT_EDGES, LEFT, RIGHT, TOP
 
 COVERED = 255
@@ -137,7 +137,7 @@ class FlatnessTest(NamedTuple):
     tolerance: float
 
 
-@kernel()
+@subkernel()
 def _is_flat(test, row, col, height, width):
     """Whether ``height × width`` quads may become one: see the module."""
     rho, bounds, tables, tolerance = test
@@ -166,7 +166,7 @@ def _is_flat(test, row, col, height, width):
     return True
 
 
-@kernel()
+@subkernel()
 def _merge_pairs(marks, test, tall, wide, down, begin, end):
     """Join rectangles of ``2^tall × 2^wide`` quads in pairs, those below each other if ``down``, else side by side."""
     single = np.uint8(HEIGHT_CODE * tall + wide)
@@ -247,8 +247,9 @@ def measure_gaps(rho, quads, tables, rectangles, reach, gaps, begin, end):
         row, col, height, width = rectangles[k]
         below, right = row + height, (col + width) % columns
         top_left, top_right, bottom_left, bottom_right = (row, col), (row, right), (below, col), (below, right)
-        widest = _gap(rho, tables, top_left, top_right, 0, 1, width, reach)
-        widest = max(widest, _gap(rho, tables, bottom_right, bottom_left, 0, columns - 1, width, reach))
-        widest = max(widest, _gap(rho, tables, bottom_left, top_left, -1, 0, height, reach))
-        widest = max(widest, _gap(rho, tables, top_right, bottom_right, 1, 0, height, reach))
+        zero, one = np.int64(0), np.int64(1)  # no literals, for each of which numba compiles anew
+        widest = _gap(rho, tables, top_left, top_right, zero, one, width, reach)
+        widest = max(widest, _gap(rho, tables, bottom_right, bottom_left, zero, columns - 1, width, reach))
+        widest = max(widest, _gap(rho, tables, bottom_left, top_left, -one, zero, height, reach))
+        widest = max(widest, _gap(rho, tables, top_right, bottom_right, one, zero, height, reach))
         gaps[k] = widest + 0.5 * reach * _widest_step(rho, quads, row, col, height, width)

@@ -126,7 +126,8 @@ def _downsampled_view(view: View, depth: DepthEstimate, size: tuple[int, int]) -
     mask = view.mask
     if mask is not None:
         mask = resized_to(mask.astype(np.float32), size, cv2.INTER_AREA) > MIN_USABLE_SHARE
-    return View(image, view.pose, mask, subsample_depth(depth, size))
+    image_uint8 = None if view.image_uint8 is None else resized_to(view.image_uint8, size, cv2.INTER_AREA)
+    return View(image, view.pose, mask, subsample_depth(depth, size), image_uint8=image_uint8)
 
 
 def subsample_depth(depth: DepthEstimate, size: tuple[int, int]) -> DepthEstimate:
@@ -158,9 +159,8 @@ def _mesh_renderer(view: View, cut: Cut, threads: int | None) -> Renderer:
     depth, size = view.known_depth, view.image.shape[:2]
     if depth is None:
         raise ValueError("expected a view with its depth, got one without")
-    return MeshRenderer(
-        RendererInputs(view.image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads)
-    )
+    image = view.image if view.image_uint8 is None else view.image_uint8  # as frames have it: kernels compile once
+    return MeshRenderer(RendererInputs(image, view.mask, depth.inverse_depth, depth.confidence, size, cut, threads))
 
 
 def _photo_and_other_surface(view: View, other_renderer: Renderer, other: View) -> tuple[Layer, Layer]:
