@@ -53,7 +53,7 @@ def test_json_on_stdout_has_the_plan_and_the_stages(tmp_path: Path, pair: list[P
     assert (summary["frames"], summary["size"], summary["path_metres"]) == (3, "32x16", 1.0)
     assert summary["inputs"] == [str(image) for image in pair]
     assert summary["frames_made"] == {"photographs": 2, "rendered": 1, "shown_again": 0}
-    assert summary["shade_at_infinity"] == [{"first": 0, "share": 0.0}]
+    assert summary["infinitely_far"] == [{"first": 0, "share": 0.0}]
     assert all(entry["drawn"] <= entry["of"] for entry in summary["triangles"])
 
 

@@ -180,7 +180,7 @@ class _PairKeeper:
         self.pairs[index] = confidence = pair.prepared.check.confidence
         if pair.prepared.triangles is not None:
             self.made.triangles[index] = pair.prepared.triangles
-        self.made.shade_at_infinity[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
+        self.made.infinitely_far[index] = fmean(_infinitely_far(depth) for depth in pair.depths)
         refuse_doubtful(self._plan, index, confidence)
         self._keep(index, pair.depths, pair.prepared.check)
         self._loader.release_floats(index)

@@ -21,18 +21,18 @@ class Made:
         frames: how many are ``photographs``, were ``rendered``, or are the one before ``shown_again``.
         triangles: how many are drawn for each frame of a pair, and how many its two meshes have, by the index of its
             first panorama; pairs without meshes are left out.
-        shade_at_infinity: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
+        infinitely_far: share of the sphere that has no parallax, the mean of both panoramas, by the same index.
     """
 
     frames: Counter[str] = field(default_factory=lambda: Counter(photographs=0, rendered=0, shown_again=0))
     triangles: dict[int, tuple[int, int]] = field(default_factory=dict)
-    shade_at_infinity: dict[int, float] = field(default_factory=dict)
+    infinitely_far: dict[int, float] = field(default_factory=dict)
 
     def describe(self) -> dict[str, Any]:
         """As plain values."""
         triangles = [{"first": index, "drawn": drawn, "of": every} for index, (drawn, every) in self.triangles.items()]
-        far = [{"first": index, "share": round(share, 4)} for index, share in self.shade_at_infinity.items()]
-        return {"frames_made": dict(self.frames), "triangles": triangles, "shade_at_infinity": far}
+        far = [{"first": index, "share": round(share, 4)} for index, share in self.infinitely_far.items()]
+        return {"frames_made": dict(self.frames), "triangles": triangles, "infinitely_far": far}
 
     def lines(self) -> Iterator[str]:
         """For people."""
@@ -40,8 +40,8 @@ class Made:
         drawn, every = (sum(counts[k] for counts in self.triangles.values()) for k in (0, 1))
         if every:
             yield f"triangles drawn: {drawn / 1e6:.2f} of {every / 1e6:.2f} million"
-        if self.shade_at_infinity:
-            yield f"infinitely far: {fmean(self.shade_at_infinity.values()):.0%} of the sphere"
+        if self.infinitely_far:
+            yield f"infinitely far: {fmean(self.infinitely_far.values()):.0%} of the sphere"
 
 
 @dataclass(frozen=True)
