@@ -293,8 +293,8 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     Returns:
         ``error``, the mean absolute error of the root; ``delta_25`` and ``delta_5``, the shares whose depth is within a
         factor of 1.25 and 1.05; the same of groups: by baseline over median depth (``error_wide``, …), for meshes
-        (``error_mesh``, …) and for pairs with guidance (``error_guided``, …); ``calibration``, the mean of
-        |confidence − (within a factor of 1.1)|.
+        (``error_mesh``, …) and for pairs with guidance (``error_guided``, …); ``brier``, the mean of
+        (confidence − (within a factor of 1.1))².
     """
     target, known = batch.root.nan_to_num(), torch.isfinite(batch.root)
     area = polar_weights(target) * known
@@ -317,5 +317,5 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     for group in (*BASELINE_BINS, "mesh", "guided"):
         scores |= {f"{name}_{group}": value if group in own else math.nan for name, value in figures.items()}
     right = (ratio < 1.1).float()
-    scores["calibration"] = float(_weighted_mean((prediction.confidence() - right).abs(), judged))
+    scores["brier"] = float(_weighted_mean((prediction.confidence() - right).square(), judged))
     return scores
