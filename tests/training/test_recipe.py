@@ -10,9 +10,10 @@ from walk_samples import write_walk
 from omnisyn_cli.cli.train import train
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks import guided_depth
-from omnisyn_cli.training import recipe as recipes
+from omnisyn_cli.training import recipe_run
 from omnisyn_cli.training.publish import publish
-from omnisyn_cli.training.recipe import Recipe, RecipeTrainer, Stage, WalkPool, read_recipe, train_recipe
+from omnisyn_cli.training.recipe import Recipe, Stage, read_recipe
+from omnisyn_cli.training.recipe_run import RecipeTrainer, WalkPool, train_recipe
 from omnisyn_cli.training.tasks import TASKS
 
 STAGES = (Stage(32, 2, 4, 1e-3, 5e-4), Stage(64, 1, 4, 4e-4, 0.0))
@@ -27,8 +28,8 @@ PLAN = Recipe(
 def _small(monkeypatch):
     """Small networks, and walks within a ball."""
     monkeypatch.setitem(TASKS["guided"].variants, "small", SMALL)
-    monkeypatch.setattr(recipes, "make_walk", lambda seed, _: seed)
-    monkeypatch.setattr(recipes, "save_walk", write_walk)
+    monkeypatch.setattr(recipe_run, "make_walk", lambda seed, _: seed)
+    monkeypatch.setattr(recipe_run, "save_walk", write_walk)
 
 
 def same(one, other):
