@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from omnisyn_cli.interpolation.walk.page import page_code
+from omnisyn_cli.interpolation.viewer.page import page_code
 from omnisyn_cli.io import read_header, read_panorama
 from omnisyn_cli.poses.file import read_poses
 

@@ -1,7 +1,7 @@
 """OmniSyn: the 360° video between two panoramas (Li et al., IEEE VR 2022), as a library and the command ``omnisyn``.
 
-The names below are those of :mod:`omnisyn_cli.interpolation.api` and :mod:`omnisyn_cli.evaluation.public_api`, imported when
-they are used, so that importing the package takes no time.
+The names below are those of :mod:`omnisyn_cli.interpolation.api` and :mod:`omnisyn_cli.evaluation.public_api`. They are
+imported when they are used, so that importing the package takes no time.
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from omnisyn_cli.evaluation.duration import expected_duration, shipped_table, work_of
 from omnisyn_cli.interpolation.job import InterpolationJob
 from omnisyn_cli.interpolation.plan import InterpolationPlan, plan_interpolation
+from omnisyn_cli.interpolation.planning.duration import expected_duration, shipped_table, work_of
 
 STREET = Path(__file__).resolve().parents[2] / "examples" / "street"
 

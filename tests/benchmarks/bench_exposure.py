@@ -23,9 +23,9 @@ from omnisyn_cli.pipeline.depth_sources import make_estimator
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.render.mesh import Cut
-from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
+from omnisyn_cli.synthesis.synthesize import synthesize
 from omnisyn_cli.synthesis.trajectory import Waypoint
 from omnisyn_cli.types import DepthEstimator, View
 

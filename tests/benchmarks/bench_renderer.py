@@ -86,7 +86,8 @@ def renderer(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
 def adaptive(mesh: Mesh, size: tuple[int, int]) -> Callable[[], object]:
     """The same view of the simplified mesh; simplifying it, once for a pair, is not counted."""
     texture = make_texture(photograph(size))
-    (quads, kept), surface_confidence = simplify(mesh, -POSE.position, size[0], threads=1), make_confidence_map(mesh, texture)
+    quads, kept = simplify(mesh, -POSE.position, size[0], threads=1)
+    surface_confidence = make_confidence_map(mesh, texture)
     print(f"{size[1]}×{size[0]}  {kept} of {mesh.face_count()} triangles kept")
     rasterizer, shader = Rasterizer(size, threads=1), Shader(size, threads=1)
     return lambda: shader(rasterizer(quads, POSE), surface_confidence, texture, POSE)

@@ -14,8 +14,8 @@ from interpolation_samples import tour_job
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
 from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.interpolation.export import ExportJob, plan_export, run_export
-from omnisyn_cli.interpolation.export import mesh as export_mesh
-from omnisyn_cli.interpolation.export.mesh import MAX_FLATNESS, TexturedMesh, textured_mesh
+from omnisyn_cli.interpolation.export import textured_mesh as export_mesh
+from omnisyn_cli.interpolation.export.textured_mesh import MAX_FLATNESS, TexturedMesh, textured_mesh
 from omnisyn_cli.io import write_depth, write_image
 from omnisyn_cli.poses.file import PosedPanorama, write_poses
 from omnisyn_cli.render.mesh import Cut, Mesh, build_mesh

@@ -15,8 +15,8 @@ from omnisyn_cli.compute.threads import run_ranges
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.geometry.sphere import angles_to_direction, direction_tables
 from omnisyn_cli.scenes.culling import cull_tile, tile_planes
+from omnisyn_cli.scenes.intersection import cast_rays, first_hit
 from omnisyn_cli.scenes.kernel_decorators import kernel
-from omnisyn_cli.scenes.raycast import cast_rays, first_hit
 from omnisyn_cli.scenes.scene import Scene
 from omnisyn_cli.scenes.shader import shade, tone
 from omnisyn_cli.scenes.world import SKY_ID, Scalar, pack_scene, seen_from

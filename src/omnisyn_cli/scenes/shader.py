@@ -2,11 +2,11 @@
 
 import math
 
+from omnisyn_cli.scenes.intersection import is_shadowed, surface_normal, texture_coordinates
 from omnisyn_cli.scenes.kernel_decorators import kernel
 from omnisyn_cli.scenes.materials import MaterialColumn
 from omnisyn_cli.scenes.noise import cell_hash, fractal_noise, smooth_noise
 from omnisyn_cli.scenes.photos import PhotoMapping
-from omnisyn_cli.scenes.raycast import is_shadowed, surface_normal, texture_coordinates
 from omnisyn_cli.scenes.textures import FacePoint, pattern_at
 from omnisyn_cli.scenes.world import GROUND_ID, SKY_ID, AttributeColumn, Scalar, ShapeColumn
 

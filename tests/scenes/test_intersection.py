@@ -7,8 +7,8 @@ from scene_samples import builder, one, oracle_distance, random_shapes, unit_dir
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.scenes import generate_scene, render_panorama, render_views, sample_path
+from omnisyn_cli.scenes.intersection import is_shadowed
 from omnisyn_cli.scenes.panorama import trace_rays
-from omnisyn_cli.scenes.raycast import is_shadowed
 from omnisyn_cli.scenes.scene import Shape
 from omnisyn_cli.scenes.world import pack_scene, seen_from
 
