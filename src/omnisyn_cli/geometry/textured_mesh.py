@@ -65,7 +65,7 @@ class TexturedMesh:
 
     def face_areas(self) -> Float[np.ndarray, " faces"]:
         """Square metres."""
-        return 0.5 * np.linalg.norm(self.face_normals(normalised=False), axis=1)
+        return np.asarray(0.5 * np.linalg.norm(self.face_normals(normalised=False), axis=1))
 
     def face_normals(self, *, normalised: bool = True) -> Float[np.ndarray, "faces 3"]:
         """Normals by the order of the vertices; of length one, or twice the area."""
@@ -73,4 +73,4 @@ class TexturedMesh:
         normals = np.cross(b - a, c - a)
         if not normalised:
             return normals
-        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20))

@@ -15,7 +15,7 @@ from jaxtyping import Shaped, UInt8
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
-from omnisyn_cli.interpolation.export.textured_mesh import TexturedMesh
+from omnisyn_cli.interpolation.export.triangulation import TexturedMesh
 from omnisyn_cli.io.encode import jpeg_bytes
 from omnisyn_cli.io.outputs import write_parts
 
