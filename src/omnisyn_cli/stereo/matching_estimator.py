@@ -3,7 +3,9 @@
 :meth:`MatchingDepthEstimator.features` names the stages, each in a module of its own.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,10 +24,11 @@ from omnisyn_cli.stereo.disparity import (
 )
 from omnisyn_cli.stereo.filling import fill_with_planes
 from omnisyn_cli.stereo.map_filters import joint_upsample, remove_speckles
+from omnisyn_cli.stereo.plane_sweep import plane_from_second, sweep_planes
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.sky import find_sky
 from omnisyn_cli.stereo.stereo_features import StereoFeatures
-from omnisyn_cli.stereo.surface_labels import label_surfaces
+from omnisyn_cli.stereo.surface_labels import PlaneCandidates, fit_planes, label_surfaces, merge_planes
 from omnisyn_cli.types import DepthEstimate, View
 
 __all__ = ["INCONSISTENT_MATCH_WEIGHT", "MatchingDepthEstimator", "MatchingOptions"]
@@ -80,9 +83,10 @@ class MatchingDepthEstimator:
             # Cost volume and semi-global matching, one direction after the other: costs take much memory.
             matches = match_all_disparities(pair, options), match_all_disparities(reverse, options)
             consistent = _check_left_right(matches, options)
+            planes = _plane_candidates((pair, reverse), consistent, options)
             surfaces = both(
-                lambda: label_surfaces(pair, consistent[0], options),
-                lambda: label_surfaces(reverse, consistent[1], options),
+                lambda: label_surfaces(pair, consistent[0], planes[0], options),
+                lambda: label_surfaces(reverse, consistent[1], planes[1], options),
             )
             disparities = _check_left_right(surfaces, options)
             return both(
@@ -105,6 +109,23 @@ class MatchingDepthEstimator:
 
     def _no_depth(self) -> DepthEstimate:
         return DepthEstimate(np.zeros(self.options.size, np.float32), np.zeros(self.options.size, np.float32))
+
+
+def _plane_candidates(
+    pairs: tuple[RectifiedPair, RectifiedPair], matches: tuple[DisparityMap, DisparityMap], options: MatchingOptions
+) -> tuple[PlaneCandidates, PlaneCandidates]:
+    """The planes of both directions: each has its own, those of the other one and those that a sweep finds.
+
+    A plane that only one direction may choose fails the left-right check.
+    """
+    fitted = both(*(partial(fit_planes, pair, each, options) for pair, each in zip(pairs, matches, strict=True)))
+    swept = [plane.normal for plane in sweep_planes(*pairs)]
+    sweeps, others = (swept, _seen_by_other(swept)), [_seen_by_other(each.normals) for each in fitted[::-1]]
+    return both(*(partial(merge_planes, *each) for each in zip(pairs, fitted, sweeps, others, strict=True)))
+
+
+def _seen_by_other(normals: Iterable[np.ndarray]) -> list[np.ndarray]:
+    return [seen for normal in normals if (seen := plane_from_second(normal)) is not None]
 
 
 def _check_left_right(

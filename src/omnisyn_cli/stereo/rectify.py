@@ -77,6 +77,15 @@ class RectifiedPair:
             baseline=self.baseline,
         )
 
+    def resized(self, size: tuple[int, int]) -> RectifiedPair:
+        """The same pair, reduced to ``size = (height, width)``."""
+        if size == self.size:
+            return self
+        masks = (resize_area(mask.astype(np.float32), size) for mask in (self.first_usable, self.second_usable))
+        usable = [mask > MIN_USABLE_SHARE for mask in masks]
+        images = resize_area(self.first, size), resize_area(self.second, size)
+        return RectifiedPair(*images, *usable, self.world_from_frame, self.baseline)
+
     def remap_to_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
         """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""
         return RemapTable.for_directions(rotated_directions(size, self.world_from_frame, pose.rotation), self.size)

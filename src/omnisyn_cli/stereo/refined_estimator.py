@@ -31,6 +31,7 @@ from omnisyn_cli.stereo.matching_estimator import MIN_ISLAND_PIXELS, MatchingDep
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.semi_global import DisparityRange
 from omnisyn_cli.stereo.stereo_features import (
+    MAX_SQRT_INV_DEPTH,
     CompletionModel,
     InvDepthWithConfidence,
     StereoFeatures,
@@ -42,6 +43,10 @@ __all__ = ["RefinedDepthEstimator"]
 
 EDGE_SEARCH_RADIUS = 12
 """Pixels: edges of the smaller map are no farther from the true edges than this; chosen by eye."""
+
+NETWORK_RANGE_SHARE = 0.95
+"""Of the largest inverse depth that the network can say. Nearer surfaces keep what matching filled in: floors and
+ceilings of wide pairs are nearer than a quarter of the baseline."""
 
 RANGE_SLACK_ROWS = 4
 """Rows by which a disparity may lie beyond those of its neighbourhood; chosen by eye."""
@@ -124,7 +129,9 @@ def _filled_map(features: StereoFeatures) -> InvDepthWithConfidence:
 def _smooth_invalid_pixels(
     features: StereoFeatures, inverse_depth: np.ndarray, confidence: np.ndarray
 ) -> InvDepthWithConfidence:
-    return np.where(features.valid, inverse_depth, median_filter(inverse_depth)), confidence
+    smoothed = np.where(features.valid, inverse_depth, median_filter(inverse_depth))
+    is_beyond_network = features.filled > NETWORK_RANGE_SHARE * MAX_SQRT_INV_DEPTH**2
+    return np.where(is_beyond_network, np.maximum(smoothed, features.filled), smoothed).astype(np.float32), confidence
 
 
 def refine_depth_at_size(
