@@ -94,7 +94,7 @@ class InvertedResidual(nn.Module):
 
     def forward(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
         """``(batch, outputs, height / stride, width / stride)``."""
-        y = x
+        y: Tensor = x
         if self.expand is not None and self.expand_norm is not None:
             y = functional.relu6(self.expand_norm(self.expand(y)))
         y = functional.relu6(self.depthwise_norm(self.depthwise(y)))

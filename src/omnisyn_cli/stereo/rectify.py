@@ -81,10 +81,18 @@ class RectifiedPair:
         """The same pair, reduced to ``size = (height, width)``."""
         if size == self.size:
             return self
-        masks = (resize_area(mask.astype(np.float32), size) for mask in (self.first_usable, self.second_usable))
-        usable = [mask > MIN_USABLE_SHARE for mask in masks]
-        images = resize_area(self.first, size), resize_area(self.second, size)
-        return RectifiedPair(*images, *usable, self.world_from_frame, self.baseline)
+        first_usable, second_usable = (
+            resize_area(usable.astype(np.float32), size) > MIN_USABLE_SHARE
+            for usable in (self.first_usable, self.second_usable)
+        )
+        return RectifiedPair(
+            resize_area(self.first, size),
+            resize_area(self.second, size),
+            first_usable,
+            second_usable,
+            self.world_from_frame,
+            self.baseline,
+        )
 
     def remap_to_camera(self, pose: Pose, size: tuple[int, int]) -> RemapTable:
         """For each pixel of the first camera's own image of a ``size``: where this frame shows the same direction."""

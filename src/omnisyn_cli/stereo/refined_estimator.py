@@ -17,7 +17,7 @@ from omnisyn_cli.geometry.pose import at_same_position
 from omnisyn_cli.geometry.remap import RemapTable
 from omnisyn_cli.geometry.sampling import rotated_directions, window_max, window_min
 from omnisyn_cli.geometry.sweep import free_space_agreement, motion_in_baselines, neighbourhood_agreement
-from omnisyn_cli.geometry.tolerances import SAME_SURFACE_TOLERANCE
+from omnisyn_cli.geometry.tolerances import MAX_SQRT_INV_DEPTH, SAME_SURFACE_TOLERANCE
 from omnisyn_cli.stereo.depth_sizes import doubled_sizes
 from omnisyn_cli.stereo.disparity import (
     DisparityMap,
@@ -31,7 +31,6 @@ from omnisyn_cli.stereo.matching_estimator import MIN_ISLAND_PIXELS, MatchingDep
 from omnisyn_cli.stereo.rectify import RectifiedPair, rectify, resize_area, usable_pixels
 from omnisyn_cli.stereo.semi_global import DisparityRange
 from omnisyn_cli.stereo.stereo_features import (
-    MAX_SQRT_INV_DEPTH,
     CompletionModel,
     InvDepthWithConfidence,
     StereoFeatures,

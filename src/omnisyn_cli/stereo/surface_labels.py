@@ -189,7 +189,7 @@ def _image_support(direction: SweepDirection, normal: np.ndarray) -> Float32[np.
     """1 where a plane explains enough of the texture around, falling to 0 where it explains none."""
     explained, textured = _density(direction.cost(normal) < EXPLAINED_COST), _density(direction.weight > 0)
     share = explained / np.maximum(textured, FULL_PLANE_SUPPORT_DENSITY)
-    return np.minimum(share / FULL_EXPLAINED_SHARE, np.float32(1.0))
+    return np.asarray(np.minimum(share / FULL_EXPLAINED_SHARE, np.float32(1.0)))
 
 
 def _plane_support(mask: np.ndarray) -> Float32[np.ndarray, "height width"]:
