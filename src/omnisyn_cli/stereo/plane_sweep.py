@@ -60,8 +60,11 @@ MIN_PEAK_RATIO = 2.0
 MIN_PEAK_EXCESS = 0.002
 """Least score of a plane above that median, as a share of the textured sphere that it explains perfectly."""
 
-REFINE_ROUNDS = 6
-"""Of the pattern search at each size; its steps halve whenever none of them is better."""
+REFINE_ROUNDS = 12
+"""Of the pattern search in the swept images; its steps halve whenever none of them is better."""
+
+FINE_ROUNDS = 6
+"""Of the search in the pair, which begins near the best plane."""
 
 REFINE_DISTANCE_STEP, REFINE_TILT_STEP = 0.02, math.radians(1.0)
 """First steps of the search in the swept images: share of the distance, and radians. In the pair they are a quarter."""
@@ -148,7 +151,10 @@ def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[SweptPlane
     coarse = SweepDirection(small), SweepDirection(small.reversed())
     fine = SweepDirection(pair), SweepDirection(reverse)
     found = _greedy_planes(coarse, (-pair.grid.up, pair.grid.up))
-    return [SweptPlane(_refine(fine, _refine(coarse, plane.normal, 1.0), 0.25), plane.ratio) for plane in found]
+    return [
+        SweptPlane(_refine(fine, _refine(coarse, plane.normal, REFINE_ROUNDS, 1.0), FINE_ROUNDS, 0.25), plane.ratio)
+        for plane in found
+    ]
 
 
 def _greedy_planes(directions: Directions, units: tuple[np.ndarray, ...]) -> list[SweptPlane]:
@@ -199,11 +205,13 @@ def _peak(volume: np.ndarray, weights: list[np.ndarray]) -> tuple[float, float, 
     return float(excess[at]), float(ratio[at]), at
 
 
-def _refine(directions: Directions, normal: Float[np.ndarray, " 3"], step: float) -> Float[np.ndarray, " 3"]:
+def _refine(
+    directions: Directions, normal: Float[np.ndarray, " 3"], rounds: int, step: float
+) -> Float[np.ndarray, " 3"]:
     """Pattern search over distance and tilt for the plane that explains most in both panoramas."""
     step_distance, step_tilt = step * REFINE_DISTANCE_STEP, step * REFINE_TILT_STEP
     best = _score_in_both(directions, normal)
-    for _ in range(REFINE_ROUNDS):
+    for _ in range(rounds):
         improved = False
         for trial in _neighbours(normal, step_distance, step_tilt):
             score = _score_in_both(directions, trial)

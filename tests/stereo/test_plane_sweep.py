@@ -1,0 +1,143 @@
+"""Planes found by sweeping: where they are, when there are none, and what the second camera sees of them."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.sampling import sample_bilinear
+from omnisyn_cli.geometry.sphere import pixel_directions
+from omnisyn_cli.stereo.plane_sweep import plane_from_second, sweep_planes
+from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, rectify
+from omnisyn_cli.stereo.surface_labels import PlaneCandidates, merge_planes
+from omnisyn_cli.types import View
+
+SIZE = (128, 256)
+
+
+def turn(axis: np.ndarray, degrees: float) -> np.ndarray:
+    """Rotation about a unit axis (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = math.radians(degrees)
+    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+
+
+def texture(points: np.ndarray, seed: int) -> np.ndarray:
+    """Smooth noise over a plane, ``(..., 2)`` metres to ``(..., 3)`` in [0, 1]: waves of many lengths and headings."""
+    rng = np.random.default_rng(seed)
+    value = np.zeros((*points.shape[:-1], 3))
+    for wavelength in np.geomspace(0.25, 4.0, 24):
+        angle, phase = rng.uniform(0, 2 * math.pi), rng.uniform(0, 2 * math.pi, 3)
+        way = points @ np.array([math.cos(angle), math.sin(angle)]) * (2 * math.pi / wavelength)
+        value += np.sin(way[..., None] + phase)
+    return np.clip(0.5 + 0.07 * value, 0.0, 1.0)
+
+
+def photograph(position: np.ndarray, heading_deg: float, unit: np.ndarray, distance: float, seed: int = 3) -> View:
+    """A view of an infinite textured plane ``unit · x = distance`` under an even sky."""
+    rotation = turn(np.array([0.0, 1.0, 0.0]), heading_deg)
+    rays = pixel_directions(*SIZE) @ rotation.T
+    towards = rays @ unit
+    reach = (distance - position @ unit) / np.where(towards > 1e-3, towards, np.inf)
+    side = np.cross(unit, [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    points = position + rays * reach[..., None]
+    colours = texture(np.stack([points @ side, points @ np.cross(unit, side)], axis=-1), seed)
+    fading = np.clip(reach / 40.0, 0.0, 1.0)[..., None]  # far waves are finer than pixels
+    colours = (1.0 - fading) * colours + 0.5 * fading
+    image = np.where((towards > 1e-3)[..., None], colours, 0.7)
+    return View(image.astype(np.float32), Pose(rotation, position))
+
+
+def pair_above(unit: np.ndarray, distance: float, baseline: float, heading_deg: float):
+    """Rectified both ways: two cameras a baseline apart, their images turned by other headings."""
+    way = baseline * np.array([math.sin(math.radians(heading_deg)), 0.0, -math.cos(math.radians(heading_deg))])
+    first = photograph(np.zeros(3), 40.0, unit, distance)
+    pair = rectify(first, photograph(way, -75.0, unit, distance), SIZE)
+    return pair, pair.reversed()
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 1.0])
+@pytest.mark.parametrize("heading_deg", [0.0, 77.0, 200.0])
+def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(
+    tilt_deg: float, heading_deg: float
+) -> None:
+    unit = turn(np.array([1.0, 0.0, 0.0]), tilt_deg) @ np.array([0.0, -1.0, 0.0])
+    pair, reverse = pair_above(unit, 1.6, 4.0, heading_deg)
+    best = sweep_planes(pair, reverse)[0]
+    assert 4.0 / np.linalg.norm(best.normal) == pytest.approx(1.6, rel=0.01)
+    found = pair.world_from_frame @ best.normal / np.linalg.norm(best.normal)
+    assert math.degrees(math.acos(min(1.0, found @ unit))) < 0.7
+
+
+def test_a_ceiling_is_found_as_a_floor_is() -> None:
+    pair, reverse = pair_above(np.array([0.0, 1.0, 0.0]), 1.2, 3.0, 10.0)
+    best = sweep_planes(pair, reverse)[0]
+    assert best.normal @ pair.grid.up > 0
+    assert 3.0 / np.linalg.norm(best.normal) == pytest.approx(1.2, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_unrelated_pictures_have_no_plane_in_common(seed: int) -> None:
+    down = np.array([0.0, -1.0, 0.0])
+    first = photograph(np.zeros(3), 0.0, down, 1.6, seed=seed)
+    second = photograph(np.array([0.0, 0.0, -4.0]), 0.0, down, 1.6, seed=seed + 100)
+    pair = rectify(first, second, SIZE)
+    assert sweep_planes(pair, pair.reversed()) == []
+
+
+@pytest.mark.parametrize("height", [8, 64])
+def test_pictures_without_texture_have_no_plane(height: int) -> None:
+    grey = np.full((height, 2 * height, 3), 0.5, np.float32)
+    views = [View(grey, Pose(np.eye(3), np.array([0.0, 0.0, -z]))) for z in (0.0, 2.0)]
+    pair = rectify(views[0], views[1], (height, 2 * height))
+    assert sweep_planes(pair, pair.reversed()) == []
+
+
+def test_masked_ground_is_not_swept() -> None:
+    down = np.array([0.0, -1.0, 0.0])
+    masked = np.zeros(SIZE, bool)
+    first, second = photograph(np.zeros(3), 0.0, down, 1.6), photograph(np.array([0.0, 0.0, -4.0]), 0.0, down, 1.6)
+    first = View(first.image, first.pose, mask=masked)
+    pair = rectify(first, second, SIZE)
+    assert sweep_planes(pair, pair.reversed()) == []
+
+
+@given(st.floats(0.1, 5.0), st.floats(0.0, math.pi), st.floats(-math.pi, math.pi))
+def test_the_second_camera_sees_the_same_points(distance: float, polar: float, azimuth: float) -> None:
+    unit = np.array([math.sin(polar) * math.sin(azimuth), math.cos(polar), -math.sin(polar) * math.cos(azimuth)])
+    normal = unit / distance
+    seen = plane_from_second(normal)
+    if seen is None:
+        assert distance - unit[1] <= 1e-3
+        return
+    point = unit * distance + np.cross(unit, [0.3, 0.2, 0.9])
+    ray = HALF_TURN_ABOUT_Z @ (point - np.array([0.0, 1.0, 0.0]))
+    assert seen @ ray == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(plane_from_second(seen), normal, rtol=1e-5, atol=1e-6)
+
+
+def test_a_swept_plane_replaces_its_like_and_the_floor_comes_first() -> None:
+    pair, _ = pair_above(np.array([0.0, -1.0, 0.0]), 1.6, 4.0, 0.0)
+    down = -pair.grid.up
+    own = PlaneCandidates(np.array([pair.grid.up * 0.7, down * 2.52]), np.zeros((*SIZE, 2), np.float32))
+    merged = merge_planes(pair, own, [down * 2.5], [down * 2.49, down * 1.2])
+    np.testing.assert_allclose(merged.normals, [down * 2.5, pair.grid.up * 0.7, down * 1.2])
+    below = pair.grid.sin_elevation < -0.5
+    supports = [float(merged.support[..., k][below].mean()) for k in (0, 2)]
+    assert supports[0] > 5.0 * supports[1]
+
+
+def test_the_texture_of_the_test_is_what_the_cameras_see() -> None:
+    unit = np.array([0.0, -1.0, 0.0])
+    first, second = (photograph(np.array([0.0, 0.0, z]), 0.0, unit, 1.6) for z in (0.0, -1.0))
+    point = np.array([0.4, -1.6, -0.7])
+    seen = [
+        sample_bilinear(v.image, (point - v.pose.position)[None] / np.linalg.norm(point - v.pose.position))
+        for v in (first, second)
+    ]
+    np.testing.assert_allclose(seen[0], seen[1], atol=0.08)
