@@ -21,6 +21,9 @@ OFFSET = 2e-3
 SMALLEST = 0.05
 """Light where nothing shines."""
 
+SOFT = 0.6
+"""Share of the scenes whose sky is as bright as their walls: few rays then leave no edges of shadows on plain walls."""
+
 LAMPS = (0, 5)
 """Least and greatest number of lamps of a scene, less one."""
 
@@ -110,12 +113,16 @@ def draw_lighting(caster: MeshCaster, rng: np.random.Generator, around: Float[np
     tint = np.exp(rng.normal(0.0, 0.08, 3))
     sun = _unit(rng.normal([0.0, 1.0, 0.0], 1.0))
     lobe = np.exp(rng.uniform(1.0, 5.0) * (directions @ sun - 1.0))
-    brightness = np.where(directions[:, 1] > 0, 1.0, 0.4) * rng.uniform(0.8, 2.2) + rng.uniform(0.0, 6.0) * lobe
+    bounced = rng.uniform(0.15, 0.5)
+    if rng.random() < SOFT:
+        brightness = np.full(rays, bounced * rng.uniform(0.9, 1.4))
+    else:
+        brightness = np.where(directions[:, 1] > 0, 1.0, 0.4) * rng.uniform(0.8, 2.2) + rng.uniform(0.0, 6.0) * lobe
     lamps = _lamps(caster, rng, around, int(rng.integers(*LAMPS)))
     return Lighting(
         directions=directions,
         sky=brightness[:, None] * tint,
-        bounced=rng.uniform(0.15, 0.5) * np.exp(rng.normal(0.0, 0.05, 3)),
+        bounced=bounced * np.exp(rng.normal(0.0, 0.05, 3)),
         reach=rng.uniform(1.5, 4.0),
         lamps=lamps,
         lamp_light=rng.uniform(0.5, 3.0) * np.array([1.05, 1.0, 0.9]) * np.exp(rng.normal(0.0, 0.1, (len(lamps), 3))),

@@ -18,7 +18,7 @@ DROPPED = 0.12
 SMALL = 0.04
 """Share of the area up to which a material may be left out."""
 
-PAPERED = (0.3, 1.0)
+PAPERED = (0.0, 0.8)
 """Share of the materials without texture that get a photograph, between which a scene draws its own."""
 
 REPLACED = 0.15
