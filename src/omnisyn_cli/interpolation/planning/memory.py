@@ -121,9 +121,7 @@ def estimated_memory(
     if source.refines(depths):
         finding += 2 * FLOAT_PIXEL_BYTES * largest
     ahead = (
-        (FLOAT_PIXEL_BYTES + (3 if is_8_bit else 0)) * largest
-        + LOOK_AHEAD_VERTEX_BYTES * vertices
-        + UNCOLLECTED_BYTES
+        (FLOAT_PIXEL_BYTES + (3 if is_8_bit else 0)) * largest + LOOK_AHEAD_VERTEX_BYTES * vertices + UNCOLLECTED_BYTES
     )
     texturing_surfaces = (
         2 * recipe.renderer_strategy.building_bytes * vertices + 2 * (FLOAT_PIXEL_BYTES + texturing) * largest
