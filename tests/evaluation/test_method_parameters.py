@@ -1,6 +1,7 @@
 """Parameters after a colon: each changes what its name says and nothing else."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def images(name: str, pair: LoadedPair, views: tuple[View, View] | None = None) 
     return np.stack([made.frame(truth.waypoint).image.copy() for truth in pair.truths])
 
 
-def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geometric", **options: str) -> np.ndarray:
+def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geometric", **options: Any) -> np.ndarray:
     """What the product makes of true depth."""
     fuser = make_fuser(fusion, FuserSettings(pair.size, threads=1))
     method = SurfaceMethod(KnownDepth(), SynthesisOptions(pair.size, threads=1, **options), fuser)
@@ -39,7 +40,7 @@ def of_product(pair: LoadedPair, views: tuple[View, View], fusion: str = "geomet
 
 @pytest.mark.parametrize("renderer", RENDERERS)
 def test_a_renderer_can_be_chosen_for_any_method(hall, renderer):
-    expected = of_product(hall, hall.views, renderer=renderer)
+    expected = of_product(hall, hall.views, renderer=RENDERERS[renderer].load())
     np.testing.assert_array_equal(images(f"oracle-depth:renderer={renderer}", hall), expected)
 
 

@@ -162,7 +162,7 @@ def test_all_are_those_of_the_table_and_lists_keep_their_order():
 
 def test_a_preset_without_its_network_is_unavailable_and_says_which(hall, monkeypatch):
     monkeypatch.setattr(models, "read_manifest", lambda folder=None: {})
-    for name in ("omnisyn-balanced", "omnisyn-points", "omnisyn-two-pass", "omnisyn-paper", "first-view-only"):
+    for name in ("omnisyn-balanced", "omnisyn-two-pass", "omnisyn-paper", "first-view-only"):
         with pytest.raises(MethodUnavailableError, match="none installed"):
             at_work(name, hall)
 

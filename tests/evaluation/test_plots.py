@@ -15,7 +15,7 @@ def test_every_diagram_is_a_picture_with_something_in_it():
     assert set(drawn) == set(plots.PLOT_TITLES)
     for data in drawn.values():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        assert image.shape[1] == plots.THUMBNAIL_WIDTH * plots.DOTS_PER_INCH
+        assert image.shape[1] == plots.FIGURE_WIDTH * plots.DOTS_PER_INCH
         assert (image[0] == 255).all(), "white all around"
         assert len(np.unique(image @ [1, 256, 256**2])) > 20
 

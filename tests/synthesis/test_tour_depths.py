@@ -164,7 +164,7 @@ def test_a_long_tour_is_looked_at_one_pair_ahead() -> None:
     for index in range(5):
         tour(index)
         assert estimator.asked == index + 2
-        assert len(tour._known) + len(tour._opinions) <= 3
+        assert len(tour._known) + len(tour._pair_depths) <= 3
 
 
 def test_a_pair_alone_has_what_its_estimator_found() -> None:

@@ -121,6 +121,7 @@ def run_batch(
     begin = time.perf_counter()
     if manifest.problems:
         raise InputError(f"{manifest.path}: expected lines without problems, got {len(manifest.problems)}; mend them")
+    _check_engine(options)
     places = [place for job in manifest.jobs for place in job.places]
     inputs = {path for job in manifest.jobs for path in files_of(job)} | {manifest.path}
     prepare_folder(folder, places, inputs, overwrite=options.overwrite)
@@ -145,8 +146,7 @@ def run_batch(
 def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptions, jobs: int) -> Executor:
     """The workers that options ask for, at most one for each of ``jobs``.
 
-    ``settings`` makes the settings of a worker of its number of threads. InputError: Ray is not installed, or an option
-    does not go with the engine.
+    ``settings`` makes the settings of a worker of its number of threads. InputError: Ray is not installed.
     """
     if options.engine == "ray":
         from omnisyn_cli.batch.ray_executor import RayExecutor
@@ -154,12 +154,16 @@ def make_executor(settings: Callable[[int], WorkerSettings], options: BatchOptio
         threads = options.threads or 1
         work = Work(INTERPOLATOR, settings(threads))
         return RayExecutor(work, options.workers, threads, options.gpus, options.ray_address)
-    if options.gpus or options.ray_address:
-        raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
     cores = available_threads()
     workers = options.workers or cores
     threads = options.threads or max(1, cores // workers)
     return LocalExecutor(Work(INTERPOLATOR, settings(threads)), max(1, min(workers, jobs)), threads)
+
+
+def _check_engine(options: BatchOptions) -> None:
+    """InputError: an option does not go with the engine."""
+    if options.engine != "ray" and (options.gpus or options.ray_address):
+        raise InputError("expected a share of GPUs or a Ray address only with the engine ray, got local; name it")
 
 
 def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport, retry_failed: bool) -> bool:

@@ -30,7 +30,9 @@ def make_folder(folder: Path, what: str) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputPathError(f"{folder}: expected a folder for {what}, got '{error.strerror}'; move it") from error
+        raise OutputPathError(
+            f"{folder}: expected a folder for {what}, got '{error.strerror}'; choose another place"
+        ) from error
 
 
 def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders: bool = False) -> None:
