@@ -69,13 +69,13 @@ def test_the_features_at_a_quarter_lie_where_the_sweep_takes_them_to_be():
 def test_the_sweep_is_that_of_the_geometry():
     towards = torch.tensor([[0.1, 0.2, -0.97]])
     towards = towards / towards.norm()
-    roots = torch.tensor([0.0, 0.5, 1.7])
-    directions = feature_directions((16, 32), 0.0, roots)
+    sqrt_inv_depths = torch.tensor([0.0, 0.5, 1.7])
+    directions = feature_directions((16, 32), 0.0, sqrt_inv_depths)
     np.testing.assert_allclose(directions.numpy(), pixel_directions(16, 32), atol=1e-6)
-    azimuth, polar = sweep_grid(directions, towards, roots)
+    azimuth, polar = sweep_grid(directions, towards, sqrt_inv_depths)
     motion = Pose(np.eye(3), -towards[0].double().numpy())
-    for k, root in enumerate(roots.tolist()):
-        moved = sweep_directions(pixel_directions(16, 32), np.full((16, 32), root**2), motion)
+    for k, sqrt_inv_depth in enumerate(sqrt_inv_depths.tolist()):
+        moved = sweep_directions(pixel_directions(16, 32), np.full((16, 32), sqrt_inv_depth**2), motion)
         expected_azimuth, expected_polar = direction_to_angles(moved)
         turn = (azimuth[0, k].numpy() * np.pi - expected_azimuth + np.pi) % (2 * np.pi) - np.pi
         assert np.abs(turn * np.sin(expected_polar)).max() < 1e-4
@@ -83,18 +83,18 @@ def test_the_sweep_is_that_of_the_geometry():
 
 
 def test_costs_are_highest_at_the_true_sphere():
-    """Random features on a sphere around the first camera: every pixel finds its root."""
+    """Random features on a sphere around the first camera: every pixel finds it."""
     network = GuidedDepthNetwork(GuidedDepthConfig("wide", spheres=21, features=16, groups=4))
-    towards, root = torch.tensor([[0.0, 0.0, -1.0]]), 0.8
+    towards, sqrt_inv_depth = torch.tensor([[0.0, 0.0, -1.0]]), 0.8
     height, width = 32, 64
     waves = torch.randn(16, 3) * 6.0
-    points = feature_directions((height, width), -0.125, waves)  # the sphere has radius 1/root² baselines
+    points = feature_directions((height, width), -0.125, waves)  # the sphere has radius 1/sqrt_inv_depth² baselines
     first = torch.sin(points @ waves.T).permute(2, 0, 1)[None]
-    # what the other camera sees along d: the point at distance s with |s d + root² t| = 1, in units of the radius
+    # what the other camera sees along d: the point at distance s with |s d + sqrt_inv_depth² t| = 1 radius
     other = feature_directions((height, width), -0.125, waves)
-    along = (other @ towards[0]) * root**2
-    distance = -along + torch.sqrt(along**2 - root**4 + 1.0)
-    second = torch.sin((other * distance[..., None] + root**2 * towards[0]) @ waves.T).permute(2, 0, 1)[None]
+    along = (other @ towards[0]) * sqrt_inv_depth**2
+    distance = -along + torch.sqrt(along**2 - sqrt_inv_depth**4 + 1.0)
+    second = torch.sin((other * distance[..., None] + sqrt_inv_depth**2 * towards[0]) @ waves.T).permute(2, 0, 1)[None]
     costs, _ = network._costs(first, second, towards)
     best = costs.view(4, 21, height, width).mean(dim=0).argmax(dim=0)
     inner = best[4:-4]
@@ -109,15 +109,17 @@ def test_the_answer_has_the_size_of_the_picture_and_confidence_is_a_probability(
     assert [x.shape[-1] for x in answer.coarse] == [32, 64]
     inverse_depth, confidence = answer.outputs()
     assert inverse_depth.min() >= 0.0
-    assert inverse_depth.max() <= SMALL.greatest_root**2
+    assert inverse_depth.max() <= SMALL.max_sqrt_inv_depth**2
     assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
 
 
 def test_confidence_is_the_share_of_a_laplace_distribution_within_ten_percent():
-    root, scale = 0.8, 0.03
-    answer = GuidedDepthPrediction(torch.full((1, 1, 1, 1), root), torch.full((1, 1, 1, 1), np.log(scale)), ())
+    sqrt_inv_depth, scale = 0.8, 0.03
+    answer = GuidedDepthPrediction(
+        torch.full((1, 1, 1, 1), sqrt_inv_depth), torch.full((1, 1, 1, 1), np.log(scale)), ()
+    )
     errors = np.random.default_rng(0).laplace(0.0, scale, 200_000)
-    within = (root + errors) ** 2 / root**2
+    within = (sqrt_inv_depth + errors) ** 2 / sqrt_inv_depth**2
     share = np.mean((within < 1.1) & (within > 2 - 1.1))  # nearly symmetric
     assert float(answer.confidence()) == pytest.approx(share, abs=0.01)
 

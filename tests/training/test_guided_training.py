@@ -26,10 +26,12 @@ from omnisyn_cli.training.walks import WalkConfig, load_walk, make_walk, save_wa
 
 
 def warped(batch, factor):
-    """The second picture as the first would see it if all roots were wrong by a factor."""
-    height, width = batch.root.shape[-2:]
+    """The second picture as the first would see it if √(inverse depth) was wrong by a factor."""
+    height, width = batch.sqrt_inv_depth.shape[-2:]
     directions = feature_directions((height, width), 0.0, batch.first)
-    moved = directions - (batch.root * factor).square().squeeze(1)[..., None] * batch.towards.view(-1, 1, 1, 3)
+    moved = directions - (batch.sqrt_inv_depth * factor).square().squeeze(1)[..., None] * batch.towards.view(
+        -1, 1, 1, 3
+    )
     azimuth = torch.atan2(moved[..., 0], -moved[..., 2]) / math.pi
     polar = torch.atan2(torch.hypot(moved[..., 0], moved[..., 2]), moved[..., 1]) * 2 / math.pi - 1
     return functional.grid_sample(
@@ -39,7 +41,7 @@ def warped(batch, factor):
 
 @pytest.mark.parametrize("augmentation", [None, Augmentation(0, 0, 0, 0, 0, 0)], ids=["exact", "held by hand"])
 def test_what_is_drawn_is_a_pair_its_geometry_and_its_truth(tmp_path, augmentation):
-    """The second picture, warped by the true roots, is the first one; by others it is not."""
+    """The second picture, warped by the true depth, is the first one; by others it is not."""
     pool = list_pool(make_walks(tmp_path, 4), "recipe")
     batch = draw_guided(pool, np.random.default_rng(0), 8, (64, 128), 2.0, augmentation)
     errors = {factor: float((warped(batch, factor) - batch.first).abs().mean()) for factor in (0.9, 1.0, 1.1)}
@@ -82,30 +84,32 @@ def test_turning_towards_the_other_camera_moves_pictures_and_direction_alike(hea
     np.testing.assert_allclose(turned[0] @ towards, expected, atol=1e-6)
 
 
-def prediction(root, log_scale=-3.0):
-    thin = [root[..., s // 2 :: s, s // 2 :: s].clone() for s in (4, 2)]
-    return GuidedDepthPrediction(root.clone(), torch.full_like(root, log_scale), tuple(thin))
+def prediction(sqrt_inv_depth, log_scale=-3.0):
+    thin = [sqrt_inv_depth[..., s // 2 :: s, s // 2 :: s].clone() for s in (4, 2)]
+    return GuidedDepthPrediction(sqrt_inv_depth.clone(), torch.full_like(sqrt_inv_depth, log_scale), tuple(thin))
 
 
-def batch_of(root, ratio=0.4, is_mesh=True):
-    empty = torch.zeros(len(root), 8, 1, 1)
-    return GuidedBatch(empty, empty, empty, empty, root, torch.full((len(root),), ratio), torch.tensor([is_mesh]))
+def batch_of(sqrt_inv_depth, ratio=0.4, is_mesh=True):
+    empty = torch.zeros(len(sqrt_inv_depth), 8, 1, 1)
+    return GuidedBatch(
+        empty, empty, empty, empty, sqrt_inv_depth, torch.full((len(sqrt_inv_depth),), ratio), torch.tensor([is_mesh])
+    )
 
 
 def test_the_truth_costs_nothing_but_its_doubt():
-    root = torch.rand(1, 1, 32, 64) + 0.1
+    sqrt_inv_depth = torch.rand(1, 1, 32, 64) + 0.1
     doubt = 0.02 * -3.0
-    assert float(guided_loss(prediction(root), batch_of(root))) == pytest.approx(doubt, abs=1e-6)
-    assert float(guided_loss(prediction(root + 0.1), batch_of(root))) > 0.1
+    assert float(guided_loss(prediction(sqrt_inv_depth), batch_of(sqrt_inv_depth))) == pytest.approx(doubt, abs=1e-6)
+    assert float(guided_loss(prediction(sqrt_inv_depth + 0.1), batch_of(sqrt_inv_depth))) > 0.1
     below_zero, sky = torch.full((1, 1, 32, 64), -0.2), torch.zeros(1, 1, 32, 64)
     assert float(guided_loss(prediction(below_zero), batch_of(sky))) == pytest.approx(doubt, abs=1e-6)
 
 
 def test_nothing_is_taught_where_the_truth_is_not_known_and_gradients_are_finite():
-    root = torch.rand(1, 1, 32, 64) + 0.1
-    holes = torch.where(torch.rand_like(root) < 0.3, torch.tensor(math.nan), root)
-    estimate = root.clone().requires_grad_()
-    guess = GuidedDepthPrediction(estimate, torch.zeros_like(root), prediction(root).coarse)
+    sqrt_inv_depth = torch.rand(1, 1, 32, 64) + 0.1
+    holes = torch.where(torch.rand_like(sqrt_inv_depth) < 0.3, torch.tensor(math.nan), sqrt_inv_depth)
+    estimate = sqrt_inv_depth.clone().requires_grad_()
+    guess = GuidedDepthPrediction(estimate, torch.zeros_like(sqrt_inv_depth), prediction(sqrt_inv_depth).coarse)
     guided_loss(replace(guess, estimate=estimate + 0.1), batch_of(holes)).backward()
     assert torch.isfinite(estimate.grad).all()
     assert (estimate.grad[holes.isnan()] == 0).all()
@@ -113,17 +117,17 @@ def test_nothing_is_taught_where_the_truth_is_not_known_and_gradients_are_finite
 
 
 def test_the_laplace_scale_learns_from_errors_that_it_cannot_change():
-    root = torch.full((1, 1, 32, 64), 0.5)
-    scale = torch.full_like(root, -1.0).requires_grad_()
+    sqrt_inv_depth = torch.full((1, 1, 32, 64), 0.5)
+    scale = torch.full_like(sqrt_inv_depth, -1.0).requires_grad_()
     for offset, sign in ((0.01, 1.0), (2.0, -1.0)):
-        guess = GuidedDepthPrediction(root + offset, scale, prediction(root).coarse)
-        (gradient,) = torch.autograd.grad(guided_loss(guess, batch_of(root)), scale)
+        guess = GuidedDepthPrediction(sqrt_inv_depth + offset, scale, prediction(sqrt_inv_depth).coarse)
+        (gradient,) = torch.autograd.grad(guided_loss(guess, batch_of(sqrt_inv_depth)), scale)
         assert torch.equal(gradient.sign(), torch.full_like(gradient, sign))  # too wide, then too narrow
 
 
 def test_figures_belong_to_the_bin_of_the_pair():
-    root = torch.full((1, 1, 32, 64), 0.5)
-    scores = guided_scores(prediction(root * 1.1), batch_of(root, ratio=0.7, is_mesh=False))
+    sqrt_inv_depth = torch.full((1, 1, 32, 64), 0.5)
+    scores = guided_scores(prediction(sqrt_inv_depth * 1.1), batch_of(sqrt_inv_depth, ratio=0.7, is_mesh=False))
     assert scores["error"] == pytest.approx(0.05, rel=1e-4)
     assert scores["delta_25"] == 1.0  # 1.1² < 1.25
     assert scores["delta_5"] == 0.0
@@ -158,15 +162,15 @@ def test_simulated_matching_is_mostly_right_where_it_is_consistent_and_less_so_e
     baseline = float(np.linalg.norm(motion))
     image, (own, other) = walk.images[0] / np.float32(255.0), (walk.inverse_depth[:2] * baseline).astype(np.float32)
     own = np.where(rng.random(own.shape) < 0.05, np.float32(np.nan), own)
-    root, valid, consistent, ratio = simulated_matching(image, own, other, motion / baseline, rng)
-    is_right = np.abs(root - np.sqrt(own)) < 0.06 * np.sqrt(own)
+    sqrt_inv_depth, valid, consistent, ratio = simulated_matching(image, own, other, motion / baseline, rng)
+    is_right = np.abs(sqrt_inv_depth - np.sqrt(own)) < 0.06 * np.sqrt(own)
     assert 0.1 < consistent.mean() < 1.0
     assert is_right[consistent > 0].mean() > max(0.8, is_right[(valid > 0) & (consistent == 0)].mean())
     assert ratio[is_right & (consistent > 0)].mean() > ratio[valid > 0].min()
-    assert not root[np.isnan(own)].any()
-    for channel in (root, consistent, ratio):
+    assert not sqrt_inv_depth[np.isnan(own)].any()
+    for channel in (sqrt_inv_depth, consistent, ratio):
         assert not channel[valid == 0].any()
-    assert np.isfinite(root).all()
+    assert np.isfinite(sqrt_inv_depth).all()
 
 
 def test_nothing_is_consistent_that_the_other_camera_cannot_see():

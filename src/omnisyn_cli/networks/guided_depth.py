@@ -37,8 +37,8 @@ STRIDE = 4
 """Of the cost volume and of the guidance."""
 
 GUIDANCE_CHANNELS = 8
-"""Root, valid, left-right consistent and peak ratio of matching; root and score of plane sweeps; whether there is
-matching, whether there are plane sweeps. The root is √(inverse depth × baseline); all is zero where there is none."""
+"""Of matching: √(inverse depth × baseline), valid, left-right consistent, peak ratio. Of plane sweeps: the same and a
+score. Then whether there is matching, and whether there are plane sweeps. All is zero where there is none."""
 
 FEATURE_SHIFT = -0.125
 """Columns and rows of the quarter-size features by which their centres are off, see ``SHIFTS`` of the encoder."""
@@ -47,13 +47,13 @@ LOG_SCALES = (-6.0, 2.0)
 """Bounds of the log of the Laplace scale."""
 
 WITHIN = 1.1**0.5 - 1.0
-"""Relative error of the root where depth is 10 % off."""
+"""Relative error of √(inverse depth) where depth is 10 % off."""
 
 GEOMETRY = 7
-"""Channels: direction (3), cosine to the other camera, slope of the baseline, best cost and its expected root."""
+"""Channels: direction (3), cosine to the other camera, slope of the baseline, best cost, expected √(inverse depth)."""
 
 SHARPNESS = 8.0
-"""Factor on correlations before the softmax that the expected root is weighted by."""
+"""Factor on correlations before the softmax that the expected √(inverse depth) is weighted by."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class GuidedDepthConfig(NetworkConfig):
         name: of the variant.
         size: ``(height, width)`` of the exported file.
         spheres: of the cost volume.
-        greatest_root: of the nearest sphere.
+        max_sqrt_inv_depth: of the nearest sphere.
         features: channels that are correlated, a multiple of ``groups``.
         groups: of features, each correlated for itself.
         widths: channels of the U-net at strides 2, 4, 8, 16 and 32.
@@ -73,7 +73,7 @@ class GuidedDepthConfig(NetworkConfig):
     name: str
     size: tuple[int, int] = (256, 512)
     spheres: int = 48
-    greatest_root: float = 2.0
+    max_sqrt_inv_depth: float = 2.0
     features: int = 24
     groups: int = 4
     widths: tuple[int, ...] = (24, 64, 88, 120, 144)
@@ -102,7 +102,7 @@ class GuidedDepthPrediction(DepthAnswer):
     log_scale: Tensor
     coarse: tuple[Tensor, ...]
 
-    def root(self) -> Float[Tensor, "batch 1 height width"]:
+    def sqrt_inv_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """The estimate."""
         return self.estimate
 
@@ -146,14 +146,16 @@ def feature_directions(size: tuple[int, int], shift: float, like: Tensor) -> Flo
 
 
 def sweep_grid(
-    directions: Float[Tensor, "height width 3"], towards: Float[Tensor, "batch 3"], roots: Float[Tensor, " spheres"]
+    directions: Float[Tensor, "height width 3"],
+    towards: Float[Tensor, "batch 3"],
+    sqrt_inv_depths: Float[Tensor, " spheres"],
 ) -> tuple[Tensor, Tensor]:
     """Where the other camera sees the points of spheres around this one.
 
     Returns:
         Azimuth / π and polar angle / π · 2 − 1, both ``(batch, spheres, height, width)`` in [−1, 1].
     """
-    moved = directions - roots.square()[:, None, None, None] * towards[:, None, None, None, :]
+    moved = directions - sqrt_inv_depths.square()[:, None, None, None] * towards[:, None, None, None, :]
     x, y, z = moved.unbind(-1)
     azimuth = torch.atan2(x, -z)
     polar_angle = torch.atan2(torch.sqrt(x * x + z * z + 1e-12), y)
@@ -263,9 +265,9 @@ class GuidedDepthNetwork(Network):
         config = self.config
         batch, channels, height, width = sizes(first)
         groups, spheres = config.groups, config.spheres
-        roots = torch.linspace(0.0, config.greatest_root, spheres, device=first.device)
+        sqrt_inv_depths = torch.linspace(0.0, config.max_sqrt_inv_depth, spheres, device=first.device)
         directions = feature_directions((height, width), FEATURE_SHIFT, first)
-        azimuth, polar = sweep_grid(directions, at_least_single(towards), roots)
+        azimuth, polar = sweep_grid(directions, at_least_single(towards), sqrt_inv_depths)
         # one column more on both sides carries the seam; rows end at the poles
         x = (azimuth - FEATURE_SHIFT * 2.0 / width) * (width / (width + 2.0))
         y = polar - FEATURE_SHIFT * 2.0 / height
@@ -280,7 +282,7 @@ class GuidedDepthNetwork(Network):
         ).view(batch, groups, channels // groups, spheres, height, width)
         costs = (unit_first.unsqueeze(3) * warped).sum(dim=2)  # (batch, groups, spheres, height, width)
         mean = at_least_single(costs.mean(dim=1))
-        expected = (roots[:, None, None] * (SHARPNESS * mean).softmax(dim=1)).sum(dim=1, keepdim=True)
+        expected = (sqrt_inv_depths[:, None, None] * (SHARPNESS * mean).softmax(dim=1)).sum(dim=1, keepdim=True)
         cosine = (directions * towards[:, None, None, :]).sum(dim=-1).unsqueeze(1)
         plain = directions.permute(2, 0, 1).expand(batch, 3, height, width)
         slope = towards[:, 1].view(batch, 1, 1, 1).expand(batch, 1, height, width)
@@ -301,7 +303,7 @@ class GuidedDepthNetwork(Network):
         z = self.refine2(self.up2(torch.cat([_enlarged(y, 2), at2], dim=1)))
         half = at_least_single(self.answer2(z)) + _enlarged(quarter, 2)
         full = convex_upsample(half, at_least_single(self.upsampling(z)))
-        most = self.config.greatest_root
+        most = self.config.max_sqrt_inv_depth
         return GuidedDepthPrediction(
             full[:, :1].clamp(max=most), full[:, 1:].clamp(*LOG_SCALES), (quarter[:, :1], half[:, :1])
         )

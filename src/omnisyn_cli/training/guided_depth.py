@@ -45,13 +45,13 @@ GRADIENT_SCALES = 4
 """Gradients are compared at strides 1, 2, 4, …"""
 
 RELATIVE_FLOOR, RELATIVE_WEIGHT = 0.1, 0.15
-"""Errors count more where the root is small: the weight is 1 + weight / (floor + root)."""
+"""Errors count more where √(inverse depth × baseline), s, is small: the weight is 1 + weight / (floor + s)."""
 
 MATCHING_CHANNELS, HAS_MATCHING = 4, 6
 """Of the guidance: how many channels are of matching, and the one that says that they are there."""
 
-FARTHEST_ROOT = 0.03
-"""Roots below this are not judged by their ratio."""
+MIN_JUDGED = 0.03
+"""√(inverse depth × baseline) below which nothing is judged by its ratio."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class GuidedBatch:
         first, second: ``(batch, 3, height, width)`` colours in [0, 1].
         towards: ``(batch, 3, 1, 1)`` unit vector to the other camera.
         guidance: ``(batch, 8, height / 4, width / 4)``, see :data:`GUIDANCE_CHANNELS`.
-        root: ``(batch, 1, height, width)`` √(inverse depth × baseline); NaN where it is not known.
+        sqrt_inv_depth: ``(batch, 1, height, width)`` √(inverse depth × baseline); NaN where it is not known.
         ratio: ``(batch,)`` baseline over median depth.
         is_mesh: ``(batch,)`` whether the scene is a mesh.
     """
@@ -71,7 +71,7 @@ class GuidedBatch:
     second: Float[Tensor, "batch 3 height width"]
     towards: Float[Tensor, "batch 3 1 1"]
     guidance: Float[Tensor, "batch 8 rows cols"]
-    root: Float[Tensor, "batch 1 height width"]
+    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
     ratio: Float[Tensor, " batch"]
     is_mesh: Tensor
 
@@ -98,7 +98,7 @@ def draw_guided(
     rng: np.random.Generator,
     pairs: int,
     size: tuple[int, int],
-    greatest_root: float,
+    max_sqrt_inv_depth: float,
     augmentation: Augmentation | None = None,
     guided: float = 0.0,
 ) -> GuidedBatch:
@@ -109,7 +109,7 @@ def draw_guided(
         rng: random numbers.
         pairs: how many.
         size: ``(height, width)``, a whole fraction of the pool's.
-        greatest_root: that targets are clipped to.
+        max_sqrt_inv_depth: that targets are clipped to.
         augmentation: of colours; without one, nothing is varied and poses are exact.
         guided: share of the pairs that are shown with what matching would say.
 
@@ -120,13 +120,13 @@ def draw_guided(
         _draw_pair(load_walk(pool[rng.integers(len(pool))]), rng, size, augmentation, guided) for _ in range(pairs)
     ]
     colours = np.stack([pair.colours for pair in drawn])
-    root = np.sqrt(np.stack([pair.inverse_depth for pair in drawn])).clip(max=greatest_root)
+    sqrt_inv_depth = np.sqrt(np.stack([pair.inverse_depth for pair in drawn])).clip(max=max_sqrt_inv_depth)
     return GuidedBatch(
         first=as_tensor(colours[:, 0]),
         second=as_tensor(colours[:, 1]),
         towards=torch.tensor(np.stack([pair.towards for pair in drawn]), dtype=torch.float32)[..., None, None],
         guidance=torch.from_numpy(np.stack([pair.guidance for pair in drawn])),
-        root=torch.from_numpy(root.astype(np.float32)).unsqueeze(1),
+        sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
         ratio=torch.tensor([pair.ratio for pair in drawn]),
         is_mesh=torch.tensor([pair.is_mesh for pair in drawn]),
     )
@@ -240,11 +240,11 @@ def _turned(image: np.ndarray, inverse_depth: np.ndarray, rotation: np.ndarray) 
 
 
 def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor:
-    """L1 of the root at all scales, of its gradients, and the log-loss of the Laplace scale; a scalar.
+    """L1 of √(inverse depth × baseline) at all scales, L1 of its gradients, log-loss of the Laplace scale; a scalar.
 
     Errors are weighted by solid angle. The Laplace scale learns from errors that it cannot change.
     """
-    target, known = batch.root.nan_to_num(), torch.isfinite(batch.root).float()
+    target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth).float()
     weight = known * polar_weights(target) * (1.0 + RELATIVE_WEIGHT / (RELATIVE_FLOOR + target))
     error = _signed_error(prediction.estimate, target)
     loss = _weighted_mean(error.abs(), weight) + GRADIENT_WEIGHT * _gradient_error(error, known)
@@ -257,9 +257,9 @@ def guided_loss(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> Tensor
     return loss + SCALE_WEIGHT * _weighted_mean(surprise, known * polar_weights(target))
 
 
-def _signed_error(root: Tensor, target: Tensor) -> Tensor:
+def _signed_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
     """An estimate below zero is right where nothing is there."""
-    return torch.where(target > 0, root - target, root.clamp(min=0.0))
+    return torch.where(target > 0, sqrt_inv_depth - target, sqrt_inv_depth.clamp(min=0.0))
 
 
 def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
@@ -291,17 +291,17 @@ def guided_scores(prediction: GuidedDepthPrediction, batch: GuidedBatch) -> dict
     """Figures of one pair, by solid angle; NaN for the bins that it is not of.
 
     Returns:
-        ``error``, the mean absolute error of the root; ``delta_25`` and ``delta_5``, the shares whose depth is within a
-        factor of 1.25 and 1.05; the same of groups: by baseline over median depth (``error_wide``, …), for meshes
-        (``error_mesh``, …) and for pairs with guidance (``error_guided``, …); ``brier``, the mean of
-        (confidence − (within a factor of 1.1))².
+        ``error``, the mean absolute error of √(inverse depth × baseline); ``delta_25`` and ``delta_5``, the shares
+        whose depth is within a factor of 1.25 and 1.05. The same of groups: by baseline over median depth
+        (``error_wide``, …), for meshes (``error_mesh``, …) and for pairs with guidance (``error_guided``, …).
+        ``brier``, the mean of (confidence − (within a factor of 1.1))².
     """
-    target, known = batch.root.nan_to_num(), torch.isfinite(batch.root)
+    target, known = batch.sqrt_inv_depth.nan_to_num(), torch.isfinite(batch.sqrt_inv_depth)
     area = polar_weights(target) * known
     estimate = prediction.estimate.clamp(min=0.0)
     ratio = torch.maximum(estimate, target) / torch.minimum(estimate, target).clamp(min=1e-6)
     ratio = ratio.square()
-    judged = area * (target > FARTHEST_ROOT)
+    judged = area * (target > MIN_JUDGED)
 
     def within(factor: float) -> float:
         return float(_weighted_mean((ratio < factor).float(), judged))

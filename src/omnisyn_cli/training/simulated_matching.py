@@ -25,17 +25,17 @@ SEEN_WITHIN, SEEN_SLACK = 1.08, 0.004
 EPIPOLES = (3.0, 14.0)
 """Degrees around the epipoles in which nothing is measured."""
 
-NEAREST_ROOTS = (0.7, 1.5)
-"""Roots from which on little is found."""
+MAX_MATCHED = (0.7, 1.5)
+"""√(inverse depth × baseline) from which on little is found."""
 
 NOISE = (0.003, 0.02)
-"""Relative error of a root that is right."""
+"""Relative error of √(inverse depth) where it is right."""
 
 PLAIN = 0.012
 """Contrast (standard deviation of grey) up to which nothing may be found."""
 
 BORDER_JUMP = 0.03
-"""Difference of roots that a border makes."""
+"""Difference of √(inverse depth × baseline) that a border makes."""
 
 MAX_ISLANDS = 6
 
@@ -60,7 +60,7 @@ def simulated_matching(
         rng: random numbers.
 
     Returns:
-        All four are zero where matching gives up. The root is √(inverse depth × baseline).
+        All four are zero where matching gives up.
     """
     size = inverse_depth.shape
     is_known = np.isfinite(inverse_depth)
@@ -71,35 +71,35 @@ def simulated_matching(
     anything = _blobs(size, 16, rng) * rng.uniform(0.3, 1.5)
     luck = _blobs(size, 16, rng)
     guess = np.where(luck < 0.3, right, np.where(luck < 0.65, behind, anything))
-    root, consistent = np.where(found, right, guess), found
-    for wrong, passes in (_widened(truth, rng), _islands(root, rng)):
-        is_wrong = np.abs(wrong - root) > BORDER_JUMP
-        root = np.where(is_wrong, wrong, root)
+    sqrt_inv_depth, consistent = np.where(found, right, guess), found
+    for wrong, passes in (_widened(truth, rng), _islands(sqrt_inv_depth, rng)):
+        is_wrong = np.abs(wrong - sqrt_inv_depth) > BORDER_JUMP
+        sqrt_inv_depth = np.where(is_wrong, wrong, sqrt_inv_depth)
         consistent = np.where(is_wrong, passes, consistent)
         found = found & ~is_wrong
     valid = (consistent | (_blobs(size, 8, rng) > rng.uniform(0.1, 0.7))) & is_known
     ratio = np.where(found, AMBIGUITY + (1.0 - AMBIGUITY) * _blobs(size, 32, rng), AMBIGUITY * _blobs(size, 32, rng))
     ratio = np.where(consistent & ~found, np.maximum(ratio, rng.random(size, dtype=np.float32)), ratio)
-    channels = np.stack([root, np.ones(size), consistent, np.clip(ratio, 0.0, 1.0)]) * valid
+    channels = np.stack([sqrt_inv_depth, np.ones(size), consistent, np.clip(ratio, 0.0, 1.0)]) * valid
     return np.asarray(channels, np.float32)
 
 
 def _is_found(
     image: Float32[np.ndarray, "height width 3"],
-    root: Float32[np.ndarray, "height width"],
+    sqrt_inv_depth: Float32[np.ndarray, "height width"],
     other: Float32[np.ndarray, "height width"],
     towards: Float[np.ndarray, " 3"],
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, "height width"]:
     """Where matching would be right."""
-    size, directions = root.shape, pixel_directions(*root.shape)
-    moved = sweep_directions(directions, np.square(root, dtype=np.float64), Pose(np.eye(3), -towards))
+    size, directions = sqrt_inv_depth.shape, pixel_directions(*sqrt_inv_depth.shape)
+    moved = sweep_directions(directions, np.square(sqrt_inv_depth, dtype=np.float64), Pose(np.eye(3), -towards))
     there = RemapTable.for_directions(moved, size).nearest(np.ascontiguousarray(other))
-    expected = np.square(root) / np.maximum(np.linalg.norm(moved, axis=-1), 1e-6)
+    expected = np.square(sqrt_inv_depth) / np.maximum(np.linalg.norm(moved, axis=-1), 1e-6)
     found = there <= SEEN_WITHIN * expected + SEEN_SLACK
     found &= np.abs(directions @ towards) < math.cos(math.radians(rng.uniform(*EPIPOLES)))
     found &= (_contrast(image) > rng.uniform(0.0, PLAIN)) | (_blobs(size, 8, rng) > rng.uniform(0.2, 0.9))
-    found &= (root < rng.uniform(*NEAREST_ROOTS)) | (_blobs(size, 8, rng) > rng.uniform(0.0, 0.6))
+    found &= (sqrt_inv_depth < rng.uniform(*MAX_MATCHED)) | (_blobs(size, 8, rng) > rng.uniform(0.0, 0.6))
     found &= _blobs(size, int(rng.choice([4, 8, 16])), rng) > rng.uniform(-0.4, 0.25)
     return np.asarray(found)
 
@@ -118,16 +118,16 @@ def _widened(truth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, n
     return np.where(is_wide, cv2.dilate(truth, window), truth), _blobs(size, 32, rng) < rng.uniform(0.3, 1.0)
 
 
-def _islands(root: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _islands(sqrt_inv_depth: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Roots with spots that are wrong altogether, and whether those pass the left-right check."""
-    height, width = root.shape
-    wrong, passes = root.copy(), np.zeros(root.shape, np.bool_)
+    height, width = sqrt_inv_depth.shape
+    wrong, passes = sqrt_inv_depth.copy(), np.zeros(sqrt_inv_depth.shape, np.bool_)
     for _ in range(int(rng.integers(0, MAX_ISLANDS))):
         spot = np.zeros((height, width), np.uint8)
         axes = int(rng.uniform(1, 14) * height / 128) + 1, int(rng.uniform(1, 8) * height / 128) + 1
         centre = int(rng.integers(width)), int(rng.integers(height))
         cv2.ellipse(spot, centre, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
-        wrong = np.where(spot > 0, root * rng.uniform(0.3, 2.0), wrong)
+        wrong = np.where(spot > 0, sqrt_inv_depth * rng.uniform(0.3, 2.0), wrong)
         passes |= (spot > 0) & (rng.random() < 0.6)
     return wrong, passes
 
