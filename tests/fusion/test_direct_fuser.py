@@ -14,7 +14,7 @@ from omnisyn_cli.fusion.layer_pair import LayerPair, RowTileRunner
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS
-from omnisyn_cli.training.fusion_losses import inputs_of
+from omnisyn_cli.training.fusion_losses import network_inputs
 from omnisyn_cli.types import Layer
 
 
@@ -24,9 +24,9 @@ class RecordingNetwork:
     def __init__(self, picture=None):
         self.picture, self.shown = picture, []
 
-    def __call__(self, planes):
-        self.shown.append(planes.copy())
-        return planes[:3].copy() if self.picture is None else self.picture
+    def __call__(self, channels):
+        self.shown.append(channels.copy())
+        return channels[:3].copy() if self.picture is None else self.picture
 
 
 def predict(views, network, t=0.5, threads=1):
@@ -44,7 +44,7 @@ def test_the_network_sees_what_it_was_trained_with(monkeypatch, size, most):
     rule = BlendRule.at(0.5, BlendOptions())
     recorded = fusion_input_channels(first, second, rule, 1.0, lambda image, weight: image)
     assert len(recorded) == INPUT_CHANNELS
-    expected = inputs_of(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
+    expected = network_inputs(FUSION_VARIANTS["paper-narrow"], torch.from_numpy(recorded)[None])[0].numpy()
     np.testing.assert_array_equal(network.shown[0], expected)
     assert {0.0, 1.0} == set(np.unique(network.shown[0][6:]))
 

@@ -3,17 +3,17 @@
 import torch
 
 from omnisyn_cli.networks.completion import (
-    AGREED_PLANE,
-    SKY_PLANE,
+    CONSISTENT_CHANNEL,
+    SKY_CHANNEL,
     CompletionConfig,
     CompletionNetwork,
     SphereAttention,
 )
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 
-FUSION = FusionConfig("tiny", planes=52, widths=(8, 12, 16), fine=6)
-PAINTING = FusionConfig("tiny paper", planes=8, widths=(8, 12, 16, 24), paints=True)
-COMPLETION = CompletionConfig("tiny", planes=19, widths=(8, 12, 16), fine=6, heads=2, looks=1)
+FUSION = FusionConfig("tiny", channels=52, widths=(8, 12, 16), fine=6)
+PAINTING = FusionConfig("tiny paper", channels=8, widths=(8, 12, 16, 24), is_direct=True)
+COMPLETION = CompletionConfig("tiny", channels=19, widths=(8, 12, 16), fine=6, heads=2, attention_layers=1)
 
 
 def awake(config):
@@ -22,21 +22,21 @@ def awake(config):
     network = builds[type(config)](config).eval()
     for layer in network.modules():
         if isinstance(layer, SphereAttention):
-            for last in (layer.take, layer.think[2], layer.near):
+            for last in (layer.proj, layer.mlp[2], layer.position_bias):
                 torch.nn.init.normal_(last.weight, std=0.3)
-    torch.nn.init.normal_(network.answer.weight, std=0.3)
+    torch.nn.init.normal_(network.head.weight, std=0.3)
     return network
 
 
-def random_planes(count=19, height=32, width=64, seed=0):
+def random_channels(count=19, height=32, width=64, seed=0):
     """Of evidence; matching is sure in a tenth of the pixels, and another tenth is sky."""
     given = torch.rand((1, count, height, width), generator=torch.Generator().manual_seed(seed))
-    for plane in (AGREED_PLANE, SKY_PLANE):
+    for plane in (CONSISTENT_CHANNEL, SKY_CHANNEL):
         given[:, plane] = (given[:, plane] > 0.9).float()
     return given
 
 
-def answers(network, given):
+def predict(network, given):
     """All that a network says, by name."""
     with torch.no_grad():
         answer = network(given)

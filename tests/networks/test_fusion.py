@@ -2,7 +2,7 @@ import math
 
 import pytest
 import torch
-from plane_samples import FUSION, PAINTING, answers, awake, random_planes
+from plane_samples import FUSION, PAINTING, awake, predict, random_channels
 from torch.nn import functional
 
 from omnisyn_cli.fusion.warp_candidates import MIN_CANDIDATE_WEIGHT
@@ -11,13 +11,13 @@ from omnisyn_cli.networks.fusion import (
     HYPOTHESIS_CHANNELS,
     RELEVANCE_CHANNEL,
     SEEN_CHANNELS,
+    DirectFusionUNet,
     FusionConfig,
-    FusionNetwork,
-    PaintingNetwork,
+    ResidualFusionUNet,
+    ambiguity_mask,
     build_fusion,
-    is_open,
 )
-from omnisyn_cli.networks.paper_layers import enlarged
+from omnisyn_cli.networks.paper_layers import upsample_linear
 
 
 def parameters(network):
@@ -39,13 +39,13 @@ def test_answers_have_the_size_of_the_pictures(variant, channels):
     network = build_fusion(config)
     side = config.size_multiple
     assert side == {"paper": 64, "residual": 32}[variant]
-    given = random_planes(config.planes, side, 2 * side)
-    assert [answer.shape for answer in answers(network, given).values()] == [(1, n, side, 2 * side) for n in channels]
+    given = random_channels(config.channels, side, 2 * side)
+    assert [answer.shape for answer in predict(network, given).values()] == [(1, n, side, 2 * side) for n in channels]
 
 
 def test_a_fresh_network_corrects_nothing_that_is_looked_up():
     torch.manual_seed(0)
-    (shares,) = answers(FusionNetwork(FUSION), random_planes(52)).values()
+    (shares,) = predict(ResidualFusionUNet(FUSION), random_channels(52)).values()
     assert shares.max() < MIN_CANDIDATE_WEIGHT
 
 
@@ -57,34 +57,34 @@ def test_candidates_count_where_it_is_open_what_is_shown():
     given[0, RELEVANCE_CHANNEL] = torch.tensor([1.0, 1.0, 0.5, 0.0, 1.0])
     apart = (1 - 0.97**2) / 0.06
     wanted = torch.tensor([0.0, 1 - math.exp(-(apart**2)), 0.5, 1.0, 1.0])
-    torch.testing.assert_close(is_open(given).flatten(), wanted, atol=1e-6, rtol=0)
+    torch.testing.assert_close(ambiguity_mask(given).flatten(), wanted, atol=1e-6, rtol=0)
 
 
 def test_bilinear_enlargement_continues_around_the_seam():
     """The middle of three copies side by side, where no border is near."""
     x = torch.rand((1, 3, 6, 10), generator=torch.Generator().manual_seed(0))
     three = functional.interpolate(torch.cat([x, x, x], -1), scale_factor=2.0, mode="bilinear")
-    torch.testing.assert_close(enlarged(x, 2), three[..., 20:40])
+    torch.testing.assert_close(upsample_linear(x, 2), three[..., 20:40])
 
 
 def test_shares_are_a_choice_beside_what_there_is():
     """With constant answers, in closed form."""
-    network, given = FusionNetwork(FUSION), random_planes(52) - 0.5
-    torch.nn.init.zeros_(network.answer.weight)
+    network, given = ResidualFusionUNet(FUSION), random_channels(52) - 0.5
+    torch.nn.init.zeros_(network.head.weight)
     with torch.no_grad():
-        network.answer.bias.copy_(torch.tensor([0.1, 0.2, 0.3, 0.4]))
-    (shares,) = answers(network, given).values()
+        network.head.bias.copy_(torch.tensor([0.1, 0.2, 0.3, 0.4]))
+    (shares,) = predict(network, given).values()
     weights = torch.exp(8.0 * torch.tensor([0.1, 0.2, 0.3, 0.4]) - 4.0)
     expected = (weights / (1.0 + weights.sum())).view(1, 4, 1, 1).expand(1, 4, 32, 64)
-    torch.testing.assert_close(shares, is_open(given) * expected)
+    torch.testing.assert_close(shares, ambiguity_mask(given) * expected)
 
 
 def test_single_precision_is_enough():
-    given, single = random_planes(52), awake(FUSION)
-    double = FusionNetwork(FUSION).double()
+    given, single = random_channels(52), awake(FUSION)
+    double = ResidualFusionUNet(FUSION).double()
     double.load_state_dict(single.state_dict())
     for one, exact in zip(
-        *(answers(*x).values() for x in ((single, given), (double.eval(), given.double()))), strict=True
+        *(predict(*x).values() for x in ((single, given), (double.eval(), given.double()))), strict=True
     ):
         torch.testing.assert_close(one.double(), exact, rtol=1e-3, atol=1e-3)
 
@@ -100,8 +100,8 @@ def test_configurations_survive_as_plain_values():
 def test_the_network_of_the_paper_begins_with_the_mean_of_both_renderings_and_learns():
     """A few steps towards the first one."""
     torch.manual_seed(0)
-    network = PaintingNetwork(PAINTING)
-    given = random_planes(8)
+    network = DirectFusionUNet(PAINTING)
+    given = random_channels(8)
     torch.testing.assert_close(network(given), 0.5 * (given[:, :3] + given[:, 3:6]))
     target = given[:, :3]
     optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)

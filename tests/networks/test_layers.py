@@ -40,5 +40,5 @@ def test_beyond_the_poles_a_convolution_sees_zeros():
 def test_initialisation_keeps_the_size_of_signals():
     block = torch.nn.Sequential(*(ResidualBlock(32, 32) for _ in range(6)))
     initialise(block)
-    spread = block(torch.randn(1, 32, 16, 32)).std()
-    assert 0.3 < spread < 30
+    expand = block(torch.randn(1, 32, 16, 32)).std()
+    assert 0.3 < expand < 30

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch.nn import functional
 
+from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 from omnisyn_cli.geometry.pose import Pose, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import sample_bilinear
 from omnisyn_cli.geometry.sphere import pixel_directions
@@ -19,12 +20,11 @@ from omnisyn_cli.networks.paper import (
     PaperConfig,
     PaperNetwork,
     PaperPrediction,
-    enlarged,
     sphere_inverse_depths,
     sweep_grid,
     sweep_volume,
+    upsample_linear,
 )
-from omnisyn_cli.baselines.learned_depth import LearnedDepthEstimator
 from omnisyn_cli.runtime.session import open_session
 from omnisyn_cli.training.losses import paper_loss
 from omnisyn_cli.types import View
@@ -130,9 +130,9 @@ def test_a_fresh_network_prefers_the_spheres_on_which_colours_match(seed):
 @pytest.mark.parametrize("shape", [(1, 2, 4, 8), (1, 2, 3, 4, 8)])
 def test_enlarging_goes_across_the_seam(shape):
     x = torch.rand(*shape)
-    large = enlarged(x, 2)
+    large = upsample_linear(x, 2)
     assert large.shape[2:] == tuple(2 * side for side in shape[2:])
-    torch.testing.assert_close(enlarged(x.roll(3, -1), 2), large.roll(6, -1))
+    torch.testing.assert_close(upsample_linear(x.roll(3, -1), 2), large.roll(6, -1))
     if len(shape) == 4:
         row = large[0, 0, 0]
         edge = 0.75 * x[0, 0, 0, 0] + 0.25 * x[0, 0, 0, -1]

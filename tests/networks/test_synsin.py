@@ -51,8 +51,8 @@ def test_the_first_features_are_the_colours_and_a_picture_begins_as_one_of_point
 
 
 def test_inverse_depth_is_bounded_and_a_root_below_zero_is_infinitely_far(network):
-    roots = torch.tensor([-1.0, 0.0, 0.5, 9.0])
-    assert inverse_depth_of(roots, TINY).tolist() == [0.0, 0.0, 0.25, 4.0]
+    sqrt_inv_depths = torch.tensor([-1.0, 0.0, 0.5, 9.0])
+    assert inverse_depth_of(sqrt_inv_depths, TINY).tolist() == [0.0, 0.0, 0.25, 4.0]
     with torch.no_grad():
         first = network.depth(torch.rand(1, 3, 32, 64))
     assert first.shape == (1, 1, 32, 64)

@@ -74,5 +74,5 @@ def test_evidence_is_padded_to_what_the_network_takes_and_answers_are_cut_again(
 
     found = CompletionSession(Echo([], outputs=("inverse_depth", "confidence")))(planes)
     np.testing.assert_array_equal(found, planes[:2])
-    with pytest.raises(InputError, match="the outputs 'inverse_depth', 'confidence', got"):
-        CompletionSession(Session([]))
+    with pytest.raises(InputError, match="a completion model with the input 'planes'"):
+        CompletionSession(Session([], inputs=("first", "second")))

@@ -186,17 +186,17 @@ def test_photographs_are_mixed_with_procedural_materials_and_used_for_everything
 def test_windows_stay_where_a_photograph_lies_under_a_facade(photos):
     """Under: the wall changes, the glass does not. Tiled: all of it changes."""
     scene = wall(Pattern.FACADE, second=(0.0, 0.0, 0.9), cell=(1.0, 1.5), detail=0.2)
-    looks = {
+    attention_layers = {
         use: render_panorama(scene if use is None else papered(scene, photos, use, 0), Pose.identity(), (64, 128))[0]
         for use in (None, UNDER, PhotoMapping.TILED)
     }
-    plain = looks[None]
+    plain = attention_layers[None]
     glass = (plain[..., 2] > 2 * plain[..., 0] + 0.1) & (np.abs(np.arange(128) - 63.5) < 16)
     assert glass.sum() > 30
-    assert np.abs(looks[UNDER] - plain)[glass].mean() < 0.05
+    assert np.abs(attention_layers[UNDER] - plain)[glass].mean() < 0.05
     bare = plain[..., 0] > 2 * plain[..., 1] + 0.1
-    assert np.abs(looks[UNDER] - plain)[bare].mean() > 0.1
-    assert np.abs(looks[PhotoMapping.TILED] - plain)[glass].mean() > 0.15
+    assert np.abs(attention_layers[UNDER] - plain)[bare].mean() > 0.1
+    assert np.abs(attention_layers[PhotoMapping.TILED] - plain)[glass].mean() > 0.15
 
 
 def test_far_and_slanting_photographs_do_not_flicker():
@@ -246,13 +246,13 @@ def test_folders_without_photographs_are_refused_before_anything_is_written(tmp_
 
 
 def test_a_pool_of_photographs_has_the_depth_of_the_procedural_one(tmp_path, folder):
-    config = PoolConfig(size=(32, 64), views=2, turned=0.0)
-    plain, photographed = (
+    config = PoolConfig(size=(32, 64), views=2, pose_error_share=0.0)
+    plain, take_photograph = (
         load_scene(render_to_pool(tmp_path / name, 1, replace(config, textures=textures)))
         for name, textures in (("plain", None), ("photographed", str(folder)))
     )
-    np.testing.assert_array_equal(plain.inverse_depth, photographed.inverse_depth)
-    assert np.abs(plain.images.astype(int) - photographed.images).mean() > 3
+    np.testing.assert_array_equal(plain.inverse_depth, take_photograph.inverse_depth)
+    assert np.abs(plain.images.astype(int) - take_photograph.images).mean() > 3
 
 
 def test_without_any_photograph_nothing_is_packed():

@@ -20,10 +20,10 @@ def test_every_pair_is_photoconsistent(tmp_path, size):
     """Whichever end a pair is read from, mirrored or not: the root leads to the same colour in the second image."""
     batch = draw_batch(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 16, size)
     assert batch.first.shape == batch.second.shape == (16, 3, *size)
-    assert batch.root.shape == (16, 1, *size)
+    assert batch.sqrt_inv_depth.shape == (16, 1, *size)
     assert set(np.round(batch.baseline.numpy(), 3)) == {np.float32(0.4), np.float32(0.6), np.float32(1.0)}
-    for first, second, root in zip(batch.first, batch.second, batch.root, strict=True):
-        moved = sweep_directions(pixel_directions(*size), root[0].double().numpy() ** 2, ABOVE)
+    for first, second, sqrt_inv_depth in zip(batch.first, batch.second, batch.sqrt_inv_depth, strict=True):
+        moved = sweep_directions(pixel_directions(*size), sqrt_inv_depth[0].double().numpy() ** 2, ABOVE)
         seen = sample_bilinear(second.permute(1, 2, 0).double().numpy(), moved)
         difference = np.abs(seen - first.permute(1, 2, 0).numpy()).mean()
         unmoved = (second - first).abs().mean().item()
@@ -63,7 +63,7 @@ def test_equal_seeds_draw_equal_batches(tmp_path):
         draw_batch(pool, np.random.default_rng(seed), 2, (64, 128), Augmentation()) for seed in (3, 3, 4)
     )
     assert torch.equal(one.first, same.first)
-    assert torch.equal(one.root, same.root)
+    assert torch.equal(one.sqrt_inv_depth, same.sqrt_inv_depth)
     assert not torch.equal(one.first, other.first)
 
 
@@ -75,7 +75,7 @@ def test_varied_colours_stay_colours_of_the_same_picture(tmp_path):
         plain = draw_batch(pool, same, 1, (64, 128))
         assert varied.first.dtype == torch.float32
         assert 0 <= varied.first.min() <= varied.first.max() <= 1
-        assert torch.equal(varied.root, plain.root)
+        assert torch.equal(varied.sqrt_inv_depth, plain.sqrt_inv_depth)
         both = torch.stack([varied.first.mean(1).flatten(), plain.first.mean(1).flatten()])
         assert torch.corrcoef(both)[0, 1] > 0.9
 

@@ -9,12 +9,14 @@ from omnisyn_cli.runtime.models import read_manifest
 from omnisyn_cli.stereo.stereo_features import COMPLETION_CHANNEL_COUNT
 from omnisyn_cli.training.completion import draw_completion
 from omnisyn_cli.training.data import is_made_by, list_pool, load_samples
-from omnisyn_cli.training.evidence_pool import EvidencePair, evidence_pair, make_evidence
+from omnisyn_cli.training.evidence_pool import FeatureSample, draw_feature_pair, make_feature_scene
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.pool import PoolConfig, TiltedConfig, render_to_pool
 from omnisyn_cli.training.publish import publish
 
-TINY = CompletionConfig("tiny", planes=COMPLETION_CHANNEL_COUNT, widths=(8, 12, 16), fine=6, heads=2, looks=1)
+TINY = CompletionConfig(
+    "tiny", channels=COMPLETION_CHANNEL_COUNT, widths=(8, 12, 16), fine=6, heads=2, attention_layers=1
+)
 SIZE = (32, 64)
 
 
@@ -22,7 +24,7 @@ SIZE = (32, 64)
 def pool(tmp_path_factory):
     """Four small scenes."""
     folder = tmp_path_factory.mktemp("evidence")
-    paths = [make_evidence(folder, seed, TiltedConfig(size=SIZE)) for seed in range(4)]
+    paths = [make_feature_scene(folder, seed, TiltedConfig(size=SIZE)) for seed in range(4)]
     return [path for path in paths if path is not None]
 
 
@@ -30,42 +32,47 @@ def test_the_pairs_of_a_scene_hold_true_depth_beside_the_evidence(pool):
     """What both directions agree on is far nearer to the truth there than to that half a turn away."""
     own, elsewhere = [], []
     for path in pool:
-        for pair in load_samples(path, EvidencePair):
-            assert pair.planes.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
-            assert pair.root.shape == SIZE
+        for pair in load_samples(path, FeatureSample):
+            assert pair.channels.shape == (COMPLETION_CHANNEL_COUNT, *SIZE)
+            assert pair.sqrt_inv_depth.shape == SIZE
             assert pair.baseline > 0.05
-            assert np.isfinite(pair.planes).all()
-            left_right_consistent = (pair.planes[5] > 0) & (pair.planes[6] == 0)
-            for truth, errors in ((pair.root, own), (np.roll(pair.root, SIZE[0], axis=1), elsewhere)):
-                errors.extend(np.abs(pair.planes[3] - truth)[left_right_consistent])
-        assert load_samples(path, EvidencePair, 2)[0].baseline == load_samples(path, EvidencePair)[2].baseline
+            assert np.isfinite(pair.channels).all()
+            left_right_consistent = (pair.channels[5] > 0) & (pair.channels[6] == 0)
+            for truth, errors in (
+                (pair.sqrt_inv_depth, own),
+                (np.roll(pair.sqrt_inv_depth, SIZE[0], axis=1), elsewhere),
+            ):
+                errors.extend(np.abs(pair.channels[3] - truth)[left_right_consistent])
+        assert load_samples(path, FeatureSample, 2)[0].baseline == load_samples(path, FeatureSample)[2].baseline
     assert np.mean(own) < 0.7 * np.mean(elsewhere), (np.mean(own), np.mean(elsewhere))
 
 
-@pytest.mark.parametrize("is_recoloured", [False, True])
+@pytest.mark.parametrize("augment", [False, True])
 @pytest.mark.parametrize("size", [SIZE, (SIZE[0] // 2, SIZE[1] // 2)])
-def test_a_pair_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(pool, size, is_recoloured):
-    one, same = (evidence_pair(pool[0], np.random.default_rng(3), size, is_recoloured=is_recoloured) for _ in range(2))
-    assert torch.equal(one.planes, same.planes)
-    assert one.planes.shape == (2, COMPLETION_CHANNEL_COUNT, *size)
-    assert one.root.shape == (2, 1, *size)
-    colours = sorted(float(pair.planes[:3].mean()) for path in pool for pair in load_samples(path, EvidencePair))
-    drawn = [min(abs(float(planes[:3].mean()) - colour) for colour in colours) for planes in one.planes]
-    assert (max(drawn) > 1e-3) == is_recoloured
+def test_a_pair_is_the_same_for_the_same_seed_and_moves_planes_with_the_truth(pool, size, augment):
+    one, same = (draw_feature_pair(pool[0], np.random.default_rng(3), size, augment=augment) for _ in range(2))
+    assert torch.equal(one.channels, same.channels)
+    assert one.channels.shape == (2, COMPLETION_CHANNEL_COUNT, *size)
+    assert one.sqrt_inv_depth.shape == (2, 1, *size)
+    colours = sorted(float(pair.channels[:3].mean()) for path in pool for pair in load_samples(path, FeatureSample))
+    drawn = [min(abs(float(channels[:3].mean()) - colour) for colour in colours) for channels in one.channels]
+    assert (max(drawn) > 1e-3) == augment
     stored = [
         (part, nearest)
         for path in pool
-        for pair in load_samples(path, EvidencePair)
-        for part, nearest in (halves(pair) if size != SIZE else [(pair.planes[3], pair.root)])
+        for pair in load_samples(path, FeatureSample)
+        for part, nearest in (halves(pair) if size != SIZE else [(pair.channels[3], pair.sqrt_inv_depth)])
     ]
-    for planes, root in zip(one.planes.numpy(), one.root.numpy(), strict=True):
+    for channels, sqrt_inv_depth in zip(one.channels.numpy(), one.sqrt_inv_depth.numpy(), strict=True):
         shown = [
             (np.roll(part[:, ::flip], turn, axis=1), np.roll(nearest[:, ::flip], turn, axis=1))
             for part, nearest in stored
             for flip in (1, -1)
             for turn in range(size[1])
         ]
-        assert any(np.array_equal(planes[3], part) and np.array_equal(root[0], nearest) for part, nearest in shown)
+        assert any(
+            np.array_equal(channels[3], part) and np.array_equal(sqrt_inv_depth[0], nearest) for part, nearest in shown
+        )
 
 
 def test_a_pool_may_hold_evidence_beside_scenes_that_were_not_matched(pool, tmp_path):
@@ -74,19 +81,19 @@ def test_a_pool_may_hold_evidence_beside_scenes_that_were_not_matched(pool, tmp_
     kinds = {is_made_by("evidence", path) for path in (pool[0], rendered)}
     assert kinds == {True, False}
     batch = draw_completion([pool[0], rendered], np.random.default_rng(0), 8, SIZE)
-    stored = load_samples(pool[0], EvidencePair)
+    stored = load_samples(pool[0], FeatureSample)
     of_evidence = [any(np.isclose(pair.baseline, baseline) for pair in stored) for baseline in batch.baseline.numpy()]
     assert 0 < sum(of_evidence) < len(of_evidence) == 16
 
 
 def halves(pair):
     """Every second pixel of the filled roots, and of the true ones, in four ways."""
-    return [(pair.planes[3, row::2, col::2], pair.root[row::2, col::2]) for row in (0, 1) for col in (0, 1)]
+    return [(pair.channels[3, row::2, col::2], pair.sqrt_inv_depth[row::2, col::2]) for row in (0, 1) for col in (0, 1)]
 
 
 def test_evidence_of_another_size_is_refused(pool):
     with pytest.raises(InputError, match=r"expected evidence of 64 or 128 rows in .*, got 32; choose another --height"):
-        evidence_pair(pool[0], np.random.default_rng(0), (64, 128), is_recoloured=False)
+        draw_feature_pair(pool[0], np.random.default_rng(0), (64, 128), augment=False)
 
 
 def test_a_network_is_trained_and_published(tmp_path, pool):

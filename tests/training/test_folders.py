@@ -61,7 +61,7 @@ def test_holes_and_masks_are_unknown_and_teach_nothing(tmp_path):
     assert 0.03 < shares[0] < 0.2
     assert 0.4 < shares[1] < 0.6
     batch = draw_batch(list_pool(folder), np.random.default_rng(0), 4, SIZE)
-    unknown = torch.isnan(batch.root)
+    unknown = torch.isnan(batch.sqrt_inv_depth)
     assert unknown.any()
     heads = torch.rand(2, 4, 1, *SIZE)
     changed = torch.where(unknown, torch.rand(2, 4, 1, *SIZE), heads)
@@ -74,13 +74,13 @@ def figures(heads, batch):
     """Loss and scores of a low and a high head; gradients are finite, and nothing where the truth is unknown."""
     leaves = [head.clone().requires_grad_() for head in heads]
     prediction = PaperPrediction(*leaves)
-    loss = paper_loss(prediction, batch.root)
+    loss = paper_loss(prediction, batch.sqrt_inv_depth)
     loss.backward()
-    unknown = torch.isnan(batch.root)
+    unknown = torch.isnan(batch.sqrt_inv_depth)
     for leaf in leaves:
         assert torch.all(torch.isfinite(leaf.grad))
         assert torch.all(leaf.grad[unknown] == 0)
-    scores = depth_scores(prediction, batch.root, batch.baseline)
+    scores = depth_scores(prediction, batch.sqrt_inv_depth, batch.baseline)
     return loss.item(), scores["imae"], scores["delta_25"], scores["confidence_error"]
 
 

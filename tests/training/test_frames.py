@@ -26,10 +26,10 @@ def test_every_turned_pair_is_photoconsistent_straight_ahead(tmp_path, size):
     drawn = draw_batch(list_pool(make_pool(tmp_path)), np.random.default_rng(0), 8, (size[0], 2 * size[0]))
     batch = forward_batch(drawn, size)
     assert batch.first.shape == batch.second.shape == (8, 3, *size)
-    assert batch.root.shape == (8, 1, *size)
+    assert batch.sqrt_inv_depth.shape == (8, 1, *size)
     assert torch.equal(batch.baseline, drawn.baseline)
-    for first, second, root in zip(batch.first, batch.second, batch.root, strict=True):
-        moved = sweep_directions(pixel_directions(*size), root[0].double().numpy() ** 2, AHEAD)
+    for first, second, sqrt_inv_depth in zip(batch.first, batch.second, batch.sqrt_inv_depth, strict=True):
+        moved = sweep_directions(pixel_directions(*size), sqrt_inv_depth[0].double().numpy() ** 2, AHEAD)
         seen = sample_bilinear(second.permute(1, 2, 0).double().numpy(), moved)
         difference = np.abs(seen - first.permute(1, 2, 0).numpy()).mean()
         assert difference < 0.02 + 0.02 * (size[0] < 64)
@@ -37,12 +37,14 @@ def test_every_turned_pair_is_photoconsistent_straight_ahead(tmp_path, size):
 
 
 def test_at_edges_nothing_is_invented_and_what_is_unknown_stays_unknown():
-    root = torch.full((1, 1, 32, 64), 0.2)
-    root[..., :16, :], root[..., 20:24, 8:16] = 0.8, torch.nan
-    batch = forward_batch(Batch(torch.rand(1, 3, 32, 64), torch.rand(1, 3, 32, 64), root, torch.ones(1)), (32, 64))
-    found = batch.root[torch.isfinite(batch.root)]
+    sqrt_inv_depth = torch.full((1, 1, 32, 64), 0.2)
+    sqrt_inv_depth[..., :16, :], sqrt_inv_depth[..., 20:24, 8:16] = 0.8, torch.nan
+    batch = forward_batch(
+        Batch(torch.rand(1, 3, 32, 64), torch.rand(1, 3, 32, 64), sqrt_inv_depth, torch.ones(1)), (32, 64)
+    )
+    found = batch.sqrt_inv_depth[torch.isfinite(batch.sqrt_inv_depth)]
     near = [torch.isclose(found, torch.tensor(value), rtol=0.06) for value in (0.2, 0.8)]
     assert torch.all(near[0] | near[1])
     directions = pixel_directions(32, 64) @ EPIPOLE_FROM_FORWARD.T
-    expected = sample_nearest(torch.isnan(root)[0, 0].float().numpy(), directions) > 0
-    assert (torch.isnan(batch.root)[0, 0].numpy() == expected).mean() > 0.995
+    expected = sample_nearest(torch.isnan(sqrt_inv_depth)[0, 0].float().numpy(), directions) > 0
+    assert (torch.isnan(batch.sqrt_inv_depth)[0, 0].numpy() == expected).mean() > 0.995

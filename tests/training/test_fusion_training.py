@@ -20,22 +20,22 @@ from omnisyn_cli.render.reprojection import Reprojector
 from omnisyn_cli.render.shade import Shader
 from omnisyn_cli.render.texture import make_texture
 from omnisyn_cli.runtime.models import read_manifest
-from omnisyn_cli.training.data import WINDOWS, load_samples, window_columns
-from omnisyn_cli.training.fusion_losses import fused_by, fusion_loss, fusion_scores, mixed
+from omnisyn_cli.training.data import WINDOW_DIVISOR, load_samples, window_columns
+from omnisyn_cli.training.fusion_losses import fuse_with, fusion_loss, fusion_scores, mix_candidates
 from omnisyn_cli.training.fusion_pool import (
     FusionPoolConfig,
     FusionSample,
     draw_fusion,
-    exchanged,
+    load_fusion,
     make_fusion_scene,
-    stored_fusion,
+    swap_views,
 )
 from omnisyn_cli.training.loop import TrainConfig, load_network, train
 from omnisyn_cli.training.publish import publish
 from omnisyn_cli.types import Layer
 
-TINY = FusionConfig("tiny", planes=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)
-TINY_PAPER = FusionConfig("tiny-paper", planes=8, widths=(8, 12, 16), paints=True)
+TINY = FusionConfig("tiny", channels=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12, 16), fine=6)
+TINY_PAPER = FusionConfig("tiny-paper", channels=8, widths=(8, 12, 16), is_direct=True)
 SIZE = (32, 64)
 
 
@@ -43,7 +43,7 @@ SIZE = (32, 64)
 def pool(tmp_path_factory):
     """Two scenes of two places each, matched at a small size."""
     folder = tmp_path_factory.mktemp("fusion")
-    config = FusionPoolConfig(size=SIZE, places=2, matched=1.0, rows=2 * SIZE[0])
+    config = FusionPoolConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
     paths = [make_fusion_scene(folder, seed, config) for seed in (0, 1)]
     return [path for path in paths if path is not None]
 
@@ -66,20 +66,22 @@ def test_the_network_learns_on_the_picture_that_the_program_makes():
     But for candidates, which are read at the size of the frame.
     """
     shares = np.zeros((4, *SIZE), np.float32)
-    views, shown = (rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))), []
+    views, pictures = (rendering(1, (0.1, 0, 0.5)), rendering(2, (0, 0.2, -0.5))), []
 
-    def network(planes):
-        shown.append(planes)
+    def network(channels):
+        pictures.append(channels)
         return shares
 
     fuser = ResidualFuser(views[0].inverse_depth.shape, network, threads=1, rows=SIZE[0])
     for share, most in ((0.0, 0.01), (0.2, 0.03)):
         shares[:] = np.float32(share)
         picture = fuser(*views, 0.4).reshape(SIZE[0], CANDIDATE_SCALE, SIZE[1], CANDIDATE_SCALE, 3).mean(axis=(1, 3))
-        batch = torch.from_numpy(shown[-1])[None]
-        chosen = torch.cat([batch[:, channel.FUSED_RGB : channel.FUSED_RGB + 3], batch[:, CANDIDATE_RGB:HYPOTHESIS_DEPTHS]], dim=1)
-        expected = mixed(chosen, torch.from_numpy(shares)[None])[0].permute(1, 2, 0).numpy()
-        hole = shown[-1][channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(axis=0) == 0
+        batch = torch.from_numpy(pictures[-1])[None]
+        chosen = torch.cat(
+            [batch[:, channel.FUSED_RGB : channel.FUSED_RGB + 3], batch[:, CANDIDATE_RGB:HYPOTHESIS_DEPTHS]], dim=1
+        )
+        expected = mix_candidates(chosen, torch.from_numpy(shares)[None])[0].permute(1, 2, 0).numpy()
+        hole = pictures[-1][channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(axis=0) == 0
         difference = np.abs(picture - np.maximum(expected, 0))
         assert np.median(difference[~hole]) < 0.1 * most, share
         assert np.quantile(difference[~hole], 0.99) < most, share
@@ -93,7 +95,7 @@ def test_the_network_knows_where_the_weights_are():
     assert slice(channel.SEEN_MASKS, channel.SEEN_MASKS + 2) == networks.SEEN_CHANNELS
     assert networks.RELEVANCE_CHANNEL == channel.RELEVANCE
     assert slice(HYPOTHESIS_DEPTHS, HYPOTHESIS_DEPTHS + 2) == networks.HYPOTHESIS_CHANNELS
-    assert networks.FUSION_VARIANTS["residual"].planes == INPUT_CHANNELS + CANDIDATE_CHANNELS
+    assert networks.FUSION_VARIANTS["residual"].channels == INPUT_CHANNELS + CANDIDATE_CHANNELS
 
 
 def test_exchanging_the_views_exchanges_the_planes():
@@ -102,8 +104,8 @@ def test_exchanging_the_views_exchanges_the_planes():
     source_samplers = first.source_sampler, second.source_sampler
     there = make(LayerPair(first, second), BlendRule.at(0.3, options), source_samplers)[0]
     back = make(LayerPair(second, first), BlendRule.at(0.7, options), source_samplers[::-1])[0]
-    np.testing.assert_allclose(exchanged(there), back, atol=1e-4)
-    np.testing.assert_array_equal(exchanged(exchanged(there)), there)
+    np.testing.assert_allclose(swap_views(there), back, atol=1e-4)
+    np.testing.assert_array_equal(swap_views(swap_views(there)), there)
 
 
 def test_samples_hold_what_the_program_sees_and_the_truth(pool):
@@ -112,56 +114,63 @@ def test_samples_hold_what_the_program_sees_and_the_truth(pool):
         samples = load_samples(path, FusionSample)
         assert len(samples) == 2
         for sample in samples:
-            assert sample.planes.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE)
+            assert sample.channels.shape == (INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE)
             assert sample.truth.shape == (3, 2 * SIZE[0], 2 * SIZE[1])
-            assert sample.shown.shape == (15, 2 * SIZE[0], 2 * SIZE[1])
-            assert 0.1 <= (sample.planes[channel.PATH_POSITION].mean() + 1) / 2 <= 0.9
-            assert np.isfinite(sample.planes).all()
-            fused, roll = sample.shown[:3], SIZE[1]
+            assert sample.pictures.shape == (15, 2 * SIZE[0], 2 * SIZE[1])
+            assert 0.1 <= (sample.channels[channel.PATH_POSITION].mean() + 1) / 2 <= 0.9
+            assert np.isfinite(sample.channels).all()
+            fused, roll = sample.pictures[:3], SIZE[1]
             assert np.abs(fused - sample.truth).mean() < 0.5 * np.abs(np.roll(fused, roll, -1) - sample.truth).mean()
             decibels = ws_psnr(*(x.transpose(1, 2, 0) for x in (fused, sample.truth)))
-            assert -10 * np.log10(float(sample.usual)) == pytest.approx(decibels, abs=0.01)
-            small = sample.shown.reshape(15, SIZE[0], 2, SIZE[1], 2).mean(axis=(2, 4))
+            assert -10 * np.log10(float(sample.fused_error)) == pytest.approx(decibels, abs=0.01)
+            small = sample.pictures.reshape(15, SIZE[0], 2, SIZE[1], 2).mean(axis=(2, 4))
             held = [*range(channel.FUSED_RGB, channel.FUSED_RGB + 3), *range(CANDIDATE_RGB, HYPOTHESIS_DEPTHS)]
-            assert np.median(np.abs(small - sample.planes[held])) < 0.02, "pictures are what the planes show, finer"
+            assert np.median(np.abs(small - sample.channels[held])) < 0.02, "pictures are what the planes show, finer"
         np.testing.assert_array_equal(load_samples(path, FusionSample, 3)[0].truth, samples[1].truth)
 
 
 def test_a_place_is_seen_at_both_sizes_that_presets_look_at(tmp_path):
     size = (64, 128)
-    path = make_fusion_scene(tmp_path, 1, FusionPoolConfig(size=size, places=2, matched=1.0, rows=size[0]))
+    path = make_fusion_scene(tmp_path, 1, FusionPoolConfig(size=size, views_between=2, matched_share=1.0, rows=size[0]))
     samples = load_samples(path, FusionSample)
-    small, large = ([s for s in samples if s.planes.shape[1:] == each] for each in ((32, 64), size))
+    small, large = ([s for s in samples if s.channels.shape[1:] == each] for each in ((32, 64), size))
     assert len(small) == len(large) == 2
     for sample in small:
-        assert sample.shown.shape == (15, 128, 256)
+        assert sample.pictures.shape == (15, 128, 256)
         assert any(np.array_equal(one.truth, sample.truth) for one in large)
 
 
 def test_a_scene_is_the_same_for_the_same_seed(pool, tmp_path):
-    config = FusionPoolConfig(size=SIZE, places=2, matched=1.0, rows=2 * SIZE[0])
+    config = FusionPoolConfig(size=SIZE, views_between=2, matched_share=1.0, rows=2 * SIZE[0])
     again = make_fusion_scene(tmp_path, int(pool[0].stem), config)
     for one, other in zip(load_samples(pool[0], FusionSample), load_samples(again, FusionSample), strict=True):
-        np.testing.assert_array_equal(one.planes, other.planes)
+        np.testing.assert_array_equal(one.channels, other.channels)
 
 
 def test_a_batch_is_the_same_for_the_same_seed_and_variations_keep_the_geometric_picture(pool):
     """Recoloured, mirrored, turned and exchanged planes still hold the blend of their own renderings."""
     one, same = (draw_fusion(pool, np.random.default_rng(3), 6) for _ in range(2))
-    assert torch.equal(one.planes, same.planes)
+    assert torch.equal(one.channels, same.channels)
     assert torch.equal(one.truth, same.truth)
-    seen = one.planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2]
-    share = torch.sigmoid(channel.MAX_LOG_RATIO * one.planes[:, channel.LOG_WEIGHT_RATIO : channel.LOG_WEIGHT_RATIO + 1])
-    first, second = (one.planes[:, k : k + 3] for k in (channel.FIRST_RGB, channel.SECOND_RGB))
+    seen = one.channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2]
+    share = torch.sigmoid(
+        channel.MAX_LOG_RATIO * one.channels[:, channel.LOG_WEIGHT_RATIO : channel.LOG_WEIGHT_RATIO + 1]
+    )
+    first, second = (one.channels[:, k : k + 3] for k in (channel.FIRST_RGB, channel.SECOND_RGB))
     blend = share * first + (1 - share) * second
     both = (seen.prod(dim=1, keepdim=True) > 0) & ((share - 0.5).abs() < 0.499)
-    difference = (blend - one.planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]).abs()
+    difference = (blend - one.channels[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]).abs()
     assert difference[both.expand_as(blend)].max() < 0.01
-    fused = one.planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]
-    assert fused.shape == (6, 3, SIZE[0], SIZE[1] // WINDOWS)
-    chosen = one.planes[:, [*range(channel.FUSED_RGB, channel.FUSED_RGB + 3), *range(CANDIDATE_RGB, HYPOTHESIS_DEPTHS)]]
-    assert (functional.avg_pool2d(one.shown, 2) - chosen).abs().median() < 0.02
-    own, others = (one.shown[:, :3] - one.truth).abs().mean(), (one.shown[:, :3] - one.truth.roll(1, 0)).abs().mean()
+    fused = one.channels[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]
+    assert fused.shape == (6, 3, SIZE[0], SIZE[1] // WINDOW_DIVISOR)
+    chosen = one.channels[
+        :, [*range(channel.FUSED_RGB, channel.FUSED_RGB + 3), *range(CANDIDATE_RGB, HYPOTHESIS_DEPTHS)]
+    ]
+    assert (functional.avg_pool2d(one.pictures, 2) - chosen).abs().median() < 0.02
+    own, others = (
+        (one.pictures[:, :3] - one.truth).abs().mean(),
+        (one.pictures[:, :3] - one.truth.roll(1, 0)).abs().mean(),
+    )
     assert own < 0.7 * others
 
 
@@ -171,7 +180,7 @@ def test_windows_lie_where_the_views_contradict_each_other():
     relevance[10:20, 2] = 1.0
     rng = np.random.default_rng(0)
     begins = np.array([window_columns(relevance, rng)[0] for _ in range(200)])
-    assert ((2 - begins) % SIZE[1] < SIZE[1] // WINDOWS).mean() > 0.95
+    assert ((2 - begins) % SIZE[1] < SIZE[1] // WINDOW_DIVISOR).mean() > 0.95
     assert len(np.unique([window_columns(np.zeros(SIZE, np.float32), rng)[0] for _ in range(200)])) > 50
 
 
@@ -185,34 +194,36 @@ def test_the_loss_is_least_for_the_truth_and_counts_half_by_solid_angle():
     sines = np.sin((np.arange(32) + 0.5) / 32 * np.pi)
     by_half = 0.5 + 0.5 * sines / sines.mean()
     assert ratio == pytest.approx(by_half[16] / by_half[0], rel=1e-3)
-    for usual in (0.01, 0.001):
-        wanted = 0.5 * 0.25 + 0.02 / (usual + 1e-4) * 0.25**2
-        assert float(fusion_loss(truth + 0.25, truth, torch.tensor([usual]))) == pytest.approx(wanted, rel=1e-4)
+    for fused_error in (0.01, 0.001):
+        wanted = 0.5 * 0.25 + 0.02 / (fused_error + 1e-4) * 0.25**2
+        assert float(fusion_loss(truth + 0.25, truth, torch.tensor([fused_error]))) == pytest.approx(wanted, rel=1e-4)
     assert fusion_loss(truth + 0.25, truth) == fusion_loss(truth + 0.25, truth, torch.tensor([5e-3]))
 
 
 def test_scores_are_those_of_the_metrics():
-    planes = torch.rand((1, INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE), generator=torch.Generator().manual_seed(0))
-    planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2] = (planes[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2] > 0.5).float()
+    channels = torch.rand((1, INPUT_CHANNELS + CANDIDATE_CHANNELS, *SIZE), generator=torch.Generator().manual_seed(0))
+    channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2] = (
+        channels[:, channel.SEEN_MASKS : channel.SEEN_MASKS + 2] > 0.5
+    ).float()
     truth, geometric = torch.rand((2, 1, 3, *SIZE), generator=torch.Generator().manual_seed(1))
     picture = 0.9 * truth + 0.05
     finer = [image.repeat_interleave(2, -1).repeat_interleave(2, -2) for image in (truth, geometric)]
-    scores = fusion_scores(picture, planes, *finer)
+    scores = fusion_scores(picture, channels, *finer)
     arrays = [x[0].permute(1, 2, 0).numpy() for x in (picture, truth, geometric)]
     assert scores["ws_psnr"] == pytest.approx(ws_psnr(arrays[0], arrays[1]), abs=1e-3)
     assert scores["gain"] == pytest.approx(scores["ws_psnr"] - ws_psnr(arrays[2], arrays[1]), abs=1e-3)
-    hole = planes[0, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=0).numpy() == 0
+    hole = channels[0, channel.SEEN_MASKS : channel.SEEN_MASKS + 2].sum(dim=0).numpy() == 0
     error = [np.abs(image - arrays[1])[hole].mean() for image in (arrays[0], arrays[2])]
     assert scores["hole_error"] == pytest.approx(error[0], rel=1e-4)
     assert scores["hole_gain"] == pytest.approx(error[1] - error[0], rel=1e-4)
 
 
 def test_a_fresh_network_scores_nearly_as_the_geometric_fusion(pool):
-    stored = stored_fusion(pool[0], 0)
+    stored = load_fusion(pool[0], 0)
     torch.manual_seed(0)
     with torch.no_grad():
-        picture = fused_by(build_fusion(TINY), stored.planes, stored.shown)
-        scores = fusion_scores(picture, stored.planes, stored.truth, stored.shown[:, :3])
+        picture = fuse_with(build_fusion(TINY), stored.channels, stored.pictures)
+        scores = fusion_scores(picture, stored.channels, stored.truth, stored.pictures[:, :3])
     assert abs(scores["gain"]) < 0.3
 
 
@@ -237,8 +248,8 @@ def test_a_network_is_trained_and_published(tmp_path, pool, config):
 
 def test_scenes_are_made_with_the_depth_and_the_renderer_of_a_preset(pool, tmp_path):
     """The paper's leaves more open than matching does: its surfaces end where depth steps by two metres."""
-    config = FusionPoolConfig(size=SIZE, places=2, preset="paper", matched=0.0, known=0.0)
+    config = FusionPoolConfig(size=SIZE, views_between=2, preset="paper", matched_share=0.0, known_share=0.0)
     made = make_fusion_scene(tmp_path, int(pool[0].stem), config)
     for one, other in zip(load_samples(pool[0], FusionSample), load_samples(made, FusionSample), strict=True):
         np.testing.assert_array_equal(one.truth, other.truth)
-        assert np.abs(one.planes - other.planes)[channel.SQRT_INVERSE_DEPTHS].mean() > 0.01
+        assert np.abs(one.channels - other.channels)[channel.SQRT_INVERSE_DEPTHS].mean() > 0.01

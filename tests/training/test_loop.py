@@ -9,7 +9,7 @@ from omnisyn_cli.compute.threads import allowed_threads
 from omnisyn_cli.errors import InputError, TrainingError
 from omnisyn_cli.networks.completion import COMPLETION_VARIANTS
 from omnisyn_cli.networks.paper import PaperNetwork
-from omnisyn_cli.training.checkpoint import NEEDED, compact, load_checkpoint, save_checkpoint
+from omnisyn_cli.training.checkpoint import REQUIRED_KEYS, compact, load_checkpoint, save_checkpoint
 from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_trainer, train
 
 
@@ -17,8 +17,9 @@ from omnisyn_cli.training.loop import TrainConfig, Trainer, load_network, open_t
 def config(tmp_path):
     pool = str(make_pool(tmp_path / "pool"))
     return TrainConfig(
-        pool, pool, size=(64, 128), batch=1, warmup_steps=2, validate_every=4, save_every=2, validation_pairs=2
-    )
+        pool, pool, size=(64, 128), batch=1, rate=1e-4, warmup_steps=2, validate_every=4, save_every=2,
+        validation_pairs=2,
+    )  # fmt: skip
 
 
 def equal(one, other):
@@ -132,7 +133,7 @@ def test_the_average_follows_the_weights(tmp_path, config):
     assert state["step"] == 3
     for name, value in network.state_dict().items():
         assert torch.equal(value, trainer.average[name])
-    name = "features.blocks.0.first.weight"
+    name = "features.down.0.first.weight"
     assert not torch.equal(trainer.average[name], trainer.network.state_dict()[name])
 
 
@@ -174,7 +175,7 @@ def test_a_folder_of_another_kind_of_network_is_refused(tmp_path, config):
 
 
 def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch):
-    path, state = tmp_path / "checkpoint.pt", dict.fromkeys(NEEDED, 1)
+    path, state = tmp_path / "checkpoint.pt", dict.fromkeys(REQUIRED_KEYS, 1)
     save_checkpoint(path, state)
 
     def killed(state, file):

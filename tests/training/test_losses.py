@@ -11,14 +11,14 @@ from omnisyn_cli.training.losses import completion_loss, depth_scores, paper_los
 @pytest.fixture
 def target():
     generator = torch.Generator().manual_seed(0)
-    root = 0.2 + torch.rand(2, 1, 16, 32, generator=generator)
-    root[..., 16:] = 0.0  # sky
-    return root
+    sqrt_inv_depth = 0.2 + torch.rand(2, 1, 16, 32, generator=generator)
+    sqrt_inv_depth[..., 16:] = 0.0  # sky
+    return sqrt_inv_depth
 
 
-def prediction(root):
+def prediction(sqrt_inv_depth):
     """Of both heads alike, so that the confidence is 1."""
-    return PaperPrediction(root.square(), root.square())
+    return PaperPrediction(sqrt_inv_depth.square(), sqrt_inv_depth.square())
 
 
 def test_weights_are_solid_angles_with_mean_one():
@@ -74,12 +74,12 @@ def test_the_papers_loss_is_l1_of_inverse_depth_by_solid_angle_and_half_of_the_l
         sine = math.sin((row + 0.5) / 16 * math.pi)
         for image in range(2):
             for col in range(32):
-                root = float(truth[image, 0, row, col])
-                if math.isnan(root):
+                sqrt_inv_depth = float(truth[image, 0, row, col])
+                if math.isnan(sqrt_inv_depth):
                     continue
                 for share, head in ((1.0, high), (0.5, low)):
                     value = float(head[image, 0, row, col])
-                    error = abs(value - root**2) if root > 0 else max(value, 0.0)
+                    error = abs(value - sqrt_inv_depth**2) if sqrt_inv_depth > 0 else max(value, 0.0)
                     total += share * error * sine / polar_mean(16)
     known = float(torch.isfinite(truth).float().mean())
     expected = total / truth.numel() / known
@@ -91,7 +91,7 @@ def polar_mean(rows):
 
 
 def test_uncertainty_of_a_completed_root_costs_by_its_solid_angle():
-    """A wrong confidence in one row adds to the loss what the sine of its polar angle says, and nothing else changes."""
+    """A wrong confidence in one row adds to the loss in proportion to the sine of its polar angle."""
     truth = torch.full((1, 1, 16, 32), 0.5)
 
     def loss(rows):

@@ -2,8 +2,8 @@ import pytest
 from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import OmnisynError, OutputPathError
+from omnisyn_cli.pipeline.methods import SYNSIN_MODELS
 from omnisyn_cli.runtime.models import ModelEntry, find_model, read_manifest
-from omnisyn_cli.synthesis.recipe import SYNSIN_MODELS
 from omnisyn_cli.training.loop import TrainConfig, train
 from omnisyn_cli.training.publish import publish, write_manifest
 from synsin_samples import TINY_SIZE, write_synsin_models

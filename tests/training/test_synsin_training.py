@@ -11,11 +11,11 @@ from click.testing import CliRunner
 from test_loop import equal
 from training_samples import ball_scene, make_pool
 
+from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.cli.train import train as train_command
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork
-from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.training import adversarial, synsin
 from omnisyn_cli.training.adversarial import (
     PatchDiscriminator,
@@ -42,7 +42,7 @@ def config(tmp_path):
 
 def seen_from_target(sample: ViewSample) -> torch.Tensor:
     """The points of a sample with their true depth, as the target sees them; colours and opacity."""
-    depths = list(sample.roots[:, 0].square())
+    depths = list(sample.sqrt_inv_depths[:, 0].square())
     return splat_torch(list(sample.images), depths, sample.target_from_sources, (64, 128), radius=1.5)
 
 
@@ -109,9 +109,12 @@ def test_the_hinge_is_that_of_its_definition():
 
 
 def test_the_discriminator_counts_for_nothing_at_first_and_then_ever_more():
-    weights = [adversarial_weight(step) for step in (0, adversarial.ALONE, adversarial.ALONE + adversarial.RAMP // 2)]
-    assert weights == [0.0, 0.0, pytest.approx(adversarial.WEIGHT / 2)]
-    assert adversarial_weight(10**6) == adversarial.WEIGHT
+    weights = [
+        adversarial_weight(step)
+        for step in (0, adversarial.WATCH_STEPS, adversarial.WATCH_STEPS + adversarial.RAMP_STEPS // 2)
+    ]
+    assert weights == [0.0, 0.0, pytest.approx(adversarial.ADVERSARIAL_WEIGHT / 2)]
+    assert adversarial_weight(10**6) == adversarial.ADVERSARIAL_WEIGHT
 
 
 def test_what_the_discriminator_says_teaches_the_networks_but_not_the_truth(config):
@@ -120,10 +123,10 @@ def test_what_the_discriminator_says_teaches_the_networks_but_not_the_truth(conf
     network = SynSinNetwork(TINY)
     samples = draw_views(list_pool(Path(config.pool)), np.random.default_rng(0), 2, config.size)
     early, late = (synsin.adversarial_losses(network, discriminator.eval(), samples, step)[0] for step in (0, 10**6))
-    made = synsin.make_pictures(network, samples)
-    torch.testing.assert_close(early, synsin.own_loss(made, samples))
+    made = synsin.render_pictures(network, samples)
+    torch.testing.assert_close(early, synsin.reconstruction_loss(made, samples))
     seen, true = discriminator(made.pictures), discriminator(torch.stack([sample.truth for sample in samples]))
-    expected = early + adversarial.WEIGHT * (adversarial_loss(seen) + feature_loss(seen, true))
+    expected = early + adversarial.ADVERSARIAL_WEIGHT * (adversarial_loss(seen) + feature_loss(seen, true))
     torch.testing.assert_close(late, expected)
     network.zero_grad()
     late.backward()
@@ -141,8 +144,8 @@ def test_the_discriminators_own_loss_does_not_teach_the_networks(config):
 
 def test_a_stopped_run_goes_on_bit_for_bit_with_its_discriminator(tmp_path, config, monkeypatch):
     """Also across the step from which the discriminator has a say."""
-    monkeypatch.setattr(adversarial, "ALONE", 2)
-    monkeypatch.setattr(adversarial, "RAMP", 2)
+    monkeypatch.setattr(adversarial, "WATCH_STEPS", 2)
+    monkeypatch.setattr(adversarial, "RAMP_STEPS", 2)
     train(TINY, config, tmp_path / "whole", steps=5)
     train(TINY, config, tmp_path / "stopped", steps=3)
     train(TINY, config, tmp_path / "stopped", steps=5)
@@ -152,7 +155,7 @@ def test_a_stopped_run_goes_on_bit_for_bit_with_its_discriminator(tmp_path, conf
 
 
 def test_a_run_without_its_discriminators_past_would_be_another(tmp_path, config, monkeypatch):
-    monkeypatch.setattr(adversarial, "ALONE", 0)
+    monkeypatch.setattr(adversarial, "WATCH_STEPS", 0)
     train(TINY, config, tmp_path / "whole", steps=4)
     train(TINY, config, tmp_path / "stopped", steps=3)
     state = load_checkpoint(tmp_path / "stopped" / "checkpoint.pt")
@@ -188,7 +191,7 @@ def test_a_fresh_discriminator_only_watches_at_first_also_where_a_run_goes_on(tm
     trainer = open_trainer(TINY, config, path)
     pool = list_pool(Path(config.pool))
     samples = draw_views(pool, np.random.default_rng([config.seed, 10**6]), config.batch, config.size)
-    own = float(synsin.own_loss(synsin.make_pictures(trainer.network, samples), samples).detach())
+    own = float(synsin.reconstruction_loss(synsin.render_pictures(trainer.network, samples), samples).detach())
     assert trainer.advance(pool) == pytest.approx(own, rel=1e-5)
     save_checkpoint(path, trainer.state())
     again = open_trainer(TINY, config, path)

@@ -57,7 +57,7 @@ def test_a_pool_of_a_size_that_the_network_cannot_halve_is_refused(
 ):
     for name, height in (("pool", pool_height), ("judged", judged_height)):
         picture = np.zeros((1, height, 2 * height), np.float16)
-        save_arrays(tmp_path / name / "0.npz", {"planes_0": picture, "truth_0": picture})
+        save_arrays(tmp_path / name / "0.npz", {"channels_0": picture, "truth_0": picture})
     pools = ("--pool", tmp_path / "pool", "--validation-pool", tmp_path / "judged")
     result = run("fusion", tmp_path / "run", *pools, "--variant", variant, "--steps", 1)
     assert isinstance(result.exception, InputError)

@@ -6,7 +6,7 @@ from training_samples import TINY, make_pool
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.training.loop import TrainConfig, train
-from omnisyn_cli.training.pictures import GAP, Board, contact_sheet, depth_pictures
+from omnisyn_cli.training.pictures import SHEET_GAP_PIXELS, Board, contact_sheet, depth_pictures
 
 
 @pytest.fixture
@@ -17,10 +17,10 @@ def config(tmp_path):
 
 def test_pictures_show_errors_where_they_are_and_nothing_where_the_truth_is_unknown():
     truth = np.linspace(0.1, 1.0, 32, dtype=np.float32).reshape(4, 8)
-    root = truth.copy()
-    root[1, 2] += 0.5
+    sqrt_inv_depth = truth.copy()
+    sqrt_inv_depth[1, 2] += 0.5
     truth[3, 3] = np.nan
-    shown = depth_pictures(np.full((4, 8, 3), 0.5, np.float32), root, truth)
+    shown = depth_pictures(np.full((4, 8, 3), 0.5, np.float32), sqrt_inv_depth, truth)
     assert list(shown) == ["input", "prediction", "truth", "error"]
     right = np.ones((4, 8), bool)
     right[1, 2] = right[3, 3] = False
@@ -37,7 +37,7 @@ def test_pictures_show_errors_where_they_are_and_nothing_where_the_truth_is_unkn
 def test_a_sheet_has_two_pictures_in_a_row():
     pictures = {name: np.full((4, 8, 3), level, np.float32) for name, level in zip("abc", (0.2, 0.5, 0.9), strict=True)}
     sheet = contact_sheet(pictures)
-    assert sheet.shape == (2 * 4 + GAP, 2 * 8 + GAP, 3)
+    assert sheet.shape == (2 * 4 + SHEET_GAP_PIXELS, 2 * 8 + SHEET_GAP_PIXELS, 3)
     assert np.all(sheet[:4, :8] == np.float32(0.2))
     assert np.all(sheet[:4, -8:] == np.float32(0.5))
     assert np.all(sheet[-4:, :8] == np.float32(0.9))
@@ -49,7 +49,7 @@ def test_every_validation_leaves_a_picture(tmp_path, config):
     names = sorted(path.name for path in (tmp_path / "run" / "pictures").iterdir())
     assert names == ["00000002.png", "00000004.png"]
     sheet = read_sheet(tmp_path / "run" / "pictures" / names[-1])
-    assert sheet.shape == (2 * 64 + GAP, 2 * 128 + GAP, 3)
+    assert sheet.shape == (2 * 64 + SHEET_GAP_PIXELS, 2 * 128 + SHEET_GAP_PIXELS, 3)
     assert sheet[:64, :128].std() > 0.05
 
 

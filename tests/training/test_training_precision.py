@@ -81,16 +81,16 @@ def test_depth_is_in_single_precision_even_under_autocast():
             half = network(*pair)
     for name, head in vars(half).items():
         assert head.dtype == torch.float32
-        assert (head - vars(single)[name]).abs().max() < 0.02 * TINY.greatest_root
+        assert (head - vars(single)[name]).abs().max() < 0.02 * TINY.max_sqrt_inv_depth
     assert torch.unique(half.low).numel() > 256
 
 
 @pytest.mark.parametrize(
     ("network", "channels"),
     [
-        (CompletionNetwork(CompletionConfig("small", 19, (8, 12), 8, heads=2, looks=1)), 19),
+        (CompletionNetwork(CompletionConfig("small", 19, (8, 12), 8, heads=2, attention_layers=1)), 19),
         (build_fusion(FusionConfig("small", 52, (8, 12), 8)), 52),
-        (build_fusion(FusionConfig("small", 8, (8, 12, 16), paints=True)), 8),
+        (build_fusion(FusionConfig("small", 8, (8, 12, 16), is_direct=True)), 8),
         (MonocularNetwork(SYNSIN), 3),
         (FeatureEncoder(SYNSIN), 3),
         (RefinementDecoder(SYNSIN), SYNSIN.features + 1),

@@ -123,7 +123,7 @@ def joint(depth: str, fusion: str, **options: Any) -> None:
 
     depth_config, depth_weights = _beginning(depth, "depth")
     fusion_config, fusion_weights = _beginning(fusion, "fusion")
-    if not fusion_config.paints:
+    if not fusion_config.is_direct:
         raise click.BadParameter(
             f"expected a network that paints, as paper or paper-narrow, got {fusion!r}", param_hint="--fusion"
         )

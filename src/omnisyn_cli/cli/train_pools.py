@@ -102,11 +102,11 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
 @TEXTURES
 def evidence(height: int, **options: Any) -> None:
     """Render and match scenes in FOLDER for `train completion`; existing ones stay."""
-    from omnisyn_cli.training.evidence_pool import make_evidence
+    from omnisyn_cli.training.evidence_pool import make_feature_scene
     from omnisyn_cli.training.pool import TiltedConfig
 
     _check_pool_height(height)
-    _fill(make_evidence, TiltedConfig(size=(height, 2 * height)), **options)
+    _fill(make_feature_scene, TiltedConfig(size=(height, 2 * height)), **options)
 
 
 @click.command("fusion-pool")

@@ -1,16 +1,14 @@
-"""Depth where matching cannot know: completed from what it is sure of, with the whole sphere in view.
+"""Depth completion: a UNet with attention corrects the depth that matching found and filled.
 
-Much of what matching leaves open is hidden from the other panorama, has no texture or lies around the epipoles. Nothing
-can be matched there, but a room tells much about its hidden parts. The network sees the picture, what matching is sure
-of, planes carried on from there (:mod:`omnisyn_cli.stereo.filling`), what the other panorama shows where the map says
-that the same point is, where the other camera is and where up is, all in the upright frame of the camera
-(:func:`omnisyn_cli.stereo.stereo_features.completion_channels`). It corrects the filled map everywhere, as some of what passes for
-sure is wrong.
+Matching fails where the other panorama sees nothing, where there is no texture and around the epipoles. The rest of the
+scene says much about such places. The input channels are listed in
+:func:`omnisyn_cli.stereo.stereo_features.completion_channels`. The network corrects the filled map everywhere, because
+some consistent matches are wrong.
 
-It answers with two roots for each pixel and with which of them is the more likely one: at an edge one follows the near
-surface and one the far, and the answer never lies between them. At its coarsest stride every place attends to every
-other; how much depends on the angle between them, not on where the seam is, so that rolling the columns of the input
-rolls the answer.
+It predicts two modes of √(inverse depth × baseline) for each pixel and which of them is the likelier. At an edge one
+follows the near surface and the other the far one, so the estimate never lies between them. At the coarsest stride each
+position attends to all others. The attention bias depends on the angle between them, not on the seam: rolling the
+columns of the input rolls the output.
 
 Source: two modes instead of one value at edges: Tosi et al., SMD-Nets: Stereo mixture density networks, 2021; monocular
 skip: OmniSyn, section 3.3; attention: Vaswani et al., Attention is all you need, 2017.
@@ -24,118 +22,123 @@ from torch import Tensor, nn
 
 from omnisyn_cli.geometry.sphere import angles_to_direction, pixel_to_angles
 from omnisyn_cli.networks.interface import DepthAnswer
-from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, begin_small, initialise
-from omnisyn_cli.networks.unet import CorrectingConfig, CorrectingUNet
+from omnisyn_cli.networks.layers import ResidualBlock, at_least_single, init_small, initialise
+from omnisyn_cli.networks.unet import RefinementUNet, RefinementUNetConfig
 
 __all__ = [
     "COMPLETION_VARIANTS",
-    "FILLED_PLANE",
+    "FILLED_CHANNEL",
     "CompletionConfig",
     "CompletionNetwork",
     "CompletionPrediction",
-    "where_sure",
+    "reliable_mask",
 ]
 
-FILLED_PLANE = 3
-"""Of the input: the root that is corrected."""
+FILLED_CHANNEL = 3
+"""Input channel with the filled √(inverse depth × baseline) that is corrected."""
 
-AGREED_PLANE, SKY_PLANE = 5, 6
-"""Of the input: where matching is sure."""
+CONSISTENT_CHANNEL, SKY_CHANNEL = 5, 6
+"""Input channels where matching is reliable: left-right consistent, or sky."""
 
-CORRECTION = 0.3
-"""Scale of the corrections, so that a fresh network leaves the filled map nearly as it is."""
+CORRECTION_SCALE = 0.3
+"""Scale of the corrections. A small one lets a fresh network leave the filled map nearly as it is."""
 
-POWERS = 4
-"""Of the cosine between two places, that attention is drawn from."""
+COSINE_POWERS = 4
+"""Powers of the cosine between two positions that the attention bias is a linear function of: a smooth falloff."""
 
 
 @dataclass(frozen=True)
-class CompletionConfig(CorrectingConfig):
-    """What makes one completion network differ from another; its planes are the evidence.
+class CompletionConfig(RefinementUNetConfig):
+    """The sizes of a completion network.
 
     Attributes:
         heads: of the attention at the last stride.
-        looks: how often every place attends to every other.
+        attention_layers: at the last stride.
     """
 
     heads: int
-    looks: int
+    attention_layers: int
 
 
 COMPLETION_VARIANTS = {
-    "balanced": CompletionConfig("balanced", planes=19, widths=(32, 64, 96, 144, 192), fine=24, heads=6, looks=2)
+    "balanced": CompletionConfig(
+        "balanced", channels=19, widths=(32, 64, 96, 144, 192), fine=24, heads=6, attention_layers=2
+    )
 }
 """The networks by name."""
 
 
 @dataclass(frozen=True)
 class CompletionPrediction(DepthAnswer):
-    """Two roots for every pixel, which of them is right, and how far that may be trusted.
+    """Two modes for every pixel, which of them is right, and the confidence.
 
     Attributes:
-        roots: ``(batch, 2, height, width)``.
-        logit: ``(batch, 1, height, width)``; its sigmoid is the share of the first.
+        modes: ``(batch, 2, height, width)`` √(inverse depth × baseline).
+        mode_logit: ``(batch, 1, height, width)``; its sigmoid is the probability of the first.
         confidence_logit: ``(batch, 1, height, width)``; its sigmoid is the probability that the depth is within 10 %.
     """
 
-    roots: Tensor
-    logit: Tensor
+    modes: Tensor
+    mode_logit: Tensor
     confidence_logit: Tensor
 
-    def root(self) -> Float[Tensor, "batch 1 height width"]:
-        """The more likely one."""
-        return torch.where(self.logit > 0, self.roots[:, :1], self.roots[:, 1:])
+    def sqrt_inv_depth(self) -> Float[Tensor, "batch 1 height width"]:
+        """The likelier mode."""
+        return torch.where(self.mode_logit > 0, self.modes[:, :1], self.modes[:, 1:])
 
 
 class SphereAttention(nn.Module):
-    """Every place of a coarse map looks at every other one, then thinks for itself; both are added to what was there.
+    """A pre-norm transformer layer on the pixels of a coarse map, with a bias by the angle between them.
 
     Args:
         channels: of the map, a multiple of ``heads``.
-        heads: looks at once.
+        heads: of the attention.
     """
 
     def __init__(self, channels: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.before, self.between = nn.LayerNorm(channels), nn.LayerNorm(channels)
-        self.ask = nn.Linear(channels, 3 * channels)
-        self.near = nn.Linear(POWERS, heads)
-        self.take = nn.Linear(channels, channels)
-        self.think = nn.Sequential(nn.Linear(channels, 2 * channels), nn.GELU(), nn.Linear(2 * channels, channels))
-        for last in (self.take, self.think[2]):
+        self.norm_attention, self.norm_mlp = nn.LayerNorm(channels), nn.LayerNorm(channels)
+        self.qkv = nn.Linear(channels, 3 * channels)
+        self.position_bias = nn.Linear(COSINE_POWERS, heads)
+        self.proj = nn.Linear(channels, channels)
+        self.mlp = nn.Sequential(nn.Linear(channels, 2 * channels), nn.GELU(), nn.Linear(2 * channels, channels))
+        for last in (self.proj, self.mlp[2]):
             nn.init.zeros_(last.weight)  # type: ignore[arg-type]
             nn.init.zeros_(last.bias)  # type: ignore[arg-type]
 
     def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch channels height width"]:
         """The same size."""
-        places = x.flatten(2).transpose(1, 2)  # (batch, n, channels)
-        places = places + self.take(self._seen(self.before(places), _directions(x)))
-        places = places + self.think(self.between(places))
-        answer: Tensor = places.transpose(1, 2).reshape(x.shape)
-        return answer
+        tokens = x.flatten(2).transpose(1, 2)  # (batch, n, channels)
+        tokens = tokens + self.proj(self._attend(self.norm_attention(tokens), _directions(x)))
+        tokens = tokens + self.mlp(self.norm_mlp(tokens))
+        output: Tensor = tokens.transpose(1, 2).reshape(x.shape)
+        return output
 
-    def _seen(
-        self, places: Float[Tensor, "batch n channels"], directions: Float[Tensor, "n 3"]
+    def _attend(
+        self, tokens: Float[Tensor, "batch n channels"], directions: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "batch n channels"]:
-        """Values of all places, mixed; a place counts by its solid angle."""
-        asked, offered, values = self.ask(places).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
+        """Attention over all positions, weighted by their solid angles."""
+        queries, keys, values = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
         cosine = directions @ directions.T
-        nearness = self.near(torch.stack([cosine**k for k in range(1, POWERS + 1)], dim=-1)).permute(2, 0, 1)
-        area = 0.5 * torch.log((1.0 - directions[:, 1].square()).clamp(min=1e-6))
-        logits = asked @ offered.transpose(-1, -2) * asked.shape[-1] ** -0.5
-        shares = (at_least_single(logits) + at_least_single(nearness) + area).softmax(dim=-1)
-        seen: Tensor = (shares.to(values.dtype) @ values).transpose(1, 2).flatten(2)
-        return seen
+        powers = torch.stack([cosine**k for k in range(1, COSINE_POWERS + 1)], dim=-1)
+        bias = self.position_bias(powers).permute(2, 0, 1)
+        log_area = 0.5 * torch.log((1.0 - directions[:, 1].square()).clamp(min=1e-6))  # of the sine of the polar angle
+        logits = queries @ keys.transpose(-1, -2) * queries.shape[-1] ** -0.5
+        weights = (at_least_single(logits) + at_least_single(bias) + log_area).softmax(dim=-1)
+        mixed: Tensor = (weights.to(values.dtype) @ values).transpose(1, 2).flatten(2)
+        return mixed
 
 
-def where_sure(planes: Float[Tensor, "batch planes height width"]) -> Float[Tensor, "batch 1 height width"]:
-    """1 where matching is sure, else 0."""
-    return torch.maximum(planes[:, AGREED_PLANE : AGREED_PLANE + 1], planes[:, SKY_PLANE : SKY_PLANE + 1])
+def reliable_mask(channels: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 1 height width"]:
+    """1 where matching is reliable, else 0."""
+    return torch.maximum(
+        channels[:, CONSISTENT_CHANNEL : CONSISTENT_CHANNEL + 1], channels[:, SKY_CHANNEL : SKY_CHANNEL + 1]
+    )
 
 
 def _directions(x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "n 3"]:
-    """Unit vectors of all places, row by row.
+    """Unit vectors of all pixels, row by row.
 
     Rows and columns are counted with sums, as fractions of a picture of one pixel: a size that is written as a number
     would be the only one that an exported network takes.
@@ -146,21 +149,21 @@ def _directions(x: Float[Tensor, "batch channels height width"]) -> Float[Tensor
     return directions
 
 
-class CompletionNetwork(CorrectingUNet):
-    """Evidence planes in, two roots per pixel out; any size that is a multiple of ``config.size_multiple``."""
+class CompletionNetwork(RefinementUNet):
+    """Stereo features in, two modes per pixel out, at any size that is a multiple of ``config.size_multiple``."""
 
     def __init__(self, config: CompletionConfig) -> None:
-        super().__init__(config, answers=4)
+        super().__init__(config, outputs=4)
         coarsest = config.widths[-1]
         blocks = [ResidualBlock(coarsest, coarsest) for _ in range(2)]
         for block in blocks:
             initialise(block)
-        looks = [SphereAttention(coarsest, config.heads) for _ in range(config.looks)]
-        self.middle = nn.Sequential(blocks[0], *looks, blocks[1])
-        begin_small(self.answer)
+        attention_layers = [SphereAttention(coarsest, config.heads) for _ in range(config.attention_layers)]
+        self.middle = nn.Sequential(blocks[0], *attention_layers, blocks[1])
+        init_small(self.head)
 
-    def forward(self, planes: Float[Tensor, "batch planes height width"]) -> CompletionPrediction:
-        """Complete; see :meth:`answers`."""
-        corrections, logit, confidence = torch.split(self.answers(planes), [2, 1, 1], dim=1)
-        filled = planes[:, FILLED_PLANE : FILLED_PLANE + 1]
-        return CompletionPrediction(filled + CORRECTION * corrections, logit, confidence)
+    def forward(self, channels: Float[Tensor, "batch channels height width"]) -> CompletionPrediction:
+        """Complete; see :meth:`predict`."""
+        corrections, mode_logit, confidence = torch.split(self.predict(channels), [2, 1, 1], dim=1)
+        filled = channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1]
+        return CompletionPrediction(filled + CORRECTION_SCALE * corrections, mode_logit, confidence)

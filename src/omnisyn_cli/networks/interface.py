@@ -1,4 +1,4 @@
-"""What all networks have in common: a configuration, an answer, and what goes in and out of their files."""
+"""What all networks share: a configuration, a prediction, and the inputs and outputs of their files."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -14,7 +14,7 @@ __all__ = ["DepthAnswer", "Network"]
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """What makes one network differ from another: plain values and tuples of them."""
+    """The sizes of a network: plain values and tuples of them."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for a checkpoint."""
@@ -62,7 +62,7 @@ class Network(nn.Module):
         raise NotImplementedError
 
     def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        """What leaves the program, in the order of ``ports.outputs``."""
+        """The outputs of the file, in the order of ``ports.outputs``."""
         answer = self(*inputs)
         return (answer,) if isinstance(answer, Tensor) else answer.outputs()
 
@@ -86,28 +86,28 @@ class PairNetwork(Network):
 
 
 class DepthAnswer:
-    """What a depth network says about a panorama.
+    """The prediction of a depth network for a panorama.
 
-    Most estimate the root of inverse depth × baseline, slightly negative where nothing is there, with a
-    ``confidence_logit`` beside it; others say otherwise how deep it is and how sure they are.
+    Most predict √(inverse depth × baseline), slightly negative at infinity, and a ``confidence_logit``. Others override
+    the methods.
     """
 
     confidence_logit: Tensor
 
-    def root(self) -> Float[Tensor, "batch 1 height width"]:
+    def sqrt_inv_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """The estimate."""
         raise NotImplementedError
 
     def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """Inverse depth × baseline: bounded, never negative, exactly 0 where nothing is there."""
-        return self.root().clamp(min=0.0).square()
+        return self.sqrt_inv_depth().clamp(min=0.0).square()
 
     def confidence(self) -> Float[Tensor, "batch 1 height width"]:
         """Probability that the depth is within 10 % of the truth."""
         return self.confidence_logit.sigmoid()
 
     def outputs(self) -> tuple[Tensor, ...]:
-        """What leaves the program."""
+        """The outputs of the file."""
         return self.inverse_depth(), self.confidence()
 
 

@@ -1,7 +1,7 @@
 """The depth network of the paper, layer for layer: a sphere sweep of learned features, a 3-D UNet, two heads.
 
 Both panoramas come in the frame of :func:`omnisyn_cli.geometry.sweep.forward_frame`: the second camera lies straight
-ahead and up is up, so that the sweep is a constant. Everything is in ``inverse depth · baseline``, dimensionless.
+ahead and up is up, so that the sweep is a constant. Everything is in ``inverse depth × baseline``, dimensionless.
 
 1. A UNet makes 32 features of each panorama at a quarter of its size.
 2. For each of 64 spheres, even in inverse depth, the second panorama's features as the first camera would see them
@@ -31,33 +31,33 @@ from omnisyn_cli.geometry.sphere import direction_to_pixel, pixel_directions
 from omnisyn_cli.geometry.sweep import sweep_directions
 from omnisyn_cli.networks.interface import DepthAnswer, NetworkConfig, PairNetwork, check_multiple
 from omnisyn_cli.networks.layers import initialise, sizes, wrap_columns
-from omnisyn_cli.networks.paper_layers import Block, UNet, enlarged
+from omnisyn_cli.networks.paper_layers import Block, UNet, upsample_linear
 
 __all__ = ["PAPER_VARIANTS", "PaperConfig", "PaperNetwork", "PaperPrediction"]
 
 FEATURE_STRIDE = 4
 """Pixels of the image per cell of the sphere volume."""
 
-NEAREST = 4.0
-"""Largest ``inverse depth · baseline`` that is answered."""
+MAX_INVERSE_DEPTH = 4.0
+"""Largest inverse depth × baseline that is predicted: a quarter of the baseline away."""
 
 AHEAD = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
 """Second from first camera in the forward frame, in baselines: what the first sees straight ahead comes nearer."""
 
-AGREEMENT = 0.1
-"""Relative difference between both heads at which the confidence is a half."""
+HALF_CONFIDENCE_DIFFERENCE = 0.1
+"""Relative difference between the heads at which the confidence is a half: a tenth, as confidence is of 10 %."""
 
-AGREEMENT_FLOOR = 0.05
-"""Inverse depth · baseline below which differences are no longer relative."""
+MIN_RELATIVE_INVERSE_DEPTH = 0.05
+"""Inverse depth × baseline below which differences are no longer relative: twenty baselines away."""
 
-FIRST_ANSWER = 0.25
-"""Inverse depth · baseline that a fresh network's low head says about everything, more or less."""
+INITIAL_INVERSE_DEPTH = 0.25
+"""Inverse depth × baseline that a fresh network's low head predicts everywhere, more or less: four baselines away."""
 
-MATCHING = 2.0
-"""By how much less a fresh network counts a sphere where colours differ by one."""
+INITIAL_COLOUR_WEIGHT = 2.0
+"""How much less a fresh network weighs a sphere where colours differ by one."""
 
-RANDOM_SHARE = 0.1
-"""Of the weights beside that."""
+RANDOM_INIT_SCALE = 0.1
+"""Factor on the random weights beside the colour sweep, so that they do not drown it."""
 
 COLOURS = 3
 
@@ -72,7 +72,7 @@ class PaperConfig(NetworkConfig):
         widths: channels of the features' encoder; the last is the bottleneck. Features have as many as the second.
         volume_widths: the same for the 3-D UNet.
         levels: spheres of the volume, a multiple of 8.
-        nearest_sphere: its inverse depth · baseline; the farthest is at infinity.
+        nearest_sphere: its inverse depth × baseline; the farthest is at infinity.
     """
 
     name: str
@@ -88,9 +88,9 @@ class PaperConfig(NetworkConfig):
         return max(int(2 ** (len(self.widths) - 1)), FEATURE_STRIDE * int(2 ** (len(self.volume_widths) - 1)))
 
     @property
-    def greatest_root(self) -> float:
-        """Root of the largest answer."""
-        return float(NEAREST**0.5)
+    def max_sqrt_inv_depth(self) -> float:
+        """√(inverse depth × baseline) of the nearest prediction."""
+        return float(MAX_INVERSE_DEPTH**0.5)
 
 
 PAPER_VARIANTS = {
@@ -103,10 +103,10 @@ PAPER_VARIANTS = {
 
 @dataclass(frozen=True)
 class PaperPrediction(DepthAnswer):
-    """What the network says about the first panorama.
+    """The prediction for the first panorama.
 
     Attributes:
-        low: ``(batch, 1, height, width)`` inverse depth · baseline of the low head, enlarged to the image's size.
+        low: ``(batch, 1, height, width)`` inverse depth × baseline of the low head, enlarged to the image's size.
         high: ``(batch, 1, height, width)`` of the high head. Slightly negative values mean "infinitely far".
     """
 
@@ -115,12 +115,14 @@ class PaperPrediction(DepthAnswer):
 
     def inverse_depth(self) -> Float[Tensor, "batch 1 height width"]:
         """Inverse depth · baseline of the high head, bounded, never negative."""
-        return self.high.clamp(0.0, NEAREST)
+        return self.high.clamp(0.0, MAX_INVERSE_DEPTH)
 
     def confidence(self) -> Float[Tensor, "batch 1 height width"]:
         """How well both heads agree, in (0, 1]; the paper's network has no confidence of its own."""
-        high, low = self.inverse_depth(), self.low.clamp(0.0, NEAREST)
-        apart = (high - low) / (AGREEMENT * torch.maximum(high, low).clamp(min=AGREEMENT_FLOOR))
+        high, low = self.inverse_depth(), self.low.clamp(0.0, MAX_INVERSE_DEPTH)
+        apart = (high - low) / (
+            HALF_CONFIDENCE_DIFFERENCE * torch.maximum(high, low).clamp(min=MIN_RELATIVE_INVERSE_DEPTH)
+        )
         return 1.0 / (1.0 + apart.square())
 
 
@@ -160,12 +162,12 @@ def sweep_volume(
     levels = sizes(grid)[0]
     flat = grid.to(first.device).reshape(1, levels * height, width, 2).expand(batch, -1, -1, -1)
     swept = functional.grid_sample(
-        _around(second.float()), flat, mode="bilinear", padding_mode="border", align_corners=True
+        _pad_sphere(second.float()), flat, mode="bilinear", padding_mode="border", align_corners=True
     )
     return (swept.view(batch, channels, levels, height, width) - first.float().unsqueeze(2)).abs()
 
 
-def _around(features: Tensor) -> Tensor:
+def _pad_sphere(features: Tensor) -> Tensor:
     """A column more at each side, from over the seam, and a row more at each pole, from over the pole."""
     half = sizes(features)[-1] // 2
     opposite = torch.cat([features[..., half:], features[..., :half]], dim=-1)
@@ -173,19 +175,19 @@ def _around(features: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=4)
-def _quarter(config: PaperConfig, height: int, width: int) -> Tensor:
+def _sweep_quadrant(config: PaperConfig, height: int, width: int) -> Tensor:
     """The upper left quarter of the sweep: straight ahead is its middle, so that the others mirror it."""
     grid = sweep_grid(sphere_inverse_depths(config), (height, width))
     return torch.from_numpy(np.ascontiguousarray(grid[:, : height // 2, : width // 2]))
 
 
-def _mirrored(quarter: Tensor) -> Tensor:
+def _mirror_quadrant(quarter: Tensor) -> Tensor:
     upper = torch.cat([quarter, quarter.flip(2) * quarter.new_tensor([-1.0, 1.0])], dim=2)
     return torch.cat([upper, upper.flip(1) * quarter.new_tensor([1.0, -1.0])], dim=1)
 
 
 class PaperNetwork(PairNetwork):
-    """Two panoramas in, the first one's ``inverse depth · baseline`` out; see the module's docstring."""
+    """Two panoramas in, the first one's ``inverse depth × baseline`` out; see the module's docstring."""
 
     is_folded = False  # the sweep would be written out, and twice
 
@@ -201,10 +203,10 @@ class PaperNetwork(PairNetwork):
             Block(features, config.widths[0], enlarge=True),
             Block(config.widths[0], 1, leak=1.0),
         )
-        self._begin()
+        self._init_as_colour_sweep()
 
     @torch.no_grad()
-    def _begin(self) -> None:
+    def _init_as_colour_sweep(self) -> None:
         """Random weights among which is a sweep of colours: spheres count the more the better they match.
 
         Random features say where a pixel is (the row) and little about what it shows, so that no sphere matches better
@@ -216,15 +218,15 @@ class PaperNetwork(PairNetwork):
         for block in features.blocks:
             block.first.weight[:, -1] = 0.0  # of the row
         for block in features.blocks[: features.finest + 1]:
-            block.pass_on(COLOURS, 0)
-        features.blocks[-1].pass_on(COLOURS, self.config.widths[features.finest])
+            block.init_identity(COLOURS, 0)
+        features.blocks[-1].init_identity(COLOURS, self.config.widths[features.finest])
         first, last = volume.blocks[0], volume.blocks[-1]
-        first.pass_on(1, 0)
+        first.init_identity(1, 0)
         first.first.weight[0, :COLOURS, 1] = 1.0 / (9 * COLOURS)
         nn.init.dirac_(last.second.weight)
-        nn.init.constant_(last.first.bias, FIRST_ANSWER)
-        last.first.weight.mul_(RANDOM_SHARE)
-        last.first.weight[0, self.config.volume_widths[0], 1, 1, 1] = -MATCHING
+        nn.init.constant_(last.first.bias, INITIAL_INVERSE_DEPTH)
+        last.first.weight.mul_(RANDOM_INIT_SCALE)
+        last.first.weight[0, self.config.volume_widths[0], 1, 1, 1] = -INITIAL_COLOUR_WEIGHT
         spheres = torch.from_numpy(sphere_inverse_depths(self.config)).to(self.low_head.weight.dtype)
         self.low_head.weight.copy_((spheres / len(spheres)).view(1, -1, 1, 1))
 
@@ -237,7 +239,7 @@ class PaperNetwork(PairNetwork):
         of_first, of_second = self.features(torch.cat([first, second])).chunk(2)
         grid = self.grid(height // FEATURE_STRIDE, width // FEATURE_STRIDE, torch.zeros_like(first[0, 0, 0, 0]))
         spheres = self.volume(sweep_volume(of_first, of_second, grid)).squeeze(1)  # (batch, levels, height/4, width/4)
-        low = enlarged(self.low_head(spheres), FEATURE_STRIDE)
+        low = upsample_linear(self.low_head(spheres), FEATURE_STRIDE)
         high = self.high_head(torch.cat([spheres, of_first.to(spheres.dtype)], dim=1))
         return PaperPrediction(low.float(), high.float())
 
@@ -250,4 +252,4 @@ class PaperNetwork(PairNetwork):
             zero: one that depends on what the network is shown; with it an exported file holds a quarter of the sweep
                 and how the rest follows, not all of it.
         """
-        return _mirrored(_quarter(self.config, height, width) + zero)
+        return _mirror_quadrant(_sweep_quadrant(self.config, height, width) + zero)

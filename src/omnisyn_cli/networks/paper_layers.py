@@ -60,7 +60,7 @@ class UNet(nn.Module):
             x = self.pool(skips[-1])
         x = self.down[-1](x)
         for level, block in zip(range(self.deepest, self.finest - 1, -1), self.up, strict=True):
-            x = enlarged(x, 2)
+            x = upsample_linear(x, 2)
             x = block(x if level == self.deepest else torch.cat([x, skips[level].to(x.dtype)], dim=1))
         return x
 
@@ -89,7 +89,7 @@ class Block(nn.Module):
         self.second = convolution(outputs, outputs, 3, padding=padding)  # type: ignore[arg-type]
 
     @torch.no_grad()
-    def pass_on(self, channels: int, begin: int) -> None:
+    def init_identity(self, channels: int, begin: int) -> None:
         """Make the first outputs what the inputs from ``begin`` on are, as far as these are not negative."""
         for convolution, source in ((self.first, begin), (self.second, 0)):
             middle = (1,) * (convolution.weight.ndim - 2)
@@ -102,7 +102,7 @@ class Block(nn.Module):
         if self.has_row:
             x = torch.cat([x, row_channel(x)], dim=1)
         if self.enlarge:
-            x = enlarged(x, 2)
+            x = upsample_linear(x, 2)
         for convolution in (self.first, self.second):
             x = functional.leaky_relu(convolution(wrap_columns(x, 1, 1)), self.leak)
         return x
@@ -120,7 +120,7 @@ def row_channel(like: Tensor) -> Tensor:
     return polar_angle.to(like.dtype)[:, None].expand_as(like[:, :1])  # an exported file holds one column of it
 
 
-def enlarged(x: Tensor, factor: int) -> Tensor:
+def upsample_linear(x: Tensor, factor: int) -> Tensor:
     """Linear interpolation between the centres of cells, across the seam, in all dimensions but batch and channels."""
     mode = "trilinear" if x.ndim == 5 else "bilinear"
     wide: Tensor = functional.interpolate(

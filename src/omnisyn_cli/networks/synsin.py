@@ -2,10 +2,10 @@
 
 1. ``depth``: inverse depth (1/m) of a single upright panorama. Nothing in one picture gives a scale but what is known
    of the world (how high cameras are held, how large doors are), so it is learned from scenes in metres.
-2. ``encoder``: features of every pixel. The first three are its colours, and what the decoder says is added to those
-   of the points, so that a picture begins as one.
-3. ``decoder``: blended points (:mod:`omnisyn_cli.baselines.soft_points`) and their opacity become a picture; what no point
-   covers is made up.
+2. ``encoder``: features of every pixel. The first three are its colours. The decoder adds a correction to those of the
+   points, so that a fresh network shows the points.
+3. ``decoder``: blended points (:mod:`omnisyn_cli.baselines.soft_points`) and their opacity become a picture. Where no
+   point is seen it makes colours up.
 
 Every convolution wraps around the seam; a channel with the row (CoordConv) tells up from down, so panoramas have to be
 upright. Between encoder and decoder points of any number of panoramas are blended by other means, which is why these
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from omnisyn_cli.networks.interface import Network, NetworkConfig, Ports, check_multiple
-from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, begin_small, initialise
+from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_least_single, init_small, initialise
 from omnisyn_cli.networks.paper_layers import row_channel
 from omnisyn_cli.networks.unet import Hourglass
 
@@ -30,11 +30,11 @@ __all__ = ["SYNSIN_VARIANTS", "SynSinConfig", "SynSinNetwork", "inverse_depth_of
 
 COLOURS = 3
 
-FIRST_ROOT = 0.4
-"""What a fresh depth network answers everywhere: six metres."""
+INITIAL_SQRT_INV_DEPTH = 0.4
+"""√(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large."""
 
-LEAST_OPACITY = 0.05
-"""Colours of points are divided by their opacity, but not by less than this: what lies open stays dark."""
+MIN_OPACITY = 0.05
+"""Floor of the opacity that colours of points are divided by: pixels without points stay dark."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class SynSinConfig(NetworkConfig):
         depth_widths: channels of the depth network, from stride 4 on.
         decoder_widths: channels of the decoder, from stride 2 on.
         fine: channels of the depth network at stride 2, and half as many of the decoder at full resolution.
-        greatest_root: largest root of inverse depth (m^-½) that is answered.
+        max_sqrt_inv_depth: largest √(inverse depth in 1/m) that is predicted.
         radius: of a point in rows; at 128 rows the angle of the paper's 4 at 256.
         points: that a pixel is made of at most (128 in the paper).
     """
@@ -59,7 +59,7 @@ class SynSinConfig(NetworkConfig):
     depth_widths: tuple[int, ...] = (32, 64, 96, 128)
     decoder_widths: tuple[int, ...] = (24, 40, 64)
     fine: int = 16
-    greatest_root: float = 2.0
+    max_sqrt_inv_depth: float = 2.0
     radius: float = 2.0
     points: int = 16
 
@@ -73,9 +73,9 @@ SYNSIN_VARIANTS = {"small": SynSinConfig("small", (128, 256))}
 """The networks by name."""
 
 
-def inverse_depth_of(root: Tensor, config: SynSinConfig) -> Tensor:
-    """1/metre of the roots that the depth network answers, bounded; roots below zero are infinitely far."""
-    return root.clamp(0.0, config.greatest_root).square()
+def inverse_depth_of(sqrt_inv_depth: Tensor, config: SynSinConfig) -> Tensor:
+    """1/metre of the depth network's output, bounded; below zero is infinitely far."""
+    return sqrt_inv_depth.clamp(0.0, config.max_sqrt_inv_depth).square()
 
 
 class SynSinPart(Network):
@@ -85,7 +85,7 @@ class SynSinPart(Network):
     made of.
     """
 
-    taken, given = "image", "inverse_depth"
+    input_name, output_name = "image", "inverse_depth"
     """Input and output of the file; inverse depth is in 1/m."""
 
     def __init__(self, config: SynSinConfig) -> None:
@@ -95,29 +95,29 @@ class SynSinPart(Network):
     @property
     def ports(self) -> Ports:
         """One map in, one out."""
-        channels = self.config.features + 1 if self.taken == "points" else COLOURS
+        channels = self.config.features + 1 if self.input_name == "points" else COLOURS
         notes = {"radius": repr(self.config.radius), "points": str(self.config.points)}
-        return Ports({self.taken: channels}, (self.given,), self.config.size, notes)
+        return Ports({self.input_name: channels}, (self.output_name,), self.config.size, notes)
 
 
 class MonocularNetwork(SynSinPart):
-    """One upright panorama in, the root of its inverse depth (m^-½) out; a root below zero is infinitely far."""
+    """One upright panorama in, √(inverse depth in 1/m) out; below zero is infinitely far."""
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__(config)
         self.body = Hourglass(16 * (COLOURS + 1), config.depth_widths)
-        self.spread = nn.Conv2d(config.depth_widths[0], 4 * config.fine, 1)
-        self.look = WrappedConv(4 * (COLOURS + 1), config.fine)
+        self.expand = nn.Conv2d(config.depth_widths[0], 4 * config.fine, 1)
+        self.skip = WrappedConv(4 * (COLOURS + 1), config.fine)
         self.fine = ResidualBlock(config.fine, config.fine)
-        self.answer = WrappedConv(config.fine, 4)
+        self.head = WrappedConv(config.fine, 4)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Estimate; ValueError for a size that is no multiple of ``config.size_multiple``."""
         check_multiple(image, self.config.size_multiple)
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
-        coarse = functional.pixel_shuffle(self.spread(self.body.around(functional.pixel_unshuffle(seen, 4))), 2)
-        fine = functional.leaky_relu(coarse + self.look(functional.pixel_unshuffle(seen, 2)), LEAK)
-        return functional.pixel_shuffle(at_least_single(self.answer(self.fine(fine))), 2)
+        coarse = functional.pixel_shuffle(self.expand(self.body.encode(functional.pixel_unshuffle(seen, 4))), 2)
+        fine = functional.leaky_relu(coarse + self.skip(functional.pixel_unshuffle(seen, 2)), LEAK)
+        return functional.pixel_shuffle(at_least_single(self.head(self.fine(fine))), 2)
 
     def outputs(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         """Inverse depth."""
@@ -127,39 +127,39 @@ class MonocularNetwork(SynSinPart):
 class FeatureEncoder(SynSinPart):
     """One panorama in, the features of its pixels out: the colours, and what two convolutions see around them."""
 
-    given = "features"
+    output_name = "features"
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__(config)
         self.block = ResidualBlock(COLOURS + 1, config.features)
-        self.answer = nn.Conv2d(config.features, config.features - COLOURS, 1)
+        self.head = nn.Conv2d(config.features, config.features - COLOURS, 1)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch features height width"]:
         """Encode."""
         seen = torch.cat([image - 0.5, row_channel(image)], dim=1)
-        return torch.cat([image, at_least_single(self.answer(self.block(seen)))], dim=1)
+        return torch.cat([image, at_least_single(self.head(self.block(seen)))], dim=1)
 
 
 class RefinementDecoder(SynSinPart):
     """Blended features and their opacity in, colours out: those of the points and a correction."""
 
-    taken, given = "points", "colour"
+    input_name, output_name = "points", "colour"
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__(config)
         channels = config.features + 2
         self.body = Hourglass(4 * channels, config.decoder_widths)
-        self.spread = nn.Conv2d(config.decoder_widths[0], 2 * config.fine, 1)
-        self.look = WrappedConv(channels, config.fine // 2)
-        self.answer = WrappedConv(config.fine // 2, COLOURS)
+        self.expand = nn.Conv2d(config.decoder_widths[0], 2 * config.fine, 1)
+        self.skip = WrappedConv(channels, config.fine // 2)
+        self.head = WrappedConv(config.fine // 2, COLOURS)
 
     def forward(self, points: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 3 height width"]:
         """Decode; ValueError for a size that is no multiple of ``config.size_multiple``."""
         check_multiple(points, self.config.size_multiple)
         seen = torch.cat([points, row_channel(points)], dim=1)
-        coarse = functional.pixel_shuffle(self.spread(self.body.around(functional.pixel_unshuffle(seen, 2))), 2)
-        correction = self.answer(functional.leaky_relu(coarse + self.look(seen), LEAK))
-        colours: Tensor = points[:, :COLOURS] / points[:, -1:].clamp(min=LEAST_OPACITY) + correction
+        coarse = functional.pixel_shuffle(self.expand(self.body.encode(functional.pixel_unshuffle(seen, 2))), 2)
+        correction = self.head(functional.leaky_relu(coarse + self.skip(seen), LEAK))
+        colours: Tensor = points[:, :COLOURS] / points[:, -1:].clamp(min=MIN_OPACITY) + correction
         return colours
 
 
@@ -173,5 +173,5 @@ class SynSinNetwork(nn.Module):
         self.encoder = FeatureEncoder(config)
         self.decoder = RefinementDecoder(config)
         initialise(self)
-        begin_small(self.depth.answer, self.decoder.answer)
-        nn.init.constant_(self.depth.answer.bias, FIRST_ROOT)  # type: ignore[arg-type]
+        init_small(self.depth.head, self.decoder.head)
+        nn.init.constant_(self.depth.head.bias, INITIAL_SQRT_INV_DEPTH)  # type: ignore[arg-type]

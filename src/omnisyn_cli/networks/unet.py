@@ -1,6 +1,6 @@
-"""The UNet that corrects maps at full resolution: a wide look around at half the size, a narrow one at full size.
+"""The refinement UNet: an hourglass at half the size for context, and a few convolutions at full size for detail.
 
-Fusion and completion are each one of these with planes of their own and answers of their own.
+Fusion and completion are each one of these, with input channels and outputs of their own.
 """
 
 import itertools
@@ -16,18 +16,18 @@ from omnisyn_cli.networks.layers import LEAK, ResidualBlock, WrappedConv, at_lea
 
 
 @dataclass(frozen=True)
-class CorrectingConfig(NetworkConfig):
-    """What makes one network of this kind differ from another.
+class RefinementUNetConfig(NetworkConfig):
+    """The sizes of a refinement UNet.
 
     Attributes:
         name: of the variant.
-        planes: input channels.
+        channels: of the input.
         widths: channels at strides 2, 4, 8, …
         fine: channels at full resolution.
     """
 
     name: str
-    planes: int
+    channels: int
     widths: tuple[int, ...]
     fine: int
 
@@ -53,8 +53,8 @@ class Hourglass(nn.Module):
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in itertools.pairwise(widths))
         self.up = nn.ModuleList(ResidualBlock(a, a) for a in widths[:-1])
 
-    def around(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
-        """What is seen around each pixel, ``(batch, widths[0], height, width)``."""
+    def encode(self, x: Float[Tensor, "batch inputs height width"]) -> Tensor:
+        """Features with context around each pixel, ``(batch, widths[0], height, width)``."""
         x, skips = self.stem(x), []
         for block in self.down:
             skips.append(x)
@@ -65,42 +65,41 @@ class Hourglass(nn.Module):
         return x
 
 
-class CorrectingUNet(Hourglass, Network):
-    """Planes in, answers of the same size out; nothing knows where the seam is.
+class RefinementUNet(Hourglass, Network):
+    """Channels in, outputs of the same size; rolling the columns of the input rolls the output.
 
-    Networks inherit its layers, so that checkpoints name them without a prefix, and give the last one, ``answer``, the
-    weights that they want to begin with.
+    Networks inherit the layers, so that checkpoints name them without a prefix, and initialise the last one, ``head``.
 
     Args:
         config: of the network.
-        answers: output channels.
+        outputs: channels.
     """
 
-    def __init__(self, config: CorrectingConfig, answers: int) -> None:
-        planes, fine = config.planes, config.fine
-        super().__init__(4 * planes, config.widths)
+    def __init__(self, config: RefinementUNetConfig, outputs: int) -> None:
+        channels, fine = config.channels, config.fine
+        super().__init__(4 * channels, config.widths)
         self.config: Any = config
-        self.spread = nn.Conv2d(config.widths[0], 4 * fine, 1)
-        self.look = WrappedConv(planes, fine)
+        self.expand = nn.Conv2d(config.widths[0], 4 * fine, 1)
+        self.skip = WrappedConv(channels, fine)
         self.fine = ResidualBlock(fine, fine)
-        self.answer = WrappedConv(fine, answers)
+        self.head = WrappedConv(fine, outputs)
         initialise(self)
 
     @property
     def ports(self) -> Ports:
-        """Planes of any size."""
-        return Ports({"planes": self.config.planes})
+        """Input channels of any size."""
+        return Ports({"planes": self.config.channels})
 
-    def answers(
-        self, planes: Float[Tensor, "batch planes height width"]
-    ) -> Float[Tensor, "batch answers height width"]:
-        """What the network says, in single precision.
+    def predict(
+        self, channels: Float[Tensor, "batch channels height width"]
+    ) -> Float[Tensor, "batch outputs height width"]:
+        """The outputs, in single precision.
 
         Raises:
             ValueError: the size is not a multiple of ``config.size_multiple``.
         """
-        check_multiple(planes, self.config.size_multiple)
-        x = self.around(functional.pixel_unshuffle(planes, 2))
-        x = functional.pixel_shuffle(self.spread(x), 2)
-        x = self.fine(functional.leaky_relu(x + self.look(planes), LEAK))
-        return at_least_single(self.answer(x))
+        check_multiple(channels, self.config.size_multiple)
+        x = self.encode(functional.pixel_unshuffle(channels, 2))
+        x = functional.pixel_shuffle(self.expand(x), 2)
+        x = self.fine(functional.leaky_relu(x + self.skip(channels), LEAK))
+        return at_least_single(self.head(x))

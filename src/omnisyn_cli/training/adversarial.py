@@ -17,19 +17,20 @@ from torch.nn.utils.parametrizations import spectral_norm
 from omnisyn_cli.networks.layers import WrappedConv
 from omnisyn_cli.networks.paper_layers import row_channel
 
-ALONE, RAMP = 400, 200
-"""Steps in which the discriminator only watches, and over which its say rises to the whole weight after them."""
+WATCH_STEPS, RAMP_STEPS = 400, 200
+"""Steps in which the discriminator learns alone, and over which its weight then rises from 0 to 1."""
 
-WEIGHT = 0.01
-"""Of the adversarial loss beside an absolute error of colours in [0, 1]."""
+ADVERSARIAL_WEIGHT = 0.01
+"""Weight of the adversarial loss beside an absolute error of colours in [0, 1]."""
 
 FEATURE_WEIGHT = 10.0
-"""Of the matching of features, times :data:`WEIGHT`."""
+"""Weight of feature matching (pix2pixHD's), times :data:`ADVERSARIAL_WEIGHT`."""
 
-RATE_SHARE = 0.5
-"""Learning rate of the discriminator in that of the generator."""
+DISCRIMINATOR_RATE_SCALE = 0.5
+"""Learning rate of the discriminator in units of that of the generator."""
 
-BETAS = (0.5, 0.99)
+ADAM_BETAS = (0.5, 0.99)
+"""Of the discriminator: less momentum than usual, as in most GANs."""
 
 LEAK, COLOURS = 0.2, 3
 
@@ -81,7 +82,7 @@ class Discriminator:
 
     def __init__(self, network: nn.Module, weight_decay: float) -> None:
         self.network, self.begun, self._weight_decay = network, 0, weight_decay
-        self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay, betas=BETAS)
+        self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=weight_decay, betas=ADAM_BETAS)
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
@@ -97,7 +98,7 @@ class Discriminator:
     def learn(self, loss: Float[Tensor, ""], rate: float, clip: float) -> None:
         """One step; ``rate`` is the generator's."""
         for group in self.optimizer.param_groups:
-            group.update(lr=RATE_SHARE * rate, weight_decay=self._weight_decay)
+            group.update(lr=DISCRIMINATOR_RATE_SCALE * rate, weight_decay=self._weight_decay)
         self.optimizer.zero_grad(set_to_none=True)  # what the generator's loss left here as well
         loss.backward()  # type: ignore[no-untyped-call]
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), clip)
@@ -107,14 +108,14 @@ class Discriminator:
 
 def adversarial_weight(step: int) -> float:
     """How much the discriminator counts after so many steps of its own: nothing at first, then more and more."""
-    return WEIGHT * min(1.0, max(0.0, (step - ALONE) / RAMP))
+    return ADVERSARIAL_WEIGHT * min(1.0, max(0.0, (step - WATCH_STEPS) / RAMP_STEPS))
 
 
 def discriminator_loss(made: Answers, true: Answers) -> Tensor:
     """Hinge: true patches should be called more than 1, made ones less than −1."""
     terms = [
-        (1.0 - there[-1].float()).clamp(min=0.0).mean() + (1.0 + here[-1].float()).clamp(min=0.0).mean()
-        for here, there in zip(made, true, strict=True)
+        (1.0 - real[-1].float()).clamp(min=0.0).mean() + (1.0 + fake[-1].float()).clamp(min=0.0).mean()
+        for fake, real in zip(made, true, strict=True)
     ]
     return torch.stack(terms).mean()
 
@@ -127,8 +128,8 @@ def adversarial_loss(made: Answers) -> Tensor:
 def feature_loss(made: Answers, true: Answers) -> Tensor:
     """Mean absolute difference of all features but the verdicts; gradients go to what is made only."""
     terms = [
-        (here.float() - there.detach().float()).abs().mean()
+        (fake.float() - real.detach().float()).abs().mean()
         for scale, other in zip(made, true, strict=True)
-        for here, there in zip(scale[:-1], other[:-1], strict=True)
+        for fake, real in zip(scale[:-1], other[:-1], strict=True)
     ]
     return FEATURE_WEIGHT * torch.stack(terms).mean()

@@ -13,18 +13,17 @@ from omnisyn_cli.errors import InputError, WriteError
 
 __all__ = ["compact", "load_checkpoint", "save_checkpoint"]
 
-NEEDED = frozenset({"kind", "network", "training", "step", "average"})
+REQUIRED_KEYS = frozenset({"kind", "network", "training", "step", "average"})
 """What every checkpoint has, compact or not."""
 
-LONGEST_REASON = 200
+MAX_REASON_CHARS = 200
 """Characters of what torch says that are passed on."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write beside ``path``, then rename over it.
 
-    Raises:
-        WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
+    Raises WriteError: the disk is full, or the folder went away; the former checkpoint is still there.
     """
     partial = path.with_suffix(path.suffix + ".partial")
     try:
@@ -36,7 +35,7 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
         partial.replace(path)
     except (OSError, RuntimeError) as error:  # torch's own writer raises the latter on a full disk
         partial.unlink(missing_ok=True)
-        reason = " ".join(str(error).split())[:LONGEST_REASON]
+        reason = " ".join(str(error).split())[:MAX_REASON_CHARS]
         raise WriteError(f"{path}: expected to write it, got '{reason}'; check free space and permissions") from error
 
 
@@ -55,8 +54,7 @@ def compact(state: dict[str, Any]) -> dict[str, Any]:
 def load_checkpoint(path: Path) -> dict[str, Any]:
     """The state, on the CPU. Only tensors and plain values are accepted: a checkpoint cannot run code.
 
-    Raises:
-        InputError: no such file, or no checkpoint.
+    Raises InputError: no such file, or no checkpoint.
     """
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -67,9 +65,9 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     except Exception as error:
         reason = str(error) or type(error).__name__
         raise InputError(
-            f"expected a checkpoint in {path}, got a file torch cannot read: {reason:.{LONGEST_REASON}}"
+            f"expected a checkpoint in {path}, got a file torch cannot read: {reason:.{MAX_REASON_CHARS}}"
         ) from error
-    if not isinstance(state, dict) or NEEDED - state.keys():
+    if not isinstance(state, dict) or REQUIRED_KEYS - state.keys():
         raise InputError(f"expected a checkpoint in {path}, got other tensors; give the path `train` wrote to")
     return state
 
@@ -80,7 +78,7 @@ def of_this_version(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:LONGEST_REASON]
+        reason = " ".join(str(error).split())[:MAX_REASON_CHARS]
         raise InputError(
             f"expected a checkpoint of this version's networks in {path}, got '{reason}'; train anew, or use the "
             "version that wrote it"

@@ -30,19 +30,20 @@ from omnisyn_cli.geometry.sampling import add_border
 from omnisyn_cli.geometry.sphere import direction_tables
 from omnisyn_cli.io.outputs import write_errors
 
-TELLTALES = {"pool": "along", "recipe": "positions", "evidence": "root_0", "fusion-pool": "truth_0"}
-"""By the command that makes pools of a kind, an array that only these have."""
+REQUIRED_ARRAYS = {"pool": "along", "recipe": "positions", "evidence": "sqrt_inv_depth_0", "fusion-pool": "truth_0"}
+"""By the command that makes a kind of pool, an array that only its files have."""
 
-WINDOWS = 4
-"""Some networks look at this fraction of the columns of a sample in a step: most pixels teach nothing."""
+WINDOW_DIVISOR = 4
+"""Windows have this fraction of the columns of a sample: most pixels teach nothing, and steps get shorter."""
 
-LEAST_RELEVANCE = 1e-3
+MIN_RELEVANCE = 1e-3
+"""Relevance of a column without any, so that windows are drawn there as well, now and then."""
 
-ONE_SURFACE = 0.1
-"""Relative difference of inverse depth between neighbouring pixels that still belong together."""
+MAX_SURFACE_STEP = 0.1
+"""Relative difference of inverse depth between neighbouring pixels of one surface."""
 
-UP_OF_LEVEL_LINES = np.array([0.0, 0.0, 1.0], np.float32)
-"""The seam of the epipole frame."""
+LEVEL_UP = np.array([0.0, 0.0, 1.0], np.float32)
+"""Up in the epipole frame of a level line: the seam."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class PoolScene:
     images: UInt8[np.ndarray, "views height width 3"]
     inverse_depth: Float[np.ndarray, "views height width"]
     along: Float[np.ndarray, " views"]
-    up: Float[np.ndarray, " 3"] = field(default_factory=lambda: UP_OF_LEVEL_LINES)
+    up: Float[np.ndarray, " 3"] = field(default_factory=lambda: LEVEL_UP)
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,13 @@ class Batch:
 
     Attributes:
         first, second: ``(batch, 3, height, width)`` colours in [0, 1] in the epipole frame of each pair.
-        root: ``(batch, 1, height, width)`` square root of the first's inverse depth × baseline.
+        sqrt_inv_depth: ``(batch, 1, height, width)`` √(inverse depth × baseline) of the first.
         baseline: ``(batch,)`` metres.
     """
 
     first: Float[Tensor, "batch 3 height width"]
     second: Float[Tensor, "batch 3 height width"]
-    root: Float[Tensor, "batch 1 height width"]
+    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
     baseline: Float[Tensor, " batch"]
 
     @property
@@ -77,23 +78,24 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class EvidenceBatch:
-    """Panoramas with what matching made of them, or might have made.
+class FeatureBatch:
+    """Stereo features of panoramas, matched or simulated, and the truth.
 
     Attributes:
-        planes: ``(batch, planes, height, width)``, see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
-        root: ``(batch, 1, height, width)`` true square root of inverse depth × baseline; NaN where it is not known.
+        channels: ``(batch, channels, height, width)``, see
+            :func:`omnisyn_cli.stereo.stereo_features.completion_channels`.
+        sqrt_inv_depth: ``(batch, 1, height, width)`` true √(inverse depth × baseline); NaN where it is not known.
         baseline: ``(batch,)`` metres.
     """
 
-    planes: Float[Tensor, "batch planes height width"]
-    root: Float[Tensor, "batch 1 height width"]
+    channels: Float[Tensor, "batch channels height width"]
+    sqrt_inv_depth: Float[Tensor, "batch 1 height width"]
     baseline: Float[Tensor, " batch"]
 
     @property
     def inputs(self) -> tuple[Tensor, ...]:
         """What a network sees."""
-        return (self.planes,)
+        return (self.channels,)
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,7 @@ def save_scene(path: Path, scene: PoolScene) -> None:
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays by name, whole or not at all; a kill leaves no partial file under the name.
 
-    Raises:
-        WriteError: the disk is full, or the folder went away.
+    Raises WriteError: the disk is full, or the folder went away.
     """
     partial = path.with_suffix(f".{os.getpid()}.partial")
     with write_errors(path):
@@ -171,7 +172,7 @@ def load_samples(
         ]
 
 
-def stacked(samples: Sequence[Any]) -> list[Tensor]:
+def stack_fields(samples: Sequence[Any]) -> list[Tensor]:
     """Each field of all samples, as tensors."""
     columns = zip(*(vars(sample).values() for sample in samples), strict=True)
     return [torch.from_numpy(np.stack(column)) for column in columns]
@@ -180,17 +181,17 @@ def stacked(samples: Sequence[Any]) -> list[Tensor]:
 def window_columns(relevance: Shaped[np.ndarray, "height width"], rng: np.random.Generator) -> np.ndarray:
     """A quarter of the columns side by side, across the seam or not, where there is much of what matters."""
     height, width = relevance.shape
-    columns = direction_tables(height, width)[0] @ relevance + LEAST_RELEVANCE
+    columns = direction_tables(height, width)[0] @ relevance + MIN_RELEVANCE
     sums = np.concatenate([[0.0], np.cumsum(np.concatenate([columns, columns]), dtype=np.float64)])
-    inside = sums[width // WINDOWS :][:width] - sums[:width]
+    inside = sums[width // WINDOW_DIVISOR :][:width] - sums[:width]
     begin = int(rng.choice(width, p=inside / inside.sum()))
-    return np.asarray((begin + np.arange(width // WINDOWS)) % width)
+    return np.asarray((begin + np.arange(width // WINDOW_DIVISOR)) % width)
 
 
 def load_scene(path: Path) -> PoolScene:
     """Read one file of a pool."""
     with np.load(path) as file:
-        up = file.get("up", UP_OF_LEVEL_LINES)
+        up = file.get("up", LEVEL_UP)
         return PoolScene(file["images"], file["inverse_depth"].astype(np.float32), file["along"], up)
 
 
@@ -199,10 +200,9 @@ def list_pool(folder: Path, *makers: str) -> list[Path]:
 
     Args:
         folder: of the pool.
-        makers: commands that such pools are made by, of :data:`TELLTALES`; `pool` unless said otherwise.
+        makers: commands that such pools are made by, of :data:`REQUIRED_ARRAYS`; `pool` unless said otherwise.
 
-    Raises:
-        InputError: there are none, or of another kind.
+    Raises InputError: there are none, or of another kind.
     """
     paths = sorted(folder.glob("*.npz"))
     makers = makers or ("pool",)
@@ -217,14 +217,13 @@ def list_pool(folder: Path, *makers: str) -> list[Path]:
 
 
 def is_made_by(maker: str, path: Path) -> bool:
-    """Whether a scene is of the pools that a command makes, one of :data:`TELLTALES`.
+    """Whether a scene is of the pools that a command makes, one of :data:`REQUIRED_ARRAYS`.
 
-    Raises:
-        InputError: the file is damaged.
+    Raises InputError: the file is damaged.
     """
     try:
         with np.load(path) as file:
-            return TELLTALES[maker] in file
+            return REQUIRED_ARRAYS[maker] in file
     except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise InputError(f"expected a scene in {path}, got '{error!s:.80}'; delete the file") from error
 
@@ -236,11 +235,10 @@ def check_height(pool: list[Path], multiple: int) -> None:
         pool: from :func:`list_pool`; all scenes of a pool have one size.
         multiple: that the height has to be of.
 
-    Raises:
-        InputError: it is not.
+    Raises InputError: it is not.
     """
     with np.load(pool[0]) as file:
-        height = file["planes_0"].shape[-2]
+        height = file["channels_0"].shape[-2]
     if height % multiple:
         raise InputError(
             f"expected scenes whose height is a multiple of {multiple} in {pool[0].parent}, got {height}; make others "
@@ -254,22 +252,21 @@ def draw_batch(
     batch: int,
     size: tuple[int, int],
     augmentation: Augmentation | None = None,
-    greatest_root: float = 2.0,
+    max_sqrt_inv_depth: float = 2.0,
 ) -> Batch:
     """Random pairs of random scenes at ``size`` (a whole fraction of the pool's size).
 
     Without an augmentation the colours stay as they are; pairs are still read from either end and mirrored at random.
 
-    Raises:
-        InputError: the pool's size is not a multiple of ``size``.
+    Raises InputError: the pool's size is not a multiple of ``size``.
     """
     pairs = [_draw_pair(load_scene(pool[rng.integers(len(pool))]), rng, size, augmentation) for _ in range(batch)]
     colours, inverse_depth, baseline = (np.stack(column) for column in zip(*pairs, strict=True))
-    root = np.sqrt(inverse_depth * baseline[:, None, None]).clip(max=greatest_root)
+    sqrt_inv_depth = np.sqrt(inverse_depth * baseline[:, None, None]).clip(max=max_sqrt_inv_depth)
     return Batch(
         first=as_tensor(colours[:, 0]),
         second=as_tensor(colours[:, 1]),
-        root=torch.from_numpy(root.astype(np.float32)).unsqueeze(1),
+        sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth.astype(np.float32)).unsqueeze(1),
         baseline=torch.from_numpy(baseline),
     )
 
@@ -279,14 +276,16 @@ def _draw_pair(
 ) -> tuple[np.ndarray, np.ndarray, np.float32]:
     """Colours of both, inverse depth of the first, metres."""
     check_pool_size(scene, size)
-    images, inverse_depths, along = draw_way(scene, 2, rng)
+    images, inverse_depths, along = draw_ordered_views(scene, 2, rng)
     colours = np.stack([reduced(image, size).astype(np.float32) for image in images]) / np.float32(255.0)
     if augmentation is not None:
         colours = vary_colours(colours, rng, augmentation)
     return colours, at_block_centres(inverse_depths[0], size), np.float32(abs(along[1] - along[0]))
 
 
-def draw_way(scene: PoolScene, views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def draw_ordered_views(
+    scene: PoolScene, views: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Images, inverse depths and places of some views, in order from either end, mirrored or not."""
     chosen = np.sort(rng.choice(len(scene.along), views, replace=False))
     images, inverse_depths, along = scene.images[chosen], scene.inverse_depth[chosen], scene.along[chosen]
@@ -326,7 +325,7 @@ def at_block_centres(inverse_depth: Float[np.ndarray, "height width"], size: tup
     sides = ((stride - 1) // 2, stride // 2)
     around = np.stack([inverse_depth[row::stride, col::stride] for row in sides for col in sides])
     nearest = around.max(axis=0)
-    one_surface = around.min(axis=0) >= (1.0 - ONE_SURFACE) * nearest
+    one_surface = around.min(axis=0) >= (1.0 - MAX_SURFACE_STEP) * nearest
     return np.asarray(np.where(one_surface, around.mean(axis=0), nearest))
 
 
@@ -339,21 +338,21 @@ def vary_colours(
     varied = np.clip(colours * gain.astype(f32), 1e-4, 1.0) ** f32(1 + a.gamma * rng.uniform(-1, 1))
     for image in varied:
         if rng.random() < a.blur:
-            image[:] = _blurred(image, rng.uniform(0.4, 1.2))
+            image[:] = _blur(image, rng.uniform(0.4, 1.2))
     sigma = f32(a.noise * rng.random() ** 2)
     varied = np.clip(varied + sigma * rng.standard_normal(varied.shape, dtype=f32), 0.0, 1.0)
     for image in varied:
         if rng.random() < a.jpeg:
-            image[:] = _through_jpeg(image, int(rng.integers(40, 96)))
+            image[:] = _compress_jpeg(image, int(rng.integers(40, 96)))
     return np.asarray(varied, dtype=f32)
 
 
-def _blurred(image: Float32[np.ndarray, "height width 3"], sigma: float) -> np.ndarray:
+def _blur(image: Float32[np.ndarray, "height width 3"], sigma: float) -> np.ndarray:
     reach = 4
     return np.asarray(cv2.GaussianBlur(add_border(image, reach), (0, 0), sigma))[reach:-reach, reach:-reach]
 
 
-def _through_jpeg(image: Float32[np.ndarray, "height width 3"], quality: int) -> np.ndarray:
+def _compress_jpeg(image: Float32[np.ndarray, "height width 3"], quality: int) -> np.ndarray:
     eight_bit = (image * 255.0 + 0.5).astype(np.uint8)
     _, data = cv2.imencode(".jpg", eight_bit, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), dtype=np.float32) / np.float32(255.0)

@@ -3,8 +3,9 @@
 A pool is a folder of ``NNNNNNNN.npz`` files, one per scene. A scene is seen from three places on a line, upright but
 for small tilts, each with a heading of its own; two of the pairs are matched, both ways. For ``k`` from 0 to 3:
 
-* ``planes_k`` ``(planes, height, width)`` float16, see :func:`omnisyn_cli.stereo.stereo_features.completion_channels`,
-* ``root_k`` ``(height, width)`` float16, true square root of inverse depth × baseline,
+* ``channels_k`` ``(channels, height, width)`` float16, see
+  :func:`omnisyn_cli.stereo.stereo_features.completion_channels`,
+* ``sqrt_inv_depth_k`` ``(height, width)`` float16, true √(inverse depth × baseline),
 * ``baseline_k`` metres.
 
 The colours are varied before matching, and some poses are a little wrong, as in life. The truth is that of the centres
@@ -19,33 +20,33 @@ from jaxtyping import Float32
 
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.geometry.pose import Pose
-from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
 from omnisyn_cli.stereo.matching_estimator import MatchingDepthEstimator, MatchingOptions
-from omnisyn_cli.training.data import Augmentation, EvidenceBatch, load_samples, save_samples, stacked, vary_colours
-from omnisyn_cli.training.pool import STOPS, TiltedConfig, photographed, scene_path
+from omnisyn_cli.stereo.stereo_features import completion_channels, sqrt_inv_depth
+from omnisyn_cli.training.data import Augmentation, FeatureBatch, load_samples, save_samples, stack_fields, vary_colours
+from omnisyn_cli.training.pool import PATH_STOPS, TiltedConfig, scene_path, take_photograph
 from omnisyn_cli.types import View
 
-__all__ = ["make_evidence"]
+__all__ = ["make_feature_scene"]
 
-PAIRS = 4
+ORDERED_PAIRS = 4
 """Ordered pairs per scene."""
 
-COLOURED = (0, 8, 11)
-"""First of three planes that hold a picture."""
+COLOUR_CHANNELS = (0, 8, 11)
+"""First of the three channels of each picture."""
 
 
 @dataclass(frozen=True)
-class EvidencePair:
-    """One panorama of a matched pair: input planes, true roots, metres."""
+class FeatureSample:
+    """One panorama of a matched pair: network inputs, true √(inverse depth × baseline), metres."""
 
-    planes: Float32[np.ndarray, "planes height width"]
-    root: Float32[np.ndarray, "height width"]
+    channels: Float32[np.ndarray, "channels height width"]
+    sqrt_inv_depth: Float32[np.ndarray, "height width"]
     baseline: float
 
 
-def make_evidence(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
+def make_feature_scene(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
     """Render and match the scene of a seed into a pool; None if the scene has no room for a path."""
-    found = config.scene(seed, STOPS)
+    found = config.scene(seed, PATH_STOPS)
     if found is None:
         return None
     scene, path = found
@@ -53,84 +54,83 @@ def make_evidence(folder: Path, seed: int, config: TiltedConfig) -> Path | None:
     tilt, error = float(rng.choice(config.tilts)), config.pose_error(rng)
     height, width = config.size
     shown = [
-        photographed(scene, path[stop].position, tilt, error, rng, (2 * height, 2 * width), config.size)
-        for stop in (0, int(rng.integers(2, STOPS - 2)), STOPS - 1)
+        take_photograph(scene, path[stop].position, tilt, error, rng, (2 * height, 2 * width), config.size)
+        for stop in (0, int(rng.integers(2, PATH_STOPS - 2)), PATH_STOPS - 1)
     ]
     inner = ((0, 1), (1, 2))[int(rng.integers(2))]
-    estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # evidence has half
-    pairs = [pair for i, j in ((0, 2), inner) for pair in _matched(shown[i], shown[j], estimator, rng)]
+    estimator = MatchingDepthEstimator(MatchingOptions(size=(2 * height, 2 * width)), threads=1)  # features have half
+    pairs = [pair for i, j in ((0, 2), inner) for pair in _match_pair(shown[i], shown[j], estimator, rng)]
     file = scene_path(folder, seed)
     save_samples(file, pairs)
     return file
 
 
-def _matched(
+def _match_pair(
     one: tuple[np.ndarray, np.ndarray, Pose],
     other: tuple[np.ndarray, np.ndarray, Pose],
     estimator: MatchingDepthEstimator,
     rng: np.random.Generator,
-) -> list[EvidencePair]:
+) -> list[FeatureSample]:
     """Both panoramas of a pair, photographed with different cameras."""
     colours = vary_colours(np.stack([one[0], other[0]]), rng, Augmentation())
     first, second = estimator.features(View(colours[0], one[2]), View(colours[1], other[2]))
     baseline = float(np.linalg.norm(one[2].position - other[2].position))
-    roots = [sqrt_inv_depth(x[1] * baseline) for x in (one, other)]
+    sqrt_depths = [sqrt_inv_depth(x[1] * baseline) for x in (one, other)]
     return [
-        EvidencePair(completion_channels(first, second), roots[0], baseline),
-        EvidencePair(completion_channels(second, first), roots[1], baseline),
+        FeatureSample(completion_channels(first, second), sqrt_depths[0], baseline),
+        FeatureSample(completion_channels(second, first), sqrt_depths[1], baseline),
     ]
 
 
-def evidence_pair(path: Path, rng: np.random.Generator, size: tuple[int, int], *, is_recoloured: bool) -> EvidenceBatch:
+def draw_feature_pair(path: Path, rng: np.random.Generator, size: tuple[int, int], *, augment: bool) -> FeatureBatch:
     """Both panoramas of a random pair of a scene, turned and mirrored at random.
 
     Args:
         path: of the scene.
         rng: random numbers.
         size: ``(height, width)``, that of the pool or half of it: things look larger there.
-        is_recoloured: whether colours are varied as well, all pictures of the pair alike.
+        augment: whether colours are varied as well, all pictures of the pair alike.
 
-    Raises:
-        InputError: the pool is of another size.
+    Raises InputError: the pool is of another size.
     """
-    first, drawn = 2 * int(rng.integers(PAIRS // 2)), []
+    first, drawn = 2 * int(rng.integers(ORDERED_PAIRS // 2)), []
     for which in (first, first + 1):
-        stored = load_samples(path, EvidencePair, which)[0]
-        if stored.root.shape[0] not in (size[0], 2 * size[0]):
+        stored = load_samples(path, FeatureSample, which)[0]
+        rows = len(stored.sqrt_inv_depth)
+        if rows not in (size[0], 2 * size[0]):
             raise InputError(
-                f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {stored.root.shape[0]}; "
-                "choose another --height"
+                f"expected evidence of {size[0]} or {2 * size[0]} rows in {path}, got {rows}; choose another --height"
             )
-        pair = stored if stored.root.shape == size else _halved(stored, rng)
-        drawn.append(_turned(_recoloured(pair, rng) if is_recoloured else pair, rng))
-    planes, root, baseline = stacked(drawn)
-    return EvidenceBatch(planes, root.unsqueeze(1), baseline)
+        pair = stored if stored.sqrt_inv_depth.shape == size else _halve(stored, rng)
+        drawn.append(_roll_and_flip(_jitter_colours(pair, rng) if augment else pair, rng))
+    channels, sqrt_depth, baseline = stack_fields(drawn)
+    return FeatureBatch(channels, sqrt_depth.unsqueeze(1), baseline)
 
 
-def _recoloured(pair: EvidencePair, rng: np.random.Generator) -> EvidencePair:
-    planes = pair.planes.copy()
+def _jitter_colours(pair: FeatureSample, rng: np.random.Generator) -> FeatureSample:
+    channels = pair.channels.copy()
     gain, gamma = np.float32(rng.uniform(0.8, 1.2)), np.float32(rng.uniform(0.8, 1.2))
     tint = rng.uniform(0.95, 1.05, (3, 1, 1)).astype(np.float32)
     order = rng.permutation(3) if rng.random() < 0.3 else np.arange(3)
-    for begin in COLOURED:
-        colour = np.clip(planes[begin : begin + 3] * gain, 1e-4, 1.0) ** gamma
-        planes[begin : begin + 3] = (colour * tint if begin else colour)[order]
-    return replace(pair, planes=planes)
+    for begin in COLOUR_CHANNELS:
+        colour = np.clip(channels[begin : begin + 3] * gain, 1e-4, 1.0) ** gamma
+        channels[begin : begin + 3] = (colour * tint if begin else colour)[order]
+    return replace(pair, channels=channels)
 
 
-def _turned(pair: EvidencePair, rng: np.random.Generator) -> EvidencePair:
-    """All planes are even in a mirror, and none knows where the seam is."""
-    flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(pair.root.shape[1]))
-    planes, root = (np.roll(x[..., ::flip], turn, axis=-1) for x in (pair.planes, pair.root))
-    return EvidencePair(planes, root, pair.baseline)
+def _roll_and_flip(pair: FeatureSample, rng: np.random.Generator) -> FeatureSample:
+    """A mirror image changes no channel's sign, and no channel depends on the seam."""
+    flip, turn = (-1 if rng.random() < 0.5 else 1), int(rng.integers(pair.sqrt_inv_depth.shape[1]))
+    channels, sqrt_depth = (np.roll(x[..., ::flip], turn, axis=-1) for x in (pair.channels, pair.sqrt_inv_depth))
+    return FeatureSample(channels, sqrt_depth, pair.baseline)
 
 
-def _halved(pair: EvidencePair, rng: np.random.Generator) -> EvidencePair:
-    """One of four pixels, the same in all planes and the truth; but colours are averaged."""
-    height, width = pair.root.shape
+def _halve(pair: FeatureSample, rng: np.random.Generator) -> FeatureSample:
+    """One of four pixels, the same in all channels and the truth; colours are averaged instead."""
+    height, width = pair.sqrt_inv_depth.shape
     row, col = rng.integers(2, size=2)
-    planes = pair.planes[:, row::2, col::2].copy()
-    for begin in COLOURED:
-        colours = pair.planes[begin : begin + 3].reshape(3, height // 2, 2, width // 2, 2)
-        planes[begin : begin + 3] = colours.mean(axis=(2, 4))
-    return EvidencePair(planes, pair.root[row::2, col::2], pair.baseline)
+    channels = pair.channels[:, row::2, col::2].copy()
+    for begin in COLOUR_CHANNELS:
+        colours = pair.channels[begin : begin + 3].reshape(3, height // 2, 2, width // 2, 2)
+        channels[begin : begin + 3] = colours.mean(axis=(2, 4))
+    return FeatureSample(channels, pair.sqrt_inv_depth[row::2, col::2], pair.baseline)

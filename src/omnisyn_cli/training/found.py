@@ -10,7 +10,7 @@ from omnisyn_cli.training.tasks import TASKS
 
 __all__ = ["FoundCheckpoint", "checkpoints_below"]
 
-PLACES = ("*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/*.pt", "*/checkpoints/*.pt")
+SEARCH_PATTERNS = ("*.pt", "*/checkpoint.pt", "*/*/checkpoint.pt", "checkpoints/*.pt", "*/checkpoints/*.pt")
 """Where checkpoints of runs, and compact ones, are looked for: no folder is searched to its bottom."""
 
 
@@ -33,7 +33,7 @@ class FoundCheckpoint:
 
 def checkpoints_below(folder: Path) -> Iterator[FoundCheckpoint]:
     """The checkpoints in a folder and where runs below it have theirs, by path; other files are passed over."""
-    for path in sorted({path for place in PLACES for path in folder.glob(place)}):
+    for path in sorted({path for place in SEARCH_PATTERNS for path in folder.glob(place)}):
         try:
             state = load_checkpoint(path)
         except InputError:

@@ -6,7 +6,7 @@
    far away it is; which face it sees is a constant.
 3. The fusion network makes one picture of both renderings, which is compared with the true view from there.
 
-What both networks are told is added: L1 of the depth, and L1 of the picture. Everything is counted in baselines, and
+The losses of both networks are added: L1 of the depth, and L1 of the picture. Lengths are in baselines, and
 the view between is held in the forward frame, in which up is as far up as it can be.
 
 Source: OmniSyn, section 3.6.
@@ -24,9 +24,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from omnisyn_cli.fusion import input_channels as channel
+from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
 from omnisyn_cli.fusion.fill import HoleFiller
 from omnisyn_cli.fusion.input_channels import fusion_input_channels
-from omnisyn_cli.fusion.blend_rule import BlendOptions, BlendRule, LayerArrays
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.networks.fusion import FusionConfig, build_fusion
 from omnisyn_cli.networks.paper import PaperConfig, PaperNetwork, PaperPrediction
@@ -34,18 +34,18 @@ from omnisyn_cli.render.mesh import Mesh, build_mesh
 from omnisyn_cli.render.quad_blocks import FACES_PER_QUARTER
 from omnisyn_cli.render.rasterize import Fragments, rasterize
 from omnisyn_cli.render.rasterize_torch import render_fragments
-from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, inputs_of
+from omnisyn_cli.training.fusion_losses import fusion_loss, fusion_scores, network_inputs
 from omnisyn_cli.training.losses import depth_scores, paper_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures, fused_pictures
-from omnisyn_cli.training.triples import Triples, exchanged_panoramas
+from omnisyn_cli.training.triples import Triples, swap_cameras
 
 __all__ = ["JointConfig"]
 
 FUSION_WEIGHT = 1.0
-"""Of the loss of the picture beside that of the depth."""
+"""Weight of the picture's loss beside that of the depth: both count the same."""
 
-ALONG = np.array([0.0, 0.0, -1.0])
-"""From the first to the second camera in the forward frame."""
+FIRST_TO_SECOND = np.array([0.0, 0.0, -1.0])
+"""Direction from the first to the second camera in the forward frame."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class PairPrediction:
     """What the depth network says about both panoramas of each pair.
 
     Attributes:
-        stacked: the network's own answer: all first panoramas, then all second ones as they look with the roles of both
-            exchanged (:func:`exchanged_panoramas`).
+        stacked: the network's own prediction: all first panoramas, then all second ones with swapped cameras
+            (:func:`swap_cameras`).
         inverse_depth: ``(2, batch, height, width)`` × baseline of the first and of the second, in the pair's frame.
         confidence: the same of the confidence, without gradients.
     """
@@ -109,18 +109,18 @@ class JointNetwork(nn.Module):
         self, first: Float[Tensor, "batch 3 height width"], second: Float[Tensor, "batch 3 height width"]
     ) -> PairPrediction:
         """Estimate the depth of both panoramas, called like the depth network."""
-        other_way = [exchanged_panoramas(x) for x in (second, first)]
+        other_way = [swap_cameras(x) for x in (second, first)]
         stacked = self.depth(torch.cat([first, other_way[0]]), torch.cat([second, other_way[1]]))
         halves = (x.squeeze(1).chunk(2) for x in (stacked.inverse_depth(), stacked.confidence().detach()))
-        return PairPrediction(stacked, *(torch.stack([one, exchanged_panoramas(other)]) for one, other in halves))
+        return PairPrediction(stacked, *(torch.stack([one, swap_cameras(other)]) for one, other in halves))
 
 
 @dataclass(frozen=True)
 class JointAnswer:
-    """What both networks make of some pairs: depth, the planes that the fusion network saw, and its pictures."""
+    """The predictions of both networks: depth, the inputs of the fusion network, and its pictures."""
 
     prediction: PairPrediction
-    planes: Float[Tensor, "batch planes height width"]
+    channels: Float[Tensor, "batch channels height width"]
     picture: Float[Tensor, "batch 3 height width"]
 
 
@@ -128,54 +128,54 @@ def joint_answer(network: JointNetwork, triples: Triples) -> JointAnswer:
     """Depth of both panoramas, both renderings from the place of the view between, and the fused picture."""
     prediction = network(triples.first, triples.second)
     with torch.autocast(triples.first.device.type, enabled=False):
-        planes = planes_between(
+        channels = channels_between(
             prediction.inverse_depth.float(),
             prediction.confidence.float(),
             torch.stack([triples.first_texture, triples.second_texture]),
-            triples.share,
+            triples.position,
         )
-    return JointAnswer(prediction, planes, network.fusion(inputs_of(network.fusion.config, planes)))
+    return JointAnswer(prediction, channels, network.fusion(network_inputs(network.fusion.config, channels)))
 
 
 def joint_loss(answer: JointAnswer, triples: Triples) -> Tensor:
     """The loss of both panoramas' depth and that of the picture, a scalar."""
-    depth = paper_loss(answer.prediction.stacked, triples.roots.flatten(0, 1))
+    depth = paper_loss(answer.prediction.stacked, triples.sqrt_inv_depths.flatten(0, 1))
     return depth + FUSION_WEIGHT * fusion_loss(answer.picture, triples.middle)
 
 
 def joint_scores(answer: JointAnswer, triples: Triples) -> dict[str, float]:
     """Figures of both panoramas' depth and of the picture."""
-    depths = depth_scores(answer.prediction.stacked, triples.roots.flatten(0, 1), triples.baseline.repeat(2))
-    geometric = answer.planes[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]
-    return depths | fusion_scores(answer.picture, answer.planes, triples.middle, geometric)
+    depths = depth_scores(answer.prediction.stacked, triples.sqrt_inv_depths.flatten(0, 1), triples.baseline.repeat(2))
+    geometric = answer.channels[:, channel.FUSED_RGB : channel.FUSED_RGB + 3]
+    return depths | fusion_scores(answer.picture, answer.channels, triples.middle, geometric)
 
 
 def joint_pictures(answer: JointAnswer, triples: Triples) -> dict[str, np.ndarray]:
     """The first panorama's depth, both renderings, and the picture made of them."""
-    root = answer.prediction.inverse_depth[0, 0].sqrt()
-    shown = depth_pictures(*(as_array(x) for x in (triples.first[0], root, triples.roots[0, 0, 0])))
-    return shown | fused_pictures(answer.planes[0], answer.picture[0], triples.middle[0])
+    sqrt_inv_depth = answer.prediction.inverse_depth[0, 0].sqrt()
+    shown = depth_pictures(*(as_array(x) for x in (triples.first[0], sqrt_inv_depth, triples.sqrt_inv_depths[0, 0, 0])))
+    return shown | fused_pictures(answer.channels[0], answer.picture[0], triples.middle[0])
 
 
-def planes_between(
+def channels_between(
     inverse_depth: Float[Tensor, "2 batch rows cols"],
     confidence: Float[Tensor, "2 batch rows cols"],
     textures: Float[Tensor, "2 batch 3 rows cols"],
-    share: Float[Tensor, " batch"],
-) -> Float[Tensor, "batch planes rows cols"]:
+    position: Float[Tensor, " batch"],
+) -> Float[Tensor, "batch channels rows cols"]:
     """What the fusion network sees of pairs, from places between them.
 
     Args:
         inverse_depth: × baseline, of both panoramas; gradients flow to it.
         confidence: of it, in [0, 1].
         textures: their colours; gradients flow to them.
-        share: of the way, of each pair.
+        position: of the way, of each pair.
     """
-    planes = []
-    for k, t in enumerate(share.tolist()):
-        first, second = (view_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i) for i in range(2))
-        planes.append(fusion_input_channels(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
-    return torch.stack(planes)
+    channels = []
+    for k, t in enumerate(position.tolist()):
+        first, second = (render_between(inverse_depth[i, k], confidence[i, k], textures[i, k], t - i) for i in range(2))
+        channels.append(fusion_input_channels(first, second, BlendRule.at(t, BlendOptions()), 1.0, filled))
+    return torch.stack(channels)
 
 
 def filled(image: Float[Tensor, "height width 3"], weight: Float[Tensor, "height width"]) -> Tensor:
@@ -186,7 +186,7 @@ def filled(image: Float[Tensor, "height width 3"], weight: Float[Tensor, "height
     return torch.where((weight == 0.0)[..., None], torch.from_numpy(numbers).to(image), image)
 
 
-def view_between(
+def render_between(
     inverse_depth: Float[Tensor, "rows cols"],
     confidence: Float[Tensor, "rows cols"],
     texture: Float[Tensor, "3 rows cols"],
@@ -195,7 +195,7 @@ def view_between(
     """One panorama as it is seen, in the forward frame, from ``ahead`` baselines further on, at its own size."""
     surface = inverse_depth.detach().cpu().numpy()
     mesh = build_mesh(surface, confidence=confidence.cpu().numpy())
-    pose = Pose(np.eye(3), -ahead * ALONG)
+    pose = Pose(np.eye(3), -ahead * FIRST_TO_SECOND)
     fragments = rasterize(mesh, pose, (surface.shape[0], surface.shape[1]), threads=1)
     shown = render_fragments(fragments, mesh, inverse_depth, texture.permute(1, 2, 0), pose)
     weight = _weight(fragments, mesh).to(inverse_depth)

@@ -38,8 +38,8 @@ CHECKPOINT = "checkpoint.pt"
 BEST = "best.pt"
 """Name of the compact checkpoint with the least loss of what networks are judged by."""
 
-COLLAPSED = 1.25
-"""So many times the least loss so far, and no average of weights is what it was."""
+COLLAPSE_LOSS_RATIO = 1.25
+"""Ratio of the loss to the least so far from which on the run does not recover."""
 
 PROCESSOR = Precision(torch.device("cpu"))
 
@@ -110,8 +110,7 @@ class Trainer:
     def begin_with(self, weights: Mapping[str, torch.Tensor]) -> None:
         """Before the first step: some of the weights, by name, instead of random ones.
 
-        Raises:
-            ValueError: the network has no weights of these names.
+        Raises ValueError: the network has no weights of these names.
         """
         unknown = self.network.load_state_dict(weights, strict=False).unexpected_keys
         if unknown:
@@ -183,10 +182,9 @@ class Trainer:
     def surpasses(self, loss: float) -> bool:
         """Whether the loss of what networks are judged by is the least so far, which is remembered then.
 
-        Raises:
-            TrainingError: it is far above the least: the run has collapsed, and would not recover.
+        Raises TrainingError: it is far above the least: the run has collapsed, and would not recover.
         """
-        if not loss <= COLLAPSED * self.best:
+        if not loss <= COLLAPSE_LOSS_RATIO * self.best:
             raise TrainingError(
                 f"expected a held-out loss near {self.best:.4g}, the least so far, got {loss:.4g} at step {self.step}: "
                 f"the run has collapsed; put {BEST} in the place of {CHECKPOINT} and go on with a lower --rate"
@@ -205,8 +203,7 @@ class Trainer:
 def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
     """The averaged network of a checkpoint, and the checkpoint; its ``"kind"`` says what it is.
 
-    Raises:
-        InputError: no file, or no checkpoint of a known kind and of this version.
+    Raises InputError: no file, or no checkpoint of a known kind and of this version.
     """
     state = load_checkpoint(path)
     task = task_named(state.get("kind"), path)
@@ -219,8 +216,7 @@ def load_network(path: Path) -> tuple[Any, dict[str, Any]]:
 def part_of(path: Path, kinds: tuple[str, ...]) -> Any:
     """The averaged network of one of these kinds in a checkpoint, joint or not.
 
-    Raises:
-        InputError: no checkpoint of this version, or it has none.
+    Raises InputError: no checkpoint of this version, or it has none.
     """
     held = parts_of(load_network(path)[0])
     found = [part for kind, part in held.items() if kind in kinds]
@@ -261,8 +257,7 @@ def train(
         weights: that a fresh run begins with, by name; the others are random.
         on_start: called once, before the first step, when everything has been found right.
 
-    Raises:
-        TrainingError: the run has collapsed; ``checkpoint.pt`` is of an earlier step.
+    Raises TrainingError: the run has collapsed; ``checkpoint.pt`` is of an earlier step.
     """
     path = folder / CHECKPOINT
     trainer = open_trainer(network, config, path, precision, weights)
@@ -315,9 +310,8 @@ def open_trainer(
 
     A cool-down asked for begins at its step.
 
-    Raises:
-        InputError: the checkpoint is of another version, or of another kind than ``network``, whose data and rate would
-            not suit it.
+    Raises InputError: the checkpoint is of another version, or of another kind than ``network``, whose data and rate
+        would not suit it.
     """
     if not path.exists():
         trainer = Trainer(network, config, precision)

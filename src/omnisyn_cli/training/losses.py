@@ -1,6 +1,6 @@
 """The losses of depth networks, and the figures they are judged by.
 
-Targets are square roots of inverse depth × baseline. In losses every mean over pixels is weighted by the sine of the
+Targets are √(inverse depth × baseline). In losses every mean over pixels is weighted by the sine of the
 polar angle, that is, by solid angle; figures count pixels. Targets are NaN where the truth is not known: nothing is
 taught or judged there.
 """
@@ -17,36 +17,41 @@ from omnisyn_cli.networks.completion import CompletionPrediction
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.paper import PaperPrediction
 
-STAGE_WEIGHT = 0.5
-"""Weight of the coarse estimates together (the paper's 0.5 × low head)."""
+LOW_HEAD_WEIGHT = 0.5
+"""Weight of the low head's error; the paper's (section 3.6)."""
 
 GRADIENT_WEIGHT = 0.5
+"""Weight of the error of gradients on surfaces."""
+
 CONFIDENCE_WEIGHT = 0.05
+"""Weight of the confidence's log-loss: small, so that it does not cost accuracy of depth."""
 
-RIGHT_WITHIN = 1.1
-"""A depth is called right, in the confidence, when it is within this factor of the truth."""
+MAX_CORRECT_RATIO = 1.1
+"""Factor to the truth within which a depth counts as correct: what the confidence is the probability of."""
 
-FARTHEST = 1e-3
-"""Inverse depth × baseline below this is called infinitely far when confidence is judged."""
+INFINITY_INVERSE_DEPTH = 1e-3
+"""Inverse depth × baseline below which a point counts as infinitely far: a thousand baselines."""
 
-SCORED_DEPTH = (1.0, 50.0)
-"""Metres between which depth is scored (the paper's range)."""
+SCORED_DEPTH_RANGE_METRES = (1.0, 50.0)
+"""Depths that are scored: the range of the paper's depth table."""
 
-COMPLETED_WEIGHT = 3.0
-"""How much more the answer counts where matching is not sure, and beside silhouettes, where it is often wrong."""
+UNRELIABLE_WEIGHT = 3.0
+"""Additional weight of pixels where matching is unreliable, and beside silhouettes, where it is often wrong."""
 
-BESIDE = 5
-"""Pixels across: what lies so close around a jump is beside a silhouette."""
+SILHOUETTE_WINDOW_PIXELS = 5
+"""Side of the window around a depth edge that counts as beside a silhouette: what matching windows blur."""
 
-MODE_SCALE = 0.03
-"""Error of a root that makes a mode e times less likely."""
+MODE_ERROR_SCALE = 0.03
+"""Error of √(inverse depth × baseline) that makes a mode e times less likely: the scale of its Laplace distribution."""
 
-MODE_WEIGHT = 0.02
+MODE_LOG_LOSS_WEIGHT = 0.02
+"""Weight of the modes' log-loss, whose values are some thirty times those of the absolute errors."""
 
-JUMP = 0.1
-"""Difference of neighbouring true roots that is called an edge."""
+MIN_EDGE_STEP = 0.1
+"""Difference of √(inverse depth × baseline) between neighbours that makes an edge."""
 
 EDGE_WEIGHT = 0.25
+"""Weight of the error of steps at edges."""
 
 
 def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "height 1"]:
@@ -56,36 +61,38 @@ def polar_weights(like: Float[Tensor, "*batch height width"]) -> Float[Tensor, "
 
 
 def paper_loss(prediction: PaperPrediction, target: Float[Tensor, "batch 1 height width"]) -> Tensor:
-    """L1 of inverse depth · baseline of the high head, and half of that of the low head, a scalar.
+    """L1 of inverse depth × baseline of the high head, and half of that of the low head, a scalar.
 
     Source: OmniSyn, section 3.6. Unlike there an estimate below zero is right where the target is infinitely far.
 
     Args:
         prediction: of the paper's network.
-        target: true roots.
+        target: true √(inverse depth × baseline); NaN where it is not known.
     """
-    known, root = _known(target)
-    inverse_depth, weights = root.square(), polar_weights(root)
+    known, sqrt_inv_depth = _split_known(target)
+    inverse_depth, weights = sqrt_inv_depth.square(), polar_weights(sqrt_inv_depth)
     high, low = (
-        _mean_of(_beyond_zero(estimate, inverse_depth) * weights, known)
+        _masked_mean(_clamped_error(estimate, inverse_depth) * weights, known)
         for estimate in (prediction.high, prediction.low)
     )
-    return high + STAGE_WEIGHT * low
+    return high + LOW_HEAD_WEIGHT * low
 
 
-def root_loss(root: Float[Tensor, "*batch height width"], target: Float[Tensor, "*batch height width"]) -> Tensor:
-    """Mean absolute error of roots, a scalar; an estimate below zero is right where the target is infinitely far."""
-    known, target = _known(target)
-    return _mean_of(_beyond_zero(root, target) * polar_weights(target), known)
+def sqrt_inv_depth_loss(
+    sqrt_inv_depth: Float[Tensor, "*batch height width"], target: Float[Tensor, "*batch height width"]
+) -> Tensor:
+    """Mean absolute error, a scalar; an estimate below zero is right where the target is infinitely far."""
+    known, target = _split_known(target)
+    return _masked_mean(_clamped_error(sqrt_inv_depth, target) * polar_weights(target), known)
 
 
-def _known(target: Tensor) -> tuple[Tensor, Tensor]:
+def _split_known(target: Tensor) -> tuple[Tensor, Tensor]:
     """Where the truth is known, as zeros and ones, and the target with zeros elsewhere."""
     known = torch.isfinite(target)
     return known.to(target.dtype), torch.where(known, target, torch.zeros_like(target))
 
 
-def _mean_of(error: Tensor, known: Tensor) -> Tensor:
+def _masked_mean(error: Tensor, known: Tensor) -> Tensor:
     """Mean over what is known; 0 where nothing is."""
     return (error * known).mean() / known.mean().clamp(min=torch.finfo(known.dtype).tiny)
 
@@ -93,79 +100,84 @@ def _mean_of(error: Tensor, known: Tensor) -> Tensor:
 def completion_loss(
     prediction: CompletionPrediction,
     target: Float[Tensor, "batch 1 height width"],
-    sure: Float[Tensor, "batch 1 height width"],
+    reliable: Float[Tensor, "batch 1 height width"],
 ) -> Tensor:
     """Expected L1 of both modes, L1 of the likelier one, their log-loss, gradients, edges, log-loss of the confidence.
 
     Args:
         prediction: of the completion network.
-        target: true roots; NaN where they are not known.
-        sure: 1 where matching is sure, else 0; there, away from silhouettes, everything but the gradients counts less.
+        target: true √(inverse depth × baseline); NaN where it is not known.
+        reliable: 1 where matching is reliable, else 0. There, away from silhouettes, all but the gradients counts less.
     """
-    known, target = _known(target)
+    known, target = _split_known(target)
     area = polar_weights(target) * known
-    weight = area * (1.0 + COMPLETED_WEIGHT * torch.maximum(1.0 - sure, _beside_silhouettes(target)))
-    shares = torch.cat([functional.logsigmoid(prediction.logit), functional.logsigmoid(-prediction.logit)], dim=1)
-    errors = _beyond_zero(prediction.roots, target)
-    surprise = -torch.logsumexp(shares - errors / MODE_SCALE, dim=1, keepdim=True)
-    expected = (shares.exp() * errors).sum(dim=1, keepdim=True)
-    root = prediction.root()
-    answer = _beyond_zero(root, target)
-    told = (expected + answer + MODE_WEIGHT * surprise) * weight
-    shape = GRADIENT_WEIGHT * _gradient_error(root, target, known) + EDGE_WEIGHT * _edge_error(root, target, known)
-    return told.mean() + shape + CONFIDENCE_WEIGHT * (_confidence_loss(prediction, target) * area).mean()
+    weight = area * (1.0 + UNRELIABLE_WEIGHT * torch.maximum(1.0 - reliable, _silhouette_mask(target)))
+    logit = prediction.mode_logit
+    log_probability = torch.cat([functional.logsigmoid(logit), functional.logsigmoid(-logit)], dim=1)
+    errors = _clamped_error(prediction.modes, target)
+    log_loss = -torch.logsumexp(log_probability - errors / MODE_ERROR_SCALE, dim=1, keepdim=True)
+    expected = (log_probability.exp() * errors).sum(dim=1, keepdim=True)
+    likelier = prediction.sqrt_inv_depth()
+    error = (expected + _clamped_error(likelier, target) + MODE_LOG_LOSS_WEIGHT * log_loss) * weight
+    gradients, edges = (term(likelier, target, known) for term in (_gradient_error, _edge_error))
+    confidence = (_confidence_loss(prediction, target) * area).mean()
+    return error.mean() + GRADIENT_WEIGHT * gradients + EDGE_WEIGHT * edges + CONFIDENCE_WEIGHT * confidence
 
 
-def _beside_silhouettes(target: Tensor) -> Tensor:
+def _silhouette_mask(target: Tensor) -> Tensor:
     """1 where the target jumps within a few pixels, over the seam, else 0."""
-    reach = BESIDE // 2
+    reach = SILHOUETTE_WINDOW_PIXELS // 2
     wide = functional.pad(target, (reach, reach, 0, 0), mode="circular")
-    greatest, least = (functional.max_pool2d(sign * wide, BESIDE, 1, (reach, 0)) for sign in (1.0, -1.0))
-    return (greatest + least > JUMP).to(target.dtype)
+    greatest, least = (
+        functional.max_pool2d(sign * wide, SILHOUETTE_WINDOW_PIXELS, 1, (reach, 0)) for sign in (1.0, -1.0)
+    )
+    return (greatest + least > MIN_EDGE_STEP).to(target.dtype)
 
 
-def _beyond_zero(root: Tensor, target: Tensor) -> Tensor:
+def _clamped_error(sqrt_inv_depth: Tensor, target: Tensor) -> Tensor:
     """Absolute error; an estimate below zero is right where the target is zero."""
-    return torch.where(target > 0, (root - target).abs(), root.clamp(min=0.0))
+    return torch.where(target > 0, (sqrt_inv_depth - target).abs(), sqrt_inv_depth.clamp(min=0.0))
 
 
-def _gradient_error(root: Tensor, target: Tensor, known: Tensor) -> Tensor:
+def _gradient_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
     """L1 of the differences of neighbours, with edges of the target forgiven.
 
     Where the target jumps by more than a tenth the position of the edge is left to the plain L1.
     """
-    steps = _step_errors(root, target, known)
-    return torch.stack([_mean_of(error * ~is_edge, both_known) for error, is_edge, both_known in steps]).sum()
+    steps = _neighbour_step_errors(sqrt_inv_depth, target, known)
+    return torch.stack([_masked_mean(error * ~is_edge, both_known) for error, is_edge, both_known in steps]).sum()
 
 
-def _edge_error(root: Tensor, target: Tensor, known: Tensor) -> Tensor:
+def _edge_error(sqrt_inv_depth: Tensor, target: Tensor, known: Tensor) -> Tensor:
     """L1 of the differences of neighbours where the target jumps, over all pixels."""
-    steps = _step_errors(root, target, known)
+    steps = _neighbour_step_errors(sqrt_inv_depth, target, known)
     return torch.stack([(error * is_edge * both_known).mean() for error, is_edge, both_known in steps]).sum()
 
 
-def _step_errors(root: Tensor, target: Tensor, known: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+def _neighbour_step_errors(
+    sqrt_inv_depth: Tensor, target: Tensor, known: Tensor
+) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Of the differences to the right neighbour (over the seam) and to the one below.
 
     Each with its weighted error, whether the target jumps there, and whether both are known.
     """
     weights = polar_weights(target)
     for dimension, kept in ((-1, slice(None)), (-2, slice(-1))):
-        step, true_step = (x.roll(-1, dimension) - x for x in (root, target))
+        step, true_step = (x.roll(-1, dimension) - x for x in (sqrt_inv_depth, target))
         error, both_known = (step - true_step).abs() * weights, known * known.roll(-1, dimension)
-        yield error[..., kept, :], true_step.abs()[..., kept, :] >= JUMP, both_known[..., kept, :]
+        yield error[..., kept, :], true_step.abs()[..., kept, :] >= MIN_EDGE_STEP, both_known[..., kept, :]
 
 
 def _confidence_loss(prediction: DepthAnswer, target: Tensor) -> Tensor:
     """Log-loss of the confidence, pixel by pixel."""
-    right = _is_right(prediction.inverse_depth(), target.square())
-    return functional.binary_cross_entropy_with_logits(prediction.confidence_logit, right, reduction="none")
+    correct = _is_correct(prediction.inverse_depth(), target.square())
+    return functional.binary_cross_entropy_with_logits(prediction.confidence_logit, correct, reduction="none")
 
 
-def _is_right(inverse_depth: Tensor, target: Tensor, factor: float = RIGHT_WITHIN) -> Tensor:
+def _is_correct(inverse_depth: Tensor, target: Tensor, factor: float = MAX_CORRECT_RATIO) -> Tensor:
     with torch.no_grad():
-        larger = torch.maximum(inverse_depth, target).clamp(min=FARTHEST)
-        smaller = torch.minimum(inverse_depth, target).clamp(min=FARTHEST)
+        larger = torch.maximum(inverse_depth, target).clamp(min=INFINITY_INVERSE_DEPTH)
+        smaller = torch.minimum(inverse_depth, target).clamp(min=INFINITY_INVERSE_DEPTH)
         return (larger < factor * smaller).to(inverse_depth.dtype)
 
 
@@ -177,7 +189,7 @@ def depth_scores(
 
     Args:
         prediction: of a depth network.
-        target: true roots.
+        target: true √(inverse depth × baseline).
         baseline: metres.
 
     Returns:
@@ -188,18 +200,18 @@ def depth_scores(
     """
     scale = baseline.view(-1, 1, 1, 1)
     estimate, truth = prediction.inverse_depth() / scale, target.square() / scale
-    scored = (truth < 1.0 / SCORED_DEPTH[0]) & (truth > 1.0 / SCORED_DEPTH[1])
+    scored = (truth < 1.0 / SCORED_DEPTH_RANGE_METRES[0]) & (truth > 1.0 / SCORED_DEPTH_RANGE_METRES[1])
     ratio = torch.maximum(estimate / truth, truth / estimate.clamp(min=1e-6))[scored]
     known = torch.isfinite(target)
-    right = _is_right(prediction.inverse_depth(), target.square())
+    correct = _is_correct(prediction.inverse_depth(), target.square())
     sky = target == 0
     return {
         "imae": float((estimate - truth).abs()[scored].mean()),
         "delta_5": float((ratio < 1.05).float().mean()),
         "delta_10": float((ratio < 1.10).float().mean()),
         "delta_25": float((ratio < 1.25).float().mean()),
-        "confidence_error": float((prediction.confidence() - right).abs()[known].mean()),
-        "sky_zero": float((prediction.inverse_depth()[sky] < FARTHEST).float().mean()),
+        "confidence_error": float((prediction.confidence() - correct).abs()[known].mean()),
+        "sky_zero": float((prediction.inverse_depth()[sky] < INFINITY_INVERSE_DEPTH).float().mean()),
     }
 
 
@@ -208,42 +220,42 @@ def completion_scores(
     prediction: DepthAnswer,
     filled: Float[Tensor, "batch 1 height width"],
     target: Float[Tensor, "batch 1 height width"],
-    sure: Float[Tensor, "batch 1 height width"],
+    reliable: Float[Tensor, "batch 1 height width"],
 ) -> dict[str, float]:
-    """How well is answered where matching is not sure, and elsewhere; means weigh pixels by solid angle.
+    """Accuracy where matching is unreliable, and elsewhere; means weigh pixels by solid angle.
 
     Args:
         prediction: of a depth network.
-        filled: roots of the map that it began with; what is said of it ends with ``_filled``.
-        target: true roots; NaN where they are not known.
-        sure: 1 where matching is sure, else 0.
+        filled: √(inverse depth × baseline) of the input; its figures end with ``_filled``.
+        target: the truth; NaN where it is not known.
+        reliable: 1 where matching is reliable, else 0.
 
     Returns:
-        ``unsure``, the share of the sphere; over that ``error``, the mean absolute error of the root, ``within_5`` and
+        ``unsure``, the unreliable share of the sphere; over that ``error``, the mean absolute error, ``within_5`` and
         ``within_25``, the shares whose depth is within a factor of 1.05 and 1.25, and ``confidence_error``, the mean of
         |confidence − (within a factor of 1.1)|; over the rest ``error_sure``.
     """
-    known, target = _known(target)
+    known, target = _split_known(target)
     area = polar_weights(target) * known
-    unsure = area * (1.0 - sure)
-    answer = prediction.inverse_depth()
-    right = _is_right(answer, target.square())
+    unreliable = area * (1.0 - reliable)
+    inverse_depth = prediction.inverse_depth()
+    correct = _is_correct(inverse_depth, target.square())
 
     def mean(values: Tensor, weights: Tensor) -> float:
         return float((values * weights).sum() / weights.sum())
 
     def within(inverse_depth: Tensor, factor: float) -> float:
-        return mean(_is_right(inverse_depth, target.square(), factor), unsure)
+        return mean(_is_correct(inverse_depth, target.square(), factor), unreliable)
 
     return {
-        "unsure": mean(1.0 - sure, area),
-        "error": mean((answer.sqrt() - target).abs(), unsure),
-        "error_filled": mean((filled - target).abs(), unsure),
-        "within_5": within(answer, 1.05),
+        "unsure": mean(1.0 - reliable, area),
+        "error": mean((inverse_depth.sqrt() - target).abs(), unreliable),
+        "error_filled": mean((filled - target).abs(), unreliable),
+        "within_5": within(inverse_depth, 1.05),
         "within_5_filled": within(filled.square(), 1.05),
-        "within_25": within(answer, 1.25),
+        "within_25": within(inverse_depth, 1.25),
         "within_25_filled": within(filled.square(), 1.25),
-        "error_sure": mean((answer.sqrt() - target).abs(), area * sure),
-        "error_sure_filled": mean((filled - target).abs(), area * sure),
-        "confidence_error": mean((prediction.confidence() - right).abs(), unsure),
+        "error_sure": mean((inverse_depth.sqrt() - target).abs(), area * reliable),
+        "error_sure_filled": mean((filled - target).abs(), area * reliable),
+        "confidence_error": mean((prediction.confidence() - correct).abs(), unreliable),
     }

@@ -9,24 +9,24 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from omnisyn_cli.errors import InputError
-from omnisyn_cli.fusion import input_channels as plane
+from omnisyn_cli.fusion import input_channels as channel
 from omnisyn_cli.io.outputs import write_errors
 
 __all__ = ["Board"]
 
-LARGEST_ERROR = 0.25
-"""Difference of roots that has the brightest colour; fixed, so that pictures of different steps can be compared."""
+MAX_SHOWN_ERROR = 0.25
+"""Difference of √(inverse depth × baseline) with the brightest colour; fixed, so that steps can be compared."""
 
-NEAREST_SHARE = 99.0
-"""Percentile of the true roots that has the last colour."""
+NEAR_PERCENTILE = 99.0
+"""Percentile of the truth that has the last colour: a few pixels at the nadir would take the whole scale."""
 
-GAP = 4
+SHEET_GAP_PIXELS = 4
 """Pixels between the pictures of a sheet."""
 
 
 def depth_pictures(
     image: Float32[np.ndarray, "height width 3"],
-    root: Float32[np.ndarray, "height width"],
+    sqrt_inv_depth: Float32[np.ndarray, "height width"],
     truth: Float32[np.ndarray, "height width"],
 ) -> dict[str, Float32[np.ndarray, "height width 3"]]:
     """``input``, ``prediction``, ``truth`` and ``error`` as RGB in [0, 1].
@@ -36,17 +36,17 @@ def depth_pictures(
 
     Args:
         image: the panorama.
-        root: estimated square root of inverse depth · baseline.
+        sqrt_inv_depth: estimated √(inverse depth × baseline).
         truth: the true one.
     """
     known = np.isfinite(truth)
-    largest = max(float(np.percentile(truth[known], NEAREST_SHARE)), 1e-3) if known.any() else 1.0
-    error = np.where(known, np.abs(root - np.where(known, truth, 0.0)), 0.0)
+    largest = max(float(np.percentile(truth[known], NEAR_PERCENTILE)), 1e-3) if known.any() else 1.0
+    error = np.where(known, np.abs(sqrt_inv_depth - np.where(known, truth, 0.0)), 0.0)
     return {
         "input": np.asarray(image, np.float32),
-        "prediction": _coloured(root / largest, cv2.COLORMAP_TURBO),
-        "truth": np.where(known[..., None], _coloured(truth / largest, cv2.COLORMAP_TURBO), np.float32(0.0)),
-        "error": _coloured(error / LARGEST_ERROR, cv2.COLORMAP_INFERNO),
+        "prediction": _colourize(sqrt_inv_depth / largest, cv2.COLORMAP_TURBO),
+        "truth": np.where(known[..., None], _colourize(truth / largest, cv2.COLORMAP_TURBO), np.float32(0.0)),
+        "error": _colourize(error / MAX_SHOWN_ERROR, cv2.COLORMAP_INFERNO),
     }
 
 
@@ -56,14 +56,14 @@ def as_array(x: Float[Tensor, "*channels height width"]) -> Float32[np.ndarray, 
 
 
 def fused_pictures(
-    planes: Float[Tensor, "planes height width"],
+    channels: Float[Tensor, "channels height width"],
     picture: Float[Tensor, "3 height width"],
     truth: Float[Tensor, "3 height width"],
 ) -> dict[str, Float32[np.ndarray, "height width 3"]]:
     """``first`` and ``second``, the renderings; ``fused``, what the network makes of them; ``between``, the truth."""
     shown = {
-        "first": planes[plane.FIRST :][:3],
-        "second": planes[plane.SECOND :][:3],
+        "first": channels[channel.FIRST_RGB :][:3],
+        "second": channels[channel.SECOND_RGB :][:3],
         "fused": picture,
         "between": truth,
     }
@@ -74,15 +74,16 @@ def contact_sheet(pictures: dict[str, Float32[np.ndarray, "height width 3"]]) ->
     """All pictures, of one size, two in a row, with black between them."""
     listed = list(pictures.values())
     height, width = listed[0].shape[:2]
-    down = -(-len(listed) // 2)
-    sheet = np.zeros((down * (height + GAP) - GAP, 2 * (width + GAP) - GAP, 3), np.float32)
+    row_step, col_step = height + SHEET_GAP_PIXELS, width + SHEET_GAP_PIXELS
+    rows = -(-len(listed) // 2)
+    sheet = np.zeros((rows * row_step - SHEET_GAP_PIXELS, 2 * col_step - SHEET_GAP_PIXELS, 3), np.float32)
     for index, picture in enumerate(listed):
-        row, col = index // 2 * (height + GAP), index % 2 * (width + GAP)
+        row, col = index // 2 * row_step, index % 2 * col_step
         sheet[row : row + height, col : col + width] = picture
     return sheet
 
 
-def _coloured(share: np.ndarray, colours: int) -> Float32[np.ndarray, "height width 3"]:
+def _colourize(share: np.ndarray, colours: int) -> Float32[np.ndarray, "height width 3"]:
     """RGB of values in [0, 1]; beyond, the last colour."""
     level = np.rint(np.clip(np.nan_to_num(share), 0.0, 1.0) * 255.0).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(level, colours)[..., ::-1], np.float32) / np.float32(255.0)

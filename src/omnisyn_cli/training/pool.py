@@ -1,9 +1,8 @@
 """Filling a pool: procedural scenes rendered straight into the epipole frame, by worker processes.
 
-What differs between two photographs beyond colour is made here: how far apart they were taken, and small errors of the
-poses (each view is turned by a fraction of a degree that nobody is told). Pairs of any data set that has depth become
-scenes of a pool as well; inverse depth is NaN where the truth is not known (holes of a scan, masked pixels), and
-nothing is taught there.
+Two photographs differ by more than colour: how far apart they were taken, and small errors of the poses. Each view is
+rotated by a fraction of a degree that its pose does not say. Pairs of any data set with depth become scenes of a pool
+as well. Inverse depth is NaN where the truth is not known (holes of a scan, masked pixels); nothing is learned there.
 """
 
 import os
@@ -32,8 +31,8 @@ from omnisyn_cli.types import View
 
 __all__ = ["PoolConfig", "TiltedConfig", "add_pair", "fill_pool", "pair_path", "render_to_pool"]
 
-STOPS = 9
-"""Positions along a path that views are chosen from; the ends are always taken."""
+PATH_STOPS = 9
+"""Positions along a path that views are drawn from; the ends are always taken."""
 
 
 @dataclass(frozen=True)
@@ -44,19 +43,19 @@ class SceneConfig:
         size: ``(height, width)`` of what is stored.
         kinds: of scenes, in turn by seed.
         turned: share of scenes with pose errors.
-        turned_by: standard deviation of those, radians.
+        pose_error_radians: standard deviation of these errors.
         textures: folder of photographs that become materials; None leaves all of them procedural.
     """
 
     size: tuple[int, int] = (256, 512)
     kinds: tuple[str, ...] = ("room", "street", "home", "jumble", "yard")
-    turned: float = 0.3
-    turned_by: float = 0.002
+    pose_error_share: float = 0.3
+    pose_error_radians: float = 0.002
     textures: str | None = None
 
     def scene(self, seed: int, stops: int) -> tuple[Scene, list[Pose]] | None:
         """The scene of a seed, and places on a straight way through it; None if it has no room for one."""
-        scene = generate_scene(self.kinds[seed % len(self.kinds)], seed, _photos_in(self.textures))
+        scene = generate_scene(self.kinds[seed % len(self.kinds)], seed, _load_photos(self.textures))
         try:
             return scene, sample_path(scene, seed, stops)
         except ValueError:
@@ -64,7 +63,7 @@ class SceneConfig:
 
     def pose_error(self, rng: np.random.Generator) -> float:
         """Standard deviation of the pose errors of a scene, radians."""
-        return self.turned_by if rng.random() < self.turned else 0.0
+        return self.pose_error_radians if rng.random() < self.pose_error_share else 0.0
 
 
 @dataclass(frozen=True)
@@ -87,32 +86,31 @@ class PoolConfig(SceneConfig):
         supersample: colour samples per pixel along each axis.
     """
 
-    turned_by: float = 0.0015
+    pose_error_radians: float = 0.0015
     views: int = 3
     supersample: int = 2
 
 
 @lru_cache(maxsize=1)
-def _photos_in(folder: str | None) -> Photos | None:
+def _load_photos(folder: str | None) -> Photos | None:
     """The photographs of a folder, read once in a process.
 
-    Raises:
-        InputError: there are none, or one of them cannot be read.
+    Raises InputError: there are none, or one of them cannot be read.
     """
     return None if folder is None else pack_photos(read_photographs(Path(folder)))
 
 
 def _render_along(scene: Scene, path: Sequence[Pose], seed: int, config: PoolConfig) -> PoolScene:
     rng = np.random.default_rng([7, seed])
-    between = np.sort(rng.choice(np.arange(1, STOPS - 1), config.views - 2, replace=False))
+    between = np.sort(rng.choice(np.arange(1, PATH_STOPS - 1), config.views - 2, replace=False))
     chosen = [path[0], *(path[i] for i in between), path[-1]]
     frame = epipole_frame(path[0], path[-1])[0].rotation
     spread = config.pose_error(rng)
     images, depths = [], []
     for pose in chosen:
-        turned = rotation_from_rotation_vector(spread * rng.standard_normal(3)) @ frame
+        pose_error_share = rotation_from_rotation_vector(spread * rng.standard_normal(3)) @ frame
         image, depth = render_views(
-            scene, turned, pose.position[None], config.size, supersample=config.supersample, threads=1
+            scene, pose_error_share, pose.position[None], config.size, supersample=config.supersample, threads=1
         )
         images.append((image[0] * 255.0 + 0.5).astype(np.uint8))
         depths.append(depth[0])
@@ -140,7 +138,7 @@ def fill_pool(
     """
     make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_give_way) as executor:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_lower_priority) as executor:
         futures = [executor.submit(make, folder, seed) for seed in missing]
         try:
             for future in as_completed(futures):
@@ -161,7 +159,7 @@ def scene_path(folder: Path, seed: int) -> Path:
     return folder / f"{seed:08d}.npz"
 
 
-def _give_way() -> None:
+def _lower_priority() -> None:
     if hasattr(os, "nice"):
         os.nice(19)
 
@@ -171,7 +169,7 @@ def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
 
     Equal seeds make equal files.
     """
-    found = config.scene(seed, STOPS)
+    found = config.scene(seed, PATH_STOPS)
     if found is None:
         return None
     file = scene_path(folder, seed)
@@ -179,17 +177,17 @@ def render_to_pool(folder: Path, seed: int, config: PoolConfig) -> Path | None:
     return file
 
 
-def held_askew(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
+def random_rotation(rng: np.random.Generator, tilt: float) -> Float[np.ndarray, "3 3"]:
     """How a camera is held with any heading, and pitch and roll of a standard deviation in radians."""
     return rotation_from_heading(rng.uniform(-np.pi, np.pi), rng.normal(0.0, tilt), rng.normal(0.0, tilt))
 
 
-def as_told(pose: Pose, error: float, rng: np.random.Generator) -> Pose:
+def noisy_pose(pose: Pose, error: float, rng: np.random.Generator) -> Pose:
     """A pose as it is said to be, wrong by rotations of a standard deviation in radians."""
     return Pose(pose.rotation @ rotation_from_rotation_vector(error * rng.standard_normal(3)), pose.position)
 
 
-def photographed(
+def take_photograph(
     scene: Scene, position: Float[np.ndarray, " 3"], tilt: float, error: float, rng: np.random.Generator,
     size: tuple[int, int], depth_size: tuple[int, int],
 ) -> tuple[Float32[np.ndarray, "height width 3"], Float[np.ndarray, "rows cols"], Pose]:  # fmt: skip
@@ -198,16 +196,16 @@ def photographed(
     Args:
         scene: what is photographed.
         position: of the camera.
-        tilt: see :func:`held_askew`.
-        error: see :func:`as_told`.
+        tilt: see :func:`random_rotation`.
+        error: see :func:`noisy_pose`.
         rng: random numbers.
         size: height and width of the picture.
         depth_size: those of the inverse depth.
     """
-    pose = Pose(held_askew(rng, tilt), position)
+    pose = Pose(random_rotation(rng, tilt), position)
     image, _ = render_panorama(scene, pose, size, supersample=2, threads=1)
     _, depth = render_panorama(scene, pose, depth_size, supersample=1, threads=1)
-    return np.asarray(image, np.float32), 1.0 / depth, as_told(pose, error, rng)
+    return np.asarray(image, np.float32), 1.0 / depth, noisy_pose(pose, error, rng)
 
 
 def pair_path(folder: Path, scene: str, first: str, second: str) -> Path:
@@ -235,20 +233,21 @@ def pool_scene(first: View, second: View, size: tuple[int, int]) -> PoolScene:
         second: another.
         size: height and width of the pool, 1:2.
 
-    Raises:
-        InputError: a panorama has no depth, or both are at one place.
+    Raises InputError: a panorama has no depth, or both are at one place.
     """
     if first.known_depth is None or second.known_depth is None:
         raise InputError("expected true depth of both panoramas of a training pair, got none; leave the pair out")
     if at_same_position(first.pose, second.pose):
         raise InputError("expected two panoramas from different places, got one place; leave the pair out")
     frame, _, baseline = epipole_frame(first.pose, second.pose)
-    shown = [_turned(view, frame, size) for view in (first, second)]
+    shown = [_rotate_view(view, frame, size) for view in (first, second)]
     images, inverse_depths = (np.stack(column) for column in zip(*shown, strict=True))
     return PoolScene(images, inverse_depths, np.array([0.0, baseline], np.float32), frame.rotation.T @ UP)
 
 
-def _turned(view: View, frame: Pose, size: tuple[int, int]) -> tuple[np.ndarray, Float[np.ndarray, "height width"]]:
+def _rotate_view(
+    view: View, frame: Pose, size: tuple[int, int]
+) -> tuple[np.ndarray, Float[np.ndarray, "height width"]]:
     """Colours (uint8) and inverse depth of a panorama as a camera held like ``frame`` would have taken it."""
     colours = rotated_image(view.image, view.pose.rotation, frame.rotation, size)
     directions = rotated_directions(size, view.pose.rotation, frame.rotation)

@@ -46,8 +46,7 @@ def choose_precision(device: str = "auto") -> Precision:
         device: one of :data:`DEVICES`; ``auto`` is CUDA where there is a GPU, else the processor, in bfloat16 where it
             multiplies in it; ``cpu`` is the processor in single precision.
 
-    Raises:
-        InputError: an unknown device, or CUDA was asked for and there is none.
+    Raises InputError: an unknown device, or CUDA was asked for and there is none.
     """
     if device not in DEVICES:
         raise InputError(f"expected a device of {', '.join(DEVICES)}, got {device!r}")

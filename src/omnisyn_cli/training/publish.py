@@ -22,7 +22,7 @@ from omnisyn_cli.training.tasks import TASKS, parts_of, role_of
 
 __all__ = ["publish"]
 
-COMPARED = 3
+COMPARED_EXAMPLES = 3
 """Examples of each kind that torch and ONNX Runtime are compared on."""
 
 Examples = Iterator[tuple[np.ndarray, ...]]
@@ -129,7 +129,7 @@ def _examples(task: Task, network: Network, size: tuple[int, int], pool: Path | 
     """Noise, and what the network would be judged by in a pool."""
     yield from _noise(network, size)
     if pool is not None:
-        stage = TrainConfig(str(pool), str(pool), size=size, validation_pairs=COMPARED)
+        stage = TrainConfig(str(pool), str(pool), size=size, validation_pairs=COMPARED_EXAMPLES)
         for batch in task.validation(network, stage):
             yield tuple(value[:1].numpy() for value in task.inputs(network, batch))
 
@@ -137,7 +137,8 @@ def _examples(task: Task, network: Network, size: tuple[int, int], pool: Path | 
 def _views(network: SynSinNetwork, part: Network, pool: Path | None) -> Examples:
     """Noise, and panoramas of a pool or what the decoder would see of them."""
     yield from _noise(part, network.config.size)
-    samples = draw_views(list_pool(pool), np.random.default_rng(0), COMPARED, network.config.size) if pool else []
+    rng, size = np.random.default_rng(0), network.config.size
+    samples = draw_views(list_pool(pool), rng, COMPARED_EXAMPLES, size) if pool else []
     for sample in samples:
         yield (blend_points(network, sample)[None].numpy() if part is network.decoder else sample.images[:1].numpy(),)
 
@@ -147,7 +148,7 @@ def _noise(network: Network, size: tuple[int, int]) -> Examples:
     rng, height, multiple = np.random.default_rng(0), size[0], network.config.size_multiple
     half, more = max(multiple, height // 2 // multiple * multiple), height + multiple
     free = [(rows, 2 * rows) for rows in (height, half, more)]
-    for shape in free if network.ports.size is None else [size] * COMPARED:
+    for shape in free if network.ports.size is None else [size] * COMPARED_EXAMPLES:
         inputs = network.ports.input_shapes(shape).values()
         yield tuple(rng.random((1, *each), dtype=np.float32) for each in inputs)
 

@@ -2,8 +2,8 @@
 
 It learns from samples of pools of scenes (:mod:`omnisyn_cli.training.data`), turned upright, looking anywhere.
 
-The depth network is told the true inverse depth as well as what is wrong with the picture: from pictures alone it would
-find a depth that suits them, in no unit that could be compared.
+The depth network learns from the true inverse depth as well as from the error of the picture. From pictures alone it
+would find a depth that suits them, in an unknown unit.
 """
 
 from collections.abc import Sequence
@@ -16,19 +16,19 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import Module
 
+from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.evaluation.metrics import ws_psnr
 from omnisyn_cli.geometry.pose import Pose, rotation_from_heading
-from omnisyn_cli.geometry.sampling import sample_nearest, rotated_directions, rotated_image
+from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
 from omnisyn_cli.networks.interface import DepthAnswer
 from omnisyn_cli.networks.synsin import SynSinConfig, SynSinNetwork, inverse_depth_of
-from omnisyn_cli.baselines.soft_points_torch import splat_torch
 from omnisyn_cli.training.adversarial import adversarial_loss, adversarial_weight, discriminator_loss, feature_loss
 from omnisyn_cli.training.data import PoolScene, load_scene
-from omnisyn_cli.training.losses import depth_scores, polar_weights, root_loss
+from omnisyn_cli.training.losses import depth_scores, polar_weights, sqrt_inv_depth_loss
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 
-LEVEL = 1e-3
-"""Least length of the horizontal part of a way for it to be a direction."""
+MIN_HORIZONTAL_LENGTH = 1e-3
+"""Horizontal length of the unit vector along the path below which it has no heading."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ class ViewSample:
 
     Attributes:
         images: of the panoramas, RGB in [0, 1].
-        roots: of their true inverse depths, m^-½; NaN where they are not known.
+        sqrt_inv_depths: of their true inverse depths, m^-½; NaN where they are not known.
         target_from_sources: where the panoramas are, seen from the target.
         truth: what is to be seen.
     """
 
     images: Float[Tensor, "views 3 height width"]
-    roots: Float[Tensor, "views 1 height width"]
+    sqrt_inv_depths: Float[Tensor, "views 1 height width"]
     target_from_sources: tuple[Pose, ...]
     truth: Float[Tensor, "3 height width"]
 
@@ -88,12 +88,12 @@ def view_sample(
         return np.ascontiguousarray(shown.transpose(2, 0, 1), np.float32)
 
     directions = rotated_directions(size, own, held)
-    roots = [np.sqrt(sample_nearest(scene.inverse_depth[view], directions))[None] for view in sources]
+    sqrt_inv_depths = [np.sqrt(sample_nearest(scene.inverse_depth[view], directions))[None] for view in sources]
     along = scene.along.astype(np.float64)
     moved = [held.T @ np.array([0.0, along[view] - along[target], 0.0]) for view in sources]
     return ViewSample(
         images=torch.from_numpy(np.stack([colours(view) for view in sources])),
-        roots=torch.from_numpy(np.stack(roots).astype(np.float32)),
+        sqrt_inv_depths=torch.from_numpy(np.stack(sqrt_inv_depths).astype(np.float32)),
         target_from_sources=tuple(Pose(np.eye(3), offset) for offset in moved),
         truth=torch.from_numpy(colours(target)),
     )
@@ -102,7 +102,7 @@ def view_sample(
 def _upright(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Pool from upright: the frame in which ``up`` is up and the line, if it leads anywhere, straight ahead."""
     ahead = np.array([0.0, 1.0, 0.0]) - up[1] * up
-    if np.linalg.norm(ahead) < LEVEL:
+    if np.linalg.norm(ahead) < MIN_HORIZONTAL_LENGTH:
         ahead = np.cross(up, np.array([1.0, 0.0, 0.0]))
     ahead = ahead / np.linalg.norm(ahead)
     return np.stack([np.cross(ahead, up), up, -ahead], axis=-1)
@@ -113,71 +113,73 @@ def _varied(sample: ViewSample, rng: np.random.Generator) -> ViewSample:
     tint = torch.from_numpy((rng.uniform(0.7, 1.1) * rng.uniform(0.93, 1.07, (3, 1, 1))).astype(np.float32))
     gamma = float(rng.uniform(0.8, 1.25))
     images, truth = ((tint * x.clamp(min=1e-4) ** gamma).clamp(max=1.0) for x in (sample.images, sample.truth))
-    roots, poses = sample.roots, sample.target_from_sources
+    sqrt_inv_depths, poses = sample.sqrt_inv_depths, sample.target_from_sources
     if rng.random() < 0.5:
-        images, roots, truth = images.flip(-1), roots.flip(-1), truth.flip(-1)
+        images, sqrt_inv_depths, truth = images.flip(-1), sqrt_inv_depths.flip(-1), truth.flip(-1)
         mirror = np.array([-1.0, 1.0, 1.0])
         poses = tuple(Pose(pose.rotation, mirror * pose.position) for pose in poses)
-    return ViewSample(images, roots, poses, truth)
+    return ViewSample(images, sqrt_inv_depths, poses, truth)
 
 
 DEPTH_WEIGHT = 0.5
-"""Of the absolute error of roots beside that of colours."""
+"""Weight of the absolute error of √(inverse depth) beside that of colours."""
 
 
 @dataclass(frozen=True)
-class Made(DepthAnswer):
+class SynSinPrediction(DepthAnswer):
     """What the networks make of samples; their depth is in metres, as of baselines of one metre, and sure.
 
     Attributes:
         pictures: one for each sample.
-        roots: of the inverse depth of all panoramas of all samples, in their order.
+        sqrt_inv_depths: of the inverse depth of all panoramas of all samples, in their order.
         config: of the networks.
     """
 
     pictures: Float[Tensor, "samples 3 height width"]
-    roots: Float[Tensor, "views 1 height width"]
+    sqrt_inv_depths: Float[Tensor, "views 1 height width"]
     config: SynSinConfig
 
     def inverse_depth(self) -> Float[Tensor, "views 1 height width"]:
         """1/metre."""
-        return inverse_depth_of(self.roots, self.config)
+        return inverse_depth_of(self.sqrt_inv_depths, self.config)
 
     def confidence(self) -> Float[Tensor, "views 1 height width"]:
         """One everywhere."""
-        return torch.ones_like(self.roots)
+        return torch.ones_like(self.sqrt_inv_depths)
 
 
-def make_pictures(network: SynSinNetwork, samples: Sequence[ViewSample]) -> Made:
+def render_pictures(network: SynSinNetwork, samples: Sequence[ViewSample]) -> SynSinPrediction:
     """Encode all panoramas, blend the points of each sample, decode all of them at once."""
     images = torch.cat([sample.images for sample in samples])
-    roots, features = network.depth(images).float(), network.encoder(images).float()
-    inverse_depth = inverse_depth_of(roots, network.config)[:, 0]
+    sqrt_inv_depths, features = network.depth(images).float(), network.encoder(images).float()
+    inverse_depth = inverse_depth_of(sqrt_inv_depths, network.config)[:, 0]
     blended, begin = [], 0
     for sample in samples:
         views = slice(begin, begin + len(sample.images))
-        blended.append(_blended(network.config, features[views], inverse_depth[views], sample.target_from_sources))
+        blended.append(_blend(network.config, features[views], inverse_depth[views], sample.target_from_sources))
         begin = views.stop
-    return Made(network.decoder(torch.stack(blended)).float(), roots, network.config)
+    return SynSinPrediction(network.decoder(torch.stack(blended)).float(), sqrt_inv_depths, network.config)
 
 
 @torch.no_grad()
 def blend_points(network: SynSinNetwork, sample: ViewSample) -> Float[Tensor, "channels height width"]:
     """What the decoder is shown of a sample: blended features, and their opacity."""
     inverse_depth = inverse_depth_of(network.depth(sample.images), network.config)[:, 0]
-    return _blended(network.config, network.encoder(sample.images), inverse_depth, sample.target_from_sources)
+    return _blend(network.config, network.encoder(sample.images), inverse_depth, sample.target_from_sources)
 
 
-def _blended(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses: Sequence[Pose]) -> Tensor:
+def _blend(config: SynSinConfig, features: Tensor, inverse_depth: Tensor, poses: Sequence[Pose]) -> Tensor:
     size = (features.shape[-2], features.shape[-1])
     return splat_torch(list(features), list(inverse_depth), poses, size, radius=config.radius, most=config.points)
 
 
-def own_loss(made: Made, samples: Sequence[ViewSample]) -> Tensor:
-    """Absolute error of colours, and that of roots of inverse depth; both weighted by solid angle."""
+def reconstruction_loss(made: SynSinPrediction, samples: Sequence[ViewSample]) -> Tensor:
+    """Absolute error of colours, and that of √(inverse depth); both weighted by solid angle."""
     truth = _truth(samples)
     colours = ((made.pictures - truth).abs() * polar_weights(truth)).mean()
-    return colours + DEPTH_WEIGHT * root_loss(made.roots, torch.cat([sample.roots for sample in samples]))
+    return colours + DEPTH_WEIGHT * sqrt_inv_depth_loss(
+        made.sqrt_inv_depths, torch.cat([sample.sqrt_inv_depths for sample in samples])
+    )
 
 
 def _truth(samples: Sequence[ViewSample]) -> Float[Tensor, "samples 3 height width"]:
@@ -188,8 +190,8 @@ def adversarial_losses(
     network: SynSinNetwork, discriminator: Module, samples: Sequence[ViewSample], step: int
 ) -> tuple[Tensor, Tensor]:
     """The loss of the networks and that of their discriminator after so many steps of its own."""
-    made = make_pictures(network, samples)
-    loss, weight = own_loss(made, samples), adversarial_weight(step)
+    made = render_pictures(network, samples)
+    loss, weight = reconstruction_loss(made, samples), adversarial_weight(step)
     true = discriminator(_truth(samples))
     verdict = discriminator_loss(discriminator(made.pictures.detach()), true)
     if weight > 0.0:
@@ -198,7 +200,7 @@ def adversarial_losses(
     return loss, verdict
 
 
-def stored_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:
+def load_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:
     """The middle of a scene from its first view, and from its first and last; the last of two from the first, twice."""
     scene = load_scene(path)
     middle, last = len(scene.along) // 2, len(scene.along) - 1
@@ -206,24 +208,24 @@ def stored_views(path: Path, size: tuple[int, int]) -> list[ViewSample]:
     return [view_sample(scene, middle, sources, size) for sources in ((0,), both)]
 
 
-def synsin_scores(made: Made, samples: Sequence[ViewSample]) -> dict[str, float]:
-    """WS-PSNR from the first panorama and from both, depth of both, of :func:`stored_views`."""
+def synsin_scores(made: SynSinPrediction, samples: Sequence[ViewSample]) -> dict[str, float]:
+    """WS-PSNR from the first panorama and from both, depth of both, of :func:`load_views`."""
     one, two = (
         float(ws_psnr(as_array(picture.clamp(0.0, 1.0)), as_array(sample.truth)))
         for picture, sample in zip(made.pictures, samples, strict=True)
     )
-    both = Made(made.pictures[1:], made.roots[1:], made.config)
-    truth = samples[1].roots
+    both = SynSinPrediction(made.pictures[1:], made.sqrt_inv_depths[1:], made.config)
+    truth = samples[1].sqrt_inv_depths
     depths = depth_scores(both, truth, torch.ones(len(truth), device=truth.device))
     return {"ws_psnr_one_view": one, "ws_psnr_two_views": two, "imae": depths["imae"], "delta_25": depths["delta_25"]}
 
 
-def synsin_pictures(made: Made, samples: Sequence[ViewSample]) -> dict[str, np.ndarray]:
-    """The truth, the pictures from one panorama and from both, the depth of the first, of :func:`stored_views`."""
+def synsin_pictures(made: SynSinPrediction, samples: Sequence[ViewSample]) -> dict[str, np.ndarray]:
+    """The truth, the pictures from one panorama and from both, the depth of the first, of :func:`load_views`."""
     one, two = (as_array(picture.clamp(0.0, 1.0)) for picture in made.pictures)
     first = samples[0]
     found = made.inverse_depth()[0, 0].sqrt()
-    depth = depth_pictures(as_array(first.images[0]), as_array(found), as_array(first.roots[0, 0]))
+    depth = depth_pictures(as_array(first.images[0]), as_array(found), as_array(first.sqrt_inv_depths[0, 0]))
     return {
         "input": depth["input"],
         "aim": as_array(first.truth),

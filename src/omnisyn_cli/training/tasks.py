@@ -9,11 +9,11 @@ import numpy as np
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.networks.completion import (
     COMPLETION_VARIANTS,
-    FILLED_PLANE,
+    FILLED_CHANNEL,
     CompletionConfig,
     CompletionNetwork,
     CompletionPrediction,
-    where_sure,
+    reliable_mask,
 )
 from omnisyn_cli.networks.fusion import FUSION_VARIANTS, FusionConfig, build_fusion
 from omnisyn_cli.networks.guided_depth import (
@@ -27,8 +27,8 @@ from omnisyn_cli.networks.paper import PAPER_VARIANTS, PaperConfig, PaperNetwork
 from omnisyn_cli.networks.synsin import SYNSIN_VARIANTS, SynSinConfig, SynSinNetwork
 from omnisyn_cli.training import fusion_losses, joint, losses, synsin
 from omnisyn_cli.training.completion import draw_completion
-from omnisyn_cli.training.data import Batch, EvidenceBatch
-from omnisyn_cli.training.fusion_pool import draw_fusion, stored_fusion
+from omnisyn_cli.training.data import Batch, FeatureBatch
+from omnisyn_cli.training.fusion_pool import draw_fusion, load_fusion
 from omnisyn_cli.training.guided_depth import GuidedBatch, draw_guided, guided_loss, guided_scores
 from omnisyn_cli.training.pictures import as_array, depth_pictures
 from omnisyn_cli.training.synsin import draw_views
@@ -42,28 +42,29 @@ NetworkConfig = GuidedDepthConfig | PaperConfig | CompletionConfig | FusionConfi
 
 def _depth_pictures(answer: DepthAnswer, batch: Batch) -> dict[str, np.ndarray]:
     found = answer.inverse_depth().sqrt()
-    return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
+    return depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.sqrt_inv_depth[0, 0])))
 
 
 def _guided_pictures(answer: GuidedDepthPrediction, batch: GuidedBatch) -> dict[str, np.ndarray]:
     """The first pair, with the confidence from black to white."""
     found = answer.inverse_depth().sqrt()
-    shown = depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.root[0, 0])))
+    shown = depth_pictures(*(as_array(x) for x in (batch.first[0], found[0, 0], batch.sqrt_inv_depth[0, 0])))
     return shown | {"confidence": np.stack([as_array(answer.confidence()[0, 0])] * 3, axis=-1)}
 
 
-def _completion_scores(answer: CompletionPrediction, batch: EvidenceBatch) -> dict[str, float]:
-    filled = batch.planes[:, FILLED_PLANE : FILLED_PLANE + 1]
-    return losses.completion_scores(answer, filled, batch.root, where_sure(batch.planes))
+def _completion_scores(answer: CompletionPrediction, batch: FeatureBatch) -> dict[str, float]:
+    filled = batch.channels[:, FILLED_CHANNEL : FILLED_CHANNEL + 1]
+    return losses.completion_scores(answer, filled, batch.sqrt_inv_depth, reliable_mask(batch.channels))
 
 
-def _completion_pictures(answer: CompletionPrediction, batch: EvidenceBatch) -> dict[str, np.ndarray]:
-    """With what matching was sure of, and the map that was filled from there."""
-    planes, found = batch.planes[0], answer.inverse_depth().sqrt()[0, 0]
-    image, truth = as_array(planes[:3]), as_array(batch.root[0, 0])
-    shown, given = (depth_pictures(image, as_array(root), truth) for root in (found, planes[FILLED_PLANE]))
-    is_sure = as_array(where_sure(batch.planes)[0]) > 0
-    return shown | {"filled": given["prediction"], "known": np.where(is_sure, given["truth"], np.float32(0.0))}
+def _completion_pictures(answer: CompletionPrediction, batch: FeatureBatch) -> dict[str, np.ndarray]:
+    """The prediction, the reliable matches, and the map that was filled from these."""
+    channels, found = batch.channels[0], answer.inverse_depth().sqrt()[0, 0]
+    image, truth = as_array(channels[:3]), as_array(batch.sqrt_inv_depth[0, 0])
+    predicted, filled = (depth_pictures(image, as_array(depth), truth) for depth in (found, channels[FILLED_CHANNEL]))
+    is_reliable = as_array(reliable_mask(batch.channels)[0]) > 0
+    known = np.where(is_reliable, filled["truth"], np.float32(0.0))
+    return predicted | {"filled": filled["prediction"], "known": known}
 
 
 TASKS: Mapping[str, Task] = {
@@ -72,10 +73,10 @@ TASKS: Mapping[str, Task] = {
         PAPER_VARIANTS,
         PaperNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_pairs(
-            pool, rng, stage.batch, stage.size, varied, network.config.greatest_root
+            pool, rng, stage.batch, stage.size, varied, network.config.max_sqrt_inv_depth
         ),
-        loss=lambda answer, batch: losses.paper_loss(answer, batch.root),
-        scores=lambda answer, batch: losses.depth_scores(answer, batch.root, batch.baseline),
+        loss=lambda answer, batch: losses.paper_loss(answer, batch.sqrt_inv_depth),
+        scores=lambda answer, batch: losses.depth_scores(answer, batch.sqrt_inv_depth, batch.baseline),
         pictures=_depth_pictures,
         role="depth",
     ),
@@ -84,7 +85,7 @@ TASKS: Mapping[str, Task] = {
         GUIDED_DEPTH_VARIANTS,
         GuidedDepthNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_guided(
-            pool, rng, stage.batch, stage.size, network.config.greatest_root, varied, stage.guided
+            pool, rng, stage.batch, stage.size, network.config.max_sqrt_inv_depth, varied, stage.guided
         ),
         loss=guided_loss,
         scores=guided_scores,
@@ -97,7 +98,7 @@ TASKS: Mapping[str, Task] = {
         COMPLETION_VARIANTS,
         CompletionNetwork,
         draw=lambda pool, rng, stage, _, varied: draw_completion(pool, rng, stage.batch, stage.size, varied),
-        loss=lambda answer, batch: losses.completion_loss(answer, batch.root, where_sure(batch.planes)),
+        loss=lambda answer, batch: losses.completion_loss(answer, batch.sqrt_inv_depth, reliable_mask(batch.channels)),
         scores=_completion_scores,
         pictures=_completion_pictures,
         pools=("pool", "evidence"),
@@ -107,11 +108,13 @@ TASKS: Mapping[str, Task] = {
         FUSION_VARIANTS,
         build_fusion,
         draw=lambda pool, rng, stage, *_: draw_fusion(pool, rng, stage.batch),
-        inputs=lambda network, batch: (fusion_losses.inputs_of(network.config, batch.planes),),
-        answer=lambda network, batch: fusion_losses.fused_by(network, batch.planes, batch.shown),
-        loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth, batch.usual),
-        scores=lambda answer, batch: fusion_losses.fusion_scores(answer, batch.planes, batch.truth, batch.shown[:, :3]),
-        held_out=lambda path, turn, _: stored_fusion(path, turn),
+        inputs=lambda network, batch: (fusion_losses.network_inputs(network.config, batch.channels),),
+        answer=lambda network, batch: fusion_losses.fuse_with(network, batch.channels, batch.pictures),
+        loss=lambda answer, batch: fusion_losses.fusion_loss(answer, batch.truth, batch.fused_error),
+        scores=lambda answer, batch: fusion_losses.fusion_scores(
+            answer, batch.channels, batch.truth, batch.pictures[:, :3]
+        ),
+        held_out=lambda path, turn, _: load_fusion(path, turn),
         pools=("fusion-pool",),
     ),
     "joint": Task(
@@ -119,7 +122,7 @@ TASKS: Mapping[str, Task] = {
         {},
         joint.JointNetwork,
         draw=lambda pool, rng, stage, network, varied: draw_triples(
-            pool, rng, stage.batch, stage.size, varied, network.depth.config.greatest_root
+            pool, rng, stage.batch, stage.size, varied, network.depth.config.max_sqrt_inv_depth
         ),
         answer=joint.joint_answer,
         loss=joint.joint_loss,
@@ -131,12 +134,12 @@ TASKS: Mapping[str, Task] = {
         SYNSIN_VARIANTS,
         SynSinNetwork,
         draw=lambda pool, rng, stage, *_: draw_views(pool, rng, stage.batch, stage.size),
-        answer=synsin.make_pictures,
-        loss=synsin.own_loss,
+        answer=synsin.render_pictures,
+        loss=synsin.reconstruction_loss,
         scores=synsin.synsin_scores,
         pictures=synsin.synsin_pictures,
         adversarial=synsin.adversarial_losses,
-        held_out=lambda path, _, stage: synsin.stored_views(path, stage.size),
+        held_out=lambda path, _, stage: synsin.load_views(path, stage.size),
         is_repeated=False,
     ),
 }
@@ -161,8 +164,7 @@ def kinds_for(role: str) -> tuple[str, ...]:
 def task_named(kind: object, path: Path) -> Task:
     """The task of a checkpoint.
 
-    Raises:
-        InputError: there is no such kind.
+    Raises InputError: there is no such kind.
     """
     if kind not in TASKS:
         raise InputError(f"expected a checkpoint of kind {' or '.join(TASKS)} in {path}, got kind {kind!r}")

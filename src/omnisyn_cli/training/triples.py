@@ -23,12 +23,12 @@ from omnisyn_cli.training import data
 EPIPOLE_FROM_FORWARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """The same rotation for every pair: straight ahead becomes the zenith, up becomes the rear (the seam's middle)."""
 
-EDGE = 0.05
-"""Where interpolation differs from the nearest pixel by more than this share, the nearest pixel is taken."""
+MAX_SURFACE_STEP = 0.05
+"""Relative difference of interpolated and nearest depth up to which both are of one surface."""
 
 
-def exchanged_panoramas(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
-    """Panoramas of the forward frame as they look when the roles of both cameras are exchanged; its own inverse.
+def swap_cameras(x: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch height width"]:
+    """Panoramas of the forward frame as they look with swapped cameras; its own inverse.
 
     See :func:`omnisyn_cli.geometry.sweep.swap_cameras_in_forward_frame`.
     """
@@ -37,24 +37,30 @@ def exchanged_panoramas(x: Float[Tensor, "*batch height width"]) -> Float[Tensor
 
 def draw_pairs(
     pool: list[Path], rng: np.random.Generator, batch: int, size: tuple[int, int],
-    augmentation: data.Augmentation | None = None, greatest_root: float = 2.0,
+    augmentation: data.Augmentation | None = None, max_sqrt_inv_depth: float = 2.0,
 ) -> data.Batch:  # fmt: skip
     """Random pairs in the forward frame, see :func:`omnisyn_cli.training.data.draw_batch`."""
-    return forward_batch(data.draw_batch(pool, rng, batch, (size[0], 2 * size[0]), augmentation, greatest_root), size)
+    return forward_batch(
+        data.draw_batch(pool, rng, batch, (size[0], 2 * size[0]), augmentation, max_sqrt_inv_depth), size
+    )
 
 
 def forward_batch(batch: data.Batch, size: tuple[int, int]) -> data.Batch:
     """A batch in the epipole frame, turned into the forward frame and taken to ``size``, which may be square.
 
-    Colours are interpolated with cubic weights, roots linearly on surfaces and not at all across edges.
+    Colours are interpolated with cubic weights, depth linearly on surfaces and not at all across edges.
     """
     height = batch.first.shape[-2]
-    first, second = (turned_colours(images, (height, 2 * height), size) for images in (batch.first, batch.second))
-    root = np.stack([turned_roots(root, size) for root in batch.root[:, 0].numpy()])
-    return replace(batch, first=first, second=second, root=torch.from_numpy(root).unsqueeze(1))
+    first, second = (
+        images_to_forward_frame(images, (height, 2 * height), size) for images in (batch.first, batch.second)
+    )
+    sqrt_inv_depth = np.stack(
+        [depths_to_forward_frame(sqrt_inv_depth, size) for sqrt_inv_depth in batch.sqrt_inv_depth[:, 0].numpy()]
+    )
+    return replace(batch, first=first, second=second, sqrt_inv_depth=torch.from_numpy(sqrt_inv_depth).unsqueeze(1))
 
 
-def turned_colours(
+def images_to_forward_frame(
     images: Float32[Tensor, "batch 3 rows cols"], turned: tuple[int, int], size: tuple[int, int]
 ) -> Float32[Tensor, "batch 3 height width"]:
     """Panoramas of the epipole frame in the forward frame, by way of ``turned``, 1:2, reduced to ``size``."""
@@ -65,11 +71,15 @@ def turned_colours(
     return torch.from_numpy(np.stack(made)).permute(0, 3, 1, 2).contiguous()
 
 
-def turned_roots(root: Float32[np.ndarray, "rows cols"], size: tuple[int, int]) -> Float32[np.ndarray, "height width"]:
+def depths_to_forward_frame(
+    sqrt_inv_depth: Float32[np.ndarray, "rows cols"], size: tuple[int, int]
+) -> Float32[np.ndarray, "height width"]:
     """Roots of the epipole frame in the forward frame, of ``size``; what is not known (NaN) stays so."""
-    forward = _forward(root.shape, size)
-    smooth, nearest = forward.bilinear(root), forward.nearest(root)
-    return np.where(np.abs(smooth - nearest) <= EDGE * nearest, smooth, nearest)  # what is unknown stays unknown
+    forward = _forward(sqrt_inv_depth.shape, size)
+    smooth, nearest = forward.bilinear(sqrt_inv_depth), forward.nearest(sqrt_inv_depth)
+    return np.where(
+        np.abs(smooth - nearest) <= MAX_SURFACE_STEP * nearest, smooth, nearest
+    )  # what is unknown stays unknown
 
 
 @lru_cache(maxsize=4)
@@ -78,7 +88,8 @@ def _forward(source: tuple[int, ...], size: tuple[int, int]) -> RemapTable:
     return RemapTable.for_directions(pixel_directions(*size) @ EPIPOLE_FROM_FORWARD.T, source)
 
 
-LEAST_VIEWS = 3
+MIN_VIEWS = 3
+"""Of a scene: the pair, and the view between."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +99,10 @@ class Triples:
     Attributes:
         first, second: ``(batch, 3, height, width)`` colours in [0, 1] for the depth network, in the forward frame.
         first_texture, second_texture: the same as they are shown.
-        roots: ``(2, batch, 1, height, width)`` square roots of inverse depth × baseline of the first, and of the second
-            as it looks with the roles of both exchanged; NaN where the truth is not known.
+        sqrt_inv_depths: ``(2, batch, 1, height, width)`` √(inverse depth × baseline) of the first, and of the second
+            with swapped cameras; NaN where the truth is not known.
         middle: ``(batch, 3, height, width)`` the view between.
-        share: ``(batch,)`` of the way from the first to the second that it was taken at.
+        position: ``(batch,)`` of the way from the first to the second that it was taken at.
         baseline: ``(batch,)`` metres.
     """
 
@@ -99,9 +110,9 @@ class Triples:
     second: Float[Tensor, "batch 3 height width"]
     first_texture: Float[Tensor, "batch 3 height width"]
     second_texture: Float[Tensor, "batch 3 height width"]
-    roots: Float[Tensor, "2 batch 1 height width"]
+    sqrt_inv_depths: Float[Tensor, "2 batch 1 height width"]
     middle: Float[Tensor, "batch 3 height width"]
-    share: Float[Tensor, " batch"]
+    position: Float[Tensor, " batch"]
     baseline: Float[Tensor, " batch"]
 
 
@@ -111,7 +122,7 @@ def draw_triples(
     batch: int,
     size: tuple[int, int],
     augmentation: data.Augmentation | None = None,
-    greatest_root: float = 2.0,
+    max_sqrt_inv_depth: float = 2.0,
 ) -> Triples:
     """Random threes of views of random scenes; read from either end and mirrored at random.
 
@@ -121,26 +132,27 @@ def draw_triples(
         batch: how many.
         size: of the depth network's images, of the renderings and of the truth; its height divides the pool's.
         augmentation: of colours; None leaves them as they are.
-        greatest_root: of the true roots.
+        max_sqrt_inv_depth: that targets are clipped to.
 
-    Raises:
-        InputError: a scene has fewer than three views, or the pool's size is not a multiple of ``size``.
+    Raises InputError: a scene has fewer than three views, or the pool's size is not a multiple of ``size``.
     """
     whole = (size[0], 2 * size[0])
     drawn = [_draw(pool[rng.integers(len(pool))], rng, whole, augmentation) for _ in range(batch)]
-    outer, roots, middle, share, baseline = (np.stack(column) for column in zip(*drawn, strict=True))
-    roots = roots.swapaxes(0, 1).clip(max=greatest_root)
-    roots = np.stack([[turned_roots(root, size) for root in one] for one in roots])
-    first, second, first_texture, second_texture = (
-        turned_colours(data.as_tensor(outer[:, k]), whole, size) for k in range(outer.shape[1])
+    outer, sqrt_inv_depths, middle, position, baseline = (np.stack(column) for column in zip(*drawn, strict=True))
+    sqrt_inv_depths = sqrt_inv_depths.swapaxes(0, 1).clip(max=max_sqrt_inv_depth)
+    sqrt_inv_depths = np.stack(
+        [[depths_to_forward_frame(sqrt_inv_depth, size) for sqrt_inv_depth in one] for one in sqrt_inv_depths]
     )
-    root = torch.from_numpy(roots).unsqueeze(2)
-    between = data.as_tensor(middle)
+    first, second, first_texture, second_texture = (
+        images_to_forward_frame(data.as_tensor(outer[:, k]), whole, size) for k in range(outer.shape[1])
+    )
+    sqrt_inv_depth = torch.from_numpy(sqrt_inv_depths).unsqueeze(2)
+    middle_view = data.as_tensor(middle)
     return Triples(
         first, second, first_texture, second_texture,
-        roots=torch.stack([root[0], exchanged_panoramas(root[1])]),
-        middle=turned_colours(between, (between.shape[-2], between.shape[-1]), size),
-        share=torch.from_numpy(share.astype(np.float32)),
+        sqrt_inv_depths=torch.stack([sqrt_inv_depth[0], swap_cameras(sqrt_inv_depth[1])]),
+        middle=images_to_forward_frame(middle_view, (middle_view.shape[-2], middle_view.shape[-1]), size),
+        position=torch.from_numpy(position.astype(np.float32)),
         baseline=torch.from_numpy(baseline.astype(np.float32)),
     )  # fmt: skip
 
@@ -150,30 +162,36 @@ def _draw(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
     """Of three views in the epipole frame.
 
-    Colours of the outer ones for the network, then as they are; roots of both; colours of the inner one, at the size of
-    the pool; its share of the way; metres.
+    Colours of the outer ones for the network, then as they are; √(inverse depth × baseline) of both; colours of the
+    inner one, at the size of the pool; its position; metres.
     """
     scene = data.load_scene(path)
     data.check_pool_size(scene, size)
-    if len(scene.along) < LEAST_VIEWS:
+    if len(scene.along) < MIN_VIEWS:
         raise InputError(
-            f"expected scenes of at least {LEAST_VIEWS} views, got {len(scene.along)} in {path}; "
+            f"expected scenes of at least {MIN_VIEWS} views, got {len(scene.along)} in {path}; "
             "make them with `omnisyn train pool`"
         )
-    views, inverse_depths, along = data.draw_way(scene, LEAST_VIEWS, rng)
+    views, inverse_depths, along = data.draw_ordered_views(scene, MIN_VIEWS, rng)
     colours = views.astype(np.float32) / np.float32(255.0)
     if augmentation is not None:
-        colours = _lit(colours, rng, augmentation)
+        colours = _relight(colours, rng, augmentation)
     outer = textures = np.stack([data.reduced(image, size) for image in colours[[0, -1]]])
     if augmentation is not None:
         outer = data.vary_colours(textures, rng, replace(augmentation, exposure=0.0, gamma=0.0))
     baseline = abs(float(along[-1] - along[0]))
     rho = np.stack([data.at_block_centres(one, size) for one in inverse_depths[[0, -1]]])
-    root = np.sqrt(rho * baseline).astype(np.float32)
-    return np.concatenate([outer, textures]), root, colours[1], abs(float(along[1] - along[0])) / baseline, baseline
+    sqrt_inv_depth = np.sqrt(rho * baseline).astype(np.float32)
+    return (
+        np.concatenate([outer, textures]),
+        sqrt_inv_depth,
+        colours[1],
+        abs(float(along[1] - along[0])) / baseline,
+        baseline,
+    )
 
 
-def _lit(
+def _relight(
     views: Float32[np.ndarray, "views height width 3"], rng: np.random.Generator, augmentation: data.Augmentation
 ) -> Float32[np.ndarray, "views height width 3"]:
     """Another light, the same for all views."""
