@@ -16,6 +16,7 @@ from omnisyn_cli.networks.interface import Network
 __all__ = ["PARITY", "export_network", "largest_difference"]
 
 OPSET = 18
+"""Of ONNX; ONNX Runtime reads it since 1.14."""
 
 PARITY = 1e-4
 """Largest difference between torch and ONNX Runtime, relative to the largest value, that is accepted."""

@@ -37,7 +37,7 @@ MIN_INVERSE_DEPTH = 1e-3
 INITIAL_LOGIT_GAP = 4.0
 """A fresh network gives each candidate e to minus this, 2 %, of what it leaves as it is."""
 
-COLOURS = 3
+RGB_CHANNELS = 3
 """Channels of a rendering; the direct network sees those of the first, then those of the second."""
 
 LOGIT_SCALE = 8.0
@@ -116,7 +116,7 @@ class DirectFusionUNet(Network):
         inputs, outputs = [middle, *(2 * width for width in widths[-2::-1])], [*widths[-2::-1], widths[0]]
         up = [Block(a, b, has_row=False) for a, b in zip(inputs, outputs, strict=True)]
         self.down, self.up = nn.ModuleList(down), nn.ModuleList(up)
-        self.head = WrappedConv(widths[0], COLOURS)
+        self.head = WrappedConv(widths[0], RGB_CHANNELS)
         initialise(self, gain=1.0)
         self._init_as_mean(down[0], up[-1])
 
@@ -126,12 +126,12 @@ class DirectFusionUNet(Network):
 
         With random weights everywhere the narrow network painted in grey for thousands of steps.
         """
-        first.init_identity(COLOURS, 0)
-        for channel in range(COLOURS):
-            first.first.weight[channel, [channel, COLOURS + channel], 1, 1] = 0.5
-        last.init_identity(COLOURS, self.config.widths[0])
+        first.init_identity(RGB_CHANNELS, 0)
+        for channel in range(RGB_CHANNELS):
+            first.first.weight[channel, [channel, RGB_CHANNELS + channel], 1, 1] = 0.5
+        last.init_identity(RGB_CHANNELS, self.config.widths[0])
         self.head.weight.zero_()
-        self.head.weight[range(COLOURS), range(COLOURS), 1, 1] = 1.0
+        self.head.weight[range(RGB_CHANNELS), range(RGB_CHANNELS), 1, 1] = 1.0
 
     @property
     def ports(self) -> Ports:

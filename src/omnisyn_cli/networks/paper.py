@@ -59,7 +59,8 @@ INITIAL_COLOUR_WEIGHT = 2.0
 RANDOM_INIT_SCALE = 0.1
 """Factor on the random weights beside the colour sweep, so that they do not drown it."""
 
-COLOURS = 3
+RGB_CHANNELS = 3
+"""Of a panorama."""
 
 
 @dataclass(frozen=True)
@@ -218,11 +219,11 @@ class PaperNetwork(PairNetwork):
         for block in features.blocks:
             block.first.weight[:, -1] = 0.0  # of the row
         for block in features.blocks[: features.finest + 1]:
-            block.init_identity(COLOURS, 0)
-        features.blocks[-1].init_identity(COLOURS, self.config.widths[features.finest])
+            block.init_identity(RGB_CHANNELS, 0)
+        features.blocks[-1].init_identity(RGB_CHANNELS, self.config.widths[features.finest])
         first, last = volume.blocks[0], volume.blocks[-1]
         first.init_identity(1, 0)
-        first.first.weight[0, :COLOURS, 1] = 1.0 / (9 * COLOURS)
+        first.first.weight[0, :RGB_CHANNELS, 1] = 1.0 / (9 * RGB_CHANNELS)
         nn.init.dirac_(last.second.weight)
         nn.init.constant_(last.first.bias, INITIAL_INVERSE_DEPTH)
         last.first.weight.mul_(RANDOM_INIT_SCALE)

@@ -28,7 +28,8 @@ from omnisyn_cli.networks.unet import Hourglass
 
 __all__ = ["SYNSIN_VARIANTS", "SynSinConfig", "SynSinNetwork", "inverse_depth_of"]
 
-COLOURS = 3
+RGB_CHANNELS = 3
+"""Of a panorama."""
 
 INITIAL_SQRT_INV_DEPTH = 0.4
 """√(inverse depth in 1/m) that a fresh depth network predicts everywhere: six metres, as rooms are large."""
@@ -95,7 +96,7 @@ class SynSinPart(Network):
     @property
     def ports(self) -> Ports:
         """One map in, one out."""
-        channels = self.config.features + 1 if self.input_name == "points" else COLOURS
+        channels = self.config.features + 1 if self.input_name == "points" else RGB_CHANNELS
         notes = {"radius": repr(self.config.radius), "points": str(self.config.points)}
         return Ports({self.input_name: channels}, (self.output_name,), self.config.size, notes)
 
@@ -105,9 +106,9 @@ class MonocularNetwork(SynSinPart):
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__(config)
-        self.body = Hourglass(16 * (COLOURS + 1), config.depth_widths)
+        self.body = Hourglass(16 * (RGB_CHANNELS + 1), config.depth_widths)
         self.expand = nn.Conv2d(config.depth_widths[0], 4 * config.fine, 1)
-        self.skip = WrappedConv(4 * (COLOURS + 1), config.fine)
+        self.skip = WrappedConv(4 * (RGB_CHANNELS + 1), config.fine)
         self.fine = ResidualBlock(config.fine, config.fine)
         self.head = WrappedConv(config.fine, 4)
 
@@ -131,8 +132,8 @@ class FeatureEncoder(SynSinPart):
 
     def __init__(self, config: SynSinConfig) -> None:
         super().__init__(config)
-        self.block = ResidualBlock(COLOURS + 1, config.features)
-        self.head = nn.Conv2d(config.features, config.features - COLOURS, 1)
+        self.block = ResidualBlock(RGB_CHANNELS + 1, config.features)
+        self.head = nn.Conv2d(config.features, config.features - RGB_CHANNELS, 1)
 
     def forward(self, image: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch features height width"]:
         """Encode."""
@@ -151,7 +152,7 @@ class RefinementDecoder(SynSinPart):
         self.body = Hourglass(4 * channels, config.decoder_widths)
         self.expand = nn.Conv2d(config.decoder_widths[0], 2 * config.fine, 1)
         self.skip = WrappedConv(channels, config.fine // 2)
-        self.head = WrappedConv(config.fine // 2, COLOURS)
+        self.head = WrappedConv(config.fine // 2, RGB_CHANNELS)
 
     def forward(self, points: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch 3 height width"]:
         """Decode; ValueError for a size that is no multiple of ``config.size_multiple``."""
@@ -159,7 +160,7 @@ class RefinementDecoder(SynSinPart):
         seen = torch.cat([points, row_channel(points)], dim=1)
         coarse = functional.pixel_shuffle(self.expand(self.body.encode(functional.pixel_unshuffle(seen, 2))), 2)
         correction = self.head(functional.leaky_relu(coarse + self.skip(seen), LEAK))
-        colours: Tensor = points[:, :COLOURS] / points[:, -1:].clamp(min=MIN_OPACITY) + correction
+        colours: Tensor = points[:, :RGB_CHANNELS] / points[:, -1:].clamp(min=MIN_OPACITY) + correction
         return colours
 
 

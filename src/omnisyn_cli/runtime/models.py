@@ -34,7 +34,10 @@ from omnisyn_cli.errors import InputError
 __all__ = ["MANIFEST", "MANIFEST_VERSION", "ModelEntry", "find_model", "models_folder", "read_manifest", "sha256_of"]
 
 MANIFEST = "manifest.toml"
+"""Name of the file beside the models."""
+
 MANIFEST_VERSION = 1
+"""Counts up when older programs could not read it."""
 
 MAX_REASON_CHARS = 500
 """Characters of what a parser complains about."""

@@ -13,11 +13,13 @@ from omnisyn_cli.runtime.models import find_model
 __all__ = ["check_device_of_networks", "open_model", "open_session", "run_depth_network", "run_network"]
 
 DEVICES = ("auto", "cpu", "cuda")
+"""Where users can ask for networks to run."""
 
 MAX_COMPLAINT_CHARS = 300
 """Characters of what ONNX Runtime says that are passed on."""
 
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+"""ONNX Runtime's names of them."""
 
 
 def open_session(path: Path, *, device: str = "auto", threads: int | None = None) -> Any:

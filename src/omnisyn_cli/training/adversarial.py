@@ -32,7 +32,8 @@ DISCRIMINATOR_RATE_SCALE = 0.5
 ADAM_BETAS = (0.5, 0.99)
 """Of the discriminator: less momentum than usual, as in most GANs."""
 
-LEAK, COLOURS = 0.2, 3
+LEAK, RGB_CHANNELS = 0.2, 3
+"""Slope of the LeakyReLU below zero, pix2pixHD's; channels of a panorama."""
 
 Answers = Sequence[Sequence[Tensor]]
 """Of a discriminator: for each scale the features of its layers and last its verdicts."""
@@ -65,7 +66,7 @@ class PatchDiscriminator(nn.Module):
 
 
 def _scale(widths: tuple[int, ...]) -> nn.ModuleList:
-    halving = [WrappedConv(a, b, (2, 2)) for a, b in itertools.pairwise((COLOURS + 1, *widths))]
+    halving = [WrappedConv(a, b, (2, 2)) for a, b in itertools.pairwise((RGB_CHANNELS + 1, *widths))]
     return nn.ModuleList(spectral_norm(layer) for layer in (*halving, WrappedConv(widths[-1], 1)))
 
 

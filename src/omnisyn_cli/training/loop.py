@@ -42,6 +42,7 @@ COLLAPSE_LOSS_RATIO = 1.25
 """Ratio of the loss to the least so far from which on the run does not recover."""
 
 PROCESSOR = Precision(torch.device("cpu"))
+"""The processor in single precision."""
 
 
 class Trainer:

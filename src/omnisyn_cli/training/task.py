@@ -12,6 +12,7 @@ from torch import Tensor
 from omnisyn_cli.training.data import Augmentation, list_pool
 
 VALIDATION_SEED = 1
+"""Of the draws of held-out batches: the same in every run, so that losses can be compared."""
 
 HELD_OUT_LOSS = "held_out_loss"
 """Name among the figures of the loss of what networks are judged by."""
