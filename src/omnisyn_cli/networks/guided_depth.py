@@ -49,7 +49,7 @@ LOG_SCALES = (-6.0, 2.0)
 WITHIN = 1.1**0.5 - 1.0
 """Relative error of √(inverse depth) where depth is 10 % off."""
 
-GEOMETRY = 7
+GEOMETRY_CHANNEL_COUNT = 7
 """Channels: direction (3), cosine to the other camera, slope of the baseline, best cost, expected √(inverse depth)."""
 
 SHARPNESS = 8.0
@@ -179,7 +179,7 @@ class GuidedDepthNetwork(Network):
         self.matched = nn.Sequential(NormalisedConv(features, features), nn.Conv2d(features, features, 1))
         self.reduce = nn.Conv2d(config.groups * config.spheres, width4, 1)
         self.guide = WrappedConv(GUIDANCE_CHANNELS, width4)
-        self.in4 = NormalisedConv(width4 + tap4 + features + GEOMETRY, width4)
+        self.in4 = NormalisedConv(width4 + tap4 + features + GEOMETRY_CHANNEL_COUNT, width4)
         self.down4 = NormalisedBlock(width4)
         self.to8, self.in8 = NormalisedConv(width4, width8), NormalisedConv(width8 + tap8, width8, 1)
         self.down8 = NormalisedBlock(width8)
@@ -261,7 +261,7 @@ class GuidedDepthNetwork(Network):
         second: Float[Tensor, "batch features rows cols"],
         towards: Float[Tensor, "batch 3"],
     ) -> tuple[Tensor, Tensor]:
-        """Correlations ``(batch, groups · spheres, rows, cols)`` and :data:`GEOMETRY` channels."""
+        """Correlations ``(batch, groups · spheres, rows, cols)`` and :data:`GEOMETRY_CHANNEL_COUNT` channels."""
         config = self.config
         batch, channels, height, width = sizes(first)
         groups, spheres = config.groups, config.spheres

@@ -27,7 +27,7 @@ __all__ = ["SweepDirection", "SweptPlane", "plane_from_second", "sweep_planes"]
 SWEEP_ROWS = 128
 """Rows of the images that are swept. At twice as many the same planes are found in four times the time."""
 
-MIN_DISTANCE, MAX_DISTANCE = 0.08, 4.0
+NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES = 0.08, 4.0
 """Of swept planes from the first camera, in baselines. Farther ones are matched well enough by upright windows."""
 
 SWEEP_STEPS = 64
@@ -159,7 +159,7 @@ def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[SweptPlane
 
 def _greedy_planes(directions: Directions, units: tuple[np.ndarray, ...]) -> list[SweptPlane]:
     """The planes that explain most, one after the other, each of what those before it leave unexplained."""
-    distances = np.geomspace(MIN_DISTANCE, MAX_DISTANCE, SWEEP_STEPS)
+    distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
     volumes = [_score_volume(directions, unit, distances) for unit in units]
     weights = [direction.weight.ravel().copy() for direction in directions]
     found: list[SweptPlane] = []
