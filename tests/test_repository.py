@@ -23,7 +23,7 @@ KINDS = {
 MOST = 32 << 10
 """Bytes of a file whose ending says nothing else: a text that somebody reads."""
 
-MOST_OF = {".html": 3 << 20, ".jpg": 768 << 10, ".png": 96 << 10, ".json": 24 << 10, ".onnx": 9 << 20, ".pt": 8 << 20}
+MOST_OF = {".html": 3 << 20, ".jpg": 768 << 10, ".png": 96 << 10, ".json": 24 << 10, ".onnx": 9 << 20, ".pt": 16 << 20}
 """Bytes by ending."""
 
 MOST_TOGETHER = 64 << 20
