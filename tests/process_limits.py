@@ -1,5 +1,6 @@
 """How much memory this process has held at most, and how large its files may grow."""
 
+import gc
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -22,6 +23,7 @@ def peak_memory() -> int:
 
 def renewed_peak_memory() -> int:
     """The same from here on, where the system forgets: what was held before and given back counts no more."""
+    gc.collect()  # what other tests left behind would be given back in between
     if FORGET.exists():
         with suppress(OSError):
             FORGET.write_text(PEAK_ONLY)
