@@ -121,6 +121,11 @@ def test_the_second_camera_sees_the_same_points(distance: float, polar: float, a
     np.testing.assert_allclose(plane_from_second(seen), normal, rtol=1e-5, atol=1e-6)
 
 
+def test_a_plane_at_infinity_is_no_plane_for_the_second_camera() -> None:
+    assert plane_from_second(np.zeros(3)) is None
+    assert plane_from_second(np.array([0.0, 1.0, 0.0])) is None  # through that camera
+
+
 def test_a_swept_plane_replaces_its_like_and_the_floor_comes_first() -> None:
     pair, _ = pair_above(np.array([0.0, -1.0, 0.0]), 1.6, 4.0, 0.0)
     down = -pair.grid.up

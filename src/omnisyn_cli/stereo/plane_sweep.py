@@ -48,6 +48,9 @@ EXPLAINED_COST = 0.2
 SWEEP_COLOUR_WEIGHT, SWEEP_COLOUR_TRUNCATION = 0.3, 0.1
 """As ``colour_weight`` and ``colour_truncation`` of matching; less of the first, because exposures may differ."""
 
+MIN_INVERSE_DISTANCE, MIN_SECOND_DISTANCE = 1e-6, 1e-3
+"""In 1/baselines and in baselines: farther planes are infinity, and nearer ones pass through the second camera."""
+
 MAX_SWEPT_PLANES = 4
 """Per pair; the next ones explained less than a hundredth of the sphere on generated scenes."""
 
@@ -129,14 +132,17 @@ def is_textured(image: Float[np.ndarray, "height width 3"]) -> Bool[np.ndarray, 
 
 
 def plane_from_second(normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"] | None:
-    """The plane as the second camera sees it, in the frame of the reversed pair; None if it is behind that camera.
+    """The plane as the second camera sees it, in the frame of the reversed pair.
 
-    The second camera is one baseline along +y. The rule is its own inverse.
+    None if it is behind that camera, passes through it or is infinitely far. The second camera is one baseline along
+    +y. The rule is its own inverse.
     """
     inverse_distance = float(np.linalg.norm(normal))
+    if inverse_distance < MIN_INVERSE_DISTANCE:
+        return None
     unit = normal / inverse_distance
     distance = 1.0 / inverse_distance - unit[1]
-    return HALF_TURN_ABOUT_Z @ unit / distance if distance > 1e-3 else None
+    return HALF_TURN_ABOUT_Z @ unit / distance if distance > MIN_SECOND_DISTANCE else None
 
 
 def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[SweptPlane]:
