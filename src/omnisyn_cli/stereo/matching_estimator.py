@@ -119,9 +119,21 @@ def _plane_candidates(
     A plane that only one direction may choose fails the left-right check.
     """
     fitted = both(*(partial(fit_planes, pair, each, options) for pair, each in zip(pairs, matches, strict=True)))
-    swept = [plane.normal for plane in sweep_planes(*pairs)]
-    sweeps, others = (swept, _seen_by_other(swept)), [_seen_by_other(each.normals) for each in fitted[::-1]]
+    first, second = pairs
+    if _is_swept_from_first(first):
+        swept = [plane.normal for plane in sweep_planes(first, second)]
+        sweeps = swept, _seen_by_other(swept)
+    else:
+        swept = [plane.normal for plane in sweep_planes(second, first)]
+        sweeps = _seen_by_other(swept), swept
+    others = [_seen_by_other(each.normals) for each in fitted[::-1]]
     return both(*(partial(merge_planes, *each) for each in zip(pairs, fitted, sweeps, others, strict=True)))
+
+
+def _is_swept_from_first(pair: RectifiedPair) -> bool:
+    """One panorama of the two by their places alone, so that exchanged panoramas have the same planes."""
+    way = pair.world_from_frame[:, 1]
+    return bool(way[np.abs(way).argmax()] > 0)
 
 
 def _seen_by_other(normals: Iterable[np.ndarray]) -> list[np.ndarray]:
