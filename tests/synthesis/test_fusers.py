@@ -19,7 +19,7 @@ from omnisyn_cli.interpolation.plan import plan_interpolation
 from omnisyn_cli.interpolation.run import run_interpolation
 from omnisyn_cli.io import read_panorama
 from omnisyn_cli.networks.export import export_network
-from omnisyn_cli.networks.fusion import FusionConfig, FusionNetwork
+from omnisyn_cli.networks.fusion import FusionConfig, ResidualFusionUNet
 from omnisyn_cli.pipeline.fusions import FUSIONS, FuserSettings, make_fuser
 from omnisyn_cli.synthesis.methods import SurfaceMethod
 from omnisyn_cli.synthesis.prepared_pair import SynthesisOptions
@@ -36,11 +36,11 @@ POSES = (posed((0.0, 0.0, 0.8)), posed((0.2, 0.1, -0.8), heading=0.3))
 def models(tmp_path_factory):
     """Two networks in ONNX files: one that is fresh, and one that answers at random."""
     torch.manual_seed(0)
-    config = FusionConfig("tiny", planes=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12), fine=6)
-    network = FusionNetwork(config).eval()
+    config = FusionConfig("tiny", channels=INPUT_CHANNELS + CANDIDATE_CHANNELS, widths=(8, 12), fine=6)
+    network = ResidualFusionUNet(config).eval()
     folder = tmp_path_factory.mktemp("models")
     export_network(network, folder / "fresh.onnx")
-    torch.nn.init.normal_(network.answer.weight, std=0.5)
+    torch.nn.init.normal_(network.head.weight, std=0.5)
     export_network(network, folder / "random.onnx")
     return {name: str(folder / f"{name}.onnx") for name in ("fresh", "random")}
 
