@@ -69,16 +69,16 @@ def test_a_textured_ground_that_is_nearly_level_is_found_whatever_the_heading(
     unit = turn(np.array([1.0, 0.0, 0.0]), tilt_deg) @ np.array([0.0, -1.0, 0.0])
     pair, reverse = pair_above(unit, 1.6, 4.0, heading_deg)
     best = sweep_planes(pair, reverse)[0]
-    assert 4.0 / np.linalg.norm(best.normal) == pytest.approx(1.6, rel=0.01)
-    found = pair.world_from_frame @ best.normal / np.linalg.norm(best.normal)
+    assert 4.0 / np.linalg.norm(best) == pytest.approx(1.6, rel=0.01)
+    found = pair.world_from_frame @ best / np.linalg.norm(best)
     assert math.degrees(math.acos(min(1.0, found @ unit))) < 0.7
 
 
 def test_a_ceiling_is_found_as_a_floor_is() -> None:
     pair, reverse = pair_above(np.array([0.0, 1.0, 0.0]), 1.2, 3.0, 10.0)
     best = sweep_planes(pair, reverse)[0]
-    assert best.normal @ pair.grid.up > 0
-    assert 3.0 / np.linalg.norm(best.normal) == pytest.approx(1.2, rel=0.01)
+    assert best @ pair.grid.up > 0
+    assert 3.0 / np.linalg.norm(best) == pytest.approx(1.2, rel=0.01)
 
 
 @pytest.mark.parametrize("seed", range(4))

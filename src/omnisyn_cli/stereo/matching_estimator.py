@@ -121,10 +121,10 @@ def _plane_candidates(
     fitted = both(*(partial(fit_planes, pair, each, options) for pair, each in zip(pairs, matches, strict=True)))
     first, second = pairs
     if _is_swept_from_first(first):
-        swept = [plane.normal for plane in sweep_planes(first, second)]
+        swept = sweep_planes(first, second)
         sweeps = swept, _seen_by_other(swept)
     else:
-        swept = [plane.normal for plane in sweep_planes(second, first)]
+        swept = sweep_planes(second, first)
         sweeps = _seen_by_other(swept), swept
     others = [_seen_by_other(each.normals) for each in fitted[::-1]]
     return both(*(partial(merge_planes, *each) for each in zip(pairs, fitted, sweeps, others, strict=True)))

@@ -12,17 +12,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8, UInt64
 
 from omnisyn_cli.geometry.sampling import filter_across_seam
-from omnisyn_cli.stereo.costs import census_transform, luminance_of, surface_cost
+from omnisyn_cli.stereo.costs import CENSUS_RADIUS, census_transform, luminance_of, surface_cost
 from omnisyn_cli.stereo.rectify import HALF_TURN_ABOUT_Z, RectifiedPair
 
-__all__ = ["SweepDirection", "SweptPlane", "plane_from_second", "sweep_planes"]
+__all__ = ["SweepDirection", "plane_from_second", "sweep_planes"]
 
 SWEEP_ROWS = 128
 """Rows of the images that are swept. At twice as many the same planes are found in four times the time."""
@@ -74,20 +74,6 @@ REFINE_DISTANCE_STEP, REFINE_TILT_STEP = 0.02, math.radians(1.0)
 
 
 @dataclass(frozen=True)
-class SweptPlane:
-    """A plane that both panoramas see.
-
-    Attributes:
-        normal: ``(3,)`` in the frame of the pair: towards the plane, as long as its inverse distance (1/baselines) from
-            the first camera.
-        ratio: of its score over that of planes at other distances; above 1.
-    """
-
-    normal: Float[np.ndarray, " 3"]
-    ratio: float
-
-
-@dataclass(frozen=True)
 class SweepDirection:
     """One image of a pair that planes are compared in, with the other one that is warped onto them."""
 
@@ -126,8 +112,10 @@ Directions = tuple[SweepDirection, SweepDirection]
 def is_textured(image: Float[np.ndarray, "height width 3"]) -> Bool[np.ndarray, "height width"]:
     """Where the luminance varies within a window of the census."""
     luminance = luminance_of(image)
-    mean = filter_across_seam(lambda wide: cv2.blur(wide, (7, 7)), luminance, 3)
-    square = filter_across_seam(lambda wide: cv2.blur(wide, (7, 7)), luminance * luminance, 3)
+    side = 2 * CENSUS_RADIUS + 1
+    blur = partial(cv2.blur, ksize=(side, side))
+    mean = filter_across_seam(blur, luminance, CENSUS_RADIUS)
+    square = filter_across_seam(blur, luminance * luminance, CENSUS_RADIUS)
     return np.asarray(square - mean * mean > MIN_TEXTURE_VARIANCE)
 
 
@@ -145,8 +133,11 @@ def plane_from_second(normal: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"
     return HALF_TURN_ABOUT_Z @ unit / distance if distance > MIN_SECOND_DISTANCE else None
 
 
-def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[SweptPlane]:
+def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[Float[np.ndarray, " 3"]]:
     """Horizontal planes below and above the cameras that both panoramas see, best supported first.
+
+    Each is a normal in the frame of the pair, as long as the inverse distance of its plane from the first camera
+    (1/baselines).
 
     Args:
         pair: of any size.
@@ -157,24 +148,21 @@ def sweep_planes(pair: RectifiedPair, reverse: RectifiedPair) -> list[SweptPlane
     coarse = SweepDirection(small), SweepDirection(small.reversed())
     fine = SweepDirection(pair), SweepDirection(reverse)
     found = _greedy_planes(coarse, (-pair.grid.up, pair.grid.up))
-    return [
-        SweptPlane(_refine(fine, _refine(coarse, plane.normal, REFINE_ROUNDS, 1.0), FINE_ROUNDS, 0.25), plane.ratio)
-        for plane in found
-    ]
+    return [_refine(fine, _refine(coarse, normal, REFINE_ROUNDS, 1.0), FINE_ROUNDS, 0.25) for normal in found]
 
 
-def _greedy_planes(directions: Directions, units: tuple[np.ndarray, ...]) -> list[SweptPlane]:
+def _greedy_planes(directions: Directions, units: tuple[np.ndarray, ...]) -> list[np.ndarray]:
     """The planes that explain most, one after the other, each of what those before it leave unexplained."""
     distances = np.geomspace(NEAREST_PLANE_BASELINES, FARTHEST_PLANE_BASELINES, SWEEP_STEPS)
     volumes = [_score_volume(directions, unit, distances) for unit in units]
     weights = [direction.weight.ravel().copy() for direction in directions]
-    found: list[SweptPlane] = []
+    found: list[np.ndarray] = []
     while len(found) < MAX_SWEPT_PLANES:
         peaks = [_peak(volume, weights) for volume in volumes]
-        excess, ratio, at, sweep = max((*peak, k) for k, peak in enumerate(peaks))
+        excess, at, sweep = max((*peak, k) for k, peak in enumerate(peaks))
         if excess < MIN_PEAK_EXCESS:
             break
-        found.append(SweptPlane(units[sweep] / distances[at], ratio))
+        found.append(units[sweep] / distances[at])
         for weight, scores in zip(weights, volumes[sweep], strict=True):
             weight[scores[at - 1 : at + 2].max(axis=0) > 255 * (1.0 - EXPLAINED_COST / GOOD_COST)] = 0.0
         volumes[sweep][:, max(at - PEAK_HALF_WIDTH, 0) : at + PEAK_HALF_WIDTH + 1] = 0
@@ -194,8 +182,8 @@ def _score_volume(
     return volume
 
 
-def _peak(volume: np.ndarray, weights: list[np.ndarray]) -> tuple[float, float, int]:
-    """Excess over the median, ratio to it, and index of the best distance; an excess of 0 if there is no peak.
+def _peak(volume: np.ndarray, weights: list[np.ndarray]) -> tuple[float, int]:
+    """Excess over the median and index of the best distance; an excess of 0 if there is no peak.
 
     Of both panoramas the worse one counts. A maximum at either end of the sweep is none.
     """
@@ -207,8 +195,8 @@ def _peak(volume: np.ndarray, weights: list[np.ndarray]) -> tuple[float, float, 
     excess, ratio = (scores - median).min(axis=0), (scores / np.maximum(median, 1e-4)).min(axis=0)
     at = int(excess.argmax())
     if at in (0, len(excess) - 1) or ratio[at] < MIN_PEAK_RATIO:
-        return 0.0, 0.0, at
-    return float(excess[at]), float(ratio[at]), at
+        return 0.0, at
+    return float(excess[at]), at
 
 
 def _refine(
