@@ -161,10 +161,11 @@ def merge_planes(
     """
     normals, support = list(own.normals), list(np.moveaxis(own.support, -1, 0))
     direction = SweepDirection(pair)
+    textured = _density(direction.weight > 0)
     is_floor_known = False
     for normal in swept:
         same = [k for k, each in enumerate(normals) if _is_same_plane(normal, each)]
-        supports = [_image_support(direction, normal), *(support[k] for k in same)]
+        supports = [_image_support(direction, normal, textured), *(support[k] for k in same)]
         for k in reversed(same):
             del normals[k], support[k]
         is_floor = not is_floor_known and bool(normal @ pair.grid.up < 0)
@@ -175,7 +176,7 @@ def merge_planes(
     for normal in others:
         if not any(_is_same_plane(normal, each) for each in normals):
             normals.append(normal)
-            support.append(_image_support(direction, normal))
+            support.append(_image_support(direction, normal, textured))
     if not normals:
         return own
     return PlaneCandidates(np.array(normals), np.stack(support, axis=-1))
@@ -185,10 +186,14 @@ def _is_same_plane(normal: np.ndarray, other: np.ndarray) -> bool:
     return bool(np.linalg.norm(normal - other) < SAME_PLANE_TOLERANCE * np.linalg.norm(normal))
 
 
-def _image_support(direction: SweepDirection, normal: np.ndarray) -> Float32[np.ndarray, "height width"]:
-    """1 where a plane explains enough of the texture around, falling to 0 where it explains none."""
-    explained, textured = _density(direction.cost(normal) < EXPLAINED_COST), _density(direction.weight > 0)
-    share = explained / np.maximum(textured, FULL_PLANE_SUPPORT_DENSITY)
+def _image_support(
+    direction: SweepDirection, normal: np.ndarray, textured: np.ndarray
+) -> Float32[np.ndarray, "height width"]:
+    """1 where a plane explains enough of the texture around, falling to 0 where it explains none.
+
+    ``textured`` is the share of textured pixels around each one.
+    """
+    share = _density(direction.cost(normal) < EXPLAINED_COST) / np.maximum(textured, FULL_PLANE_SUPPORT_DENSITY)
     return np.asarray(np.minimum(share / FULL_EXPLAINED_SHARE, np.float32(1.0)))
 
 
