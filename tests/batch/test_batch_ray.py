@@ -39,7 +39,18 @@ def cluster(monkeypatch):
 
 
 def start(folder: Path, output: Path, *more: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "omnisyn_cli", "batch", folder / "jobs.jsonl", "-o", output, "--threads", "1"]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "omnisyn_cli",
+        "batch",
+        folder / "jobs.jsonl",
+        "-o",
+        output,
+        "--threads",
+        "1",
+    ]
     return subprocess.Popen(
         [*map(str, command), *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
     )
@@ -56,7 +67,11 @@ def workers(folder: Path) -> set[str]:
 
 
 def test_a_node_that_dies_midway_takes_nothing_with_it(tmp_path, cluster):
-    """The other node's worker does what the lost one had begun, without waiting for a node to replace it."""
+    """The other node's worker does what the lost one had begun, without waiting for a node to replace it.
+
+    No worker imports what lies in the folder in which the command was called.
+    """
+    (tmp_path / "numpy.py").write_text("raise ImportError('from the current directory')")
     write_row(tmp_path, 4, size=(64, 128))
     pairs = [(a, b) for a in range(4) for b in range(4) if a != b]
     write_lines(tmp_path / "jobs.jsonl", [line(a, b, frames=20, size="512x256") for a, b in pairs])

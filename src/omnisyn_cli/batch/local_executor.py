@@ -13,6 +13,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Self
 
 from omnisyn_cli.batch.executor import Job, Report, Work, Worker
+from omnisyn_cli.compute.processes import spawn_context
 
 __all__ = ["end_with_parent"]
 
@@ -90,7 +91,7 @@ class LocalExecutor:
             return Report(worker, None, f"signal {-code}" if code is not None and code < 0 else f"exit code {code}")
 
     def _spawn(self) -> _WorkerProcess:
-        context = multiprocessing.get_context("spawn")
+        context = spawn_context()
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._work, self._threads), daemon=True)
         process.start()

@@ -5,9 +5,12 @@ process or their node dies. A job that was lost that way goes to whichever actor
 """
 
 import logging
+from contextlib import chdir
+from pathlib import Path
 from typing import Any, Self
 
 from omnisyn_cli.batch.executor import Job, Report, Work, Worker
+from omnisyn_cli.compute.processes import safe_path
 from omnisyn_cli.errors import InputError, OmnisynError
 
 
@@ -120,8 +123,10 @@ def _ray() -> Any:
 
 
 def _connect(ray: Any, address: str | None) -> None:
+    home = Path(__file__).parents[2]  # Ray lets workers import from the current directory of this process
     try:
-        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        with safe_path(), chdir(home):
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except Exception as error:  # Ray raises errors of many kinds, some without a base of their own
         raise InputError(
             f"expected a Ray cluster at {address or 'RAY_ADDRESS'}, got '{_first_line(error)}'; check --ray-address"

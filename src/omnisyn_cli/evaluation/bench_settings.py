@@ -4,7 +4,6 @@ Interrupted and started again with the same folder, a run goes on where it was.
 """
 
 import json
-import multiprocessing
 import platform
 import signal
 import tempfile
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from omnisyn_cli.batch.local_executor import end_with_parent
 from omnisyn_cli.compute.jit import announce_compiling, when_compiling
+from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.evaluation.bench_run import BenchRun, measure_setting
@@ -221,7 +221,7 @@ def _failed(run: BenchRun, reason: str) -> Figures:
 
 def _measured_once(run: BenchRun, *, is_patient: bool = False) -> Figures | None:
     """Figures of a process, None if it did no more than compile; whatever ends it is written down, the others go on."""
-    context = multiprocessing.get_context("spawn")
+    context = spawn_context()
     ours, theirs = context.Pipe(duplex=False)
     with tempfile.TemporaryDirectory(prefix="omnisyn-bench-", ignore_cleanup_errors=True) as folder:
         process = context.Process(target=_serve, args=(theirs, run, Path(folder), is_patient), daemon=True)

@@ -12,12 +12,12 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Float32
 
+from omnisyn_cli.compute.processes import spawn_context
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.geometry.pose import Pose, at_same_position, rotation_from_heading, rotation_from_rotation_vector
 from omnisyn_cli.geometry.sampling import rotated_directions, rotated_image, sample_nearest
@@ -138,7 +138,7 @@ def fill_pool(
     """
     make_folder(folder, "a pool")
     missing = [seed for seed in seeds if not scene_path(folder, seed).exists()]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_lower_priority) as executor:
+    with ProcessPoolExecutor(workers, mp_context=spawn_context(), initializer=_lower_priority) as executor:
         futures = [executor.submit(make, folder, seed) for seed in missing]
         try:
             for future in as_completed(futures):

@@ -1,0 +1,48 @@
+"""Worker processes that import nothing from the current directory.
+
+Workers are started as ``python -c``, which looks for modules in the current directory first. That may be a folder that
+somebody else has made, with a ``pickle.py`` in it.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
+
+__all__ = ["safe_path", "spawn_context"]
+
+SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
+"""Of the environment: an interpreter with it leaves the current directory out of its search path."""
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """Interpreters that are started inside do not look for modules in the current directory."""
+    former = os.environ.get(SAFE_PATH_VARIABLE)
+    os.environ[SAFE_PATH_VARIABLE] = "1"
+    try:
+        yield
+    finally:
+        if former is None:
+            del os.environ[SAFE_PATH_VARIABLE]
+        else:
+            os.environ[SAFE_PATH_VARIABLE] = former
+
+
+class _SafeProcess(SpawnProcess):
+    def start(self) -> None:
+        with safe_path():
+            super().start()
+
+
+class _SafeContext(SpawnContext):
+    Process = _SafeProcess
+
+
+def spawn_context() -> SpawnContext:
+    """What starts worker processes afresh, so that none inherits threads, locks or a search path to be wary of."""
+    if os.name == "posix":  # queues and locks need this helper, an interpreter too, which lives as long as the program
+        with safe_path():
+            resource_tracker.ensure_running()
+    return _SafeContext()
