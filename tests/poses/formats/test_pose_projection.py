@@ -1,6 +1,8 @@
 """A point of the foreign world falls on the same pixel by the foreign formula and by ours, for every format."""
 
 import math
+import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,6 +42,115 @@ def test_colmap(tmp_path):
     write_text(tmp_path / "sparse" / "0" / "cameras.txt", "# comment", "1 EQUIRECTANGULAR 1024 512 1024 512")
     result = imported(tmp_path, expected="colmap")
     assert [view.name for view in result.views] == [f"pano {name}" for name in NAMES]
+    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
+        foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
+        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+
+
+def faces_of_panorama_sfm(pitches: tuple[float, ...]) -> list[np.ndarray]:
+    """Camera-from-panorama rotations as COLMAP's ``panorama_sfm.py`` cuts faces: Rx(−pitch) · Ry(−yaw)."""
+    turns = []
+    for pitch in pitches:
+        for step in range(4):
+            yaw = 90.0 * step + (45.0 if pitch > 0 else 0.0)
+            about_y = axis_angle((0, -math.radians(yaw), 0))[0] if yaw else np.eye(3)
+            turns.append((axis_angle((-math.radians(pitch), 0, 0))[0] if pitch else np.eye(3)) @ about_y)
+    return turns
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """``[w, x, y, z]`` of a rotation matrix by its eigenvector of 1 and its trace."""
+    w = math.sqrt(max(1 + np.trace(rotation), 1e-12)) / 2
+    skew = np.array([rotation[2, 1], rotation[0, 2], rotation[1, 0]]) - [rotation[1, 2], rotation[2, 0], rotation[0, 1]]
+    if w > 1e-3:
+        return np.array([w, *(skew / (4 * w))])
+    axis = np.linalg.eigh(rotation + rotation.T)[1][:, -1]
+    return np.array([w, *axis]) / np.linalg.norm([w, *axis])
+
+
+def write_rig_model(folder: Path, pitches: tuple[float, ...], *, is_binary: bool) -> None:
+    """A model of one rig with a frame for each of :func:`samples`, as COLMAP 3.12 and later write it."""
+    faces = faces_of_panorama_sfm(pitches)
+    count = len(faces)
+    cameras, sensors = range(1, count + 1), [quaternion(face @ faces[0].T) for face in faces]
+    images, frames = [], []
+    for index, (turn, translation, _) in enumerate(samples(COUNT)):
+        world = axis_angle(turn)[0]
+        frames.append((index + 1, quaternion(faces[0] @ world), faces[0] @ translation))
+        images += [
+            (index * count + k, quaternion(face @ world), face @ translation, k, f"pano_camera{k - 1}/{NAMES[index]}")
+            for k, face in zip(cameras, faces, strict=True)
+        ]
+    data = {frame: [(k, (frame - 1) * count + k) for k in cameras] for frame, _, _ in frames}
+    if not is_binary:
+        write_text(folder / "cameras.txt", *(f"{k} SIMPLE_PINHOLE 64 64 32 32 32" for k in cameras))
+        write_text(folder / "images.txt", *(f"{i} {row(q, t)} {k} {name}\n" for i, q, t, k, name in images))
+        others = " ".join(f"CAMERA {k} 1 {row(sensors[k - 1], (0, 0, 0))}" for k in cameras[1:])
+        write_text(folder / "rigs.txt", f"1 {count} CAMERA 1 {others}")
+        lines = [f"{f} 1 {row(q, t)} {count} " + " ".join(f"CAMERA {k} {i}" for k, i in data[f]) for f, q, t in frames]
+        write_text(folder / "frames.txt", *lines)
+        return
+    folder.mkdir(parents=True)
+    camera_bytes = b"".join(struct.pack("<IiQQ3d", k, 0, 64, 64, 32, 32, 32) for k in cameras)
+    image_bytes = b"".join(
+        struct.pack("<I7dI", i, *q, *t, k) + name.encode() + struct.pack("<xQ2dq", 1, 5.5, 6.5, -1)
+        for i, q, t, k, name in images
+    )
+    rig_bytes = struct.pack("<IIiI", 1, count, 0, 1) + b"".join(
+        struct.pack("<iIB7d", 0, k, 1, *sensors[k - 1], 0, 0, 0) for k in cameras[1:]
+    )
+    frame_bytes = b"".join(
+        struct.pack("<II7dI", f, 1, *q, *t, count) + b"".join(struct.pack("<iIQ", 0, k, i) for k, i in data[f])
+        for f, q, t in frames
+    )
+    for name, number, content in (
+        ("cameras", count, camera_bytes), ("images", len(images), image_bytes), ("rigs", 1, rig_bytes),
+        ("frames", COUNT, frame_bytes),
+    ):  # fmt: skip
+        (folder / f"{name}.bin").write_bytes(struct.pack("<Q", number) + content)
+
+
+@pytest.mark.parametrize("is_binary", [False, True])
+@pytest.mark.parametrize("pitches", [(-35.0, 0.0, 35.0), (0.0,)], ids=["overlapping", "four faces"])
+def test_colmap_rigs_of_virtual_cameras_are_the_panoramas_that_they_were_cut_from(tmp_path, pitches, is_binary):
+    write_rig_model(tmp_path / "sparse" / "0", pitches, is_binary=is_binary)
+    write_images(tmp_path / "images", NAMES[:1])
+    result = imported(tmp_path, expected="colmap")
+    assert [view.name for view in result.views] == NAMES
+    assert result.views[0].image == tmp_path / "images" / NAMES[0]
+    assert any("put together from the faces of a rig" in note for note in result.notes)
+    for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
+        foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
+        np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)
+
+
+def test_pycolmap_writes_rigs_as_they_are_read(tmp_path):
+    pycolmap = pytest.importorskip("pycolmap")
+    write_rig_model(tmp_path / "text", (-35.0, 0.0, 35.0), is_binary=False)
+    write_text(tmp_path / "text" / "points3D.txt", "")
+    (tmp_path / "binary").mkdir()
+    pycolmap.Reconstruction(tmp_path / "text").write_binary(tmp_path / "binary")
+    text, binary = (imported(tmp_path / kind, expected="colmap") for kind in ("text", "binary"))
+    assert {view.name for view in binary.views} == set(NAMES)
+    poses = {view.name: view.pose for view in binary.views}
+    assert all(view.pose.almost_equals(poses[view.name]) for view in text.views)
+
+
+@pytest.mark.parametrize("is_binary", [False, True])
+def test_spheresfm(tmp_path, is_binary):
+    """Its SPHERE sees what EQUIRECTANGULAR sees; in binary it has the number of one of COLMAP's fisheyes."""
+    poses = [(axis_angle(turn)[1], translation) for turn, translation, _ in samples(COUNT)]
+    if is_binary:
+        (tmp_path / "cameras.bin").write_bytes(struct.pack("<QIiQQ3d", 1, 1, 11, 1024, 512, 1, 512, 256))
+        images = (
+            struct.pack("<I7dI", i, *q, *t, 1) + NAMES[i].encode() + struct.pack("<xQ", 0)
+            for i, (q, t) in enumerate(poses)
+        )
+        (tmp_path / "images.bin").write_bytes(struct.pack("<Q", COUNT) + b"".join(images))
+    else:
+        write_text(tmp_path / "cameras.txt", "1 SPHERE 1024 512 1 512 256")
+        write_text(tmp_path / "images.txt", *(f"{i} {row(q, t)} 1 {NAMES[i]}\n" for i, (q, t) in enumerate(poses)))
+    result = imported(tmp_path, expected="colmap")
     for view, (turn, translation, point) in zip(result.views, samples(COUNT), strict=True):
         foreign = opencv_pixel(axis_angle(turn)[0] @ point + translation)
         np.testing.assert_allclose(our_pixel(view.pose, y_down(point)), foreign, atol=PIXELS)

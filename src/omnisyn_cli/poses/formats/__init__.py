@@ -12,7 +12,8 @@ from typing import Any
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.io.documents import read_json
-from omnisyn_cli.poses.formats.colmap import IMAGES, colmap_files, colmap_rig_files, model_folder, read_colmap
+from omnisyn_cli.poses.formats.colmap import colmap_files, colmap_rig_files, read_colmap
+from omnisyn_cli.poses.formats.colmap_model import IMAGES, MODEL_FILES, is_model
 from omnisyn_cli.poses.formats.exif import read_exif
 from omnisyn_cli.poses.formats.files import IMAGE_SUFFIXES, data_lines, entries, images_in
 from omnisyn_cli.poses.formats.habitat import habitat_folders, read_habitat
@@ -148,7 +149,7 @@ def _check_options(chosen: str, sources: Sequence[Path], options: ImportOptions)
 def _of_folder(folder: Path) -> str:
     marks = {name: form.mark for name, form in FORMATS.items() if form.mark is not None}
     found = [name for name, mark in marks.items() if (folder / mark).is_file()]
-    if not found and (model_folder(folder) / IMAGES).is_file():
+    if not found and is_model(folder):
         found = ["colmap"]
     if not found and habitat_folders(folder):
         found = ["habitat"]
@@ -156,9 +157,6 @@ def _of_folder(folder: Path) -> str:
         raise PoseError(f"{folder}: expected poses of one program, got {', '.join(found)}; choose with --format")
     if found:
         return found[0]
-    if (model_folder(folder, "images.bin") / "images.bin").is_file():
-        remedy = "convert it with 'colmap model_converter --output_type TXT'"
-        raise PoseError(f"{folder}: expected a COLMAP text model, got a binary one; {remedy}")
     if images_in(folder):
         return "exif"
     raise _unknown(folder, f"none of {', '.join(marks.values())}, rot.txt in sub-folders, or images")
@@ -168,7 +166,7 @@ def _of_file(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix in IMAGE_SUFFIXES:
         return "exif"
-    if path.name in (IMAGES, "cameras.txt"):
+    if path.name in MODEL_FILES:
         return "colmap"
     if suffix == ".json":
         return _of_json(path)

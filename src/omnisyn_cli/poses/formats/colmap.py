@@ -1,11 +1,14 @@
-"""COLMAP text models: ``cameras.txt`` and ``images.txt``.
+"""COLMAP models: poses of panoramas, and of rigs of virtual pinhole cameras that were cut out of panoramas.
 
 World-to-camera quaternions ``QW QX QY QZ`` and translations in OpenCV axes (x right, y down, z forward); a camera of
 model ``EQUIRECTANGULAR`` (parameters w, h) sees a direction at ``x = (atan2(dx, dz) / 2π + ½)·w``,
 ``y = (½ − atan2(−dy, hypot(dx, dz)) / π)·h`` with pixel centres at ½: our panorama. The world has neither a scale nor a
 fixed orientation; after most reconstructions y points down.
 
-Source: COLMAP documentation, "Output Format"; ``src/colmap/sensor/models.h``.
+``panorama_sfm.py``, which comes with COLMAP, cuts every panorama into faces without roll, the images ``PREFIX/NAME`` of
+a rig in one place. The first is the rig's reference and looks at the column of the panorama's centre, up or down.
+
+Source: COLMAP documentation, "Output Format"; ``src/colmap/sensor/models.h``; ``python/examples/panorama_sfm.py``.
 """
 
 import json
@@ -18,57 +21,81 @@ from jaxtyping import Float
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
-from omnisyn_cli.io.documents import listed, read_text
-from omnisyn_cli.poses.entries import checked_quaternion
-from omnisyn_cli.poses.formats.files import data_lines, find_view, numbers
+from omnisyn_cli.io.documents import listed
+from omnisyn_cli.poses.formats.colmap_model import HEADER, IMAGES, Model, Rig, read_model
+from omnisyn_cli.poses.formats.files import find_view
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions, foreign_from_pose, noted
 
-IMAGES = "images.txt"
+MAX_LEVEL_ERROR = 1e-3
+"""Sine of the angle by which the faces of a panorama may roll: they are cut without any, and written exactly."""
 
-EQUIRECTANGULAR = "EQUIRECTANGULAR"
-
-HEADER = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
-
-
-def model_folder(source: Path, images: str = IMAGES) -> Path:
-    """The folder of a model inside ``source``: itself, or the usual ``sparse/0`` and ``sparse``."""
-    candidates = [source, source / "sparse" / "0", source / "sparse"]
-    return next((path for path in candidates if (path / images).is_file()), source)
+MIN_AXES_SPREAD = 0.1
+"""Second singular value of the faces' x axes, for one face; less, and they do not tell which way is up."""
 
 
 def read_colmap(source: Path, options: ImportOptions) -> ImportedPoses:
-    """Poses of the panoramas of a model: its folder, or its ``images.txt``."""
-    folder = model_folder(source) if source.is_dir() else source.parent
-    models = _camera_models(folder / "cameras.txt") if (folder / "cameras.txt").is_file() else {}
-    views, skipped = [], []
-    above = (folder, folder.parent, folder.parent.parent)
-    folders = [candidate for place in above for candidate in (place, place / "images")]
-    path = folder / IMAGES
-    for number, line in _image_lines(path):
-        where = f"{path}:{number}"
-        fields = line.split(maxsplit=9)
-        if len(fields) != 10:
-            raise PoseError(f"{where}: expected {HEADER}, got {len(fields)} fields; correct the line")
-        if models.get(fields[8], EQUIRECTANGULAR) != EQUIRECTANGULAR:
-            skipped.append(fields[9])
-            continue
-        name = fields[9].strip()
-        values = numbers(where, fields[1:8], 7, "QW QX QY QZ TX TY TZ")
-        world_to_camera = Pose(checked_quaternion(where, values[:4]), values[4:])
-        pose = options.pose(world_to_camera.inverse(), camera="opencv", up="-y")
-        views.append(find_view(where, name, pose, folders, options))
+    """Poses of the panoramas of a model: its folder, or one of its files."""
+    model = read_model(source)
+    posed = [(image.where, image.name, image.camera_from_world) for image in model.images.values()
+             if model.is_panorama(image)]  # fmt: skip
+    whole = list(_cut_panoramas(model))
+    folder = model.path.parent
+    folders = [
+        candidate for place in (folder, folder.parent, folder.parent.parent) for candidate in (place, place / "images")
+    ]
+    views = [
+        find_view(where, name, options.pose(pose.inverse(), camera="opencv", up="-y"), folders, options)
+        for where, name, pose in (*posed, *whole)
+    ]
+    faces = {name for _, name, _ in whole}
+    skipped = [
+        image.name
+        for image in model.images.values()
+        if not model.is_panorama(image) and image.name.partition("/")[2] not in faces
+    ]
     if not views:
         raise PoseError(
-            f"{path}: expected images of an EQUIRECTANGULAR camera, got {len(skipped)} of others and no panorama; "
-            "only panoramas can be used"
+            f"{model.path}: expected images of an EQUIRECTANGULAR camera or of a rig cut from panoramas, got "
+            f"{len(skipped)} of others and no panorama; only panoramas can be used"
         )
     notes = {
         "distances: COLMAP knows no scale, they are in its own units and taken as metres": True,
         "world: y is taken to point down, as after most reconstructions; --up says otherwise": options.up is None,
-        "cameras: no cameras.txt, all images are taken as equirectangular panoramas": not models,
+        "cameras: no cameras.txt, all images are taken as equirectangular panoramas": not model.models,
+        f"panoramas: {len(whole)} put together from the faces of a rig, whose first camera is taken to look at the "
+        "column of their centres": whole,
         f"left out: {listed(skipped)}, whose cameras are not EQUIRECTANGULAR": skipped,
     }
     return ImportedPoses(tuple(views), noted(notes))
+
+
+def _cut_panoramas(model: Model) -> Iterator[tuple[str, str, Pose]]:
+    """Where it is written, name and panorama-from-world of every panorama that a rig's images were cut from."""
+    for frame in model.frames.values():
+        images = [model.images[number] for number in frame.images if number in model.images]
+        if not images or any(model.is_panorama(image) for image in images) or frame.rig not in model.rigs:
+            continue
+        names = {image.name.partition("/")[2] for image in images}
+        panorama_from_rig = _panorama_from_rig(model.rigs[frame.rig])
+        if panorama_from_rig is not None and len(names) == 1 and "" not in names:
+            yield images[0].where, names.pop(), panorama_from_rig @ frame.rig_from_world
+
+
+def _panorama_from_rig(rig: Rig) -> Pose | None:
+    """The turn from the reference to the panorama; None where cameras roll, stand apart, or do not tell what is up.
+
+    Faces without roll have level x axes. What is orthogonal to all of these is the vertical.
+    """
+    turns = np.stack([pose.rotation for pose in rig.cameras.values()])
+    offsets = np.stack([pose.position for pose in rig.cameras.values()])
+    _, spread, axes = np.linalg.svd(turns[:, 0])
+    is_level = len(turns) > 1 and spread[1] > MIN_AXES_SPREAD and (len(spread) < 3 or spread[2] < MAX_LEVEL_ERROR)
+    if not is_level or offsets.any():
+        return None
+    down = axes[2] * np.sign(axes[2] @ turns[:, 1].sum(axis=0))
+    right = np.cross(down, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return Pose(np.stack([right, down, np.cross(right, down)]), np.zeros(3))
 
 
 def colmap_files(
@@ -161,28 +188,3 @@ def _numbers(pose: Pose) -> str:
 
 def _text(columns: str, lines: list[str]) -> str:
     return "\n".join([f"# {columns}", *lines]) + "\n"
-
-
-def _camera_models(path: Path) -> dict[str, str]:
-    models = {}
-    for number, line in data_lines(path):
-        fields = line.split()
-        if len(fields) < 4:
-            raise PoseError(f"{path}:{number}: expected CAMERA_ID MODEL WIDTH HEIGHT, got '{line:.60}'; correct it")
-        models[fields[0]] = fields[1].upper()
-    return models
-
-
-def _image_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Number and text of the first line of every image; the second, its 2-D points, may be empty and is passed over."""
-    lines = enumerate(read_text(path).splitlines(), start=1)
-    for number, line in lines:
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        yield number, line.strip()
-        follower, points = next(lines, (number + 1, ""))
-        if len(points.split()) % 3:
-            raise PoseError(
-                f"{path}:{follower}: expected 2-D points in threes (X Y POINT3D_ID), or an empty line, after each "
-                f"image, got {len(points.split())} fields; insert the line"
-            )
