@@ -16,6 +16,7 @@ import click
 from omnisyn_cli import __version__
 from omnisyn_cli.cli.lazy import LazyGroup
 from omnisyn_cli.cli.signals import Terminated, signals_raised
+from omnisyn_cli.cli.terminal import printable, say
 from omnisyn_cli.errors import OmnisynError
 
 __all__ = ["cli", "main"]
@@ -76,6 +77,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except click.exceptions.Exit as exit_request:
         return exit_request.exit_code
     except click.ClickException as error:
+        error.message = printable(error.message)
         error.show()
         return error.exit_code
     except OmnisynError as error:
@@ -86,6 +88,14 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _failed("interrupted; nothing was left half written", INTERRUPTED)
     except MemoryError:
         return _failed("expected enough memory, got none; try a smaller --size (see --dry-run)", 1)
+    except ImportError as error:
+        if error.name != "torch":
+            raise
+        return _failed(
+            "expected torch, which training, export-onnx and frames on a GPU need, got none; install it "
+            '(python -m pip install "torch<2.14")',
+            1,
+        )
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read has gone: flush into nothing
         return 1
@@ -104,5 +114,5 @@ def _about(error: OSError) -> str:
 
 def _failed(message: str, code: int) -> int:
     """Say why in one line, whatever characters a file's name brought into it."""
-    click.echo("omnisyn: " + " ".join(message.splitlines()), err=True)
+    say("omnisyn: " + " ".join(message.splitlines()), err=True)
     return code
