@@ -55,6 +55,21 @@ def test_a_mistake_in_headings_is_named(name, change):
     assert name in {explanation.hypothesis.name for explanation in diagnosis.explanations}
 
 
+@pytest.mark.parametrize("headings", [(70.0, -25.0), (0.0, 0.0)])
+def test_rolls_of_the_other_sign_are_named_first(headings):
+    """Also where nothing but the rolls is turned, which world-to-camera would explain as well."""
+    rng, places = np.random.default_rng(8), ([3.0, 1.5, -2.0], [5.0, 1.9, -5.0])
+    right, wrong = (
+        [
+            Pose(rotation_from_heading(*np.radians([heading, 0.0, sign * roll])), np.array(place))
+            for heading, roll, place in zip(headings, (5.0, -5.0), places, strict=True)
+        ]
+        for sign in (1.0, -1.0)
+    )
+    diagnosis = diagnose(wrong[0], wrong[1], matches_of(rng, right[0], right[1], noise=0.2 * PIXEL, wrong=0.3))
+    assert diagnosis.explanations[0].hypothesis.name == "roll-reversed"
+
+
 @pytest.mark.parametrize("names", [("quaternion-order", "opencv-axes"), ("world-to-camera", "centre-at-edge")])
 def test_two_mistakes_at_once_are_named(names):
     """They are made in the opposite order of the corrections."""

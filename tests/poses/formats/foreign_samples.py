@@ -33,18 +33,20 @@ def samples(count: int, seed: int = 0) -> list[tuple[np.ndarray, np.ndarray, np.
     return [(rng.normal(size=3), rng.normal(size=3) * 3, rng.normal(size=3) * 10) for _ in range(count)]
 
 
-def write_images(folder: Path, names: list[str], size: tuple[int, int] = (16, 32), **tags: Any) -> list[Path]:
-    """Grey panoramas with tags, in folders that are made."""
-    paths = []
+def write_images(
+    folder: Path, names: list[str], size: tuple[int, int] = (16, 32), picture: np.ndarray | None = None, **tags: Any
+) -> list[Path]:
+    """Panoramas with tags, grey unless there is a picture, in folders that are made."""
+    paths, picture = [], np.full((*size, 3), 128, np.uint8) if picture is None else picture
     for name in names:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        spec = OpenImageIO.ImageSpec(size[1], size[0], 3, "uint8")
+        spec = OpenImageIO.ImageSpec(picture.shape[1], picture.shape[0], 3, "uint8")
         for key, value in tags.items():
             spec.attribute(key, *value) if isinstance(value, tuple) else spec.attribute(key, value)
         writer = OpenImageIO.ImageOutput.create(str(path))
         assert writer.open(str(path), spec)
-        assert writer.write_image(np.full((*size, 3), 128, np.uint8))
+        assert writer.write_image(picture)
         assert writer.close()
         paths.append(path)
     return paths

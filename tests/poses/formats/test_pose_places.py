@@ -8,9 +8,11 @@ import pytest
 from foreign_samples import SIZE, imported, our_pixel, write_images, write_json, write_text
 
 from omnisyn_cli.errors import PoseError
-from omnisyn_cli.geometry.pose import Pose
+from omnisyn_cli.geometry.pose import Pose, rotation_angle
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.poses.formats import ImportOptions, import_poses
+from omnisyn_cli.poses.registration.conventions import heading_angles
+from omnisyn_cli.scenes import generate_scene, render_panorama, sample_path
 
 ORIGIN = (48.1, 11.5, 520.0)
 
@@ -136,6 +138,79 @@ def test_pitch_lifts_the_centre_and_roll_turns_the_horizon_counter_clockwise(tmp
     south = our_pixel(rolled, np.array([0, 0, 1.0]))  # on the right of the centre: its horizon rises
     assert south[0] == pytest.approx(height / 2 - 0.5 - 20 / 180 * height, abs=1e-3)
     assert south[1] == pytest.approx(0.75 * width - 0.5, abs=1e-3)
+
+
+def test_programs_that_turn_the_horizon_clockwise_are_read_with_an_option(tmp_path):
+    write_images(tmp_path, ["a.jpg"], **gps(*ORIGIN), **pano_pose(90.0, 10.0, 5.0))
+    write_images(tmp_path, ["b.jpg"], **gps(*ORIGIN), **pano_pose(90.0, 10.0, -5.0))
+    as_specified, reversed_ = (imported(tmp_path, expected="exif", roll=roll).views for roll in (None, "clockwise"))
+    assert as_specified[0].pose.almost_equals(reversed_[1].pose)
+    assert as_specified[1].pose.almost_equals(reversed_[0].pose)
+    with pytest.raises(PoseError, match="expected no --roll with format kitti"):
+        import_poses([write_text(tmp_path / "a.txt", "")], "kitti", ImportOptions(roll="clockwise"))
+
+
+def camera_tags(make: str, model: str) -> dict[str, str]:
+    return {"Make": make, "Model": model}
+
+
+def test_null_island_is_no_place(tmp_path):
+    """Insta360 Studio writes latitude and longitude 0 where there was no GPS."""
+    write_images(tmp_path, ["a.jpg"], **gps(0.0, 0.0, 0.0), **pano_pose(0.0), **camera_tags("Insta360", "X3"))
+    with pytest.raises(PoseError, match="expected images with EXIF GPS, got none in 1 images"):
+        import_poses([tmp_path], "auto", ImportOptions())
+    write_images(tmp_path, ["b.jpg"], **gps(*ORIGIN), **pano_pose(10.0))
+    result = imported(tmp_path, expected="exif")
+    assert [view.name for view in result.views] == ["b.jpg"]
+    assert any("left out: 'a.jpg' without GPS" in note for note in result.notes)
+
+
+TRACK = [(48.1, 11.5, 520.0), (48.1, 11.5001, 520.0), (48.1001, 11.5001, 520.0)]
+"""7.4 m to the east, then 11.1 m to the north."""
+
+
+@pytest.mark.parametrize(
+    "tags",
+    [camera_tags("GoPro", "GoPro Max") | pano_pose(0.0, 0.0, 0.0), camera_tags("RICOH", "THETA V"),
+     camera_tags("Insta360", "Insta360 X4") | pano_pose(0.0, 0.0, 0.0)],
+    ids=["GoPro MAX", "Theta V", "X4"],
+)  # fmt: skip
+def test_where_pictures_tell_nothing_cameras_look_along_the_track(tmp_path, tags):
+    """Plain grey pictures; the placeholder of a GoPro is no heading."""
+    for index, place in enumerate(TRACK):
+        write_images(tmp_path, [f"{index}.jpg"], **gps(*place), **tags)
+    result = imported(tmp_path, expected="exif")
+    forward = [view.pose.rotation @ [0, 0, -1] for view in result.views]
+    np.testing.assert_allclose(forward, [[1, 0, 0], [0, 0, -1], [0, 0, -1]], atol=2e-3)
+    notes = " ".join(result.notes)
+    assert "taken to look along the track" in notes
+    assert ("taken for placeholders" in notes) == ("GPano:PoseRollDegrees" in tags)
+
+
+def geographic(position: np.ndarray) -> tuple[float, float, float]:
+    """A place some metres east, up and −north of the origin, on a sphere through it."""
+    east, up, south = position
+    north_radius, east_radius = 6_367_000.0, 6_390_000.0 * math.cos(math.radians(ORIGIN[0]))
+    return (
+        ORIGIN[0] - math.degrees(south / north_radius), ORIGIN[1] + math.degrees(east / east_radius), ORIGIN[2] + up,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("headings", [(None, None, None), (True, None, None), (None, None, True)])
+def test_headings_come_from_the_pictures(tmp_path, headings):
+    """Of all three panoramas with the track of their places, or of those without one from their neighbours."""
+    scene = generate_scene("street", 101)
+    poses = sample_path(scene, 101, 3)
+    for index, (pose, has_heading) in enumerate(zip(poses, headings, strict=True)):
+        image, _ = render_panorama(scene, pose, (192, 384), threads=2)
+        heading = math.degrees(heading_angles(pose.rotation)[0]) % 360
+        tags = gps(*geographic(pose.position)) | (pano_pose(heading) if has_heading else {})
+        write_images(tmp_path, [f"{index}.png"], picture=np.rint(image * 255).astype(np.uint8), **tags)
+    result = imported(tmp_path, expected="exif")
+    assert "come from the pictures" in " ".join(result.notes)
+    for view, pose in zip(result.views, poses, strict=True):
+        off = np.degrees(rotation_angle(view.pose.rotation.T @ pose.rotation))
+        assert off < (3.0 if headings == (None, None, None) else 1.0), (view.name, off)
 
 
 def test_the_compass_stands_in_for_gpano(tmp_path):

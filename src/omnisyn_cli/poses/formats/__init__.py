@@ -139,6 +139,7 @@ def _check_options(chosen: str, sources: Sequence[Path], options: ImportOptions)
         "--origin": options.origin is not None and not form.is_on_earth,
         "--up": options.up is not None and form.is_level,
         "--camera-axes": options.camera is not None and form.is_level,
+        "--roll": options.roll is not None and chosen not in ("exif", "table"),
         "--floor": options.floor is not None and chosen != "zind",
     }
     for option, is_unfit in unfit.items():

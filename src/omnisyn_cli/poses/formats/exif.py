@@ -2,13 +2,14 @@
 
 ``PoseHeadingDegrees`` is the compass heading of the image centre, ``PosePitchDegrees`` its height above the horizon,
 ``PoseRollDegrees`` the roll at which the horizon turns counter-clockwise as it grows; where heading is missing, EXIF's
-``GPSImgDirection`` stands in for it.
+``GPSImgDirection`` stands in for it. Cameras without a compass write placeholders: a GoPro MAX has heading, pitch and
+roll 0 in every picture, Insta360 Studio has latitude and longitude 0 where there was no GPS.
 
 Source: Google, "Photo Sphere XMP Metadata"; Exif 2.32 and 3.0, GPS attribute information.
 """
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path
 
@@ -22,6 +23,9 @@ from omnisyn_cli.poses.formats.model import ImportedPoses, ImportOptions
 ELLIPSOID_ALTITUDE_REFS = (2, 3)
 """Values of ``GPSAltitudeRef`` for altitudes above and below the ellipsoid (Exif 3.0)."""
 
+POSE_TAGS = ("Heading", "Pitch", "Roll")
+"""GPano's, between ``Pose`` and ``Degrees``."""
+
 
 def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
     """Poses of image files, or of the images in folders; images without any place are left out and named.
@@ -30,15 +34,16 @@ def read_exif(sources: Sequence[Path], options: ImportOptions) -> ImportedPoses:
     """
     paths = _different(path for source in sources for path in (images_in(source) if source.is_dir() else [source]))
     headers = {name: read_header(path) for name, path in zip(_names(paths), paths, strict=True)}
-    placed = {name: header for name, header in headers.items() if "GPS:Latitude" in header.attributes}
+    placed = {name: header for name, header in headers.items() if _has_place(header)}
     where = str(sources[0])
     if not placed:
         raise PoseError(
             f"{where}: expected images with EXIF GPS, got none in {len(paths)} images; give a table of places (CSV), "
             "or let 'omnisyn poses estimate' find the poses"
         )
-    places = {name: _place(header) for name, header in placed.items()}
-    notes = _notes(list(placed.values()), [name for name in headers if name not in placed])
+    untold = _placeholders(placed)
+    places = {name: _place(header, has_pose=name not in untold) for name, header in placed.items()}
+    notes = _notes(list(placed.values()), [name for name in headers if name not in placed], untold)
     return imported_places(where, places, {name: header.path for name, header in placed.items()}, options, notes)
 
 
@@ -58,15 +63,32 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return ["/".join(place.parts[shared:]) for place in places]
 
 
-def _place(header: ImageHeader) -> Place:
-    heading = header.number("GPano:PoseHeadingDegrees")
+def _has_place(header: ImageHeader) -> bool:
+    """Whether there is GPS; 0° north and 0° east is the sea, and what programs write for nothing."""
+    places = [header.degrees(f"GPS:{name}", negative) for name, negative in (("Latitude", "S"), ("Longitude", "W"))]
+    return "GPS:Latitude" in header.attributes and places != [0.0, 0.0]
+
+
+def _placeholders(headers: Mapping[str, ImageHeader]) -> list[str]:
+    """Panoramas of cameras that say heading, pitch and roll 0 every time: all GoPros, others from two pictures on."""
+    cameras: dict[tuple[str, str], list[str]] = {}
+    for name, header in headers.items():
+        make, model = (str(header.attributes.get(tag, "")) for tag in ("Make", "Model"))
+        cameras.setdefault((make, model), []).append(name)
+    return [
+        name
+        for (make, _), names in cameras.items()
+        if (len(names) > 1 or make.lower() == "gopro")
+        and all(headers[each].number(f"GPano:Pose{tag}Degrees") == 0.0 for each in names for tag in POSE_TAGS)
+        for name in names
+    ]
+
+
+def _place(header: ImageHeader, *, has_pose: bool) -> Place:
+    """The place of a panorama, with the tags of GPano unless they are placeholders."""
+    heading = header.number("GPano:PoseHeadingDegrees") if has_pose else None
     if heading is None:
         heading = header.number("GPS:ImgDirection")
-    if heading is None:
-        raise PoseError(
-            f"{header.path}: expected a compass heading (GPano:PoseHeadingDegrees or GPSImgDirection), got none; "
-            "add the tag, or give a table of places (CSV) with headings"
-        )
     angles = []
     for name, negative in (("Latitude", "S"), ("Longitude", "W")):
         angle = header.degrees(f"GPS:{name}", negative)
@@ -82,11 +104,15 @@ def _place(header: ImageHeader) -> Place:
     return place
 
 
-def _notes(headers: list[ImageHeader], skipped: list[str]) -> list[str]:
+def _notes(headers: list[ImageHeader], skipped: list[str], untold: list[str]) -> list[str]:
     notes = []
+    if untold:
+        notes.append(f"headings: 0 as well as pitch and roll in all of {listed(untold)}, taken for placeholders")
     if any(h.altitude is not None and h.number("GPS:AltitudeRef") not in ELLIPSOID_ALTITUDE_REFS for h in headers):
         notes.append(altitudes_note("EXIF"))
-    by_compass = [h for h in headers if h.number("GPano:PoseHeadingDegrees") is None]
+    by_compass = [
+        h for h in headers if h.number("GPano:PoseHeadingDegrees") is None and h.number("GPS:ImgDirection") is not None
+    ]
     if by_compass:
         names = listed([header.path.name for header in by_compass])
         notes.append(f"headings: no GPano heading in {names}; GPSImgDirection is taken as that of the image centre")

@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_heading
+from omnisyn_cli.io.documents import listed
+from omnisyn_cli.poses.formats.headings import rotations_by_neighbours
 from omnisyn_cli.poses.formats.model import ImportedPoses, ImportedView, ImportOptions, Origin
 
 PLUMB_LINE_LENGTH = 1e6
@@ -25,7 +27,7 @@ class Place:
 
     Attributes:
         latitude, longitude: WGS84, degrees.
-        heading: of the image centre, degrees clockwise from true north.
+        heading: of the image centre, degrees clockwise from true north, or None where it is not known.
         pitch: of the image centre above the horizon, degrees.
         roll: of the camera, clockwise about its line of sight, degrees: the horizon turns counter-clockwise.
         altitude: metres, or None where it is not known.
@@ -33,7 +35,7 @@ class Place:
 
     latitude: float
     longitude: float
-    heading: float
+    heading: float | None
     pitch: float = 0.0
     roll: float = 0.0
     altitude: float | None = None
@@ -53,22 +55,35 @@ def imported_places(
     """Places by name in the local world of the origin that is asked for, or of the first place.
 
     Without any altitude all are taken to be equally high. Headings count from the meridian of each place, which is
-    turned into the world exactly. PoseError: some have an altitude and some have none; ``where`` begins the message.
+    turned into the world exactly; missing ones are found by :func:`rotations_by_neighbours`.
+    PoseError: some have an altitude and some have none, or nothing tells a heading; ``where`` begins the message.
     """
     without = [name for name, place in places.items() if place.altitude is None]
     if 0 < len(without) < len(places):
         raise PoseError(f"{where}: expected altitudes for all panoramas or none, got none for '{without[0]}'; add it")
     first = next(iter(places.values()))
     origin = options.origin or (first.latitude, first.longitude, first.altitude or 0.0)
-    views = []
-    for name, place in places.items():
-        world = local_world((place.latitude, place.longitude, place.altitude or 0.0), origin)
-        angles = (math.radians(angle) for angle in (place.heading, place.pitch, place.roll))
-        views.append(
-            ImportedView(name, Pose(world.rotation @ rotation_from_heading(*angles), world.position), images[name])
+    worlds = {name: local_world((p.latitude, p.longitude, p.altitude or 0.0), origin) for name, p in places.items()}
+    held = {name: worlds[name].rotation @ _rotation(place, options) for name, place in places.items()}
+    rotations = {name: held[name] for name, place in places.items() if place.heading is not None}
+    if len(rotations) < len(places):
+        positions = {name: world.position for name, world in worlds.items()}
+        found, more = rotations_by_neighbours(positions, rotations, held, images)
+        rotations, notes = {**rotations, **found}, [*more, *notes]
+    if unknown := [name for name in places if name not in rotations]:
+        raise PoseError(
+            f"{where}: expected a compass heading (GPano:PoseHeadingDegrees or GPSImgDirection), got none for "
+            f"{listed(unknown)}, and neither pictures nor ways tell it; give a table of places (CSV) with headings"
         )
+    views = [ImportedView(name, Pose(rotations[name], worlds[name].position), images[name]) for name in places]
     flat = ["altitudes: none given, all panoramas are taken to be equally high"] if without else []
     return ImportedPoses(tuple(views), (origin_note(origin), *flat, *notes))
+
+
+def _rotation(place: Place, options: ImportOptions) -> Float[np.ndarray, "3 3"]:
+    """World-from-camera at the place itself; as if it looked north where nobody knows."""
+    roll = -place.roll if options.roll == "clockwise" else place.roll
+    return rotation_from_heading(*(math.radians(angle) for angle in (place.heading or 0.0, place.pitch, roll)))
 
 
 def local_world(place: Origin, origin: Origin) -> Pose:

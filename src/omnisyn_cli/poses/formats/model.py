@@ -46,6 +46,8 @@ class ImportOptions:
         origin: where the world's origin lies; None leaves it where the format has it, or at the first panorama.
         up: a name of :data:`WORLD_UP` or ``cameras``; None is the format's own.
         camera: a name of :data:`CAMERA_AXES`; None is the format's own.
+        roll: which way the horizon turns in the picture as the roll of a place grows, ``counter-clockwise`` as GPano
+            defines it, or ``clockwise`` as some programs have it; None is the format's own.
         floor: the floor of a ZInD tour; None is the only one.
         time_tolerance: seconds by which time stamps of poses and images may differ.
         allow_outside: whether files that a source names may lie outside its folder.
@@ -55,6 +57,7 @@ class ImportOptions:
     origin: Origin | None = None
     up: str | None = None
     camera: str | None = None
+    roll: str | None = None
     floor: str | None = None
     time_tolerance: float = 0.02
     allow_outside: bool = False

@@ -118,6 +118,11 @@ def heading_angles(rotation: np.ndarray) -> tuple[float, float, float]:
 
 def _common() -> tuple[ConventionHypothesis, ...]:
     return (
+        _each("roll-reversed", NUMBER_STAGE,
+              "a positive roll turns the horizon clockwise instead of counter-clockwise",
+              "change the sign of every roll; `omnisyn poses import` does with --roll clockwise",
+              lambda pose: Pose(
+                  rotation_from_heading(*np.multiply((1, 1, -1), heading_angles(pose.rotation))), pose.position)),
         _each("world-to-camera", TRANSFORM_STAGE,
               "the poses are world-to-camera transforms, given as camera-to-world ones",
               "invert every transform: rotation Rᵀ, position −Rᵀ·t",

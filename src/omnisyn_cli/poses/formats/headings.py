@@ -1,0 +1,119 @@
+"""Rotations of panoramas that know where they were taken, but not which way they look.
+
+Neighbours are compared: what turns one picture into the next carries a known heading on. Where none is known, the
+directions of the cameras seen in the pictures are laid on the track of the positions by one turn about the vertical.
+Where pictures tell nothing, the image centre is taken to look along the track.
+"""
+
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from omnisyn_cli.errors import ImageError
+from omnisyn_cli.geometry.pose import SAME_POSITION_METRES, Pose, rotation_from_heading
+from omnisyn_cli.io.documents import listed
+
+Rotations = dict[str, Float[np.ndarray, "3 3"]]
+
+
+def rotations_by_neighbours(
+    positions: Mapping[str, Float[np.ndarray, " 3"]], known: Rotations, held: Rotations,
+    images: Mapping[str, Path | None],
+) -> tuple[Rotations, list[str]]:  # fmt: skip
+    """World-from-camera rotations of all panoramas that have none, and what there is to say about them.
+
+    Args:
+        positions: of all panoramas in the world, in walking order.
+        known: rotations of those that have one.
+        held: rotations of the others as far as they are known, as if they looked north.
+        images: their files.
+
+    A panorama is left out where all were taken in one place and pictures tell nothing.
+    """
+    relative = {
+        pair: found
+        for pair in pairwise(positions)
+        if not set(pair) <= set(known) and (found := _relative_pose(*(images[name] for name in pair))) is not None
+    }
+    found = dict(known)
+    _carry_on(found, relative)
+    carried, spread = [name for name in positions if name in found and name not in known], []
+    for name in positions:
+        if name not in found:
+            group = {name: held[name]}
+            _carry_on(group, relative)
+            if (laid := _laid_on_track(group, relative, positions)) is not None:
+                turn, error = laid
+                found |= {member: turn @ rotation for member, rotation in group.items()}
+                carried += list(group)
+                spread.append(error)
+    left = [name for name in positions if name not in found]
+    travel = {name: turn for name in left if (turn := _along_track(name, positions)) is not None}
+    found |= {name: turn @ held[name] for name, turn in travel.items()}
+    notes = []
+    if carried:
+        fits = f"; they fit the track of the positions within {math.degrees(max(spread)):.0f}°" if spread else ""
+        notes.append(f"headings: those of {listed(carried)} come from the pictures{fits}")
+    if travel:
+        notes.append(
+            f"headings: nothing tells those of {listed(list(travel))}, which are taken to look along the track; if "
+            "they do not, give a table with headings, or let 'omnisyn poses estimate' find the poses"
+        )
+    return {name: rotation for name, rotation in found.items() if name not in known}, notes
+
+
+def _relative_pose(first: Path | None, second: Path | None) -> Pose | None:
+    """Rotation and direction of the second camera in the frame of the first, if their pictures tell them."""
+    # OpenCV takes a while to import and is needed only where headings are missing.
+    from omnisyn_cli.io import read_panorama
+    from omnisyn_cli.poses.registration.features import find_features, match_features
+    from omnisyn_cli.poses.registration.robust import estimate_relative_pose
+
+    if first is None or second is None:
+        return None
+    try:
+        features = [find_features(read_panorama(path).image, None) for path in (first, second)]
+    except ImageError:
+        return None
+    estimate = estimate_relative_pose(match_features(*features))
+    return None if estimate is None else estimate.first_from_second
+
+
+def _carry_on(rotations: Rotations, relative: Mapping[tuple[str, str], Pose]) -> None:
+    """Add the rotations of all that are compared, over any number of others, with one that has a rotation."""
+    for (first, second), pose in (*relative.items(), *reversed(relative.items())):
+        if first in rotations and second not in rotations:
+            rotations[second] = rotations[first] @ pose.rotation
+        elif second in rotations and first not in rotations:
+            rotations[first] = rotations[second] @ pose.rotation.T
+
+
+def _laid_on_track(
+    group: Rotations, relative: Mapping[tuple[str, str], Pose], positions: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, float] | None:
+    """The turn about the vertical that makes directions in the pictures fit the way, and by how much they miss it."""
+    pairs = [pair for pair in relative if pair[0] in group and pair[1] in group]
+    ways = np.array([positions[b] - positions[a] for a, b in pairs]).reshape(-1, 3)[:, [0, 2]]
+    seen = np.array([group[pair[0]] @ relative[pair].position for pair in pairs]).reshape(-1, 3)[:, [0, 2]]
+    cosine, sine = (ways * seen).sum(), (ways[:, 0] * seen[:, 1] - ways[:, 1] * seen[:, 0]).sum()
+    if math.hypot(cosine, sine) <= SAME_POSITION_METRES:
+        return None
+    turn = math.atan2(sine, cosine)
+    across = np.arctan2(ways[:, 0] * seen[:, 1] - ways[:, 1] * seen[:, 0], (ways * seen).sum(axis=1)) - turn
+    errors = np.abs((across + math.radians(180.0)) % math.radians(360.0) - math.radians(180.0))
+    return rotation_from_heading(-turn), float(errors.max())
+
+
+def _along_track(name: str, positions: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    """The turn to the way onwards, at the end to that which led there; None where nobody has moved."""
+    names = list(positions)
+    index = names.index(name)
+    for begin, end in (*pairwise(names[index:]), *reversed(list(pairwise(names[: index + 1])))):
+        east, _, south = positions[end] - positions[begin]
+        if math.hypot(east, south) > SAME_POSITION_METRES:
+            return rotation_from_heading(math.atan2(east, -south))
+    return None
