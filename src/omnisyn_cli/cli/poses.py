@@ -32,6 +32,8 @@ CAMERA_AXES = ("opengl", "opencv", "flu")
 
 UP_AXES = ("y", "-y", "z", "-z", "cameras")
 
+ROLL_DIRECTIONS = ("counter-clockwise", "clockwise")
+
 images = click.argument("images", metavar="A B [C ...]", nargs=-1, required=True, type=FilePath())
 poses_option = click.option(
     "--poses", required=True, type=FilePath(), help="JSON file with the poses of the panoramas."
@@ -93,6 +95,10 @@ def poses() -> None:
 @click.option(
     "--camera-axes", "camera", type=click.Choice(CAMERA_AXES), help="Axes of SOURCE's cameras.  [default: the format's]"
 )
+@click.option(
+    "--roll", type=click.Choice(ROLL_DIRECTIONS),
+    help="How the horizon turns as the roll of images or a table grows.  [default: counter-clockwise, as GPano says]",
+)  # fmt: skip
 @click.option("--floor", help="Floor of a ZInD tour, e.g. floor_01.  [default: the only one]")
 @click.option(
     "--time-tolerance",
@@ -113,7 +119,7 @@ def import_(
     \b
     exif        images with GPS and GPano tags, or their folder
     table       CSV or JSON with image, lat, lng, heading, pitch, roll
-    colmap      text model with EQUIRECTANGULAR cameras
+    colmap      model with EQUIRECTANGULAR or SPHERE cameras, or the rigs of panorama_sfm.py
     opensfm     reconstruction.json with spherical cameras
     nerfstudio  transforms.json with EQUIRECTANGULAR cameras
     tum, kitti  trajectories
