@@ -137,6 +137,6 @@ def folder_arguments(folder: Path, images: list[Path], *more: object) -> list[ob
 def listing(folder: Path) -> dict[str, int]:
     """Every file below a folder, hidden ones too, with its size; folders end in a slash."""
     return {
-        str(path.relative_to(folder)) + ("/" if path.is_dir() else ""): 0 if path.is_dir() else path.stat().st_size
+        str(path.relative_to(folder)) + ("/" if path.is_dir() else ""): 0 if path.is_dir() else path.lstat().st_size
         for path in sorted(folder.rglob("*"))
     }

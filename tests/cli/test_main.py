@@ -1,5 +1,6 @@
 """The command line itself: help is instant, errors are one line, every way to end has its exit code."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -174,6 +175,32 @@ def test_names_that_no_terminal_can_show_do_not_stop_the_work(tmp_path: Path) ->
     assert process.returncode == 0, err
     assert b"3 frames of 32x16" in out
     assert "out.mp4" in listing(folder)
+
+
+COMMANDING_NAME = "a\x1b[31m\n\x9bred\u202egnp.jpg"
+
+SPELLED_OUT = r"a\u001b[31m\u000a\u009bred\u202egnp.jpg"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such names there")
+def test_names_command_no_terminal(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    """Escape sequences, line breaks and marks of direction are spelled out, wherever a name is printed."""
+    named = tmp_path / COMMANDING_NAME
+    text = omnisyn.ended(3, "info", named).err + omnisyn.misused("models", named)
+    text += omnisyn.refused("interpolate", named, named, "--poses", "auto").replace("\n", "", 1)
+    named.write_bytes(write_pair(tmp_path)[0].read_bytes())
+    text += omnisyn.made("info", named).out.partition("\n")[0] + omnisyn.made("info", named, "--json").out
+    assert json.loads(omnisyn.made("info", named, "--json").out)[0]["file"] == str(named)
+    assert text.count(SPELLED_OUT) == 2  # and JSON, as JSON has it
+    assert not {"\x1b", "\x9b", "\u202e"} & set(text)
+
+
+def test_nothing_is_printed_but_by_what_spells_names_out() -> None:
+    """``say`` prints lines; rich prints bars, and tables of what ``printable`` has been through."""
+    for path in sorted(Path(omnisyn_cli.__file__).parent.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        assert path.name in ("terminal.py", "help.py") or "click.echo(" not in text, path
+        assert "rich.table" not in text or "printable(" in text, path
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere file names are text")

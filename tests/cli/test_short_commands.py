@@ -8,6 +8,7 @@ import pytest
 from cli.cli_samples import Omnisyn, write_pair
 from interpolation_samples import CHAIN
 from omnisyn_cli.interpolation.inputs import NamedTour, named_tour, video_ending
+from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.poses.file import POSES_NAME, read_poses, write_poses
 from synthesis_samples import write_hall
 
@@ -120,7 +121,6 @@ REFUSED = {
     "a panorama is missing": (remove_image, "names, got none called '{name}' (1 missing)"),
     "a single one": (keep_one, "poses.json: expected two or more panoramas, got 1"),
     "beside others": (lambda walk: [walk, walk / names(walk)[0]], "or one folder alone, got a folder among 2 names"),
-    "no order": (lambda walk: [walk, "--poses", "auto"], "got a folder, which has no order"),
 }
 
 
@@ -131,6 +131,17 @@ def test_a_folder_that_cannot_be_used_is_one_line(walk: Path, omnisyn: Omnisyn, 
     name = names(walk)[1]
     arguments = spoil(walk)
     assert words.format(name=name) in omnisyn.refused(*cheap(command, *arguments))
+
+
+def test_a_folder_without_poses_stands_for_all_its_pictures(tmp_path: Path, omnisyn: Omnisyn) -> None:
+    """In the natural order of their names, without masks and depth; one picture is too few."""
+    for name in ("p10.jpg", "p9.jpg", "p9_mask.png", "p10_depth.exr", "notes.txt"):
+        (tmp_path / name).touch()
+    images = named_tour([tmp_path], POSES_FROM_PICTURES).images
+    assert [image.name for image in images] == ["p9.jpg", "p10.jpg"]
+    images[0].unlink()
+    (tmp_path / "p9_mask.png").unlink()
+    assert "two or more panoramas in the folder" in omnisyn.refused("view", tmp_path, "--poses", "auto")
 
 
 @every_command
@@ -163,3 +174,16 @@ def test_a_folder_at_the_top_has_a_name_too(walk: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(Path, "resolve", lambda path: Path("/"))
     assert named_tour([walk]).name == "tour"
     assert named_tour([walk]).poses == walk / POSES_NAME
+
+
+@every_command
+def test_poses_from_another_folder_are_said_to_be(walk: Path, omnisyn: Omnisyn, command: str) -> None:
+    """A picture of the same name in another folder would otherwise take a pose that is not its own, in silence."""
+    first, second, _ = names(walk)
+    room = walk.parent / "room"
+    room.mkdir()
+    (walk / second).rename(room / second)
+    plan = planned(omnisyn, command, walk / first, room / second)
+    assert f"{room / second}: the pose is taken from {walk / POSES_NAME}, which lies in another folder" in plan["notes"]
+    (room / second).rename(walk / second)
+    assert not any("another folder" in note for note in planned(omnisyn, command, walk / first, walk / second)["notes"])

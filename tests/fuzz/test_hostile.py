@@ -138,6 +138,37 @@ def test_companions_of_a_panorama_lie_outside_only_if_allowed(tmp_path: Path, ke
         assert getattr(hall.plan(allow_outside=True).entries[0], key).samefile(outside)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize("key", ["depth", "mask"])
+def test_a_link_leads_outside_only_if_that_is_allowed(tmp_path: Path, key: str) -> None:
+    """Neither a link to a file, nor one to a folder with it, is a way around ``--allow-outside``."""
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    hall = Hall(folder, write_pair(folder))
+    outside = tmp_path / "outside.png"
+    write_image(outside, np.full((16, 32), 255, np.uint8 if key == "mask" else np.uint16))
+    (folder / "link.png").symlink_to(outside)
+    (folder / "up").symlink_to(tmp_path)
+    (folder / "inside.png").symlink_to(folder / "a.png")
+    for name in ("link.png", "up/outside.png"):
+        edit_poses(folder, lambda panoramas, name=name: panoramas["a.png"].update({key: name}))
+        hall.refuses(PoseError, "a link that leads out of it; .*--allow-outside")
+        assert getattr(hall.plan(allow_outside=True).entries[0], key).samefile(outside)
+    edit_poses(folder, lambda panoramas: panoramas["a.png"].update({key: "inside.png"}))
+    assert getattr(read_poses(folder / "poses.json").of("a.png"), key) == folder / "inside.png"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize("place", ["-o", "--save-frames", "--save-confidence", "--view", "--mask", "--poses", "image"])
+def test_links_in_a_circle_are_named_in_one_line(tmp_path: Path, omnisyn: Omnisyn, place: str) -> None:
+    images = write_pair(tmp_path)
+    circle = tmp_path / {"--view": "c.html", "--save-frames": "c"}.get(place, "c.mp4")
+    circle.symlink_to(circle)
+    named = [circle, images[1]] if place == "image" else images
+    more = () if place == "image" else (place, circle, "--mask", images[1])[: 4 if place == "--mask" else 2]
+    assert str(circle) in omnisyn.refused(*folder_arguments(tmp_path, named, *more))
+
+
 def test_foreign_poses_reach_outside_only_if_allowed(tmp_path: Path) -> None:
     folder = tmp_path / "scene"
     folder.mkdir()

@@ -12,6 +12,7 @@ import click
 from omnisyn_cli.cli.options import json_option, print_json, quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.progress import is_watched
+from omnisyn_cli.cli.terminal import printable, say
 from omnisyn_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ def plan(
     lines = plan_tours(source, chosen)
     write_manifest(output, lines, overwrite=overwrite)
     if not quiet:
-        click.echo(f"{output}: {len(lines)} jobs")
+        say(f"{output}: {len(lines)} jobs")
 
 
 def _setting(text: str) -> tuple[str, Any]:
@@ -141,7 +142,7 @@ def _setting(text: str) -> tuple[str, Any]:
 
 def _refuse_problems(manifest: Manifest) -> None:
     for problem in manifest.problems:
-        click.echo(f"{manifest.path}: {' '.join(problem.splitlines())}", err=True)
+        say(f"{manifest.path}: {' '.join(problem.splitlines())}", err=True)
     if manifest.problems:
         raise InputError(
             f"{manifest.path}: expected lines without problems, got {len(manifest.problems)} (see above); mend them, "
@@ -154,12 +155,12 @@ def _print_report(report: BatchReport, folder: Path, *, as_json: bool, quiet: bo
         print_json(report.describe())
     elif not quiet:
         total = len(report.done) + len(report.kept) + len(report.failed)
-        click.echo(
+        say(
             f"{folder}: {total} jobs, {len(report.done)} done in {report.seconds:.1f} s, {len(report.kept)} done "
             f"before, {len(report.failed)} failed"
         )
         for version in report.describe()["kept_from_versions"]:
-            click.echo(f"note: some were done by version {version}; remove their outputs to have them again", err=True)
+            say(f"note: some were done by version {version}; remove their outputs to have them again", err=True)
     if report.failed:
         _print_failures(report)
 
@@ -170,7 +171,7 @@ def _print_failures(report: BatchReport) -> None:
 
     table = Table("job", "attempts", "error", title=f"{len(report.failed)} failed")
     for record in report.failed[:MAX_SHOWN_JOBS]:
-        table.add_row(str(record["id"]), str(record.get("attempts", "")), str(record.get("error", "")))
+        table.add_row(*(printable(str(record.get(key, ""))) for key in ("id", "attempts", "error")))
     if len(report.failed) > MAX_SHOWN_JOBS:
         table.add_row("…", "", f"{len(report.failed) - MAX_SHOWN_JOBS} more in results.jsonl")
     Console(stderr=True, markup=False).print(table)

@@ -9,6 +9,7 @@ from omnisyn_cli.cli.evaluate import print_records, print_table
 from omnisyn_cli.cli.options import device_option, json_option, quiet_option, report_option, threads_option
 from omnisyn_cli.cli.parameters import Size, WholeRange
 from omnisyn_cli.cli.progress import counted_bar, working_folder
+from omnisyn_cli.cli.terminal import say
 
 
 @click.command(
@@ -61,5 +62,5 @@ def depth_table(report: Path | None, as_json: bool, quiet: bool, **options: Any)
         for table in depth_tables(records):
             print_table(table, table.title)
         if report is not None:
-            click.echo(f"{path}: {len(records)} results")
+            say(f"{path}: {len(records)} results")
     return int(any(record.status == "failed" for record in records))

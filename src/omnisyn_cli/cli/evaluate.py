@@ -12,6 +12,7 @@ import click
 from omnisyn_cli.cli.options import device_option, json_option, print_json, quiet_option, report_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, Size
 from omnisyn_cli.cli.progress import counted_bar, working_folder
+from omnisyn_cli.cli.terminal import printable, say
 
 if TYPE_CHECKING:
     from omnisyn_cli.evaluation.results import UnitRecord
@@ -31,7 +32,7 @@ def _list_methods(context: click.Context, _: click.Parameter, is_asked: bool) ->
 
     width = max(map(len, METHODS))
     for method in METHODS.values():
-        click.echo(f"{method.name:{width}}  {method.description}")
+        say(f"{method.name:{width}}  {method.description}")
     context.exit()
 
 
@@ -92,7 +93,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
         job = EvaluationJob(report=folder, pictures=report is not None and not no_pictures, **options)
         plan = plan_evaluation(job)
         if not quiet:
-            click.echo(f"note: {_about_results(report)}", err=True)
+            say(f"note: {_about_results(report)}", err=True)
         with counted_bar(
             "depth and frames", plan.units, lambda _, record: f"{record.scene} {record.method}", is_quiet=quiet,
             has_lines=True,
@@ -103,7 +104,7 @@ def eval_(report: Path | None, no_pictures: bool, as_json: bool, quiet: bool, **
     elif not quiet:
         _print_table(records)
         if report is not None:
-            click.echo(f"{report / 'report.html'}: {len(records)} results")
+            say(f"{report / 'report.html'}: {len(records)} results")
     return int(any(record.status == "failed" for record in records))
 
 
@@ -131,7 +132,7 @@ def _print_table(records: Sequence[UnitRecord]) -> None:
     for record in records:
         if record.status == "failed" or not record.method:
             name = " ".join(part for part in (record.scene, record.method) if part)
-            click.echo(f"{name}: {record.status}: {record.reason}")
+            say(f"{name}: {record.status}: {record.reason}")
 
 
 def print_table(shown: Table, title: str | None = None) -> None:
@@ -150,8 +151,8 @@ def print_table(shown: Table, title: str | None = None) -> None:
         cells = [
             format_value(cell.value, column.digits) for cell, column in zip(row.cells, shown.columns, strict=False)
         ]
-        table.add_row(f"{row.name} (upper bound)" if row.is_bound else row.name, *cells)
+        table.add_row(printable(f"{row.name} (upper bound)" if row.is_bound else row.name), *cells)
     Console(width=None if sys.stdout.isatty() else TABLE_COLUMNS, markup=False).print(table)
     for row in shown.rows:
         if not row.cells:
-            click.echo(f"{row.name}: {row.reason}")
+            say(f"{row.name}: {row.reason}")

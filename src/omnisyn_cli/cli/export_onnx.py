@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from omnisyn_cli.cli.parameters import FilePath
+from omnisyn_cli.cli.terminal import say
 
 FOLDER = FilePath(file_okay=False)
 
@@ -43,7 +44,7 @@ def export_onnx(
     output = output or checkpoint.parent
     made = publish(checkpoint, output, name=name, pool=pool, training=training, licence=licence, overwrite=overwrite)
     for entry, difference in made:
-        click.echo(
+        say(
             f"{output / entry.file}: {entry.parameters} parameters, ONNX Runtime differs from torch by {difference:.1e}"
         )
 
@@ -54,10 +55,10 @@ def _list_checkpoints(folder: Path) -> None:
     from omnisyn_cli.training.tasks import TASKS
 
     found = list(checkpoints_below(folder))
-    click.echo("`omnisyn export-onnx PATH` writes one of these:" if found else "no checkpoints here")
+    say("`omnisyn export-onnx PATH` writes one of these:" if found else "no checkpoints here")
     for checkpoint in found:
         what = " ".join(filter(None, (checkpoint.kind, checkpoint.variant)))
-        click.echo(f"    {checkpoint.path}: {what}, {checkpoint.step:,} steps")
-    click.echo("`omnisyn train` makes checkpoints of these kinds, in checkpoint.pt of the folder that it is given:")
+        say(f"    {checkpoint.path}: {what}, {checkpoint.step:,} steps")
+    say("`omnisyn train` makes checkpoints of these kinds, in checkpoint.pt of the folder that it is given:")
     for kind, task in TASKS.items():
-        click.echo(f"    {kind}: {', '.join(task.variants) or 'of a depth and a fusion network'}")
+        say(f"    {kind}: {', '.join(task.variants) or 'of a depth and a fusion network'}")

@@ -6,7 +6,9 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.options import print_json
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
+from omnisyn_cli.cli.terminal import say
 
 
 @click.command()
@@ -22,11 +24,9 @@ def info(
 
     An unusable file does not stop the others; the exit code is then 3.
     """
-    import json
-
     descriptions = [_description(path, max_pixels, allow_outside) for path in files]
     if as_json:
-        click.echo(json.dumps(descriptions, indent=2, ensure_ascii=False))
+        print_json(descriptions)
     else:
         for description in descriptions:
             _show(description)
@@ -48,13 +48,13 @@ def _description(path: Path, max_pixels: int | None, allow_outside: bool) -> dic
 
 def _show(description: dict[str, Any]) -> None:
     if "error" in description:
-        click.echo(f"error: {description['error']}", err=True)
+        say(f"error: {description['error']}", err=True)
         return
-    click.echo(f"{description['file']}: {description['kind']}")
+    say(f"{description['file']}: {description['kind']}")
     for key, value in description.items():
         if key not in ("file", "ok", "kind"):
             for line in _lines(key, value):
-                click.echo(f"  {line}")
+                say(f"  {line}")
 
 
 def _lines(key: str, value: Any) -> Iterator[str]:

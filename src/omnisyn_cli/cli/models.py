@@ -10,6 +10,7 @@ import click
 
 from omnisyn_cli.cli.options import print_json
 from omnisyn_cli.cli.parameters import FilePath
+from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
     from omnisyn_cli.runtime.models import ModelEntry
@@ -37,10 +38,10 @@ def models(folder: Path | None, as_json: bool) -> None:
         print_json([asdict(entry) for entry in entries.values()])
         return
     if not entries:
-        click.echo("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
+        say("no models; make some with `omnisyn train` and `omnisyn export-onnx`")
         return
     for line in _table([HEADER, *map(_row, entries.values())]):
-        click.echo(line)
+        say(line)
 
 
 def _row(entry: ModelEntry) -> tuple[str, ...]:

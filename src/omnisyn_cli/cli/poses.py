@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from omnisyn_cli.cli.lazy import PlainGroup
-from omnisyn_cli.cli.options import all_of, json_option, masks_option, nadir_option, outside_option, quiet_option
+from omnisyn_cli.cli.options import (
+    all_of,
+    json_option,
+    masks_option,
+    nadir_option,
+    outside_option,
+    print_json,
+    quiet_option,
+)
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
+from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
     from omnisyn_cli.poses.estimation import PictureOptions
@@ -180,8 +189,6 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
 
     The command matches points of neighbouring panoramas and compares them with the poses. It cannot check distances.
     """
-    import json
-
     from omnisyn_cli.poses.estimation import check_poses
     from omnisyn_cli.poses.file import read_poses
     from omnisyn_cli.poses.registration.diagnosis_text import diagnosis_sentences, diagnosis_values
@@ -193,9 +200,11 @@ def check(images: tuple[Path, ...], poses: Path, allow_outside: bool, as_json: b
         values.append({"first": str(pair.first), "second": str(pair.second), **diagnosis_values(pair.diagnosis)})
         if not as_json:
             verdict, *details = diagnosis_sentences(pair.diagnosis)
-            click.echo("\n  ".join([f"{pair.first.name} and {pair.second.name}: {verdict}", *details]))
+            say(f"{pair.first.name} and {pair.second.name}: {verdict}")
+            for detail in details:
+                say(f"  {detail}")
     if as_json:
-        click.echo(json.dumps(values, indent=2, ensure_ascii=False))
+        print_json(values)
     if not does_fit:
         click.get_current_context().exit(3)
 
@@ -270,4 +279,4 @@ def _picture_options(nadir: float, **options: Any) -> PictureOptions:
 def _report(notes: Sequence[str], quiet: bool) -> None:
     """Say on stderr what there is to say, one line each."""
     for note in () if quiet else notes:
-        click.echo(note, err=True)
+        say(note, err=True)

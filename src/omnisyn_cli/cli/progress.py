@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import click
+from omnisyn_cli.cli.terminal import say
 
 COMPILING = "note: compiling the kernels, once per installation: about half a minute"
 
@@ -30,13 +30,13 @@ def say_when_compiling(
     """
     from omnisyn_cli.compute.jit import are_kernels_kept, when_compiling
 
-    def say() -> None:
+    def tell() -> None:
         note = COMPILING if are_kernels_kept() else COMPILING_AGAIN
         listen(note)
         if not is_quiet:
-            click.echo(note, err=True)
+            say(note, err=True)
 
-    return when_compiling(say, MIN_BAR_SECONDS)
+    return when_compiling(tell, MIN_BAR_SECONDS)
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def counted_bar(
     """
     if not is_watched(is_quiet=is_quiet):
         is_said = has_lines and not is_quiet
-        yield (lambda done, *what: click.echo(f"{done}/{total} {name(done, *what)}", err=True)) if is_said else None
+        yield (lambda done, *what: say(f"{done}/{total} {name(done, *what)}", err=True)) if is_said else None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

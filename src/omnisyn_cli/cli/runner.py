@@ -9,6 +9,7 @@ import click
 
 from omnisyn_cli.cli.options import print_json, print_plan
 from omnisyn_cli.cli.progress import counted_bar, say_when_compiling
+from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.plan import TourPlan
@@ -23,7 +24,7 @@ def run_plan(
     load: Callable[[], Callable[[P, Callable[[int], None] | None], S]],
     steps: int,
     unit: Callable[[int], str | None],
-    say: Callable[[S], None],
+    report: Callable[[S], None],
     *,
     as_json: bool,
     dry_run: bool,
@@ -38,7 +39,7 @@ def run_plan(
         load: imports what carries it out, which is called with the plan and what counts its steps.
         steps: of the progress bar.
         unit: what is counted, given how much is done; None while depth is being found.
-        say: prints for people what was done.
+        report: prints for people what was done.
         as_json: whether JSON is printed instead.
         dry_run: whether nothing is to be made.
         quiet: whether nothing but errors is printed.
@@ -47,7 +48,7 @@ def run_plan(
     """
     if not quiet:
         for note in plan.notes:
-            click.echo(f"note: {note}", err=True)
+            say(f"note: {note}", err=True)
     if dry_run:
         print_plan({**plan.describe(), **expected()}, as_json=as_json)
         return None
@@ -60,9 +61,9 @@ def run_plan(
         summary = run(plan, on_step)
     if not quiet:
         for warning in summary.warnings():
-            click.echo(f"warning: {warning}", err=True)
+            say(f"warning: {warning}", err=True)
     if as_json:
         print_json(summary.describe())
     elif not quiet:
-        say(summary)
+        report(summary)
     return summary

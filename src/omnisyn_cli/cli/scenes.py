@@ -10,6 +10,7 @@ from omnisyn_cli.cli.options import quiet_option, threads_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
 from omnisyn_cli.cli.progress import say_when_compiling
 from omnisyn_cli.cli.scenes_render import render
+from omnisyn_cli.cli.terminal import say
 
 KINDS = ("street", "room", "home", "jumble", "yard")
 """What :data:`omnisyn_cli.scenes.GENERATORS` make, written out because ``--help`` should not load them."""
@@ -120,7 +121,7 @@ def make(
         with staged_folder(folder, overwrite=overwrite) as staged:
             write_scene(staged, scene, path, names, size, supersample, threads, with_depth=not no_depth)
         if not quiet:
-            click.echo(f"{folder}: {kind}, seed {number}, {frames} panorama{'s' * (frames > 1)}", err=True)
+            say(f"{folder}: {kind}, seed {number}, {frames} panorama{'s' * (frames > 1)}", err=True)
 
 
 def _check_suite_options(context: click.Context) -> None:
@@ -154,7 +155,7 @@ def _make_suite(
                 write_suite_scene(staged, walk, size, threads)
         if not quiet:
             missing = f"not made, the scene has no room for {walk.baseline:g} m"
-            click.echo(f"{out / walk.name}: {f'{len(walk.path)} panoramas' if walk.path else missing}", err=True)
+            say(f"{out / walk.name}: {f'{len(walk.path)} panoramas' if walk.path else missing}", err=True)
 
 
 def _check_names(names: Sequence[str], files: Sequence[str], frames: int) -> None:

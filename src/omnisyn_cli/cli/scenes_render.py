@@ -7,6 +7,7 @@ import click
 
 from omnisyn_cli.cli.options import quiet_option
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, Size, WholeRange
+from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
     from omnisyn_cli.geometry.pose import Pose
@@ -67,7 +68,7 @@ def render(
                 target = output / name if several else output
                 _write_folder(target, scene, line, size, supersample, no_depth, overwrite)
             if not quiet:
-                click.echo(f"{target}: {len(line)} panorama{'s' * (len(line) > 1)}", err=True)
+                say(f"{target}: {len(line)} panorama{'s' * (len(line) > 1)}", err=True)
 
 
 def _photographs(folder: Path | None) -> list[Any]:
@@ -91,7 +92,7 @@ def _mesh(path: Path, scale: float, photos: list[Any], seed: int, *, z_up: bool,
     if plain == 1.0 and not photos:
         raise InputError(f"expected textures or vertex colours in {path}, found none; give photographs (--textures)")
     if plain > MEDIUM_TEXTURE and not photos and not quiet:
-        click.echo(f"{path}: {plain:.0%} of the area has no texture; --textures would paper it", err=True)
+        say(f"{path}: {plain:.0%} of the area has no texture; --textures would paper it", err=True)
     if photos:
         mesh = papered_mesh(mesh, np.random.default_rng([32, seed]), photos)
     if unlit:

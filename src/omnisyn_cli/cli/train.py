@@ -10,6 +10,7 @@ import click
 from omnisyn_cli.cli.lazy import PlainGroup
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.cli.train_pools import convert, evidence, fusion_pool, pool
 from omnisyn_cli.cli.train_recipe import recipe
 
@@ -198,7 +199,7 @@ def _train(
     def say_where(trainer: Any) -> None:
         """And when there will be news: the first hundreds of steps take minutes."""
         every, device = trainer.config.validate_every, trainer.precision
-        click.echo(f"{folder}: from step {trainer.step} on {device}, with a line every {every} steps", err=True)
+        say(f"{folder}: from step {trainer.step} on {device}, with a line every {every} steps", err=True)
 
     with ExitStack() as stack:
         board = stack.enter_context(closing(Board(tensorboard))) if tensorboard else None
@@ -238,4 +239,4 @@ def compact_checkpoint(checkpoint: Path, output: Path, overwrite: bool) -> None:
 
 
 def _show(row: dict[str, Any]) -> None:
-    click.echo("  ".join(f"{key} {value:.6g}" for key, value in row.items()))
+    say("  ".join(f"{key} {value:.6g}" for key, value in row.items()))

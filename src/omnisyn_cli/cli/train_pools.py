@@ -10,6 +10,7 @@ from omnisyn_cli.cli.evaluate import LAYOUTS
 from omnisyn_cli.cli.options import all_of
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.scenes import KINDS, TEXTURES
+from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
 
 FOLDER = FilePath(file_okay=False)
@@ -82,7 +83,7 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
         try:
             chosen = choose(source.read())
         except InputError as error:
-            click.echo(f"{source.name}: {error}", err=True)
+            say(f"{source.name}: {error}", err=True)
             continue
         for pair in chosen:
             path = pair_path(folder, pair.scene, pair.first.name, pair.second.name)
@@ -91,9 +92,9 @@ def convert(dataset: Path, folder: Path, layout: str, pairs: str, height: int) -
             try:
                 add_pair(path, *load_pair(pair).views, (height, 2 * height))
             except InputError as error:
-                click.echo(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
+                say(f"{pair.scene} {pair.first.name} {pair.second.name}: {error}", err=True)
             else:
-                click.echo(path)
+                say(path)
 
 
 @click.command()
@@ -148,6 +149,6 @@ def _fill(
 
     if textures is not None:
         list_photographs(textures)  # there are some
-        config = replace(config, textures=str(textures.resolve()))
+        config = replace(config, textures=str(textures.absolute()))
     for path in fill_pool(folder, range(seed, seed + scenes), partial(make, config=config), workers=workers):
-        click.echo(path)
+        say(path)

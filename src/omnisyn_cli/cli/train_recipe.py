@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.terminal import say
 
 DEVICES = ("auto", "cpu", "cuda")
 """Those of :mod:`omnisyn_cli.training.precision`, written out because ``--help`` should not load them."""
@@ -59,7 +60,7 @@ def recipe(
     def say_where(trainer: Any) -> None:
         """And when there will be news."""
         every = plan.validate_every
-        click.echo(f"{folder}: from step {trainer.step} on {precision}, with a line every {every} steps", err=True)
+        say(f"{folder}: from step {trainer.step} on {precision}, with a line every {every} steps", err=True)
 
     train_recipe(
         plan, folder, textures=textures, meshes=source, encoder=_encoder(encoder), begin_with=begin_with,
@@ -94,4 +95,4 @@ def _encoder(path: Path | None) -> Any:
 
 
 def _show(row: dict[str, float]) -> None:
-    click.echo("  ".join(f"{key} {value:.5g}" for key, value in row.items()))
+    say("  ".join(f"{key} {value:.5g}" for key, value in row.items()))

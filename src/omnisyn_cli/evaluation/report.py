@@ -23,7 +23,7 @@ from omnisyn_cli.evaluation.plots import PLOT_TITLES, report_plots
 from omnisyn_cli.evaluation.results import DepthRecord, FrameRecord, UnitRecord, json_values, latest_records
 from omnisyn_cli.evaluation.tables import Table, data_uri, format_value, render_markdown, render_page, report_tables
 from omnisyn_cli.evaluation.visualization import ERROR_SCALE
-from omnisyn_cli.io.outputs import staged_folder, write_errors
+from omnisyn_cli.io.outputs import real_path, staged_folder, write_errors
 
 REPORT_NAME = "report"
 """Of the files, before the extensions ``.html``, ``.md``, ``.json`` and ``.csv``."""
@@ -168,6 +168,6 @@ def _depth_pictures(folder: Path, depths: Mapping[str, DepthRecord]) -> Pictures
 
 def _pictures(folder: Path, files: Mapping[str, str], captions: Mapping[str, str]) -> Pictures:
     """Those of the pictures with a caption that can be read; a name that leads out of the folder is ignored."""
-    paths = {caption: (folder / files[key]).resolve() for key, caption in captions.items() if key in files}
-    inside = {caption: path for caption, path in paths.items() if path.is_relative_to(folder.resolve())}
+    paths = {caption: real_path(folder / files[key]) for key, caption in captions.items() if key in files}
+    inside = {caption: path for caption, path in paths.items() if path.is_relative_to(real_path(folder))}
     return {caption: uri for caption, path in inside.items() if (uri := embedded_picture(path)) is not None}

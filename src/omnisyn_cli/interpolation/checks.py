@@ -11,7 +11,7 @@ from omnisyn_cli.io import MAX_PIXELS, check_output, check_video, read_header
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.depth_files import check_depth_header
 from omnisyn_cli.io.images import check_mask_size, sphere_size
-from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder
+from omnisyn_cli.io.outputs import check_kept, check_name, check_staged_folder, real_path
 from omnisyn_cli.io.sequence import ImageSequence, image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import Recipe
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
@@ -156,10 +156,10 @@ def _check_distinct(targets: Iterable[Path]) -> None:
     """Refuse two targets that are one file, or one row of numbered images."""
     taken: set[Path | ImageSequence] = set()
     for target in targets:
-        place: Path | ImageSequence = target.resolve()
+        place: Path | ImageSequence = real_path(target)
         if is_sequence(target):
             images = image_sequence(target)
-            place = replace(images, folder=images.folder.resolve())
+            place = replace(images, folder=real_path(images.folder))
         if place in taken:
             raise OutputPathError(f"{target}: expected a place of its own, got that of another output; name another")
         taken.add(place)

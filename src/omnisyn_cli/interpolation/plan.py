@@ -21,7 +21,7 @@ from omnisyn_cli.interpolation.recipes import for_frames, notes_about_gpu, surfa
 from omnisyn_cli.io.encoders import CODECS
 from omnisyn_cli.io.sequence import image_sequence, is_sequence
 from omnisyn_cli.pipeline.config import Recipe
-from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, read_poses
+from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, notes_of_place, read_poses
 from omnisyn_cli.runtime.models import find_model
 from omnisyn_cli.synthesis.trajectory import Waypoint, path_length, plan_path
 
@@ -163,10 +163,10 @@ def plan_tour(job: TourJob, recipe_of: Callable[[Any, Sequence[PosedPanorama]], 
     if len(job.images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(job.images)}; name at least a first and a last one")
     checks.check_names(job)
-    check_names_tell_apart(job.images)
     checks.check_choices(job)
     checks.check_images(job.images)
     pose_file, remarks = _poses(job)
+    check_names_tell_apart(job.images, pose_file)
     entries = tuple(pose_file.of(image) for image in job.images)
     source_sizes = tuple(checks.source_size(job, image) for image in job.images)
     recipe = _installed(recipe_of(job, entries))
@@ -214,7 +214,7 @@ def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
     if job.refine and is_found:
         raise InputError("expected poses to refine, got --poses auto, which finds them; leave out one of them")
     if not (is_found or job.refine):
-        return read_poses(job.poses, allow_outside=job.allow_outside), ()
+        return read_poses(job.poses, allow_outside=job.allow_outside), notes_of_place(job.images, job.poses)
     # OpenCV takes a while to import and is needed for poses from pictures only.
     from omnisyn_cli.poses.estimation import PictureOptions, estimate_poses, refine_poses
 
@@ -223,7 +223,8 @@ def _poses(job: TourJob) -> tuple[PoseFile, tuple[str, ...]]:
         found = estimate_poses(job.images, () if job.baseline is None else (job.baseline,), options)
     else:
         found = refine_poses(job.images, read_poses(job.poses, allow_outside=job.allow_outside), options)
-    return PoseFile(job.poses, found.panoramas), found.notes
+    elsewhere = () if is_found else notes_of_place(job.images, job.poses)
+    return PoseFile(job.poses, found.panoramas), (*elsewhere, *found.notes)
 
 
 def frame_count(job: InterpolationJob) -> int:

@@ -17,12 +17,18 @@ __all__ = [
     "check_output",
     "check_staged_folder",
     "make_folder",
+    "real_path",
     "replaced_when_complete",
     "staged_folder",
     "temporary_name",
     "write_errors",
     "write_parts",
 ]
+
+
+def real_path(path: Path) -> Path:
+    """The path without links, whether it exists or not; where links go in a circle, what is left of it."""
+    return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError there until Python 3.13
 
 
 def make_folder(folder: Path, what: str) -> None:
@@ -41,9 +47,9 @@ def check_kept(outputs: Iterable[Path], inputs: Iterable[Path], *, whole_folders
     With ``whole_folders`` outputs that are folders are replaced with everything in them, not added to.
     OutputPathError: one would.
     """
-    replaced = {output.resolve() for output in outputs}
+    replaced = set(map(real_path, outputs))
     for path in inputs:
-        source = path.resolve()
+        source = real_path(path)
         if source in replaced or (whole_folders and not replaced.isdisjoint(source.parents)):
             raise OutputPathError(f"{path}: expected inputs that are not overwritten, got this one; write elsewhere")
 
@@ -122,6 +128,8 @@ def write_errors(path: Path) -> Iterator[None]:
 
 def check_staged_folder(folder: Path) -> None:
     """Refuse (OutputPathError) what :func:`staged_folder` could not fill, before any work; its parent has to exist."""
+    if folder.is_symlink() and not folder.exists():
+        raise OutputPathError(f"{folder}: expected a folder, got a link that leads nowhere; remove it")
     check_folder(folder if folder.exists() else folder.parent)
 
 

@@ -8,7 +8,8 @@ and ``mask``, file names relative to the pose file.
 import difflib
 import json
 import os
-from collections.abc import Iterable, Mapping
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose, quaternion_from_rotation
 from omnisyn_cli.io.documents import listed, read_json, validated
-from omnisyn_cli.io.outputs import check_output, write_parts
+from omnisyn_cli.io.outputs import check_output, real_path, write_parts
 from omnisyn_cli.poses.entries import (
     GEOGRAPHIC_KEYS,
     RIGID_KEYS,
@@ -35,7 +36,10 @@ __all__ = [
     "PosedPanorama",
     "check_companions_named",
     "check_names_tell_apart",
+    "distinct_names",
+    "notes_of_place",
     "read_poses",
+    "stored_file",
     "write_poses",
 ]
 
@@ -72,17 +76,28 @@ class PoseFile:
 
     Attributes:
         path: the file.
-        panoramas: entries by image file name, in the order of the file.
+        panoramas: entries by image file name, or by path where that tells images apart, in the order of the file.
     """
 
     path: Path
     panoramas: Mapping[str, PosedPanorama]
 
     def of(self, image_path: Path | str) -> PosedPanorama:
-        """The entry of an image, found by its file name; PoseError: there is none; it names those there are."""
+        """The entry of an image; PoseError: there is none; it names those there are."""
+        return self.panoramas[self.name_of(image_path)]
+
+    def name_of(self, image_path: Path | str) -> str:
+        """What the file calls an image: its file name, or its path from some folder on, the longest that there is.
+
+        Letters with accents are the same in one character or in two, as file systems differ in that (NFC, NFD).
+        PoseError: no entry for it.
+        """
+        wanted = _same_letters(Path(image_path).absolute())
+        parts = {known: _same_letters(Path(known)) for known in self.panoramas}
+        found = [known for known, own in parts.items() if wanted[-len(own) :] == own]
+        if found:
+            return max(found, key=lambda known: len(parts[known]))
         name = Path(image_path).name
-        if name in self.panoramas:
-            return self.panoramas[name]
         same = [known for known in self.panoramas if known.lower() == name.lower()]
         near = same or difflib.get_close_matches(name, self.panoramas, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "add an entry for it"
@@ -91,13 +106,48 @@ class PoseFile:
         )
 
 
-def check_names_tell_apart(images: Iterable[Path]) -> None:
-    """Refuse (PoseError) different pictures of one name: a pose file knows panoramas by it. The same may come again."""
+def _same_letters(path: Path) -> tuple[str, ...]:
+    return tuple(unicodedata.normalize("NFC", part) for part in path.parts)
+
+
+def stored_file(path: Path) -> Path:
+    """A file as it is called on disk, where its name may have the same letters in another Unicode form."""
+    if path.exists() or path.name.isascii() or not path.parent.is_dir():
+        return path
+    wanted = _same_letters(Path(path.name))
+    return next((file for file in path.parent.iterdir() if _same_letters(Path(file.name)) == wanted), path)
+
+
+def distinct_names(images: Sequence[Path]) -> list[str]:
+    """File names, or, where different files have one, paths from as many folders above as tell all apart."""
+    places = [real_path(image).parts for image in images]
+    names = [image.name for image in images]
+    for depth in range(1, max(map(len, places)) + 1):
+        names = ["/".join(place[-depth:]) for place in places]
+        if len(set(names)) == len(set(places)):
+            break
+    return [image.name if depth == 1 else name for image, name in zip(images, names, strict=True)]
+
+
+def check_names_tell_apart(images: Iterable[Path], pose_file: PoseFile) -> None:
+    """Refuse (PoseError) different pictures of one entry, or without any. The same picture may come again."""
     known: dict[str, Path] = {}
     for image in images:
-        former = known.setdefault(image.name, image)
-        if former.resolve() != image.resolve():
-            raise PoseError(f"{image}: expected a name of its own, got that of {former}; rename one of them")
+        former = known.setdefault(pose_file.name_of(image), image)
+        if real_path(former) != real_path(image):
+            raise PoseError(
+                f"{image}: expected an entry of its own in {pose_file.path}, got that of {former}; call both by their "
+                f"folders there ('{former.parent.name}/{former.name}')"
+            )
+
+
+def notes_of_place(images: Iterable[Path], poses: Path) -> tuple[str, ...]:
+    """A note for pictures that lie elsewhere than the pose file: names alone say which pose is whose."""
+    distant = [image for image in images if real_path(image.parent) != real_path(poses.parent)]
+    if not distant:
+        return ()
+    more = f" (and {len(distant) - 1} more)" if len(distant) > 1 else ""
+    return (f"{distant[0]}{more}: the pose is taken from {poses}, which lies in another folder",)
 
 
 def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
@@ -106,7 +156,7 @@ def read_poses(path: Path | str, *, allow_outside: bool = False) -> PoseFile:
     Geographic entries become metres east, up and −north of the first one, which is the origin. Neither images nor
     depth and mask files are looked for.
 
-    With ``allow_outside`` depth and masks may lie outside of the file's folder.
+    With ``allow_outside`` depth and masks, or what they are links to, may lie outside of the file's folder.
     PoseError: missing, no JSON, not version 1, or an entry that is not a rigid, finite, complete pose.
     """
     source = Path(path)
@@ -149,19 +199,30 @@ def _pose_file(path: Path, value: Any, allow_outside: bool) -> PoseFile:
     origin = next((entry_origin(entry) for entry in entries.values() if isinstance(entry, GeographicEntry)), None)
     panoramas = {}
     for name, entry in entries.items():
-        files = (None if file is None else path.parent / file for file in (entry.depth, entry.mask))
-        panoramas[name] = PosedPanorama(pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin), *files)
+        pose = pose_from_entry(entry, f"{path}: panoramas.'{name}'", origin)
+        files = {key: _companion(path, name, key, getattr(entry, key), allow_outside) for key in ("depth", "mask")}
+        panoramas[name] = PosedPanorama(pose, **files)
     return PoseFile(path, panoramas)
+
+
+def _companion(path: Path, name: str, key: str, file: str | None, allow_outside: bool) -> Path | None:
+    """The file that an entry names; a link to somewhere else is as much outside as a name that leads there."""
+    if file is None:
+        return None
+    named = path.parent / file
+    if not allow_outside and not real_path(named).is_relative_to(real_path(path.parent)):
+        raise PoseError(
+            f"{path}: panoramas.'{name}'.{key}: expected a file inside the folder of the pose file, got '{file}', a "
+            "link that leads out of it; commands with --allow-outside accept it"
+        )
+    return named
 
 
 def _entry(path: Path, name: str, value: Any, allow_outside: bool) -> RigidEntry | GeographicEntry:
     """One entry, of the kind that its keys announce."""
     where = ("panoramas", name)
-    if (problem := path_problem(name)) or Path(name).name != name:
-        raise PoseError(
-            f"{path}: panoramas: expected the file name of an image, got '{name}' ({problem or 'with a folder'}); "
-            "write the name alone"
-        )
+    if problem := path_problem(name):
+        raise PoseError(f"{path}: panoramas: expected the name of an image, got '{name}' ({problem}); correct it")
     keys = set(value) if isinstance(value, dict) else set()
     rigid, geographic = sorted(keys & RIGID_KEYS), sorted(keys & GEOGRAPHIC_KEYS)
     if rigid and geographic:
@@ -201,9 +262,9 @@ def _relative(path: Path, name: str, key: str, file: Path, allow_outside: bool) 
     folder = path.parent
     is_below = ".." not in file.parts and file.absolute().is_relative_to(folder.absolute())
     if allow_outside and not is_below:
-        place = file.parent.resolve()
+        place = real_path(file.parent)
         try:
-            return Path(os.path.relpath(place, folder.resolve()), file.name).as_posix()
+            return Path(os.path.relpath(place, real_path(folder)), file.name).as_posix()
         except ValueError:  # another drive
             return (place / file.name).as_posix()
     try:

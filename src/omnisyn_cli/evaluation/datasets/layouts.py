@@ -30,6 +30,7 @@ from omnisyn_cli.geometry.pose import Pose, enu_from_geographic, rotation_from_h
 from omnisyn_cli.geometry.sphere import pixel_directions
 from omnisyn_cli.io import read_inverse_depth
 from omnisyn_cli.io.documents import ForeignModel, read_json, validated
+from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.poses.file import POSES_NAME, read_poses
 from omnisyn_cli.poses.formats.files import natural_key
 from omnisyn_cli.poses.formats.habitat import habitat_pose
@@ -166,7 +167,7 @@ def carla_scenes(folder: Path) -> list[SceneSource]:
     """
     pattern = next((p for p in (RUN_POSES, f"*/{RUN_POSES}", f"*/*/{RUN_POSES}") if any(folder.glob(p))), RUN_POSES)
     runs = sorted(path.parent for path in folder.glob(pattern))
-    names = [run.relative_to(folder).as_posix() if run != folder else folder.resolve().name for run in runs]
+    names = [run.relative_to(folder).as_posix() if run != folder else real_path(folder).name for run in runs]
     return [SceneSource(name, partial(_frames, run)) for name, run in zip(names, runs, strict=True)]
 
 

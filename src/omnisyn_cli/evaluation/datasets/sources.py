@@ -12,6 +12,7 @@ from omnisyn_cli.errors import InputError, PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import read_inverse_depth
 from omnisyn_cli.io.documents import read_text
+from omnisyn_cli.io.outputs import real_path
 
 
 class NoScaleError(PoseError):
@@ -74,7 +75,7 @@ class SceneSource:
 def scene_folders(folder: Path, pattern: str) -> list[tuple[str, Path]]:
     """Name and path of the folder itself if it has a file of this pattern, else of those in it that have, by name."""
     if any(folder.glob(pattern)):
-        return [(folder.resolve().name, folder)]
+        return [(real_path(folder).name, folder)]
     return [(path.name, path) for path in sorted(folder.glob("*/")) if any(path.glob(pattern))]
 
 

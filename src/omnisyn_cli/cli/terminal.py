@@ -1,0 +1,22 @@
+"""Lines for people on a terminal, which names of files neither break nor command."""
+
+import click
+
+__all__ = ["printable", "say"]
+
+CONTROL_CODES = (
+    *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A),
+)  # fmt: skip
+"""Characters that end a line, begin an escape sequence or turn the direction of writing around."""
+
+SPELLED_OUT = {code: f"\\u{code:04x}" for code in CONTROL_CODES}
+
+
+def printable(text: str) -> str:
+    """The text with such characters as JSON writes them: a file's name may hold anything."""
+    return text.translate(SPELLED_OUT)
+
+
+def say(line: object, *, err: bool = False) -> None:
+    """Print one line on stdout, or on stderr."""
+    click.echo(printable(str(line)), err=err)
