@@ -47,9 +47,11 @@ def cli() -> None:
     """Make 360° videos between panoramas.
 
     \b
-    omnisyn interpolate first.jpg second.jpg --poses poses.json -o video.mp4
+    omnisyn interpolate first.jpg second.jpg --poses auto --baseline 1.4
+    omnisyn view first.jpg second.jpg --poses auto --baseline 1.4 --open
 
-    Panoramas are equirectangular images. A pose file holds their camera poses; --poses auto estimates them.
+    Panoramas are equirectangular images. --poses auto finds where they were taken; --baseline is the distance in
+    metres. A pose file may say both instead.
 
     Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.
     """  # noqa: D301 - click's \b is a backspace

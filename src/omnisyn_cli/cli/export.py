@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.help import SectionedCommand
 from omnisyn_cli.cli.options import (
     check_one_cut,
     json_option,
@@ -18,6 +19,7 @@ from omnisyn_cli.cli.options import (
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
 from omnisyn_cli.cli.runner import run_plan
+from omnisyn_cli.cli.terminal import say
 
 if TYPE_CHECKING:
     from omnisyn_cli.interpolation.export import ExportSummary
@@ -26,7 +28,9 @@ FORMATS = ("glb", "ply", "splats", "colmap", "nerfstudio")
 """Names of :data:`omnisyn_cli.interpolation.export.FORMATS`, written out because ``--help`` should not load them."""
 
 
-@click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.command(
+    cls=SectionedCommand, epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted."
+)
 @tour_options
 @click.option(
     "-o", "--output", type=FilePath(),
@@ -70,11 +74,12 @@ def export(
     """Write panoramas A, B and more, with their depth, for other programs.
 
     \b
-    omnisyn export a.jpg b.jpg --poses poses.json
+    omnisyn export a.jpg b.jpg --poses auto --baseline 1.4
     omnisyn export tour/ --format splats --stride 2
     omnisyn export a.jpg b.jpg c.jpg --poses auto -o dataset/ --format colmap
 
-    FOLDER means the panoramas in its poses.json, in the order of that file.
+    FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
+    it, in the order of their names.
 
     Poses, masks and depth work as in `omnisyn interpolate`. All formats are in metres and have the origin of the poses.
     The up axis differs; see docs/export.md.
@@ -90,7 +95,7 @@ def export(
     )
     plan = plan_export(job)
     run_plan(
-        plan, _load, len(plan.entries), lambda done: "panoramas", lambda summary: click.echo(_said(summary)),
+        plan, _load, len(plan.entries), lambda done: "panoramas", lambda summary: say(_said(summary)),
         as_json=as_json, dry_run=dry_run, quiet=quiet,
     )  # fmt: skip
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.help import SectionedCommand
 from omnisyn_cli.cli.options import (
     check_one_cut,
     cut_options,
@@ -27,6 +28,7 @@ from omnisyn_cli.cli.options import (
 )
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, FramePlace, FrameRate, Size, WholeRange
 from omnisyn_cli.cli.runner import run_plan
+from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.config import FALLBACKS
 from omnisyn_cli.pipeline.fusions import FUSIONS
 from omnisyn_cli.pipeline.methods import METHODS, OMNISYN
@@ -37,7 +39,9 @@ if TYPE_CHECKING:
     from omnisyn_cli.interpolation.summary import Summary
 
 
-@click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.command(
+    cls=SectionedCommand, epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted."
+)
 @tour_options
 @click.option(
     "-o", "--output", type=FramePlace(),
@@ -142,11 +146,12 @@ def interpolate(
     """Make a 360° video from panorama A to B, and on through C and more.
 
     \b
-    omnisyn interpolate a.jpg b.jpg --poses poses.json
+    omnisyn interpolate a.jpg b.jpg --poses auto --baseline 1.4
     omnisyn interpolate tour/ -o walk.mp4 --ease smooth --size 4096x2048
     omnisyn interpolate a.jpg b.jpg c.jpg -o frames/ --frames 12
 
-    FOLDER means the panoramas in its poses.json, in the order of that file.
+    FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
+    it, in the order of their names.
 
     With the default --heading, the first and the last frame are the panoramas themselves.
 
@@ -208,11 +213,11 @@ def _check_budget_decides(method: str) -> None:
 def _print_summary(summary: Summary, *, verbose: bool) -> None:
     if verbose:
         for stage, seconds in summary.seconds.items():
-            click.echo(f"{stage:>8}: {seconds:8.2f} s", err=True)
+            say(f"{stage:>8}: {seconds:8.2f} s", err=True)
         for line in summary.made.lines():
-            click.echo(line, err=True)
+            say(line, err=True)
     height, width = summary.plan.size
     frames, total = len(summary.plan.path), summary.seconds["total"]
-    click.echo(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
+    say(f"{summary.plan.job.output}: {frames} frames of {width}x{height} in {total:.1f} s")
     if summary.plan.job.view is not None:
-        click.echo(f"{summary.plan.job.view}: a walk through {len(summary.plan.entries)} panoramas")
+        say(f"{summary.plan.job.view}: a walk through {len(summary.plan.entries)} panoramas")

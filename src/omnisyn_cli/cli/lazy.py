@@ -6,8 +6,23 @@ from typing import Any
 
 import click
 
+from omnisyn_cli.cli.help import unknown_command
 
-class LazyGroup(click.Group):
+
+class SuggestingGroup(click.Group):
+    """A group that says which command may have been meant by a word that is none."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that is named."""
+        known = self.list_commands(ctx)
+        if args[0] not in known and not args[0].startswith("-") and not ctx.resilient_parsing:
+            unknown_command(ctx, args[0], known)
+        return super().resolve_command(ctx, args)
+
+
+class LazyGroup(SuggestingGroup):
     """A group whose commands are imported when they are called.
 
     Args:
@@ -40,7 +55,7 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in self.lazy.items()])
 
 
-class PlainGroup(click.Group):
+class PlainGroup(SuggestingGroup):
     """A group that lists what its commands do in whole sentences, where click cuts off what is longer than a line."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from omnisyn_cli.cli.parameters import FilePath, FiniteRange, WholeRange
+from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.config import DEVICES
 from omnisyn_cli.pipeline.depth_sources import DEPTH_SOURCES
 from omnisyn_cli.pipeline.presets import DEFAULT_PRESET, PRESETS
@@ -65,8 +66,8 @@ tour_options = all_of(
     click.argument("images", metavar="FOLDER | A B [C ...]", nargs=-1, required=True, type=FilePath()),
     click.option(
         "--poses", type=FilePath(),
-        help="JSON file with the camera poses; auto estimates them from the pictures (see --baseline).  [default: "
-        "poses.json beside them]",
+        help="auto: find the camera poses in the pictures (see --baseline); else a JSON file with them.  [default: "
+        "poses.json beside the pictures]",
     ),
     click.option(
         "--baseline", metavar="METRES", type=FiniteRange(0, min_open=True),
@@ -110,8 +111,9 @@ size_options = all_of(
 """What of unusual panoramas is accepted."""
 
 preset_option = click.option(
-    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET, show_default=True,
-    help="Speed against accuracy. " + "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items()) + ".",
+    "--preset", type=click.Choice(list(PRESETS)), default=DEFAULT_PRESET,
+    help="Speed against accuracy: seconds of one slow core for 90 frames of 1024x512, and their WS-PSNR.\n\n\b\n"
+    + "\n".join(f"{name:9} {preset.summary}" for name, preset in PRESETS.items()),
 )  # fmt: skip
 
 
@@ -138,8 +140,8 @@ def named(options: Mapping[str, Any], ending: Callable[[], str]) -> dict[str, An
             if not image.exists():
                 raise click.UsageError(f"{image}: expected a panorama, got no such file; check the name")
         raise click.UsageError(
-            f"expected --poses, or a poses.json beside {images[0]}, got neither; name the pose file, or have poses "
-            "found in the pictures (--poses auto)"
+            f"expected --poses, or a poses.json beside {images[0]}, got neither; have poses found in the pictures "
+            "(--poses auto), or name the pose file (--poses FILE)"
         )
     tour = named_tour(images, poses, allow_outside=options["allow_outside"])
     return {**options, "images": tour.images, "poses": tour.poses, "output": output or tour.output(ending())}
@@ -155,7 +157,8 @@ def print_json(values: Any) -> None:
     """Print plain values on stdout."""
     import json
 
-    click.echo(json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False))
+    for line in json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False).split("\n"):
+        say(line)
 
 
 def print_plan(values: dict[str, Any], *, as_json: bool) -> None:
@@ -166,4 +169,4 @@ def print_plan(values: dict[str, Any], *, as_json: bool) -> None:
     for key, value in values.items():
         shown = ", ".join(map(str, value)) if isinstance(value, list) else value
         if key != "notes" and shown != "":
-            click.echo(f"{key.replace('_', ' '):>18}: {shown}")
+            say(f"{key.replace('_', ' '):>18}: {shown}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from omnisyn_cli.cli.help import SectionedCommand
 from omnisyn_cli.cli.options import (
     check_one_cut,
     json_option,
@@ -18,6 +19,7 @@ from omnisyn_cli.cli.options import (
 )
 from omnisyn_cli.cli.parameters import FilePath, WholeRange
 from omnisyn_cli.cli.runner import run_plan
+from omnisyn_cli.cli.terminal import say
 from omnisyn_cli.pipeline.config import FALLBACKS
 
 if TYPE_CHECKING:
@@ -26,7 +28,9 @@ if TYPE_CHECKING:
     from omnisyn_cli.interpolation.viewer import ViewSummary
 
 
-@click.command(epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted.")
+@click.command(
+    cls=SectionedCommand, epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 unusable input, 130 interrupted."
+)
 @tour_options
 @click.option(
     "-o", "--output", type=FilePath(),
@@ -58,11 +62,12 @@ def view(
     """Make a page to walk in, from panorama A to B, and on through C and more.
 
     \b
-    omnisyn view a.jpg b.jpg --poses poses.json --open
+    omnisyn view a.jpg b.jpg --poses auto --baseline 1.4 --open
     omnisyn view a.jpg b.jpg c.jpg --poses auto -o walk.html --preset balanced
     omnisyn view tour/ --folder --serve --open
 
-    FOLDER means the panoramas in its poses.json, in the order of that file.
+    FOLDER means the panoramas in its poses.json, in the order of that file. With --poses auto it means all pictures in
+    it, in the order of their names.
 
     The page works offline from a double click. It shows what a video frame would show, from any place near the path.
     Poses, masks and depth work as in `omnisyn interpolate`.
@@ -78,7 +83,7 @@ def view(
     job = ViewJob(nadir=math.radians(nadir), options=ViewOptions(texture, lossless), is_folder=folder, **given)
     plan = plan_view(job)
     summary = run_plan(
-        plan, _load, len(plan.entries) - 1, lambda done: "pairs", lambda summary: click.echo(_said(summary)),
+        plan, _load, len(plan.entries) - 1, lambda done: "pairs", lambda summary: say(_said(summary)),
         as_json=as_json, dry_run=dry_run, quiet=quiet,
     )  # fmt: skip
     if summary is None:
@@ -108,7 +113,7 @@ def _serve(folder: Path, *, is_opened: bool, is_quiet: bool) -> None:
 
     with served(folder) as (address, server):
         if not is_quiet:
-            click.echo(f"{address} shows the walk on this machine; Ctrl-C ends it", err=True)
+            say(f"{address} shows the walk on this machine; Ctrl-C ends it", err=True)
         if is_opened:
             click.launch(address)
         server.serve_forever()

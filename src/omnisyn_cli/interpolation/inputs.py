@@ -8,7 +8,8 @@ from pathlib import Path
 from omnisyn_cli.errors import InputError
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES
 from omnisyn_cli.io.encoders import CODECS
-from omnisyn_cli.poses.file import POSES_NAME, read_poses
+from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.poses.file import POSES_NAME, read_poses, stored_file
 
 __all__ = ["NamedTour", "named_tour", "poses_beside", "video_ending"]
 
@@ -43,7 +44,7 @@ def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outsid
 
     Args:
         given: panoramas in walking order; or one folder, of which those are taken that its pose file names, in its
-            order.
+            order. Without a pose file all of its pictures are, in the natural order of their names.
         poses: the pose file; None is ``poses.json`` in the folder, or beside the first panorama.
         allow_outside: accept depth and masks that it names outside of its folder.
 
@@ -57,22 +58,20 @@ def named_tour(given: Sequence[Path], poses: Path | None = None, *, allow_outsid
             f"{folder}: expected panoramas, or one folder alone, got a folder among {len(given)} names; name the "
             "panoramas in it one by one"
         )
-    return NamedTour(*_in_folder(folder, poses, allow_outside), folder.resolve().name or "tour")
+    return NamedTour(*_in_folder(folder, poses, allow_outside), real_path(folder).name or "tour")
 
 
 def _in_folder(folder: Path, poses: Path | None, allow_outside: bool) -> tuple[tuple[Path, ...], Path]:
     """The panoramas that a pose file names, and that file."""
     if poses == POSES_FROM_PICTURES:
-        raise InputError(
-            f"{folder}: expected panoramas in walking order for --poses {POSES_FROM_PICTURES}, got a folder, which has "
-            "no order; name them one by one"
-        )
+        return _panoramas_in(folder), poses
     if poses is None and not (folder / POSES_NAME).exists():
         raise InputError(
-            f"{folder}: expected a {POSES_NAME} in the folder, got none; add one, or name the pose file (--poses)"
+            f"{folder}: expected a {POSES_NAME} in the folder, got none; have poses found in the pictures "
+            f"(--poses {POSES_FROM_PICTURES}), or name the pose file (--poses FILE)"
         )
     poses = poses or folder / POSES_NAME
-    images = tuple(folder / name for name in read_poses(poses, allow_outside=allow_outside).panoramas)
+    images = tuple(stored_file(folder / name) for name in read_poses(poses, allow_outside=allow_outside).panoramas)
     missing = [image.name for image in images if not image.exists()]
     if missing:
         raise InputError(
@@ -82,6 +81,19 @@ def _in_folder(folder: Path, poses: Path | None, allow_outside: bool) -> tuple[t
     if len(images) < 2:
         raise InputError(f"{poses}: expected two or more panoramas, got {len(images)}; add another")
     return images, poses
+
+
+def _panoramas_in(folder: Path) -> tuple[Path, ...]:
+    """All pictures of a folder but masks and depth of others, in the natural order of their names."""
+    # The readers of pose files take a while to import, and only this asks for one of their tools.
+    from omnisyn_cli.poses.formats.files import images_in
+
+    pictures = images_in(folder)
+    companions = {f"{path.stem}{what}" for path in pictures for what in ("_mask", "_depth")}
+    images = tuple(path for path in pictures if path.stem not in companions)
+    if len(images) < 2:
+        raise InputError(f"{folder}: expected two or more panoramas in the folder, got {len(images)}; add another")
+    return images
 
 
 def poses_beside(given: Sequence[Path]) -> bool:
