@@ -161,12 +161,17 @@ def test_a_mask_of_another_size_is_refused_wherever_it_is_in_a_chain(tmp_path: P
 
 
 def test_two_pictures_of_one_name_are_refused_and_the_same_one_again_is_not(tmp_path: Path, chain: Hall) -> None:
-    """A pose file could not tell them apart, nor could names of depth files."""
+    """Unless the pose file calls them by their folders."""
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / chain.images[0].name
     other.write_bytes(chain.images[1].read_bytes())
-    with pytest.raises(PoseError, match=r"other.*expected a name of its own, got that of"):
+    with pytest.raises(PoseError, match=r"other.*expected an entry of its own in .*, got that of"):
         plan_interpolation(job_of(tmp_path, [chain.images[0], chain.images[1], other]))
+    first = chain.images[0].name
+    edit_poses(tmp_path, lambda document: document.update({f"other/{first}": document[chain.images[2].name]}))
+    named = plan_interpolation(job_of(tmp_path, [chain.images[0], chain.images[1], other]))
+    np.testing.assert_array_equal(named.entries[2].pose.position, CHAIN[2].position)
+    edit_poses(tmp_path, lambda document: document.pop(f"other/{first}"))
     other.unlink()
     other.symlink_to(chain.images[0])
     assert len(plan_interpolation(job_of(tmp_path, [chain.images[0], chain.images[1], other])).entries) == 3

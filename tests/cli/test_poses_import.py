@@ -9,6 +9,7 @@ import pytest
 
 from cli.cli_samples import Omnisyn, listing, pair_arguments, write_pair
 from omnisyn_cli.cli import poses as commands
+from omnisyn_cli.interpolation.inputs import named_tour
 from omnisyn_cli.interpolation.planning import duration
 from omnisyn_cli.poses.file import read_poses
 from omnisyn_cli.poses.formats import CAMERA_AXES, EXPORT_FORMATS, IMPORT_FORMATS, WORLD_UP
@@ -86,13 +87,14 @@ def test_nothing_is_overwritten_unasked(tmp_path: Path, omnisyn: Omnisyn) -> Non
     assert json.loads(output.read_text(encoding="utf-8"))["version"] == 1
 
 
-def test_images_of_one_name_are_copied_under_two(tmp_path: Path, omnisyn: Omnisyn) -> None:
+def test_images_of_one_name_have_folders_or_are_copied_under_two(tmp_path: Path, omnisyn: Omnisyn) -> None:
     sources = [placed_panorama(tmp_path / "g" / name / "R0010001.JPG") for name in ("a", "b")]
     output = tmp_path / "out" / "poses.json"
     output.parent.mkdir()
-    refused = omnisyn.refused("poses", "import", *sources, "-o", output)
-    assert "image files of different names, got 'a/R0010001.JPG' and 'b/R0010001.JPG'" in refused
-    assert "--copy-images" in refused
+    beside = tmp_path / "g" / "poses.json"
+    omnisyn.made("poses", "import", *sources, "-o", beside)
+    assert list(read_poses(beside).panoramas) == ["a/R0010001.JPG", "b/R0010001.JPG"]
+    assert named_tour([tmp_path / "g"]).images == tuple(sources)
     omnisyn.made("poses", "import", *sources, "-o", output, "--copy-images")
     assert list(listing(output.parent)) == ["a_R0010001.JPG", "b_R0010001.JPG", "poses.json"]
     assert list(read_poses(output).panoramas) == ["a_R0010001.JPG", "b_R0010001.JPG"]

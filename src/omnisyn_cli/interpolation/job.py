@@ -157,10 +157,12 @@ def is_rounded(job: InterpolationJob) -> bool:
 def depth_name(images: Sequence[Path], pair: int, index: int) -> str:
     """File name of the depth of panorama ``index`` as one of a pair; inside a chain it has one for each pair.
 
-    Where only their endings tell the pair's panoramas apart, those are part of it.
+    Where only their endings or folders tell the pair's panoramas apart, those are part of it.
     """
     first, second = images[pair : pair + 2]
-    return f"{pair:04d}_{images[index].name if first.stem == second.stem else images[index].stem}_depth.exr"
+    name = images[index].name if first.stem == second.stem else images[index].stem
+    folder = f"{images[index].parent.name}_" if first.name == second.name and first != second else ""
+    return f"{pair:04d}_{folder}{name}_depth.exr"
 
 
 def depth_files(job: InterpolationJob) -> Iterator[Path]:

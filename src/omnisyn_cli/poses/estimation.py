@@ -17,7 +17,8 @@ from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io import MAX_PIXELS, read_panorama
 from omnisyn_cli.io.decode import check_is_file
 from omnisyn_cli.io.images import usable_part
-from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart
+from omnisyn_cli.io.outputs import real_path
+from omnisyn_cli.poses.file import PosedPanorama, PoseFile, check_names_tell_apart, distinct_names
 from omnisyn_cli.poses.registration.diagnosis import Diagnosis, diagnose
 from omnisyn_cli.poses.registration.features import Features, Matches, find_features, match_features
 from omnisyn_cli.poses.registration.robust import MIN_INLIERS, Estimate, estimate_relative_pose
@@ -61,7 +62,7 @@ class FoundPoses:
     """Poses that come from the pictures.
 
     Attributes:
-        panoramas: entries by image file name.
+        panoramas: entries by what a pose file calls the images.
         notes: what was assumed, changed or left as it was, one sentence each.
         changed: number of pairs whose relative pose comes from the pictures.
     """
@@ -81,7 +82,7 @@ def check_poses(
         PoseError: no entry for one, or two of one name.
     """
     _check_images(images)
-    check_names_tell_apart(images)
+    check_names_tell_apart(images, pose_file)
     entries = [pose_file.of(image) for image in images]
     pairs = _matched_pairs(images, [entry.mask for entry in entries], options or PictureOptions())
     for (first, second), (a, b), matches in zip(pairwise(images), pairwise(entries), pairs, strict=True):
@@ -104,8 +105,8 @@ def refine_poses(images: Sequence[Path], pose_file: PoseFile, options: PictureOp
             found = pair.diagnosis.estimate.first_from_second
             relative = Pose(found.rotation, found.position * np.linalg.norm(relative.position))
             changed += 1
-        pose = entries[pair.first.name].pose @ relative
-        entries[pair.second.name] = replace(entries[pair.second.name], pose=pose)
+        former, name = (pose_file.name_of(image) for image in (pair.first, pair.second))
+        entries[name] = replace(entries[name], pose=entries[former].pose @ relative)
         notes.append(f"{pair.first.name} and {pair.second.name}: {_refinement_note(pair.diagnosis)}")
     return FoundPoses(entries if changed else pose_file.panoramas, tuple(notes), changed)
 
@@ -132,9 +133,10 @@ def estimate_poses(
     notes = [f"{images[0].name} is taken for level and looks along −z, at the origin", note]
     lengths = _lengths(baselines or (DEFAULT_BASELINE,), len(images) - 1)
     pose = Pose.identity()
-    entries = {images[0].name: PosedPanorama(pose)}
+    names = distinct_names(images)
+    entries = {names[0]: PosedPanorama(pose)}
     pairs = _matched_pairs(images, [None] * len(images), options or PictureOptions())
-    for (first, second), length, matches in zip(pairwise(images), lengths, pairs, strict=True):
+    for (first, second), name, length, matches in zip(pairwise(images), names[1:], lengths, pairs, strict=True):
         estimate = estimate_relative_pose(matches)
         if estimate is None:
             raise PoseError(
@@ -143,7 +145,7 @@ def estimate_poses(
             )
         relative = estimate.first_from_second
         pose = pose @ Pose(relative.rotation, relative.position * length)
-        entries[second.name] = PosedPanorama(pose)
+        entries[name] = PosedPanorama(pose)
         notes.append(f"{first.name} and {second.name}: {_estimate_note(estimate, matches)}")
     return FoundPoses(entries, tuple(notes), len(images) - 1)
 
@@ -151,9 +153,9 @@ def estimate_poses(
 def _check_images(images: Sequence[Path], *, may_repeat: bool = True) -> None:
     if len(images) < 2:
         raise InputError(f"expected two or more panoramas, got {len(images)}; name at least a first and a second one")
-    name, count = Counter(image.name for image in images).most_common(1)[0]
+    image, count = Counter(map(real_path, images)).most_common(1)[0]
     if count > 1 and not may_repeat:
-        raise InputError(f"expected every panorama once, got '{name}' several times; rename one of the files")
+        raise InputError(f"expected every panorama once, got '{image.name}' several times; name it once")
     for image in images:
         check_is_file(image)
 

@@ -222,7 +222,7 @@ def _entry(path: Path, name: str, value: Any, allow_outside: bool) -> RigidEntry
     """One entry, of the kind that its keys announce."""
     where = ("panoramas", name)
     if problem := path_problem(name):
-        raise PoseError(f"{path}: panoramas: expected the name of an image, got '{name}' ({problem}); correct it")
+        raise PoseError(f"{path}: panoramas: expected the file name of an image, got '{name}' ({problem}); correct it")
     keys = set(value) if isinstance(value, dict) else set()
     rigid, geographic = sorted(keys & RIGID_KEYS), sorted(keys & GEOGRAPHIC_KEYS)
     if rigid and geographic:

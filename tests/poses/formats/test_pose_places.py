@@ -100,6 +100,16 @@ def test_tables(tmp_path, origin):
     assert "ignored: columns 'date'" in result.notes
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_where_commas_do_not_separate(tmp_path, separator):
+    header, row = ("image", "lat", "lng", "heading"), ("a,1.jpg", "48,13713", "-11,57538", "93,0")
+    commas = write_text(tmp_path / "a.csv", *(separator.join(fields) for fields in (header, row)))
+    points = write_text(tmp_path / "b.csv", ",".join(header), '"a,1.jpg",48.13713,-11.57538,93.0')
+    (a,), (b,) = (imported(source, expected="table", origin=ORIGIN).views for source in (commas, points))
+    assert a.name == b.name == "a,1.jpg"
+    assert a.pose.almost_equals(b.pose)
+
+
 def test_south_west_and_below_the_sea(tmp_path):
     write_images(tmp_path, ["a.jpg"], **gps(-33.5, -70.25, -12.5), **pano_pose(0.0))
     result = imported(tmp_path / "a.jpg", expected="exif")

@@ -16,9 +16,10 @@ from jaxtyping import Float
 from omnisyn_cli.errors import PoseError
 from omnisyn_cli.geometry.pose import Pose
 from omnisyn_cli.io.documents import read_text
+from omnisyn_cli.poses.file import stored_file
 from omnisyn_cli.poses.formats.model import ImportedView, ImportOptions
 
-__all__ = ["natural_key"]
+__all__ = ["images_in", "natural_key"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".webp"})
 
@@ -118,8 +119,8 @@ def find_view(where: str, name: str, pose: Pose, folders: list[Path], options: I
 
 
 def _existing(candidate: Path) -> Path | None:
-    if candidate.is_file():
-        return candidate
+    if (stored := stored_file(candidate)).is_file():
+        return stored
     if candidate.suffix.lower() in IMAGE_SUFFIXES or not candidate.parent.is_dir():
         return None
     named = (candidate.with_name(candidate.name + suffix) for suffix in sorted(IMAGE_SUFFIXES))

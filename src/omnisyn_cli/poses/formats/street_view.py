@@ -7,6 +7,7 @@ GPano defines them.
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -60,9 +61,17 @@ def _csv_rows(source: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     try:
         _check_columns(f"{source}:1", [name or "" for name in reader.fieldnames or []])
         for row in reader:
-            yield f"{source}:{reader.line_num}", _renamed({key: value for key, value in row.items() if key})
+            fields = _renamed({key: value for key, value in row.items() if key})
+            if delimiter != ",":
+                fields |= {key: _with_point(fields[key]) for key in PLACE_LIMITS if key in fields}
+            yield f"{source}:{reader.line_num}", fields
     except csv.Error as error:
         raise PoseError(f"{source}:{reader.line_num}: expected CSV, got '{error}'; correct the line") from error
+
+
+def _with_point(number: str) -> str:
+    """A number with a decimal comma as one with a point, where commas do not separate columns."""
+    return re.sub(r"^(\s*[+-]?\d+),(\d+\s*)$", r"\1.\2", number)
 
 
 def _json_rows(source: Path) -> Iterator[tuple[str, dict[str, Any]]]:

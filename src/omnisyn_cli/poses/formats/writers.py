@@ -71,14 +71,15 @@ def write_imported(
 ) -> tuple[str, ...]:
     """Write a pose file for what was imported, and copies of the panoramas beside it if asked for.
 
-    Everything appears at once or not at all. Entries are named after the image files; depth files are referred to where
+    Everything appears at once or not at all. Entries are named after the image files, or called by their paths where
+    those are equal; depth files are referred to where
     they lie in the folder of the pose file, or are copied too.
 
     With ``copy_images`` panoramas and depth files are copied into the folder of ``output``, under names that differ.
     The answer tells the user what was left out, or is not where it will be looked for.
 
     Raises:
-        PoseError: image files of one name without ``copy_images``, or panoramas that were not found with it.
+        PoseError: an image twice, or panoramas that were not found with ``copy_images``.
         OutputPathError: a file exists, or there is no folder to write into.
         WriteError: the disk is full, or the folder went away.
     """
@@ -87,8 +88,8 @@ def write_imported(
     if copy_images:
         if missing:
             raise PoseError(f"{output}: expected panoramas to copy, got no {listed(missing)}; name their folder")
-        return _write_copies(output, _named(output, imported.views, may_join=True), overwrite)
-    views, folder = _named(output, imported.views, may_join=False), output.parent.absolute()
+        return _write_copies(output, _named(output, imported.views, "_"), overwrite)
+    views, folder = _named(output, imported.views, "/"), output.parent.absolute()
     within = {
         name: view.depth.absolute()
         for name, view in views.items()
@@ -108,20 +109,19 @@ def write_imported(
     )
 
 
-def _named(output: Path, views: Sequence[ImportedView], *, may_join: bool) -> dict[str, ImportedView]:
-    """Views by the names of their files, or, where these are equal and may be, by their paths with ``_`` for ``/``."""
+def _named(output: Path, views: Sequence[ImportedView], separator: str) -> dict[str, ImportedView]:
+    """Views by the names of their files, or, where these are equal, by their paths with a separator."""
     names = [PurePosixPath(view.name).name if view.image is None else view.image.name for view in views]
-    if may_join and len(set(names)) < len(names):
+    if len(set(names)) < len(names):
         parents = (PurePosixPath(view.name).parent.parts for view in views)
         above = ([part for part in parts if part not in ("..", "/")] for parts in parents)
-        names = ["_".join([*parts, name]) for parts, name in zip(above, names, strict=True)]
+        names = [separator.join([*parts, name]) for parts, name in zip(above, names, strict=True)]
     named: dict[str, ImportedView] = {}
     for name, view in zip(names, views, strict=True):
         first = named.setdefault(name, view)
         if first is not view:
             raise PoseError(
-                f"{output}: expected image files of different names, got '{first.name}' and '{view.name}'; "
-                "let them be copied under names that differ (--copy-images)"
+                f"{output}: expected image files of different names, got '{first.name}' and '{view.name}'; rename one"
             )
     return named
 
