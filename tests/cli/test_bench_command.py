@@ -172,7 +172,9 @@ def test_a_run_is_remembered_and_one_that_compiles_is_not(
     omnisyn: Omnisyn, images: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     remembered: list[object] = []
-    monkeypatch.setattr("omnisyn_cli.interpolation.planning.duration.remember_run", remembered.append)
+    monkeypatch.setattr(
+        "omnisyn_cli.interpolation.planning.duration.remember_run", lambda summary, _: remembered.append(summary)
+    )
     make = job_of(images, "-q", "--overwrite")
     with when_compiling(lambda: None):  # the first run here may compile
         omnisyn(*make)

@@ -20,6 +20,7 @@ from omnisyn_cli.interpolation.planning.duration import (
     Work,
     expected_duration,
     probe,
+    range_in_words,
     remember_run,
     remembered_runs,
     work_of,
@@ -174,6 +175,46 @@ def test_the_pace_is_that_of_runs_with_as_many_threads_and_frames_of_a_similar_s
     assert "a guess" in expected(replace(long, job=replace(long.job, threads=None))).source
 
 
+def test_runs_that_were_starved_count_as_if_they_had_not_been(plan):
+    """Five on a machine with something else to do take twenty times as long; what they computed is the same."""
+    long = chain_of(plan, 2, 92)
+    remember_run(summary_of(long, 11.0, 18.0), processor=40.0)
+    usual = expected(long)
+    for _ in range(5):
+        remember_run(summary_of(long, 220.0, 360.0), processor=40.0)
+    busy = expected(long)
+    assert busy.seconds == pytest.approx(usual.seconds, rel=0.6)
+    remember_run(summary_of(long, 11.0, 18.0), processor=40.0)
+    assert expected(long).seconds == pytest.approx(usual.seconds, rel=0.05)
+
+
+def test_runs_of_a_size_that_is_far_off_do_not_count(plan):
+    remember_run(summary_of(chain_of(plan, 2, 92), 1100.0, 1800.0))
+    assert "a guess" in expected(replace(plan, size=(1024, 2048))).source
+
+
+def test_the_range_is_wider_the_less_is_known(plan):
+    long = chain_of(plan, 2, 92)
+    spreads = [expected(long).spread]
+    for _ in range(3):
+        remember_run(summary_of(long, 11.0, 18.0))
+        spreads.append(expected(long).spread)
+    assert spreads == sorted(spreads, reverse=True)
+    assert spreads[0] > spreads[1] > spreads[3]
+    for pace in (0.5, 4.0):
+        remember_run(summary_of(long, 11.0 * pace, 18.0 * pace))
+    assert expected(long).spread > spreads[3]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [((0.2, 0.4), "1 s"), ((21.3, 38.9), "20 to 40 s"), ((70, 130), "1 to 2 min"), ((90, 99), "90 to 100 s"),
+     ((3000, 6300), "1 to 2 hours"), ((400, 410), "7 min")],
+)  # fmt: skip
+def test_times_are_round_numbers_in_words(bounds, words):
+    assert range_in_words(*bounds) == words
+
+
 def test_the_last_runs_count(plan):
     long = chain_of(plan, 2, 92)
     for pace in [9.0] * 60 + [1.0] * 5:
@@ -220,7 +261,7 @@ def test_a_budget_takes_the_best_picture_that_fits_and_says_what_more_time_bring
         {"fast": 8.0, "balanced": 16.0}
     )
     assert ("even the fastest" in str(choice)) == (not fits)
-    assert ("balanced would take about 16 s for +2.00 ± 0.00 dB" in str(choice)) == (preset == "fast")
+    assert ("balanced would take about 8 to 30 s for +2.00 ± 0.00 dB" in str(choice)) == (preset == "fast")
     assert "a guess" in str(choice)
 
 

@@ -173,6 +173,7 @@ def interpolate(
         plan = apply_budget(plan, budget)
     check_device(plan.recipe)
     compiled: list[str] = []
+    begin = _processor_seconds()
     summary = run_plan(
         plan, _load, len(plan.path), lambda done: "frames" if done > 1 else None,
         lambda made: _print_summary(made, verbose=verbose), as_json=as_json, dry_run=dry_run, quiet=quiet,
@@ -181,7 +182,14 @@ def interpolate(
     if summary is not None and not compiled:
         from omnisyn_cli.interpolation.planning.duration import remember_run
 
-        remember_run(summary)
+        remember_run(summary, _processor_seconds() - begin)
+
+
+def _processor_seconds() -> float:
+    """Seconds of processors so far, those of encoders that have ended included."""
+    import os
+
+    return sum(os.times()[:4])
 
 
 def _load() -> Callable[..., Summary]:
@@ -196,8 +204,12 @@ def _expected(plan: InterpolationPlan) -> dict[str, Any]:
 
     duration = expected_duration(plan)
     if duration is None:
-        return {"expected_seconds": None, "expected_from": "was not measured"}
-    return {"expected_seconds": round(duration.seconds, 1), "expected_from": duration.source}
+        return {"expected_seconds": None, "expected_range": None, "expected_from": "was not measured"}
+    return {
+        "expected_seconds": round(duration.seconds, 1),
+        "expected_range": [round(bound, 1) for bound in duration.bounds],
+        "expected_from": duration.source,
+    }
 
 
 def _check_budget_decides(method: str) -> None:

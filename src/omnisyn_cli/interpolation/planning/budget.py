@@ -126,6 +126,6 @@ def _scored(table: Sequence[Figures], preset: str) -> Figures | None:
 def _more(best: str, expected: dict[str, Duration], measured: dict[str, Figures], chosen: str) -> str:
     gained, error = gain(measured[best], measured[chosen])
     return (
-        f"; {best} would take about {expected[best].seconds:.0f} s for {gained:+.2f} ± {error:.2f} dB "
+        f"; {best} would take {expected[best].words} for {gained:+.2f} ± {error:.2f} dB "
         f"(the mean of {len(measured[best].scores)} scenes of omnisyn bench)"
     )

@@ -2,8 +2,9 @@
 
 Work is computing, in seconds of one core of the machine of :data:`TABLE_NAME`: once, for each pair, and for each frame.
 Every stage has the figures of a setting that agrees in what this stage depends on. Pace is the time on the clock for a
-second of work: that of the most similar former runs here. Before there is one, :func:`probe` guesses it. Nothing heavy
-is loaded for any of it.
+second of work: that of the most similar former runs here. A run that had fewer cores than others, because something
+else was running, counts as if it had had them. Before there is a run, :func:`probe` guesses. Nothing heavy is loaded
+for any of it.
 """
 
 from __future__ import annotations
@@ -46,6 +47,9 @@ MAX_RUNS = 40
 SIMILAR_RUNS = 5
 """Of which the median is the pace."""
 
+MAX_OCTAVES = 4.0
+"""Frames of a sixteenth of the pixels, or of sixteen times as many, say nothing about the pace any more."""
+
 THREAD_SCALING_EXPONENT = 0.75
 """A guess: n threads do as much as n to this power."""
 
@@ -53,6 +57,15 @@ MIN_WORK_SECONDS = 0.5
 """Of work, below which a run says nothing about the pace."""
 
 PROBE_REPEATS = 7
+
+MIN_CORES = 0.9
+"""A run that nothing disturbs keeps at least about one core busy."""
+
+STARVED_SHARE = 0.5
+"""Of the cores that the best of the similar runs had; a run with less of them was starved. Set by hand."""
+
+GUESS_SPREAD, FEW_SPREAD, MIN_SPREAD, MAX_SPREAD = 2.0, 1.5, 1.25, 3.0
+"""Factors between what is expected and its bounds: of a guess, of one or two runs, at least, and at most."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +85,14 @@ class Run:
         threads: it used at most this many.
         pixels: of a frame.
         pairs, frames: seconds on the clock for a second of work; None where there was too little of it.
+        cores: seconds of processors for a second on the clock; None where nobody knows.
     """
 
     threads: int
     pixels: int
     pairs: float | None
     frames: float | None
+    cores: float | None = None
 
 
 RUNS = TypeAdapter(list[Run])
@@ -90,13 +105,37 @@ class Duration:
     Attributes:
         seconds: on the clock.
         source: how that is known, in words.
+        spread: factor to the bounds, within which a run usually stays.
     """
 
     seconds: float
     source: str
+    spread: float = GUESS_SPREAD
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Seconds between which a run usually stays."""
+        return self.seconds / self.spread, self.seconds * self.spread
+
+    @property
+    def words(self) -> str:
+        """That for people, such as "about 20 to 40 s"."""
+        return f"about {range_in_words(*self.bounds)}"
 
     def __str__(self) -> str:
-        return f"about {self.seconds:.{0 if self.seconds >= 10 else 1}f} s, {self.source}"
+        return f"{self.words}, {self.source}"
+
+
+def range_in_words(low: float, high: float) -> str:
+    """A range of seconds in round numbers of seconds, minutes or hours."""
+    unit, name = next((each for each in ((1, "s"), (60, "min")) if high < 100 * each[0]), (3600, "hours"))
+    bounds = [_rounded(seconds / unit) for seconds in (low, high)]
+    return f"{bounds[0]} to {bounds[1]} {name}" if bounds[0] < bounds[1] else f"{bounds[1]} {name}"
+
+
+def _rounded(number: float) -> int:
+    step = 1 if number < 10 else 5 if number < 40 else 10
+    return max(1, step * round(number / step))
 
 
 def probe() -> float:
@@ -134,18 +173,26 @@ def expected_duration(plan: InterpolationPlan, table: Sequence[Figures] | None =
     threads = _threads(plan)
     guess = slowness / threads**THREAD_SCALING_EXPONENT
     runs = _similar(remembered_runs(), threads, math.prod(plan.size))
-    pairs, frames = (_pace((getattr(run, part) for run in runs), guess) for part in ("pairs", "frames"))
+    cores = max([MIN_CORES, *(run.cores for run in runs if run.cores is not None)])
+    known = [[_undisturbed(run, part, cores) for run in runs] for part in ("pairs", "frames")]
+    pairs, frames = (_pace(paces, guess) for paces in known)
     source = (
         f"by the pace of {len(runs)} former run{'s' * (len(runs) > 1)} on this machine"
         if runs
         else "a guess from figures of another machine; former runs on this one will make it better"
     )
     besides = "" if _is_standard(plan) else ", of an MP4 by the usual encoder and nothing besides"
-    return Duration(work.start * slowness + work.pairs * pairs + work.frames * frames, source + besides)
+    seconds = work.start * slowness + work.pairs * pairs + work.frames * frames
+    return Duration(seconds, source + besides, max(map(_spread, known)))
 
 
-def remember_run(summary: Summary) -> None:
-    """Keep how long a run took, for :func:`expected_duration`; where that cannot be done it is not."""
+def remember_run(summary: Summary, processor: float | None = None) -> None:
+    """Keep how long a run took, for :func:`expected_duration`; where that cannot be done it is not.
+
+    Args:
+        summary: of the run.
+        processor: seconds of processors that it took, those of the encoder included; None where nobody knows.
+    """
     plan, seconds = summary.plan, summary.seconds
     try:
         work = work_of(plan, shipped_table())
@@ -156,7 +203,8 @@ def remember_run(summary: Summary) -> None:
             took / planned if planned >= MIN_WORK_SECONDS else None
             for took, planned in ((pairs, work.pairs), (seconds["total"] - pairs, work.frames))
         )
-        run = Run(_threads(plan), math.prod(plan.size), *pace)
+        cores = None if processor is None else processor / seconds["total"]
+        run = Run(_threads(plan), math.prod(plan.size), *pace, cores)
         runs = [run, *remembered_runs()][:MAX_RUNS]
         folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
@@ -195,13 +243,31 @@ def cache_folder() -> Path:
 
 def _similar(runs: Iterable[Run], threads: int, pixels: int) -> list[Run]:
     """Those with as many threads whose frames are the nearest in size, the last ones first."""
-    alike = (run for run in runs if run.threads == threads)
-    return sorted(alike, key=lambda run: abs(math.log2(run.pixels / pixels)))[:SIMILAR_RUNS]
+
+    def octaves(run: Run) -> float:
+        return abs(math.log2(run.pixels / pixels))
+
+    alike = (run for run in runs if run.threads == threads and octaves(run) <= MAX_OCTAVES)
+    return sorted(alike, key=octaves)[:SIMILAR_RUNS]
+
+
+def _undisturbed(run: Run, part: str, cores: float) -> float | None:
+    """The pace of a part of a run; that which it would have had with so many cores if it was starved."""
+    pace: float | None = getattr(run, part)
+    is_starved = run.cores is not None and run.cores < STARVED_SHARE * cores
+    return pace if pace is None or run.cores is None or not is_starved else pace * run.cores / cores
 
 
 def _pace(known: Iterable[float | None], guess: float) -> float:
     paces = [pace for pace in known if pace is not None]
     return median(paces) if paces else guess
+
+
+def _spread(known: Iterable[float | None]) -> float:
+    """How far runs were from each other, as a factor from the middle; more where there are few."""
+    paces = [pace for pace in known if pace]
+    least = MIN_SPREAD if len(paces) > 2 else FEW_SPREAD if paces else GUESS_SPREAD
+    return min(MAX_SPREAD, max(least, math.sqrt(max(paces) / min(paces)) if paces else least))
 
 
 def _threads(plan: InterpolationPlan) -> int:
