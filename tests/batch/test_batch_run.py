@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import os
+import platform
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -79,6 +80,33 @@ def test_a_record_says_what_a_result_was_made_of(tmp_path):
     assert {Path(name).name for name in record["sources"]["files"]} == {"p0.png", "p1.png", "depth0.exr", "depth1.exr"}
     assert {"decode", "mesh", "render", "fuse", "total"} <= set(record["summary"]["stages"])
     assert record["summary"]["depth"] == "file"
+
+
+def test_records_tell_nothing_about_the_machine(tmp_path):
+    """Files are named as the manifest might name them, in errors too; so a folder that is moved is as it was."""
+    folder, moved = tmp_path / "tour", tmp_path / "elsewhere"
+    folder.mkdir()
+    write_row(folder, 2)
+    for name in ("mask.png", "../mask.png"):
+        write_image(folder / name, np.full(SIZE, 255, np.uint8))
+    (folder / "own.onnx").write_bytes(b"no network")
+    lines = [
+        line(0, 1, masks=["mask.png", "../mask.png"], view="walk.html", save_depth="depth"),
+        line(1, 0, model="own.onnx", depth="network"),
+    ]
+    assert len(batch(folder, *lines).failed) == 1
+    text = (folder / "out" / "results.jsonl").read_text()
+    assert str(tmp_path) not in text
+    assert platform.node() + ":" not in text
+    done, failed = sorted(records(folder / "out"), key=lambda record: record["id"])
+    assert done["sources"]["inputs"] == ["p0.png", "p1.png"]
+    assert {"p0.png", "mask.png", "../mask.png"} <= set(done["sources"]["files"])
+    assert failed["sources"]["options"]["model"] == "own.onnx"
+    assert failed["worker"] == str(os.getpid())
+    folder.rename(moved)
+    assert (len(batch(moved, *lines).kept), len(records(moved / "out"))) == (1, 2)
+    batch(moved, lines[1], record_host=True, retry_failed=True)
+    assert records(moved / "out")[-1]["worker"] == f"{platform.node()}:{os.getpid()}"
 
 
 def test_shared_panoramas_are_decoded_and_their_depth_found_once(tmp_path, monkeypatch):

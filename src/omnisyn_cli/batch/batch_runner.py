@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -18,12 +20,13 @@ from omnisyn_cli.batch.executor import Executor, Job, Outcome, Work, run_jobs
 from omnisyn_cli.batch.folder import Records, is_unchanged, open_staging_dir, prepare_folder, write_outputs
 from omnisyn_cli.batch.interpolations import WorkerSettings
 from omnisyn_cli.batch.local_executor import LocalExecutor
-from omnisyn_cli.batch.manifest import RECORDS, BatchJob, Manifest
+from omnisyn_cli.batch.manifest import RECORDS, STAGING_DIR, BatchJob, Manifest
 from omnisyn_cli.batch.provenance import files_of, has_same_sources, job_sources
 from omnisyn_cli.compute.threads import available_threads
 from omnisyn_cli.errors import InputError, OmnisynError
 from omnisyn_cli.interpolation.plan import SECONDS_PER_PAIR
 from omnisyn_cli.io import read_header
+from omnisyn_cli.io.outputs import TEMPORARY_PREFIX
 
 __all__ = ["BatchOptions", "BatchReport", "Progress", "run_batch"]
 
@@ -46,6 +49,7 @@ class BatchOptions:
         ray_address: of the cluster; None is what Ray takes by default.
         retry_failed: try jobs again that failed in a former run.
         overwrite: replace files that no batch has written.
+        record_host: write the name of the machine into the record of each job.
     """
 
     engine: Literal["local", "ray"] = "local"
@@ -55,6 +59,7 @@ class BatchOptions:
     ray_address: str | None = None
     retry_failed: bool = False
     overwrite: bool = False
+    record_host: bool = False
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,7 @@ def run_batch(
         executor = make_executor(partial(WorkerSettings, folder.absolute(), token), options, len(jobs))
         with closing(run_jobs(jobs, executor)) as outcomes:
             for outcome in outcomes:
-                record = _record(outcome, folder)
+                record = _record(outcome, folder, is_host_named=options.record_host)
                 records.append(record)
                 is_failed = record["status"] == "failed"
                 (report.failed if is_failed else report.done).append(_short(record))
@@ -181,7 +186,7 @@ def _is_open(job: BatchJob, folder: Path, records: Records, report: BatchReport,
     return False
 
 
-def _record(outcome: Outcome, folder: Path) -> dict[str, Any]:
+def _record(outcome: Outcome, folder: Path, *, is_host_named: bool) -> dict[str, Any]:
     """The line for ``results.jsonl``; files that a worker sent are written here."""
     job, answer = outcome.job.payload, outcome.answer
     value, error = dict(answer.value or {}), answer.error
@@ -189,12 +194,26 @@ def _record(outcome: Outcome, folder: Path) -> dict[str, Any]:
     if files is not None:
         write_outputs(files, folder, job.places)
     about = {"id": job.id, "status": "done" if error is None else "failed", "version": __version__,
-             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "worker": answer.worker,
+             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+             "worker": answer.worker if is_host_named else answer.worker.rpartition(":")[2],
              "attempts": outcome.attempts}  # fmt: skip
     if error is None:
-        return {**about, **value}
+        return {**about, **_without_folders(value, folder, job.folder)}
     trace = {} if answer.trace is None else {"traceback": answer.trace}
-    return {**about, "error": error, **trace, "sources": job_sources(job)}
+    return {**about, **_without_folders({"error": error, **trace}, folder, job.folder), "sources": job_sources(job)}
+
+
+def _without_folders(value: Any, output: Path, inputs: Path) -> Any:
+    """Values in which text names what is made relative to ``output``, and everything else relative to ``inputs``."""
+    if isinstance(value, dict):
+        return {key: _without_folders(item, output, inputs) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_folders(item, output, inputs) for item in value]
+    if not isinstance(value, str):
+        return value
+    attempt = rf"{re.escape(STAGING_DIR)}[/\\]{re.escape(TEMPORARY_PREFIX)}[0-9a-f]+[/\\]"
+    made, given = (re.escape(f"{folder}{os.sep}") for folder in (output.absolute(), inputs))
+    return re.sub(f"(?:{made}(?:{attempt})?|{given})", "", value)
 
 
 def _short(record: dict[str, Any]) -> dict[str, Any]:

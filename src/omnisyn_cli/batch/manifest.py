@@ -23,6 +23,7 @@ from omnisyn_cli.interpolation.checks import check_choices, check_method
 from omnisyn_cli.interpolation.job import POSES_FROM_PICTURES, InterpolationJob, targets
 from omnisyn_cli.interpolation.plan import frame_count
 from omnisyn_cli.io import check_encoding
+from omnisyn_cli.io.outputs import real_path
 from omnisyn_cli.io.sequence import NUMBER
 from omnisyn_cli.poses.file import POSES_NAME, PoseFile, read_poses
 
@@ -50,6 +51,7 @@ class BatchJob:
         options: of the interpolation, as the manifest names and writes them (``nadir`` in degrees), but for file names,
             which are absolute; defaults are left out.
         group: jobs that share panoramas.
+        folder: of the manifest, absolute: records name files relative to it.
     """
 
     id: str
@@ -58,6 +60,7 @@ class BatchJob:
     outputs: dict[str, str]
     options: dict[str, Any]
     group: str | None = None
+    folder: Path = Path()
 
     @property
     def places(self) -> list[str]:
@@ -117,12 +120,12 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self.jobs: list[BatchJob] = []
         self.problems: list[str] = []
-        self._folder = path.parent
+        self._folder = real_path(path.parent)
         self._ids: dict[str, int] = {}
         self._places: dict[PurePosixPath, int] = {}
         self._parents: dict[PurePosixPath, int] = {}
         self._exists = lru_cache(maxsize=None)(_is_file)
-        self._resolved = lru_cache(maxsize=4096)(Path.resolve)
+        self._resolved = lru_cache(maxsize=4096)(real_path)
         self._poses = lru_cache(maxsize=256)(_poses_or_problem)
 
     def take(self, number: int, value: dict[str, Any] | str) -> None:
@@ -161,7 +164,7 @@ class _Reader:
             options["model"] = str(self._place(self._folder / model))
         outputs = {kind: place for kind in OUTPUTS if (place := getattr(line, kind)) is not None}
         outputs.setdefault("output", f"{line.id}.mp4")
-        return BatchJob(line.id, images, poses, outputs, options, line.group)
+        return BatchJob(line.id, images, poses, outputs, options, line.group, self._folder)
 
     def _pose_path(self, line: Any, base: Path) -> Path:
         if line.poses is None:

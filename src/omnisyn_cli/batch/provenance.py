@@ -1,7 +1,11 @@
-"""What a result was made of: the files and the networks with their hashes, the poses, the options."""
+"""What a result was made of: the files and the networks with their hashes, the poses, the options.
+
+Files are named relative to the manifest: records are passed on with videos, and tell nothing about the machine.
+"""
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -41,7 +45,7 @@ def files_of(job: BatchJob) -> Iterator[Path]:
 def job_sources(job: BatchJob) -> dict[str, Any]:
     """What the result of a job depends on, as plain values for JSON."""
     settings, files = _settings_and_files(job)
-    return {**settings, "files": {str(path): hash_file(path) for path in files}}
+    return {**settings, "files": {_name(job, path): hash_file(path) for path in files}}
 
 
 def has_same_sources(job: BatchJob, recorded: Any) -> bool:
@@ -51,12 +55,14 @@ def has_same_sources(job: BatchJob, recorded: Any) -> bool:
     known, (settings, files) = recorded.get("files"), _settings_and_files(job)
     if not isinstance(known, dict) or any(recorded.get(key) != value for key, value in settings.items()):
         return False
-    return {str(path) for path in files} == set(known) and all(_is_same(path, known[str(path)]) for path in files)
+    named = {_name(job, path): path for path in files}
+    return named.keys() == known.keys() and all(_is_same(path, known[name]) for name, path in named.items())
 
 
-def digest_of_network(name: str, sources: Mapping[str, Any]) -> str | None:
+def digest_of_network(name: str, sources: Mapping[str, Any], job: BatchJob) -> str | None:
     """The digest of a network, by its name or path, in what :func:`job_sources` says of a job that uses it."""
-    known = sources["files"].get(str(Path(name)), {}).get("sha256") if _is_path(name) else sources["models"].get(name)
+    files, models = sources["files"], sources["models"]
+    known = files.get(_name(job, Path(name)), {}).get("sha256") if _is_path(name) else models.get(name)
     return None if known is None else str(known)
 
 
@@ -69,16 +75,29 @@ def _settings_and_files(job: BatchJob) -> tuple[dict[str, Any], list[Path]]:
     networks = _networks(job, entries)
     named = [name for name in networks if not _is_path(name)]
     installed = _installed() if named else {}
+    options = dict(job.options)
+    if job.masks:
+        options["masks"] = [_name(job, mask) for mask in job.masks]
+    if Path(model := options.get("model", "")).is_absolute():
+        options["model"] = _name(job, Path(model))
     settings = {
-        "inputs": [str(image) for image in job.images],
+        "inputs": [_name(job, image) for image in job.images],
         "outputs": job.outputs,
-        "options": json.loads(json.dumps(job.options, default=str)),
+        "options": json.loads(json.dumps(options, default=str)),
         "poses": [[entry.pose.position.tolist(), entry.pose.rotation.tolist()] for entry in entries],
         "models": {name: installed[name].sha256 if name in installed else None for name in named},
     }
     companions = (file for entry in entries for file in (entry.depth, entry.mask) if file is not None)
     own_networks = (Path(name) for name in networks if _is_path(name))
     return settings, list(dict.fromkeys((*job.images, *job.masks, *companions, *own_networks)))
+
+
+def _name(job: BatchJob, path: Path) -> str:
+    """A file as the manifest might name it."""
+    try:
+        return Path(os.path.relpath(path, job.folder)).as_posix()
+    except ValueError:  # another drive
+        return path.as_posix()
 
 
 def _networks(job: BatchJob, entries: Sequence[PosedPanorama]) -> tuple[str, ...]:

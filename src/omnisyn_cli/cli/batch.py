@@ -62,6 +62,7 @@ class _BatchCommand(click.Command):
 )  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Repeat jobs that failed in an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace files in FOLDER that no batch wrote.")
+@click.option("--record-host", is_flag=True, help="Write the name of the machine into results.jsonl.")
 @json_option("the report")
 @quiet_option
 @click.pass_context

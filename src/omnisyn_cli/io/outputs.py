@@ -26,6 +26,10 @@ __all__ = [
 ]
 
 
+TEMPORARY_PREFIX = ".omnisyn-"
+"""Of names that are not final yet."""
+
+
 def real_path(path: Path) -> Path:
     """The path without links, whether it exists or not; where links go in a circle, what is left of it."""
     return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError there until Python 3.13
@@ -90,7 +94,7 @@ def check_folder(folder: Path) -> None:
 
 def temporary_name(folder: Path, suffix: str = "") -> Path:
     """A new hidden name inside ``folder``; nothing is created."""
-    return folder / f".omnisyn-{secrets.token_hex(8)}{suffix}"
+    return folder / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}{suffix}"
 
 
 @contextmanager
